@@ -8,7 +8,8 @@
 | `inspect_command`, `response_command`, `identify_command` | logs |
 | `orders_command`, `identifiability_command` | structures |
 | `fit_command`, `profile_command`, `bootstrap_command` | fits and their errors |
-| `stepwise_command`, `compare_command`, `predict_command`, `report_command` | several fits, other logs |
+| `stepwise_command`, `compare_command`, `report_command` | several fits |
+| `predict_command` | a fit on another log |
 | `margins_command` | the loop of a fit and a controller |
 | `batch_command` | studies |
 | `options`, `workers` | options that several commands share |

@@ -71,6 +71,7 @@ def run(options: argparse.Namespace) -> Answer:
         answer["error"] = (
             f"{len(missing)} of {len(study.members)} members have no answer: {names}{hint}."
         )
+
     return answer, str(study), FAILED if missing else USABLE
 
 

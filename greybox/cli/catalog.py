@@ -76,12 +76,14 @@ def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
             f"{attribute} in {place} is {problem!r:.60}: it must be, or return, a gb.Problem or a "
             "sum of them."
         )
+
     label = Path(place).stem + (f":{name}" if name else "")
     settings = getattr(module, "settings", {})
     for name in settings:
         if name not in SETTINGS:
             known = alternatives(name, SETTINGS)
             raise ValueError(f"settings in {text} has {name!r}, which is not known; use {known}")
+
     return problem.with_(name=label), dict(settings)
 
 
@@ -100,6 +102,7 @@ def find_model(text: str) -> Model:
         raise ValueError(
             f"model {text!r} is not understood: write file:Class, e.g. tilt:Tilt or my.py:MyModel."
         )
+
     module, name = _locate("models", match["place"])
     models = {model.__name__: model for model in models_of(module)}
     model = _named(name, models, f"there is no model {text!r}; {match['place'].split(':')[0]} has")

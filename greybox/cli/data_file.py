@@ -44,6 +44,7 @@ def read_data(
     """
     path = Path(path)
     require_file(path)
+    # Files that say what they are go first: names of columns may mean several things.
     if not columns and claims_spectrum(path):
         return read_spectrum(path)
     if {"frequency", "magnitude"} & columns.keys() if columns else _is_response(path):
@@ -53,6 +54,7 @@ def read_data(
         return as_the_only_pair(
             model, read_response(path, input=input, output=output, columns=columns)
         )
+
     try:
         log = read(path, columns=columns or None, rate=rate)
     except ValueError as error:
@@ -62,6 +64,7 @@ def read_data(
             f"{path} is neither a frequency response, with columns "
             f"{', '.join((OMEGA, *RECTANGULAR))}, nor a record: {error}"
         ) from None
+
     return _record_of(log, path, model)
 
 
@@ -116,6 +119,7 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
             f"{path} has {count} with the signals of {signals}; it has "
             f"{available:.{LONG}}: {cure if is_table else _preparation(path, names)}."
         )
+
     (record,) = records
     record = in_si(record, [name for name in names if name in record.signals])
     return replace(record, findings=tuple(dict.fromkeys([*record.findings, *log.findings])))

@@ -75,6 +75,7 @@ def _explain(error: Exception, arguments: Sequence[str]) -> tuple[str, int]:
     if isinstance(error, SyntaxError) and error.filename and _full_path(error.filename) in files:
         return f"{files[_full_path(error.filename)]}, line {error.lineno}: {error.msg}.", BAD_INPUT
 
+    # An error in a user's file may be raised anew, with the original as its cause.
     causes = [error, *([error.__cause__] if error.__cause__ else [])]
     frames = [frame for cause in causes for frame in traceback.extract_tb(cause.__traceback__)]
     last = next((frame for frame in reversed(frames) if _full_path(frame.filename) in files), None)

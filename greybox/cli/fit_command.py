@@ -80,6 +80,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Answer:
     """Fit the problem of the options; save and draw the result if asked to."""
+    # A fit that was ended may have saved a result: to continue it needs no --force.
     continues = options.out is not None and folder_beside(options.out).is_dir()
     require_fit_file(options.out, options.force or continues)
     require_figure(options.plot, options.force or continues)
@@ -87,8 +88,10 @@ def run(options: argparse.Namespace) -> Answer:
     limits = TimeLimits.from_now(options.seconds, None)
     store = nullcontext() if options.out is None else runs_beside(options.out)
     try:
-        with store as kept, stated_executor(options) as executor, limited(limits):
-            return _answer(options, kept, *_fitted(partial(make, executor=executor), kept, options))
+        with store as stored, stated_executor(options) as executor, limited(limits):
+            return _answer(
+                options, stored, *_fitted(partial(make, executor=executor), stored, options)
+            )
     except ExecutorLostError as error:
         resume = "" if options.out is None else "; the same command continues with the stored runs"
         return {"error": f"{str(error).rstrip('.')}{resume}."}, "", FAILED
@@ -107,27 +110,28 @@ def _stated_fit(options: argparse.Namespace) -> Callable[..., Fit]:
 
 
 def _fitted(
-    make: Callable[..., Fit], kept: StoredRuns | None, options: argparse.Namespace
+    make: Callable[..., Fit], stored: StoredRuns | None, options: argparse.Namespace
 ) -> tuple[Fit, bool]:
     """Return the fit, or the best one so far after Ctrl-C, and whether it was interrupted."""
     try:
-        return make(kept), False
+        return make(stored), False
     except Interrupted as stopped:
         if stopped.fit is None:
             raise
         return stopped.fit, True
     except KeptRunsError as error:
-        if kept is None or not options.force:
+        if stored is None or not options.force:
             raise UsageError(
                 f"{folder_beside(options.out)} has runs of another, unfinished fit: repeat its "
                 "command, or give --force to begin anew."
             ) from error
-        kept.remove()
-        return _fitted(make, kept, options)
+        # --force allows to lose the runs of another problem, as it allows to overwrite a fit.
+        stored.remove()
+        return _fitted(make, stored, options)
 
 
 def _answer(
-    options: argparse.Namespace, kept: StoredRuns | None, result: Fit, interrupted: bool
+    options: argparse.Namespace, stored: StoredRuns | None, result: Fit, interrupted: bool
 ) -> Answer:
     """Save and draw a fit; its runs are stored until it is complete and saved."""
     answer = summary(result)
@@ -136,13 +140,14 @@ def _answer(
         answer["error"] = ": ".join([result.status, *result.warnings[:1]]).rstrip(".") + "."
     notes = []
     try:
-        if kept is not None:
+        if stored is not None:
             with responding(Response.FINISH):
                 save(replace(result, command=options.arguments), options.out)
+                # Only a complete fit makes its stored runs superfluous.
                 if interrupted or is_search_over():
-                    kept.write()
+                    stored.write()
                 else:
-                    kept.remove()
+                    stored.remove()
             notes.append(f"saved {options.out}")
         interrupted = take_interrupt() or interrupted
         notes += save_figure(None if interrupted else options.plot, lambda: _figure(result))
@@ -151,14 +156,15 @@ def _answer(
         status = FAILED
     except KeyboardInterrupt:
         interrupted = True
+
     if interrupted:
         answer["error"] = "interrupted."
         status = INTERRUPTED
         notes += [f"{options.plot} is not drawn"] if options.plot is not None else []
-    if kept is not None and kept.trouble:
-        notes.append(f"the last runs are not stored: {kept.trouble}")
-    if kept is not None and kept.count:
-        notes.append(f"the same command continues with {counted(kept.count, 'run')}")
+    if stored is not None and stored.trouble:
+        notes.append(f"the last runs are not stored: {stored.trouble}")
+    if stored is not None and stored.count:
+        notes.append(f"the same command continues with {counted(stored.count, 'run')}")
     return answer, "\n".join([str(result), *notes]), status
 
 

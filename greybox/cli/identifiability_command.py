@@ -62,6 +62,7 @@ def run(options: argparse.Namespace) -> Answer:
         raise UsageError(
             f"--{flag} is for a structure, and {options.subject} is a fit: leave it out."
         )
+
     fit = saved_fit(Path(options.subject), options)
     answer = {"problem": fit.name, **attributes(fit.identifiability, *DATA)}
     return answer, f"{fit.name}\n\n{fit.identifiability}", USABLE

@@ -51,6 +51,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         ("--output", "the output (default: the best-sampled angle)"),
     ):
         add(flag, default="", metavar="[NAME=]SIGNAL", help=about)
+
     add_measurement_options(parser)
     add(
         "--all-points",
@@ -131,6 +132,7 @@ def run(options: argparse.Namespace) -> Answer:
     for measurement, path in zip(identification.measurements, responses, strict=True):
         assert measurement.response is not None
         write_response(measurement.response, path)
+
     text += ["", *(f"saved {path}" for path in responses)]
     if fit is not None:
         save(replace(fit, command=options.arguments), result)
@@ -139,6 +141,7 @@ def run(options: argparse.Namespace) -> Answer:
     if fit is None or not selection.explains:
         answer["error"] = selection.verdict
         return answer, "\n".join(text), FAILED
+
     text += ["", "Next:", f"  greybox report {result}", f"  greybox profile {result}"]
     return answer, "\n".join(text), USABLE
 
@@ -213,6 +216,7 @@ def _fitting(
     for name in ("fix", "start"):
         words = [word for word in getattr(options, name) if word.partition("=")[0] in declared]
         stated.append((name, words))
+
     values = [word for name, words in stated if words for word in (f"--{name}", *words)]
     return [
         *("fit", "--model", chosen.label, "--data", *files, *through, *values),

@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> Answer:
 
         return plot(recording, (*segments, *manoeuvres))[0].figure
 
-    notes = save_figure(options.plot, draw)
+    notes = save_figure(options.plot, draw)  # before the text, which says whether it was drawn
     command = next_command(recording, segments, manoeuvres, options)
     if command:
         notes.append(f"next: {command}")

@@ -49,6 +49,7 @@ def run(options: argparse.Namespace) -> Answer:
         answer[f"{kind}s"] = [
             {"name": name, "summary": summary, "about": items[name]} for name, summary in rows
         ]
+
     blocks.append("`greybox list NAME` shows the details of one, with equation and source.")
     return answer, "\n\n".join(blocks), USABLE
 
@@ -61,6 +62,7 @@ def _show(name: str) -> Answer:
 
     doc = _doc(shipped_module("problems", name))
     problem, _ = find_problem(name)
+    # Parts of a joint problem may share a model, which is shown once.
     models = [part.model for part in problem.parts]
     answer = {
         "name": name,

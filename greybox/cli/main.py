@@ -93,6 +93,7 @@ def parser_of(commands: Collection[str] = tuple(COMMANDS)) -> argparse.ArgumentP
         formatter_class=HelpFormatter,
         allow_abbrev=False,
     )
+    # Abbreviations are refused: a new option could change what a script means.
     parser.add_argument("--version", action="version", version=f"greybox {version('greybox-id')}")
 
     subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
@@ -104,17 +105,20 @@ def parser_of(commands: Collection[str] = tuple(COMMANDS)) -> argparse.ArgumentP
             formatter_class=HelpFormatter,
             allow_abbrev=False,
         )
+        # Modules of commands import solvers and readers: only that of the command at hand.
         if name in commands:
             module = import_module(f"greybox.cli.{name}_command")
             module.add_options(command)
             command.set_defaults(command=module.run)
             examples = (f"  greybox {name} {example}".rstrip() for example in module.EXAMPLES)
             command.epilog = "\n".join(["examples:", *examples])
+
     return parser
 
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace | Answer:
     """Return the options, or what --help, --version or a mistake in the arguments answers."""
+    # The first word that is no option is the command, wherever --json stands.
     first = [word for word in arguments if not word.startswith("-")][:1]
     help_or_version = io.StringIO()
     try:

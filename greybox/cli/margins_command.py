@@ -79,6 +79,7 @@ def _controllers(options: argparse.Namespace) -> list[Controller]:
         raise UsageError(
             f"--set {unknown[0]}: no controller has it; there are {', '.join(sorted(names))}."
         )
+
     return [
         kind(
             {name: value for name, value in values.items() if name in kind.parameters},

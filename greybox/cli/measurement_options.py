@@ -77,6 +77,7 @@ def stated_choices(options: argparse.Namespace) -> dict[str, Any]:
             f"--instrument {' '.join(options.instrument)} has more signals than there are inputs: "
             "give one for each input."
         )
+
     names = {field.name for field in fields(Settings)}
     values = {name: value for name, value in vars(options).items() if name in names}
     parsed = {"fields": stated_fields(options), "band": stated_band(options.band)}
@@ -97,4 +98,5 @@ def stated_band(words: list[str]) -> tuple[float, float] | None:
             f"--band {text} is not understood: write two frequencies, --band 1 80 or "
             "--band 0.2 12 Hz."
         ) from None
+
     return low, high

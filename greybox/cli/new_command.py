@@ -45,11 +45,13 @@ def run(options: argparse.Namespace) -> Answer:
             f"{path.stem!r} cannot be the name of a Python file: use letters, digits and "
             "underscores."
         )
+    # Python looks for modules in the folder of the file first.
     if path.stem in PACKAGES | sys.stdlib_module_names:
         raise UsageError(
             f"{path.stem} is the name of a Python package, which {path} would hide: choose another "
             "name."
         )
+
     require_writable(path, options.force)
     write = model_file if options.kind == "model" else problem_file
     write_text(path, write(path.name, _class_name(path.stem), in_time=options.in_time))

@@ -58,6 +58,7 @@ def add_words(parser: argparse.ArgumentParser, flag: str, metavar: str, about: s
 
 def as_options(text: str, options: argparse.Namespace) -> str:
     """Return a text with arguments as options: ``settle=-1`` becomes ``--settle -1``."""
+    # Only names that are options of this command: x=3 in a formula stays as it is.
     names = "|".join(name for name in vars(options) if name.isidentifier())
 
     def option(match: re.Match[str]) -> str:
@@ -78,6 +79,7 @@ def nonnegative(text: str) -> int:
 
 
 def _integer(text: str, least: int) -> int:
+    # isdigit() alone accepts ², and int() accepts 1_000.
     if not text.isascii() or not text.isdigit() or int(text) < least:
         raise argparse.ArgumentTypeError(f"{text!r} is not an integer of at least {least}")
     return int(text)
@@ -176,4 +178,5 @@ def _by_name(
         if name in result:
             raise UsageError(f"{flag} names {name} twice: {result[name]} and {value}.")
         result[name] = value
+
     return result

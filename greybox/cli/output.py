@@ -72,6 +72,7 @@ def require_writable(
         return
     if path.is_dir() or not path.name:
         raise UsageError(f"{path} is a folder: give the name of a file.")
+    # Everything is checked before the run: an hour of fitting must not end here.
     if path.exists() and not force:
         raise UsageError(f"{path} exists: give another name, or --force to overwrite it.")
     if not path.parent.is_dir():
@@ -94,6 +95,7 @@ def save_figure(path: Path | None, draw: Callable[[], Any]) -> list[str]:
     """
     if path is None:
         return []
+    # A figure that cannot be drawn must not cost an existing one.
     with replacing(path) as temporary:
         draw().savefig(temporary, format=path.suffix[1:].lower(), dpi=150)
     return [f"drew {path}"]

@@ -59,6 +59,7 @@ def with_parameter_options(problem: AnyProblem, options: argparse.Namespace) -> 
         if name not in problem.parameters:
             names = alternatives(name, problem.parameters)
             raise ValueError(f"{problem.name} has no parameter {name!r}; it has {names}")
+
     if not any(changes.values()):
         return problem
     return problem.with_parts([_restated(part, changes) for part in problem.parts])
@@ -76,6 +77,7 @@ def _restated(part: Problem, changes: Mapping[str, Mapping[str, Any]]) -> Proble
             f"--prior is for single parameters, and the prior of {part.name} is an earlier fit: "
             "leave it out."
         )
+
     fixed = {name: x for name, x in part.fixed_values.items() if name not in changed["free"]}
     free = [name for name in part.free if name not in changed["fixed"]]
     return part.with_(

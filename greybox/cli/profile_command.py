@@ -1,20 +1,21 @@
-"""The command `greybox profile`: intervals of a saved fit that need not be symmetric, and regions of two parameters."""
+"""The command `greybox profile`: intervals by profile likelihood, and regions of two parameters."""
 
 import argparse
 from typing import Any
 
 from greybox.cli.options import UsageError, add_common_options, probability
-from greybox.cli.output import USABLE, Answer, require_figure, save_figure
+from greybox.cli.output import USABLE, Answer, attributes, require_figure, save_figure
 from greybox.cli.saved_fits import add_fit_argument, stated_fit
 from greybox.estimate.profile import contour, profile
 from greybox.estimate.profiles import Contour, Profiles
-from greybox.files.json_numbers import finite
 
 EXAMPLES = (
     "pitch.h5",
     "pitch.h5 a1 a2 --level 0.9 --plot profiles.png",
     "pitch.h5 --contour a1 a2 --plot contour.png",
 )
+
+REGION = ("names", "units", "level", "limit", "estimate", "points", "ends")
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -49,25 +50,13 @@ def run(options: argparse.Namespace) -> Answer:
         if options.names:
             raise UsageError("--contour takes two parameters: leave out other names.")
         result = contour(fit, *options.contour, problem=problem, level=options.level)
-        answer = _region(result)
+        answer = attributes(result, *REGION) | {"text": str(result)}
     else:
         result = profile(fit, options.names or None, problem=problem, level=options.level)
         answer = result.summary()
+
     lines = save_figure(options.plot, lambda: _figure(result))
     return answer, "\n".join([str(result), *lines]), USABLE
-
-
-def _region(contour: Contour) -> dict[str, Any]:
-    return {
-        "names": list(contour.names),
-        "units": list(contour.units),
-        "level": contour.level,
-        "limit": finite(contour.limit),
-        "estimate": contour.estimate.tolist(),
-        "points": [[finite(value) for value in point] for point in contour.points.tolist()],
-        "ends": list(contour.ends),
-        "text": str(contour),
-    }
 
 
 def _figure(result: Profiles | Contour) -> Any:

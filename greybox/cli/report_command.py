@@ -73,6 +73,7 @@ def _entries(options: argparse.Namespace) -> list[Any]:
             entries.append(Entry(labels[path], fits[path], file=str(path)))
         else:
             entries += study_entries(read_study(path))
+
     return entries
 
 
@@ -83,6 +84,7 @@ def _held_out(options: argparse.Namespace, entries: Sequence[Any]) -> Comparison
         if columns or options.rate:
             raise UsageError("--columns and --rate go with --held-out.")
         return None
+
     fitted = [entry for entry in entries if entry.fit is not None]
     if len(fitted) < 2:
         raise UsageError("--held-out compares fits by what they predict: give two or more results.")

@@ -41,6 +41,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         ("--output", "the output, e.g. theta=ATT.Pitch"),
     ):
         add(name, required=True, nargs="+", metavar="[NAME=]SIGNAL", help=about)
+
     add(
         "--manoeuvre",
         metavar="NUMBER|KIND",
@@ -113,6 +114,7 @@ def _matrix(options: argparse.Namespace) -> Answer:
             "--input or --output has several signals: give one of each, or the --period of the "
             "multisines that excite all inputs at once, or a --manoeuvre."
         )
+
     recording = read_log(options)
     measured = measure_matrix(
         recording,
@@ -136,8 +138,10 @@ def _matrix(options: argparse.Namespace) -> Answer:
     if options.out is not None:
         write_responses(measured.responses, options.out)
         first = measured.responses[0]
+        # Columns of a matrix have the names of their signals in front.
         prefix = f"{first.output}_{first.input}_"
         notes.append(f"  fit one: greybox fit --data {options.out} --prefix {prefix} --model MODEL")
+
     return answer, _text(recording, measured, *notes), USABLE
 
 
@@ -180,6 +184,7 @@ def response_json(recording: Recording, measured: Measurement) -> dict[str, Any]
     if response is not None:
         facts = {"coherence": None, "variance": None, "dof": None, **response.columns}
         facts |= attributes(response, "omega", "input", "output", "units", "about")
+
     return {
         **_origin(recording, measured),
         **facts,

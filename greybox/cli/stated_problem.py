@@ -75,6 +75,7 @@ def add_problem_options(parser: argparse.ArgumentParser) -> None:
     for name in ("input", "output"):
         about = f"{name} of a frequency response, if the model or the file has several"
         add(f"--{name}", default="", metavar="NAME", help=about)
+
     about = "with --model: operating point at which an ODE is linearized"
     add_words(parser, "--at", "NAME=VALUE", about)
     add_columns_option(parser)
@@ -102,6 +103,7 @@ def stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, A
             "give either a PROBLEM or --model with --data; `greybox list` shows the included "
             "problems."
         )
+
     settings: dict[str, Any] = {}
     if options.problem is not None:
         for name in ("data", "columns", "rate", "through", "input", "output", "at"):
@@ -120,6 +122,7 @@ def stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, A
         if not any(isinstance(part.data, Record) for part in problem.parts):
             raise UsageError(f"--method is for records and {problem.name} has none: leave it out.")
         settings["method"] = METHODS[options.method]()
+
     return with_parameter_options(problem, options), settings
 
 
@@ -133,6 +136,7 @@ def _problem_of_model(options: argparse.Namespace) -> AnyProblem:
     for word in options.through:
         for known_filter in filters_of(word, data[0]):
             model = through(model, known_filter)
+
     for path, values in zip(options.data, data, strict=True):
         for name in ("input", "output", "at"):
             if getattr(options, name) and not isinstance(values, FrequencyResponse):
@@ -142,6 +146,7 @@ def _problem_of_model(options: argparse.Namespace) -> AnyProblem:
                 )
         if options.rate and not isinstance(values, Record):
             raise UsageError(f"--rate is for a table of signals, and {path} is something else.")
+
     at = assignments(options.at, "--at")
     parts = tuple(Problem(model, values, at=at) for values in data)
     return parts[0] if len(parts) == 1 else Sum(parts)
@@ -156,12 +161,14 @@ def filters_of(
         if not isinstance(model, TransferFunction):
             raise UsageError(f"--through {word} is an ODE: give the filter as a transfer function.")
         return [model]
+
     about = data.about if isinstance(data, FrequencyResponse) else {}
     if word not in about:
         filters = ", ".join(name for name in about if name.endswith(FILTER_NAMES))
         raise UsageError(
             f"--through {word} is not a filter of the data: they have {filters or 'none'}."
         )
+
     return [filter_model(known_filter) for known_filter in from_text(about[word])]
 
 
@@ -188,6 +195,7 @@ def _require_problem(name: str) -> None:
             f"{name} is a data file, not a problem: give it a model, --model tilt:Tilt --data "
             f"{name}, or a problem file, my.py with a function problem()."
         )
+
     place = name.partition(":")[0]
     if place in shipped("models") and place not in shipped("problems"):
         cure = name if ":" in name else f"{name}:CLASS"
@@ -214,6 +222,7 @@ def _with_criterion(problem: AnyProblem, name: str) -> AnyProblem:
             f"--criterion {name} is for {' and '.join(served)} and {problem.name} has none: use "
             f"{', '.join(dict.fromkeys(suitable))}, or leave it out."
         )
+
     return problem.with_parts(
         [
             part.with_(criterion=_like(criterion, part.criterion))

@@ -43,6 +43,7 @@ def find_study(text: str) -> Path:
             f"there is no included study {text!r}: the included one is {', '.join(INCLUDED)}; "
             "or give study.toml."
         )
+
     return path
 
 
@@ -70,6 +71,7 @@ def read_study_file(path: Path, starts: int | None = None) -> list[Member]:
             f"{path} is not a known kind of study file: write study.toml, or study.py with "
             "members()."
         )
+
     require_distinct(members)
     if starts is None:
         return members
@@ -83,12 +85,14 @@ def _stated_in_python(path: Path) -> list[Member]:
         raise UsageError(
             f"{path} has no function members(): define it, and return a list of gb.study.Member."
         )
+
     members: Any = function()
     is_list = isinstance(members, list | tuple)
     if not is_list or not all(isinstance(member, Member) for member in members):
         raise UsageError(
             f"members() in {path} returns {members!r:.60}: return a list of gb.study.Member."
         )
+
     return list(members)
 
 
@@ -97,6 +101,7 @@ def _stated_in_toml(path: Path) -> list[Member]:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UsageError(f"{path} is not read: {str(error).rstrip('.')}.") from None
+
     entries = content.pop("member", None)
     for name in content:
         if name not in SETTINGS:
@@ -104,11 +109,13 @@ def _stated_in_toml(path: Path) -> list[Member]:
                 f"{path} states {name!r}, which is not known; there are member, "
                 f"{alternatives(name, SETTINGS)}"
             )
+
     is_list = isinstance(entries, list) and all(isinstance(entry, dict) for entry in entries)
     if not entries or not is_list:
         raise UsageError(
             f"{path} has no members: write [[member]] and below it problem = 'rotors', say."
         )
+
     return [member for entry in entries for member in _members({**content, **entry}, path)]
 
 
@@ -121,6 +128,7 @@ def _members(entry: Mapping[str, Any], path: Path) -> list[Member]:
                 f"a member in {path} has {name!r}, which is not known; use "
                 f"{alternatives(name, keys)}"
             )
+
     grid = {name: entry[name] for name in GRID if isinstance(entry.get(name), list)}
     varied = [name for name, values in grid.items() if len(values) > 1 and name != "problem"]
     members = []
@@ -130,22 +138,26 @@ def _members(entry: Mapping[str, Any], path: Path) -> list[Member]:
         differences = ", ".join(_difference(name, keys[name]) for name in varied)
         name = f"{member.name}: {differences}" if differences else member.name
         members.append(replace(member, name=name))
+
     return members
 
 
 def _member(entry: Mapping[str, Any], path: Path) -> Member:
     """Return a member, whose keys are read as the options of ``greybox fit``."""
     words = []
+    # The parser of `greybox fit` checks the values, so that both have the same rules.
     for key, value in entry.items():
         if key == "name":
             continue
         values = [_beside(word, path.parent) for word in _words(key, value)]
         if values:
             words += values if key == "problem" else [f"--{key.replace('_', '-')}", *values]
+
     try:
         options = parser_of(["fit"]).parse_args(["fit", *words])
     except UsageError as error:
         raise UsageError(f"a member in {path} is not understood: {error}") from None
+
     problem, settings = stated_problem(options)
     return Member(
         problem,

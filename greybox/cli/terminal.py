@@ -11,6 +11,7 @@ def make_writable() -> None:
     for stream in (sys.stdout, sys.stderr):
         reconfigure = getattr(stream, "reconfigure", None)
         if reconfigure is not None:
+            # A terminal without ± must not cost the answer.
             reconfigure(errors="backslashreplace")
 
 
@@ -29,6 +30,7 @@ def write(text: str, stream: TextIO | None) -> str:
     except OSError as error:
         _discard(stream)
         return error.strerror or str(error)
+
     return ""
 
 

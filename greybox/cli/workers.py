@@ -32,6 +32,7 @@ def stated_executor(options: argparse.Namespace) -> Iterator[Executor | None]:
     UsageError
         When Dask is not installed, or no scheduler answers.
     """
+    # One worker would be this process with the cost of another.
     if options.workers is not None and options.workers > 1:
         with WorkerPool(options.workers) as pool:
             yield pool
@@ -47,6 +48,7 @@ def _client(address: str):
         from distributed import Client  # noqa: PLC0415  (optional, and takes half a second)
     except ModuleNotFoundError:
         raise UsageError("--scheduler needs Dask: pip install 'greybox-id[dask]'.") from None
+
     try:
         return Client(address, timeout=CONNECTING)
     except (OSError, ValueError) as error:

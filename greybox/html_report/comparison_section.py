@@ -108,11 +108,13 @@ def _figures(
     if all(fit.responses for fit in fits):
         yield bode_figure(fits, labels)
         yield from nyquist_figures(fits, labels)
+
     for k in range(min(len(fit.records) for fit in fits)):
         try:
             yield history_figure(fits, k, labels, COLUMNS)
         except ValueError:  # the fits have different records
             break
+
     if comparison is not None:
         for predictions in zip(*comparison.predictions.get(HELD_OUT, ()), strict=True):
             yield history_figure(predictions, 0, comparison.labels, COLUMNS)

@@ -35,6 +35,7 @@ def equations(model: Model, values: Mapping[str, float] | None = None) -> list[E
         raise ValueError(
             f"{model.label} has an equation of {longest} symbols and operations, too long to read."
         )
+    # Numbers are inserted after the formula was traced with symbols, so that it keeps its form.
     if values:
         lines = [(variable, with_values(right, values)) for variable, right in lines]
     return [formula(variable, right) for variable, right in lines]
@@ -51,6 +52,7 @@ def _lines(model: Model) -> Iterator[tuple[Element, Expression]]:
         (right,) = expressions(response, {"s": s, **parameters}, {})
         yield _ratio(model), right
         return
+
     assert isinstance(model, StateSpace)
     signals = {name: ca.SX.sym(name) for name in (*model.states, *model.inputs)}
     z = ca.vertcat(*signals.values())
@@ -59,6 +61,7 @@ def _lines(model: Model) -> Iterator[tuple[Element, Expression]]:
         rates = expressions(traced_derivative(model, z, p), symbols, model.delays)
         for name, right in zip(model.states, rates, strict=True):
             yield tag("mover", symbol(name), operator("˙"), accent="true"), right
+
     outputs = expressions(traced_output(model, z, p), symbols, model.delays)
     for name, right in zip(model.outputs, outputs, strict=True):
         if right != Symbol(name):  # a state that is an output needs no line

@@ -48,6 +48,7 @@ def _panel(panel: Panel) -> dict[str, Any]:
         "log": panel.is_logarithmic,
         "limits": _ends(panel.limits),
         "steps": list(panel.steps),
+        # The page draws bands of curves, but not the ellipses of single points.
         "series": [_series(series) for series in panel.series if series.kind != "regions"],
     }
 

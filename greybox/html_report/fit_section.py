@@ -42,6 +42,7 @@ def fit_section(entry: Entry) -> Iterator[tuple[str, list[Element]]]:
     if fit.spectra:
         count = min(len(fit.spectra), MOST)
         yield "Manoeuvres", [figure_grid([spectrum_figure(fit, k) for k in range(count)])]
+
     yield "Starts", [figure_grid([starts_figure(fit)])]
     yield "Data and provenance", provenance(fit, entry.file)
 
@@ -66,6 +67,7 @@ def remarks(fit: Fit) -> list[Element]:
         judged = fit.identifiability
     except ValueError:  # the fit has no standard errors
         return []
+
     texts = [
         "CR is the Cramér-Rao bound: the standard error in percent of the value (guideline: at "
         "most 20 %). Insensitivity is the same if all other parameters were known (at most 10 %). "

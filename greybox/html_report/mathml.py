@@ -36,6 +36,7 @@ def symbol(name: str) -> Element:
         indices = [number, *indices]
     if not indices:
         return tag("mi", greek(base))
+    # Upright, because an index such as that of K_max is a word.
     return tag(
         "msub",
         tag("mi", greek(base)),
@@ -116,6 +117,7 @@ def _factors(factors: Sequence[Expression]) -> Element:
             if isinstance(factor, Sum) or _is_relation(factor)
             else written(factor)
         )
+
     return tag("mrow", row)
 
 

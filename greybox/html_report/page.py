@@ -34,6 +34,7 @@ def page(entries: Sequence[Entry], comparison: Comparison | None, title: str) ->
             "of another member, whose file is in the folder of the study."
         )
         content.insert(0, tag("p", text))
+
     sections = [
         _details(entry, is_open=len(entries) <= OPEN) for entry in entries if entry.fit is not None
     ]
@@ -55,6 +56,7 @@ def _section(title: str, content: Child) -> Element:
 
 def _document(title: str, sections: Sequence[Element]) -> str:
     script, style = ((HERE / name).read_text(encoding="utf-8") for name in ("page.js", "page.css"))
+    # Names from files of strangers are on the page: only the page's own script may run.
     policy = (
         f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; "
         "base-uri 'none'; form-action 'none'"

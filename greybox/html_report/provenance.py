@@ -116,4 +116,5 @@ def _restrictions(fit: Fit) -> dict[str, Child]:
         elif part.at:
             at = (f"{name} = {value:.5g}" for name, value in part.at.items())
             facts[f"operating point{place}"] = ", ".join(at)
+
     return facts

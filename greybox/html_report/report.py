@@ -54,9 +54,11 @@ def report(
                 f"cannot report {result!r:.80}: give fits, such as gb.fit(problem) returns, or a "
                 "study."
             )
+
     if comparison is not None and not isinstance(comparison, Comparison):
         raise TypeError(f"comparison is {comparison!r:.80}: give what gb.compare returns.")
 
+    # Labels must differ among the fits; members of a study have names.
     labels = iter(labels_of([result for result in results if isinstance(result, Fit)]))
     entries: list[Entry] = []
     for result in results:
@@ -64,6 +66,7 @@ def report(
             entries.append(Entry(next(labels), result))
         else:
             entries += study_entries(result)
+
     write_page(entries, Path(path), comparison, title)
 
 

@@ -61,6 +61,7 @@ def parameter_table(fit: Fit) -> Element:
                 Cell(q.about),
             ]
         )
+
     header = ["parameter", "estimate", "± error", "95 % interval", "unit", "CR, %"]
     return table([*header, "insensitivity, %", "bounds", "kind", "meaning"], rows)
 
@@ -86,7 +87,7 @@ def _share(share: float, guideline: float) -> Cell:
     if math.isnan(share):
         return Cell("–")
     text = "∞" if math.isinf(share) else percent(share)
-    value = min(share, 1e300)
+    value = min(share, 1e300)  # the page sorts by finite numbers alone
     return Cell(f"{text} !", value, "doubt") if share > guideline else Cell(text, value)
 
 
@@ -109,5 +110,6 @@ def _cell(cell: Cell, is_number: bool) -> Element:
             classes.append("prose")
         if is_number:
             text = _minus(text)
+
     value = f"{cell.value:.12g}" if cell.value is not None and math.isfinite(cell.value) else None
     return tag("td", text, class_=" ".join(filter(None, classes)) or None, data_value=value)

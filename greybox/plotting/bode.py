@@ -127,9 +127,10 @@ def _error_panels(
             if not np.any(np.isfinite(error)):
                 continue
 
-            own = [drawn for drawn in responses if drawn.checksum == part.data.checksum]
-            data = next(drawn for drawn in own if drawn.is_measured)
-            curves = [drawn for drawn in (*own, *responses) if drawn.fit is fit]
+            # Curves that lie on another one are not drawn: then any curve of the fit serves.
+            same_data = [drawn for drawn in responses if drawn.checksum == part.data.checksum]
+            data = next(drawn for drawn in same_data if drawn.is_measured)
+            curves = [drawn for drawn in (*same_data, *responses) if drawn.fit is fit]
             if len(fitted) > 1 and curves:
                 data = replace(data, color=curves[0].color)
             bars = _error_bars(part.data)
@@ -144,6 +145,7 @@ def _error_panels(
     for k, label in enumerate(("Error, dB", "Error, °")):
         bands = [_band(drawn, k) for drawn in responses if drawn.band is not None]
         panels.append(Panel(label, [rule(), *bands, *points[k]], height=0.5))
+
     return panels
 
 
@@ -221,6 +223,7 @@ def phases(responses: Sequence[DrawnResponse]) -> list[Array]:
             curves[drawn.checksum] = phase
             curves.setdefault(drawn.pair, phase)
         shown.append(_wrapped_to(phase, drawn.response))
+
     return shown
 
 

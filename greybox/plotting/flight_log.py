@@ -57,6 +57,7 @@ def traces(
     if segment is not None:
         span = min(segment.duration, periods * 2 * math.pi / segment.band[0])
         record = record.between(segment.end - span, segment.end)
+
     colors = {name: k for k, name in enumerate(record.signals)}
     panels = []
     for unit in dict.fromkeys(record.units.get(name, "") for name in record.signals):

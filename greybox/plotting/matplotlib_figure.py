@@ -130,6 +130,7 @@ def draw_grid(
     if legend:
         for ax, figure in zip(drawn, figures, strict=True):
             _legend_inside(ax, figure)
+
     return drawn
 
 
@@ -293,9 +294,11 @@ def _draw_plane(ax: Axes, figure: Figure, panel: Panel) -> None:
         if series.kind == "regions" and not series.is_hollow:
             vertices = np.column_stack([series.x, series.y])
             ax.update_datalim(np.clip(vertices, reach.min, reach.max))
+
     if figure.limits is not None and panel.limits is not None:
         ax.dataLim.set_points(np.array([figure.limits, panel.limits]).T)
         ax.margins(0)
+
     _write_labels(ax, panel)
 
 
@@ -395,6 +398,7 @@ def _horizontal_axis(axes: AxesArray, figure: Figure) -> None:
             ax.set_xlim(figure.limits)
         if figure.is_whole:
             ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
+
     if figure.is_logarithmic:
         _make_logarithmic(axes)
 

@@ -82,6 +82,7 @@ def nyquist_figures(
     """
     responses = drawn_responses(fits, labels, level)
     pairs = _by_pair(responses)
+    # A rotor of 1000 rad/s beside a tilt of 10 would leave the tilt as a dot.
     if count is None:
         sizes = [size for size in map(_largest_magnitude, pairs) if size > 0]
         differ = sizes and max(sizes) > UNLIKE * min(sizes)
@@ -91,6 +92,7 @@ def nyquist_figures(
             f"`axes` has {count} axes for {counted(len(pairs), 'input-output pair')}: "
             "give one, or one for each pair."
         )
+
     return [_figure(group, level) for group in (pairs if count > 1 else [responses])]
 
 
@@ -171,6 +173,7 @@ def _regions(responses: Sequence[DrawnResponse], level: float | None) -> list[Se
                 is_hollow=is_hollow,
             )
             regions.append(series)
+
     return regions
 
 

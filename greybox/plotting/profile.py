@@ -59,6 +59,7 @@ def contour(contour: Contour, axes: Axes | None = None) -> Axes:
     if np.all(np.isfinite(contour.covariance)):
         # The limits are those of the region: the ellipse may be many times as long.
         series.append(Series("standard errors", "line", *contour.ellipse().T, color=GRAY, style=1))
+
     estimate = contour.estimate[:, None]
     series.append(Series("estimate", "points", *estimate, color=INK))
     across, upward = map(_label, contour.names, contour.units)
@@ -89,6 +90,7 @@ def _figure(profile: ProfileOf, limit: float) -> Figure:
         reach = np.array([-top, 0, top])
         cone = profile.estimate + profile.standard_error * reach
         series.append(Series("standard error", "line", cone, np.abs(reach), GRAY, 1, width=0.9))
+
     roots = np.abs(profile.roots)
     series += [
         Series("profile", "line", profile.values, roots, width=1.4),

@@ -53,6 +53,7 @@ def residuals(fit: Fit, record: int = 0, *, axes: GivenAxes | None = None) -> Ax
             f"the fit {fit.name!r} has no record: gb.plotting.bode shows the errors of its "
             "responses."
         )
+
     part = chosen(fit.records, record, "record")
     if not fit.converged:
         raise ValueError(f"the fit {fit.name!r} has no estimate: {fit.status}.")
@@ -88,6 +89,7 @@ def residual_figures(part: FittedRecord) -> list[Figure]:
                     limits=(0.0, len(tests[0][1].correlations) + 1.0),
                 )
             )
+
     return figures
 
 
@@ -103,6 +105,7 @@ def _tests(part: FittedRecord, output: str) -> list[tuple[str, CorrelationTest]]
             test = input_correlation(pieces, _pieces(part.data, values))
             if not math.isnan(test.p_value):
                 inputs[name] = test
+
     clearest = sorted(inputs, key=lambda name: inputs[name].p_value)[:MOST_INPUTS]
     itself = whiteness(pieces, fitted=part.innovation_parameters(output))
     return [("", itself), *((name, test) for name, test in inputs.items() if name in clearest)]
@@ -126,6 +129,7 @@ def _histogram(part: FittedRecord, output: str) -> Figure:
         x = np.linspace(e.min(), e.max(), 200)
         normal = np.exp(-0.5 * ((x - e.mean()) / spread) ** 2) / (spread * math.sqrt(2 * math.pi))
         series.append(Series("normal distribution", "line", x, normal, INK))
+
     record = f", {part.data.name}" if part.data.name else ""
     return Figure(
         f"Distribution of the residuals of {in_greek(output)}{record}",

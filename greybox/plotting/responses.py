@@ -81,12 +81,14 @@ def drawn_responses(
         raise ValueError(
             "there is no frequency response to draw: gb.plotting.time_history draws fitted records."
         )
+
     data: dict[str, tuple[FrequencyResponse, str]] = {}
     for item, name in zip(items, names, strict=True):
         if isinstance(item, Fit):
             data |= {part.data.checksum: (part.data, part.name) for part in item.responses}
         elif item.source != "model":
             data[item.checksum] = (item, name)
+
     pairs = _pairs(items)
 
     measured = [
@@ -164,6 +166,7 @@ def _curves(
                     band=_band(fit, checksum, level) if fit and level is not None else None,
                 )
             )
+
     return drawn
 
 
@@ -188,6 +191,7 @@ def _pairs(items: Sequence[Fit | FrequencyResponse]) -> dict[str, Pair]:
         for part in item.responses:
             named = part.curve or part.data
             pairs[part.data.checksum] = (named.input, named.output)
+
     return {checksum: pair for checksum, pair in pairs.items() if all(pair)}
 
 

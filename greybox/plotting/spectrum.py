@@ -67,6 +67,7 @@ def spectrum_figure(item: Fit | TransientSpectrum, part: int = 0) -> Figure:
         series.append(Series("measured", "points", data.omega, size, INK, is_hollow=True))
         limits = (0.0, 1.1 * float(size.max()) or 1.0)
         panels.append(Panel(f"|{in_greek(name)}|, {unit}", series, height=0.5, limits=limits))
+
     about = f"{counted(len(data), 'line')}, {data.duration:.4g} s"
     return Figure(
         f"Spectrum of the manoeuvre{f', {data.name}' if data.name else ''}",
@@ -100,6 +101,7 @@ def _output_panels(
             k = fitted.outputs.index(name)
             level = math.sqrt(float(fitted.noise[k, k]) * data.step * data.duration)
             magnitude.append(rule(factor * level, "size of the noise", style=1))
+
     return (
         Panel(f"|{in_greek(name)}|, {unit}", magnitude, height=0.9, is_logarithmic=True),
         Panel(f"∠{in_greek(name)}, °", phase, height=0.5, steps=ANGLES),

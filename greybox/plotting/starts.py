@@ -38,6 +38,7 @@ def starts(fit: Fit, ax: Axes | None = None, legend: bool = True) -> Axes:
 
 def starts_figure(fit: Fit) -> Figure:
     """Return the final costs of all runs, sorted, by the minimum that they reached."""
+    # Screened starts were only evaluated: their cost is no result of a run.
     completed = [run for run in fit.runs if run.stage != SCREENED]
     converged = sorted((r for r in completed if r.converged), key=lambda r: (r.cost, r.index))
     failed = [run for run in completed if not run.converged]
@@ -109,6 +110,7 @@ def _minima(fit: Fit, converged: Sequence[Run]) -> list[Series]:
                 ],
             )
         )
+
     return series
 
 

@@ -99,6 +99,7 @@ def history_figure(
                 "draw each alone."
             )
 
+    # Items may have different outputs and inputs: each signal has one panel.
     outputs = dict.fromkeys(name for history in drawn for name in history.outputs)
     inputs = dict.fromkeys(name for history in drawn for name in history.inputs)
     panels = []
@@ -130,10 +131,12 @@ def _caption(drawn: Sequence[History], columns: int) -> str:
             "Bands: 95 % confidence from the errors of parameters and initial state, without "
             "sensor noise."
         )
+
     count = len(drawn[0].data)
     if count > 2 * columns:
-        each = -(-count // columns)
-        sentences.append(f"Of {count} samples, the smallest and largest of each {each} are drawn.")
+        size = -(-count // columns)
+        sentences.append(f"Of {count} samples, the smallest and largest of each {size} are drawn.")
+
     return " ".join(sentences)
 
 
