@@ -85,10 +85,6 @@ class LocalSolver(Runner):
     promising: ClassVar[tuple[int, int]] = (4, 3)
 
     @abstractmethod
-    def __reduce__(self) -> tuple[Callable[..., "LocalSolver"], tuple[Any, ...]]:
-        """Return a function that builds the same solver, and its arguments."""
-
-    @abstractmethod
     def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
         """Return the best nodes at the parameters x (p,), which are `nodes` if these are known."""
 

@@ -25,7 +25,7 @@ from greybox.solve.interruption import Response, one_run, reason_to_end, respond
 from greybox.solve.ipopt import CONVERGED, ROUNDED, WITHOUT_BARRIER, Ipopt
 from greybox.solve.local_solver import LocalSolver, Profile, Screened
 from greybox.solve.minima import AT_ONCE, Minimum, Multistart, same_cost
-from greybox.solve.runs import CUT_SHORT, IMPROVED, STAGNATED, Outcome, Run, Runs
+from greybox.solve.runs import CUT_SHORT, IMPROVED, STAGNATED, Outcome, Run, Runs, spent
 
 AT_MINIMUM = "At_Minimum"  # status of a run whose projected gradient vanishes
 
@@ -202,12 +202,7 @@ class ResponseSolver(LocalSolver):
     def _again(self, x: Array, earlier: Outcome | Run) -> Outcome:
         """Run IPOPT from x (p,), and add the iterations and seconds of the earlier run."""
         with one_run():
-            outcome = self.run(x)
-        return replace(
-            outcome,
-            iterations=earlier.iterations + outcome.iterations,
-            seconds=earlier.seconds + outcome.seconds,
-        )
+            return spent(self.run(x), earlier)
 
     # --- the certificate
 

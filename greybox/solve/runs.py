@@ -5,7 +5,7 @@ There may be 100 000 runs, and a run as an object takes half a kilobyte.
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, overload
 
 import numpy as np
@@ -131,6 +131,15 @@ KINDS = {
     "reason": object,
     "stage": object,
 }
+
+
+def spent(outcome: Outcome, earlier: Outcome | Run) -> Outcome:
+    """Return an outcome with the iterations and seconds of an earlier one added."""
+    return replace(
+        outcome,
+        iterations=earlier.iterations + outcome.iterations,
+        seconds=earlier.seconds + outcome.seconds,
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,20 +19,31 @@ from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.constraints import Limits
 from greybox.solve.gauss_newton.all_parts import COST_ROUNDING, AllParts
 from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Nodes, Progress, relaxed
-from greybox.solve.gauss_newton.iteration import CONVERGED, descend
+from greybox.solve.gauss_newton.iteration import CONVERGED, End, descend
 from greybox.solve.gauss_newton.polishing import is_blurred, polished, sharpened
 from greybox.solve.gauss_newton.screening import can_screen, distinct, improved
 from greybox.solve.gauss_newton.stability import are_stable
 from greybox.solve.local_solver import LocalSolver, Profile, Screened
 from greybox.solve.minima import Multistart, same_cost
-from greybox.solve.runs import CUT_SHORT, Outcome
+from greybox.solve.runs import CUT_SHORT, Outcome, spent
 
 # Trial steps may overflow; they are then shortened.
 DIVERGING = np.errstate(over="ignore", invalid="ignore", divide="ignore")
 
 
 class GaussNewton(LocalSolver):
-    """The solver of one compiled problem with hidden unknowns, built once for all starts."""
+    """The solver of one compiled problem with hidden unknowns, built once for all starts.
+
+    Attributes
+    ----------
+    nlp : CompiledProblem
+    settings : Strategies
+        Those of the problem, with the options of the solver.
+    limits : Limits
+        Bounds and constraints.
+    samples : int
+        Samples of all records, or of their excerpts.
+    """
 
     def __init__(
         self,
@@ -47,25 +58,26 @@ class GaussNewton(LocalSolver):
         `settings` replace those of the problem. With `parts`, excerpts of the problem's or the same
         with other limits, runs begin on those of `coarse`, if any.
         """
-        self._nlp = nlp
-        self._settings = settings or nlp.strategies
-        self._parts = parts or AllParts(nlp.parts, nlp.free, _limits(nlp), self._settings)
+        self.nlp = nlp
+        self.settings = settings or nlp.strategies
+        self._parts = parts or AllParts(nlp.parts, nlp.free, _limits(nlp), self.settings)
+        self.limits, self.samples = self._parts.limits, self._parts.samples
         self._coarse = coarse
 
         # Excerpts are short enough to be solved directly.
-        is_long = self.samples > self._settings.long_record and self._settings.stretches_first
+        is_long = self.samples > self.settings.long_record and self.settings.stretches_first
         if parts is None and is_long:
-            self._coarse = self.on_excerpts(self._settings.long_record // 2)
+            self._coarse = self.on_excerpts(self.settings.long_record // 2)
 
     def __reduce__(self) -> tuple[Callable[..., "GaussNewton"], tuple[Any, ...]]:
         """Return what builds the same solver, of the whole problem."""
-        return partial(GaussNewton, settings=self._settings), (self._nlp,)
+        return partial(GaussNewton, settings=self.settings), (self.nlp,)
 
     def on_excerpts(self, samples: int) -> "GaussNewton":
         """Return the solver of the same problem on excerpts of about so many samples in all."""
-        parts = excerpts(self._nlp.parts, samples)
-        all_parts = AllParts(parts, self._nlp.free, self.limits, self._settings)
-        return GaussNewton(self._nlp, settings=self._settings, parts=all_parts)
+        parts = excerpts(self.nlp.parts, samples)
+        all_parts = AllParts(parts, self.nlp.free, self.limits, self.settings)
+        return GaussNewton(self.nlp, settings=self.settings, parts=all_parts)
 
     def within(self, low: Array, high: Array, equation: ca.Function | None = None) -> "GaussNewton":
         """Return the solver with other bounds of z (p,), and an `equation` (z) -> 0."""
@@ -74,49 +86,25 @@ class GaussNewton(LocalSolver):
             limits = limits.with_equation(equation)
         coarse = None if self._coarse is None else self._coarse.within(low, high, equation)
         parts = self._parts.within(limits)
-        return GaussNewton(self._nlp, settings=self._settings, parts=parts, coarse=coarse)
+        return GaussNewton(self.nlp, settings=self.settings, parts=parts, coarse=coarse)
 
     def refined(self, nlp: CompiledProblem) -> "GaussNewton":
         """Return the solver of the same problem with finer steps."""
-        return GaussNewton(nlp, settings=self._settings)
-
-    @property
-    def nlp(self) -> CompiledProblem:
-        """The compiled problem."""
-        return self._nlp
-
-    @property
-    def samples(self) -> int:
-        """Samples of all records, or of their excerpts."""
-        return self._parts.samples
-
-    @property
-    def limits(self) -> Limits:
-        """The bounds and constraints."""
-        return self._parts.limits
-
-    @property
-    def settings(self) -> Strategies:
-        """The settings of the problem, with the options of the solver."""
-        return self._settings
+        return GaussNewton(nlp, settings=self.settings)
 
     # --- runs
 
     @DIVERGING
     def run(self, start: Array, iterations: int | None = None) -> Outcome:
         """Solve from the parameters `start` (p,) in so many `iterations`."""
-        began = time.perf_counter()
-        z = self._nearest(start)
         if self._coarse is None:
-            outcome, _ = self.run_from(z, iterations)
-        else:
-            first = self._coarse.run(start, iterations)
-            if first.status in CUT_SHORT:  # its cost is that of the excerpts
-                return replace(first, cost=math.inf, signature=None, nodes=None)
-            z = self._nlp.scaling.to_solver(first.estimate)
-            outcome, _ = self.run_from(z, iterations, near_solution=True)
-            outcome = replace(outcome, iterations=first.iterations + outcome.iterations)
-        return replace(outcome, seconds=time.perf_counter() - began)
+            return self.run_from(self._nearest(start), iterations)[0]
+        first = self._coarse.run(start, iterations)
+        if first.status in CUT_SHORT:  # its cost is that of the excerpts
+            return replace(first, cost=math.inf, signature=None, nodes=None)
+        z = self.nlp.scaling.to_solver(first.estimate)
+        outcome, _ = self.run_from(z, iterations, near_solution=True)
+        return spent(outcome, first)
 
     @DIVERGING
     def run_from(
@@ -137,21 +125,17 @@ class GaussNewton(LocalSolver):
         It begins with the first of the `nodes` of every stretch. Limits that a model reaches at
         times are so seen at once; nodes close to the data would hide them.
         """
-        began = time.perf_counter()
         z = self._nearest(start)
         first = self._parts.at(z, self._parts.joined(nodes))
         iterate = self._parts.simulated(first.z, first.nodes) if first.finite else first
         if not self._parts.stays_near_data(iterate) or not are_stable(self._parts, iterate):
             return None
-        outcome, _ = self._solved(iterate, EXACT, iterations)
-        return replace(outcome, seconds=time.perf_counter() - began)
+        return self._solved(iterate, EXACT, iterations)[0]
 
     @DIVERGING
     def solved_from(self, x: Array, nodes: Nodes, iterations: int | None = None) -> Outcome:
         """Solve from the parameters x (p,) and nodes that are near those of the solution."""
-        began = time.perf_counter()
-        outcome, _ = self._solved(self._at(x, nodes), EXACT, iterations)
-        return replace(outcome, seconds=time.perf_counter() - began)
+        return self._solved(self._at(x, nodes), EXACT, iterations)[0]
 
     def continued(self, outcome: Outcome) -> Outcome:
         """Continue a run that did not converge, with many more iterations."""
@@ -160,25 +144,22 @@ class GaussNewton(LocalSolver):
         # Three million samples are a moment's work. Bennett5, the narrowest valley among NIST's
         # problems, takes 1300 iterations.
         affordable = min(3_000_000 // max(self.samples, 1), 2000)
-        iterations = max(affordable, self._settings.max_iterations)
+        iterations = max(affordable, self.settings.max_iterations)
         later = self.solved_from(outcome.estimate, outcome.nodes, iterations)
         better = later if later.converged or later.cost < outcome.cost else outcome
-        return replace(
-            better,
-            iterations=outcome.iterations + later.iterations,
-            seconds=outcome.seconds + later.seconds,
-        )
+        # Both runs count, whichever end is taken.
+        return spent(replace(better, iterations=later.iterations, seconds=later.seconds), outcome)
 
     def _solved(
         self, iterate: Iterate, progress: Progress, iterations: int | None
     ) -> tuple[Outcome, Array | None]:
-        nlp = self._nlp
-        most = iterations or self._settings.max_iterations
+        nlp, began = self.nlp, time.perf_counter()
+        most = iterations or self.settings.max_iterations
         try:
             end = descend(self._parts, iterate, progress, most)
         except np.linalg.LinAlgError:
-            x = nlp.scaling.to_parameters(iterate.z)
-            return Outcome(x, "singular", 0, 0.0, False, math.inf), None
+            x, seconds = nlp.scaling.to_parameters(iterate.z), time.perf_counter() - began
+            return Outcome(x, "singular", 0, seconds, False, math.inf), None
 
         iterate, status = end.iterate, end.status
 
@@ -194,7 +175,7 @@ class GaussNewton(LocalSolver):
             self._estimate(iterate.z),
             status,
             end.iterations,
-            0.0,
+            time.perf_counter() - began,
             status == CONVERGED and math.isfinite(cost),
             cost,
             self._parts.signature(iterate),
@@ -205,13 +186,13 @@ class GaussNewton(LocalSolver):
     @property
     def _can_sharpen(self) -> bool:
         """Whether all parts have their information in every process: results must be the same."""
-        is_whole = self.samples == sum(part.samples for part in self._nlp.parts)
-        return is_whole and all(part.travels_whole for part in self._nlp.parts)
+        is_whole = self.samples == sum(part.samples for part in self.nlp.parts)
+        return is_whole and all(part.travels_whole for part in self.nlp.parts)
 
     @DIVERGING
     def polished(self, search: Multistart) -> Multistart:
         """Return the search with its best minimum polished by undamped steps."""
-        if not search.minima or search.nodes is None or not self._settings.polished_minimum:
+        if not search.minima or search.nodes is None or not self.settings.polished_minimum:
             return search
         best = search.minima[0]
         try:
@@ -223,7 +204,7 @@ class GaussNewton(LocalSolver):
         # Steps to another cost have left the minimum, as where a predictor ends at its stability
         # limit.
         highest = best.cost + COST_ROUNDING * max(1.0, abs(best.cost))
-        if not best.cost - same_cost(self._nlp, best.cost) <= cost <= highest:
+        if not best.cost - same_cost(self.nlp, best.cost) <= cost <= highest:
             return search
         minimum = replace(best, cost=min(cost, best.cost), estimate=self._estimate(end.z))
         nodes = self._parts.nodes_by_part(end)
@@ -246,10 +227,10 @@ class GaussNewton(LocalSolver):
         Of several that lead to one point the best begins there; the others are tried last,
         unchanged.
         """
-        if not self._settings.screened_starts or not can_screen(self._nlp):
+        if not self.settings.screened_starts or not can_screen(self.nlp):
             return None
         z = np.array([self._nearest(start) for start in starts[1:]])
-        points = improved(self._nlp, self.limits, z)
+        points = improved(self.nlp, self.limits, z)
         order = distinct(points)
         promising = [k + 1 for k in order]
         begins = starts.copy()
@@ -284,7 +265,7 @@ class GaussNewton(LocalSolver):
         ValueError
             For another value of a fixed parameter: it is compiled in.
         """
-        nlp, count = self._nlp, len(self._nlp.free)
+        nlp, count = self.nlp, len(self.nlp.free)
         constants = zip(nlp.constants, values[count:], nlp.constant_values, strict=True)
         for name, value, compiled in constants:
             if value != compiled:
@@ -304,14 +285,9 @@ class GaussNewton(LocalSolver):
 
     def _best_nodes(self, x: Array) -> tuple[Iterate, bool]:
         """Return the iterate with the best nodes at x (p,), and whether it converged."""
-        iterate = self._parts.from_data(self._nlp.scaling.to_solver(x))
-        progress = self._parts.first_progress()
-        most = self._settings.max_iterations
-        try:
-            end = descend(self._parts, iterate, progress, most, states_only=True)
-        except np.linalg.LinAlgError:
-            return iterate, False
-        return end.iterate, end.status == CONVERGED
+        iterate = self._parts.from_data(self.nlp.scaling.to_solver(x))
+        end = self._nodes_alone(iterate, self._parts.first_progress(), self.settings.max_iterations)
+        return (iterate, False) if end is None else (end.iterate, end.status == CONVERGED)
 
     @DIVERGING
     def smoothed(self, z: Array) -> tuple[Trajectory, ...] | None:
@@ -320,28 +296,30 @@ class GaussNewton(LocalSolver):
         None where the model diverges.
         """
         iterate = self._parts.from_data(z)
-        if not iterate.finite:
-            return None
+        # Three iterations of the nodes are enough for another solver to begin with.
+        end = self._nodes_alone(iterate, relaxed(self.settings), 3) if iterate.finite else None
+        return None if end is None else self._parts.split(end.iterate)
+
+    def _nodes_alone(self, iterate: Iterate, progress: Progress, iterations: int) -> End | None:
+        """Return the end of an iteration at held parameters; None if nodes are not determined."""
         try:
-            # Three iterations of the nodes are enough for another solver to begin with.
-            end = descend(self._parts, iterate, relaxed(self._settings), 3, states_only=True)
+            return descend(self._parts, iterate, progress, iterations, states_only=True)
         except np.linalg.LinAlgError:
             return None
-        return self._parts.split(end.iterate)
 
     # --- the solver's variables
 
     def _nearest(self, start: Array) -> Array:
         """Return the point z (p,) nearest to the parameters `start` within all limits."""
-        return self.limits.nearest(self._nlp.scaling.to_solver(start))
+        return self.limits.nearest(self.nlp.scaling.to_solver(start))
 
     def _estimate(self, z: Array) -> Array:
         """Return the parameters at z, within their bounds."""
-        return np.clip(self._nlp.scaling.to_parameters(z), self._nlp.lower, self._nlp.upper)
+        return np.clip(self.nlp.scaling.to_parameters(z), self.nlp.lower, self.nlp.upper)
 
     def _at(self, x: Array, nodes: Nodes) -> Iterate:
         """Return the iterate at the parameters x (p,) with these nodes of every part."""
-        return self._parts.at(self._nlp.scaling.to_solver(x), self._parts.joined(nodes))
+        return self._parts.at(self.nlp.scaling.to_solver(x), self._parts.joined(nodes))
 
 
 @one_thread_at_a_time

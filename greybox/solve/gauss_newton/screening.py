@@ -49,7 +49,8 @@ class Points(NamedTuple):
     def reduced(self, damping: Array) -> tuple[Array, Array, Array]:
         """Return gradient and Hessian without the states, and how these follow (r, m, n, 1 + p)."""
         right = np.concatenate([self.slope[..., None], self.cross], axis=3)
-        follow = -np.linalg.solve(_damped(self.curvature, damping[:, None]), right)
+        damped = _damped(self.curvature, damping[:, None])
+        follow = np.asarray(-np.linalg.solve(damped, right), dtype=np.float64)
         eliminated = np.einsum("rmnp,rmnq->rpq", self.cross, follow)
         return self.gradient + eliminated[..., 0], self.hessian + eliminated[..., 1:], follow
 
