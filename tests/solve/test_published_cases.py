@@ -108,7 +108,7 @@ def test_first_states_lie_where_the_model_is_finite():
     time = 0.1 * np.arange(45)
     speed = 30 + np.sin(time)
     record = gb.Record(
-        time, {"gamma": -0.1 + 0.02 * np.cos(time), "V": speed, "lift": np.full(45, 6.0)}
+        time, {"gamma": -0.1 + 0.02 * np.cos(time), "V": speed, "lift": 6 + 0.1 * np.sin(time)}
     )
     _, part, z = point(gb.Problem(Airspeed(), record), drag=0.001, lift=0.05)
     trajectory = part.initial_trajectory(z)

@@ -284,7 +284,7 @@ def test_where_promising_starts_disagree_all_are_run():
     )
     wanted = gb.fit(
         gb.Problem(Resonance(), gb.FrequencyResponse(omega, two, "x", "y")),
-        60,
+        30,
         search="multistart",
         progress=False,
     )

@@ -23,16 +23,15 @@ GAP_CLOSINGS = 5  # iterations of the second-order correction
 class AllParts:
     """The parts of one problem, whose costs add, with Kalman gains, limits and settings.
 
-    Records that can be evaluated together are one part here; `joined`, `nodes_by_part` and `split`
-    translate.
+    Records that can be evaluated together are one part here; `groups` translates.
     """
 
     def __init__(
         self, parts: Sequence[Part], free: Sequence[str], limits: Limits, settings: Strategies
     ) -> None:
         """Group the parts; `free` are the names of the solver's variables."""
-        self._groups = Groups(parts)
-        self.parts = self._groups.parts
+        self.groups = Groups(parts)
+        self.parts = self.groups.parts
         self.weights = [part.weight for part in self.parts]
         self.gains = [kalman_gain(part) for part in self.parts]
         self.has_free_gains = any(gain and set(gain.names) & set(free) for gain in self.gains)
@@ -52,34 +51,20 @@ class AllParts:
 
     # --- iterates
 
-    def at(self, z: Array, nodes: Nodes, like: Iterate | None = None) -> Iterate:
-        """Return the iterate at z with these nodes, simulated where the iterate `like` is."""
-        simulated = [t.simulated for t in like.trajectories] if like else [False] * len(nodes)
-        return self._at(z, nodes, simulated)
+    def at(
+        self, z: Array, nodes: Nodes, like: Iterate | None = None, *, simulated: bool = False
+    ) -> Iterate:
+        """Return the iterate at z with these nodes, simulated where the iterate `like` is.
+
+        With `simulated`, all stretches are simulated from their first node to their end.
+        """
+        flags = [t.simulated for t in like.trajectories] if like else [simulated] * len(nodes)
+        zipped = zip(self.parts, nodes, flags, strict=True)
+        return Iterate(z, tuple(part.trajectory(z, n, simulated=flag) for part, n, flag in zipped))
 
     def from_data(self, z: Array) -> Iterate:
         """Return the iterate at z whose nodes come from the data."""
         return Iterate(z, tuple(part.initial_trajectory(z) for part in self.parts))
-
-    def simulated(self, z: Array, nodes: Nodes) -> Iterate:
-        """Return the iterate at z simulated from the first node of every stretch to its end."""
-        return self._at(z, nodes, [True] * len(nodes))
-
-    def _at(self, z: Array, nodes: Nodes, simulated: Sequence[bool]) -> Iterate:
-        zipped = zip(self.parts, nodes, simulated, strict=True)
-        return Iterate(z, tuple(part.trajectory(z, n, simulated=s) for part, n, s in zipped))
-
-    def joined(self, nodes: Nodes) -> Nodes:
-        """Return the nodes as an iterate has them, given those of the parts of the problem."""
-        return self._groups.joined(nodes)
-
-    def nodes_by_part(self, iterate: Iterate) -> tuple[Array, ...]:
-        """Return the nodes of the parts of the problem."""
-        return tuple(self._groups.nodes_by_part(iterate.nodes))
-
-    def split(self, iterate: Iterate) -> tuple[Trajectory, ...]:
-        """Return the trajectories of the parts of the problem."""
-        return tuple(self._groups.split(iterate.trajectories))
 
     def _pairs(self, iterate: Iterate) -> Iterator[tuple[Part, Trajectory]]:
         return zip(self.parts, iterate.trajectories, strict=True)

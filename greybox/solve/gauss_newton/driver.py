@@ -126,8 +126,8 @@ class GaussNewton(LocalSolver):
         times are so seen at once; nodes close to the data would hide them.
         """
         z = self._nearest(start)
-        first = self._parts.at(z, self._parts.joined(nodes))
-        iterate = self._parts.simulated(first.z, first.nodes) if first.finite else first
+        first = self._parts.at(z, self._parts.groups.joined(nodes))
+        iterate = self._parts.at(first.z, first.nodes, simulated=True) if first.finite else first
         if not self._parts.stays_near_data(iterate) or not are_stable(self._parts, iterate):
             return None
         return self._solved(iterate, EXACT, iterations)[0]
@@ -179,7 +179,7 @@ class GaussNewton(LocalSolver):
             status == CONVERGED and math.isfinite(cost),
             cost,
             self._parts.signature(iterate),
-            self._parts.nodes_by_part(iterate),
+            tuple(self._parts.groups.nodes_by_part(iterate.nodes)),
         )
         return outcome, end.hessian
 
@@ -207,7 +207,7 @@ class GaussNewton(LocalSolver):
         if not best.cost - same_cost(self.nlp, best.cost) <= cost <= highest:
             return search
         minimum = replace(best, cost=min(cost, best.cost), estimate=self._estimate(end.z))
-        nodes = self._parts.nodes_by_part(end)
+        nodes = tuple(self._parts.groups.nodes_by_part(end.nodes))
         return replace(search, minima=(minimum, *search.minima[1:]), nodes=nodes)
 
     # --- starts
@@ -255,7 +255,9 @@ class GaussNewton(LocalSolver):
         # The cost of an unstable predictor depends on where its segments begin.
         converged = converged and are_stable(self._parts, iterate)
         cost = self._parts.cost(iterate, 0.0)
-        return Profile(iterate.z, self._parts.split(iterate), cost, converged)
+        return Profile(
+            iterate.z, tuple(self._parts.groups.split(iterate.trajectories)), cost, converged
+        )
 
     def cost(self, values: Array) -> float:
         """Return the smallest cost at all values (k,), continuity exact; NaN if there is none.
@@ -298,7 +300,7 @@ class GaussNewton(LocalSolver):
         iterate = self._parts.from_data(z)
         # Three iterations of the nodes are enough for another solver to begin with.
         end = self._nodes_alone(iterate, relaxed(self.settings), 3) if iterate.finite else None
-        return None if end is None else self._parts.split(end.iterate)
+        return None if end is None else tuple(self._parts.groups.split(end.iterate.trajectories))
 
     def _nodes_alone(self, iterate: Iterate, progress: Progress, iterations: int) -> End | None:
         """Return the end of an iteration at held parameters; None if nodes are not determined."""
@@ -319,7 +321,7 @@ class GaussNewton(LocalSolver):
 
     def _at(self, x: Array, nodes: Nodes) -> Iterate:
         """Return the iterate at the parameters x (p,) with these nodes of every part."""
-        return self._parts.at(self.nlp.scaling.to_solver(x), self._parts.joined(nodes))
+        return self._parts.at(self.nlp.scaling.to_solver(x), self._parts.groups.joined(nodes))
 
 
 @one_thread_at_a_time

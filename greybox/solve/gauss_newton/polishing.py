@@ -110,7 +110,7 @@ def sharp_step(nlp: CompiledProblem, parts: AllParts, iterate: Iterate, step: St
     slope = nlp.scaling.slope(x)
     free = len(nlp.free)
     rows = []
-    for part, trajectory in zip(nlp.parts, parts.split(iterate), strict=True):
+    for part, trajectory in zip(nlp.parts, parts.groups.split(iterate.trajectories), strict=True):
         information = part.information(nlp.names, nlp.all_values(x), (), trajectory, slope)
         bread, _ = information.spread(1.0)
         rows.append(math.sqrt(part.weight * bread) * information.jacobian[:, :free] / slope)

@@ -76,7 +76,7 @@ def test_signatures_stand_side_by_side(made):
 
 def test_an_iterate_is_simulated_where_the_one_before_it_was(made):
     parts, iterate = made
-    simulated = parts.simulated(iterate.z, iterate.nodes)
+    simulated = parts.at(iterate.z, iterate.nodes, simulated=True)
     with_nodes = [bool(t.nodes.size) for t in iterate.trajectories]
     assert [t.simulated for t in simulated.trajectories] == [True] * 3
     assert not parts.is_continuous(iterate)
@@ -93,16 +93,16 @@ def test_an_iterate_is_simulated_where_the_one_before_it_was(made):
 
 def test_data_are_explained_near_the_truth_and_not_far_from_it(made):
     parts, iterate = made
-    near = parts.simulated(iterate.z, parts.from_data(iterate.z).nodes)
+    near = parts.at(iterate.z, parts.from_data(iterate.z).nodes, simulated=True)
     assert parts.stays_near_data(near)
-    far = parts.simulated(iterate.z, [nodes + 1e6 for nodes in iterate.nodes])
+    far = parts.at(iterate.z, [nodes + 1e6 for nodes in iterate.nodes], simulated=True)
     assert not parts.stays_near_data(far)
 
 
 @pytest.mark.parametrize(("share", "continuous"), [(0.9, True), (1.1, False)])
 def test_gaps_are_rounding_beside_the_largest_value_of_their_own_state(made, share, continuous):
     parts, iterate = made
-    even = parts.simulated(iterate.z, iterate.nodes)
+    even = parts.at(iterate.z, iterate.nodes, simulated=True)
     trajectory = even.trajectories[0]
     size = np.abs(trajectory.nodes).max(axis=0)
     gaps = np.zeros_like(trajectory.gaps)

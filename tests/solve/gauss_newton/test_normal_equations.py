@@ -32,7 +32,7 @@ def prepared(values, **options):
     parts = AllParts(nlp.parts, nlp.free, solver.limits, nlp.strategies)
     z = nlp.scaling.to_solver(np.array([values[name] for name in nlp.free]))
     start = parts.from_data(z)
-    iterate = parts.at(z, parts.simulated(z, start.nodes).nodes)
+    iterate = parts.at(z, parts.at(z, start.nodes, simulated=True).nodes)
     weights = parts.residual_weights(iterate)
     linearizations = parts.linearize(iterate, weights)
     return nlp, parts, iterate, weights, linearizations

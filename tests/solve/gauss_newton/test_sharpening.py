@@ -73,10 +73,12 @@ def solved(jacobians, gradients, weights, breads, slope):
         all_values=lambda x: np.append(x, 9.0),
         parts=[part(*each) for each in zip(jacobians, weights, breads, strict=True)],
     )
-    parts = SimpleNamespace(weights=weights, split=lambda iterate: [None] * len(weights))
+    groups = SimpleNamespace(split=lambda trajectories: [None] * len(weights))
+    parts = SimpleNamespace(weights=weights, groups=groups)
     condensed = [SimpleNamespace(gradient=g) for g in gradients]
     step = Step((), condensed, np.zeros(2), 0.0, 0.0, np.eye(2), (), 0.0)
-    return sharp_step(nlp, parts, SimpleNamespace(z=np.array([3.0, 10.0])), step)
+    iterate = SimpleNamespace(z=np.array([3.0, 10.0]), trajectories=())
+    return sharp_step(nlp, parts, iterate, step)
 
 
 def test_a_sharp_step_is_newtons_of_the_sum_of_squares():
