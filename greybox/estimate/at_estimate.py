@@ -35,6 +35,7 @@ def at_estimate(fit: Any, model: Model, part: FittedPart, inputs: Inputs | None)
 
     names = [*model.parameters, *(f"{b}_bias" for b in biases), *(f"K_{s}_{o}" for s, o in gains)]
     outside = {name: part.rename.get(name, name) for name in names}
+    # With process noise, the gains are no parameters: they follow from the variances.
     driven = record if record is not None and record.driven else None
     estimated = [*outside.values()]
     if driven is not None:  # gains follow from the variances of the noise
@@ -83,6 +84,7 @@ def at_estimate(fit: Any, model: Model, part: FittedPart, inputs: Inputs | None)
 
 def propagated(slope: Array, covariance: Array) -> Array:
     """Return the covariance (m, m) of values with the derivatives `slope` (m, k); NaN stays NaN."""
+    # NaN times a slope of zero would be NaN, although nothing depends on that value.
     unknown = np.isnan(np.diag(covariance))
     result = slope @ np.where(unknown | unknown[:, None], 0.0, covariance) @ slope.T
     lost = (slope[:, unknown] != 0).any(axis=1)
@@ -143,6 +145,7 @@ def part_index(fit: Any, model: Model | None, part: int | None, record: Record |
             return 3 if fit.parts[k].is_prior else 2
         return int(record is None or not share_samples(data, record))
 
+    # sorted() is stable, so that among equals the first part is chosen.
     records_first = sorted(range(count), key=rank)
     if model is not None:
         class_name = _class_name(reference(model))

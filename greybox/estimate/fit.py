@@ -284,10 +284,13 @@ def _fitted_from(
 
     with responding(Response.STOP):
         search = _with_progress(run, progress, len(points))
+        # Asked now: a later Ctrl-C shall not count as having ended the search.
         interrupted = stop_requested()
         # Reasons belong to the runs before any refinement replaces the compiled problem.
         search = explained(nlp, search)
+        # Minima of too coarse an integration may change their order, so this comes before ranking.
         nlp, search, solver, error = refine_discretization(nlp, search, solver)
+        # A batch stops at a loose tolerance; IPOPT confirms each minimum once.
         search = solver.polished(search)
 
     if not search.runs:
@@ -356,6 +359,7 @@ def assemble(
 
     estimate = dict(zip(nlp.names, nlp.all_values(best).tolist(), strict=True))
     lines, covariance, slopes = quantities(nlp, accuracy, estimate)
+    # The warnings below read the fitted values from these parts.
     parts = _parts(nlp, best, trajectories)
     answer = Fit(
         name=nlp.problem.name,

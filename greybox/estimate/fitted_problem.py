@@ -50,6 +50,7 @@ def problem_of(fit: Fit) -> AnyProblem:
     held = {q.name: q for q in fit.quantities if q.kind == "fixed"}
     bounds = {q.name: q.bounds for q in fit.quantities if q.kind == "free"}
     boxes = {q.name: q.box for q in fit.quantities if q.kind == "free" and q.box != q.bounds}
+    # Their covariance is not stored with the fit, and would be missing in the new one.
     uncertain = [q.name for q in held.values() if q.standard_error != 0]
     problems = []
 

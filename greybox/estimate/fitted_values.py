@@ -85,6 +85,7 @@ def refined_curve(
     response: Callable[[Array], FrequencyResponse], omega: Array
 ) -> FrequencyResponse:
     """Evaluate a response over the band of `omega` for figures, in finer steps at a resonance."""
+    # 200 points draw any smooth curve; a lightly damped resonance needs more beside its peak.
     grid = np.geomspace(omega.min(), omega.max(), 200) if omega.size > 1 else omega
     curve = response(grid)
     for _ in range(12):
@@ -175,6 +176,7 @@ def _simulated(part: RecordPart, trajectory: Trajectory) -> dict[str, Array]:
     data = part.model.record
     signals = {name: np.full(len(data), np.nan) for name in part.outputs}
     outputs = part.data.unpadded(part.simulated_outputs(trajectory))
+    # An output that was measured, but whose past the delay hides, was not compared.
     for stretch, values in zip(part.data.stretches, outputs, strict=True):
         rows = stretch.rows
         for name, row, measured in zip(part.outputs, values, stretch.outputs, strict=True):

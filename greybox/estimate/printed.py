@@ -160,6 +160,7 @@ def _bias_text(fit: Any) -> str:
     coverage.
     """
     biased = [q for q in fit.quantities if abs(q.bias) > 0.3 * q.standard_error > 0]
+    # The most biased first, in standard errors: only three are named.
     biased.sort(key=lambda q: -abs(q.bias) / q.standard_error)
     if not biased:
         return ""
@@ -252,6 +253,7 @@ def _response_texts(responses: Sequence[FittedResponse]) -> list[str]:
             )
             lines.append((-rms(error), line))
 
+    # Of many responses, the worst three say most.
     if len(lines) > MANY:
         lines = sorted(lines)[:3]
     return [line for _, line in lines]
@@ -286,5 +288,6 @@ def _bounds_and_note(q: Any) -> tuple[str, str]:
 
 def _is_of_later_record(name: str, records: int) -> bool:
     """Tell whether a name ends with the number of a record beyond the third of many."""
+    # `several` numbers what each record has for itself: x_bias_1, x_bias_2 ...
     number_of_record = re.search(r"_(\d+)$", name)
     return records > MANY and number_of_record is not None and int(number_of_record[1]) > 3

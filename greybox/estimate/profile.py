@@ -395,6 +395,7 @@ def _profiles(
 ) -> Profiles:
     from scipy.special import stdtrit  # noqa: PLC0415  (takes a tenth of a second to import)
 
+    # Records are solved again, and may end slightly lower than the fit: r is zero there.
     estimate = _estimate(nlp, fit)
     parameters = nlp.problem.parameters
     starts = np.zeros((0, len(nlp.free)))
@@ -463,6 +464,7 @@ def _search(
 def _profile_of(nlp: CompiledProblem, search: _Search, line: Quantity) -> ProfileOf:
     lowest = -search.limit - search.bias
     highest = search.limit - search.bias
+    # Each side has a limit of its own, since the interval is about the value without its bias.
     walks = [replace(search, limit=max(limit, STEP * search.limit)) for limit in (-lowest, highest)]
     down, low_end = walks[0].side(-1)
     up, high_end = walks[1].side(1)

@@ -37,6 +37,7 @@ def quantities(
     """
     follow = formulas(nlp.problem)
     values, gradients = _evaluated(nlp, follow, estimate)
+    # Free parameters come first: `Fit.free` and all matrices of a fit rely on this order.
     lines = [_parameter(nlp, accuracy, name, estimate[name]) for name in nlp.names]
     lines += [
         _formula(formula, float(value), accuracy)
@@ -101,6 +102,7 @@ def _evaluated(
     nlp: CompiledProblem, formulas: list[Formula], estimate: Mapping[str, float]
 ) -> tuple[Array, Array]:
     """Return the values (f,) and gradients (f, k) with respect to all values."""
+    # Exact derivatives: finite differences would limit the errors of ratios of close values.
     symbols = ca.SX.sym("x", len(nlp.names))
     named = dict(zip(nlp.names, ca.vertsplit(symbols), strict=True))
     stacked = ca.vertcat(ca.SX(0, 1), *[ca.SX(formula.evaluate(named)) for formula in formulas])

@@ -322,6 +322,7 @@ class Fit:
         for q in self.quantities:
             if q.kind == "fixed" and not q.standard_error > 0:
                 continue
+            # Each quantity has degrees of freedom of its own (Welch and Satterthwaite).
             half = t_quantile(level, q.dof) * q.standard_error
             center = q.value - q.bias
             intervals[q.name] = (center - half, center + half)
@@ -428,6 +429,7 @@ class Fit:
         columns: dict[str, Any] = {
             name: [getattr(q, name) for q in self.quantities] for name in names
         }
+        # Constants have no interval; the frame needs a number in each row.
         intervals = self.interval(level)
         unknown = (math.nan, math.nan)
         columns["low"], columns["high"] = np.reshape(
@@ -503,6 +505,7 @@ class Fit:
             fitted.data.omega,
             **fitted.signals,
         )
+        # Renamed parameters stand among those of the fit under their outside names.
         places = [self.names.index(name) for name in names]
         biases = {q.name: q.bias for q in self.quantities}
         bias = np.array([biases[name] for name in names])

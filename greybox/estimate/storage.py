@@ -99,6 +99,7 @@ def load(
     path = Path(path)
     given = tuple(model for entry in models for model in _models(entry))
     with open_sealed(path, KIND) as file:
+        # An older layout is refused, not converted: fits are cheap to repeat.
         layout = int(file.attrs["layout"])
         if file.attrs["format"] != "greybox fit":
             raise ValueError(f"its format is {file.attrs['format']!r:.60}")
@@ -196,6 +197,7 @@ def _require_consistent(fit: Fit) -> None:
     ValueError
         With what does not agree.
     """
+    # Printing a fit looks quantities up by name: a duplicate would hide one of them.
     names = [q.name for q in fit.quantities]
     require(len({*names}) == len(names), "two quantities have the same name")
     require(bool(fit.parts) and len(fit.runs.cost) > 0, "it has no data or no runs")
@@ -214,6 +216,7 @@ def _require_consistent(fit: Fit) -> None:
         _require_consistent_directions(fit.directions, sizes["k"])
         _require_consistent_directions(fit.directions.elsewhere, sizes["p"])
 
+    # Runs are columns: one that is shorter would shift the others when they are selected.
     columns = dict.fromkeys(fields_of(type(fit.runs)), "r")
     _require_shapes(fit.runs, columns | {"start": "rp", "estimate": "rp"}, sizes)
     require(np.array_equal(fit.runs.indices, np.arange(sizes["r"])), "its runs are not in order")

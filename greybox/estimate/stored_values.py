@@ -66,6 +66,7 @@ def write(group: Node, name: str, value: Any, kind: Any) -> None:
     elif _is_text_list(kind):
         _write_texts(group, name, value)
     elif _is_array(kind):
+        # Two real rows: not every reader of HDF5 knows the compound type of complex numbers.
         array: Any = np.asarray(value)
         group[name] = np.array([array.real, array.imag]) if array.dtype.kind == "c" else array
     elif (members := _members(kind, value)) is not None:
@@ -145,6 +146,7 @@ def as_kind(value: Any, kind: Any) -> Any:
     ValueError, TypeError
         If it is something else.
     """
+    # Settings of criteria are plain values already; their classes check them.
     if kind is Any:
         return value
     if _is_scalar(kind):
@@ -170,6 +172,7 @@ def _as_scalar(value: Any, kind: Any) -> Any:
         options = get_args(kind)
         require(value in options, f"{value!r:.40} is none of {', '.join(map(repr, options))}")
         return value
+    # JSON has no NaN: null stands for it.
     return math.nan if value is None and kind is float else kind(value)
 
 

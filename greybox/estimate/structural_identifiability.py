@@ -170,6 +170,7 @@ def structural_identifiability(
         nlp, x, trajectories = compiled
         accuracy = assess(nlp, x, trajectories)
         lost = sum(c.directions for c in accuracy.combinations if math.isinf(c.index))
+        # At a special point parameters may cancel by chance: the largest rank counts.
         if best is None or lost < best[0]:
             best = (lost, nlp, x, accuracy)
 
@@ -201,6 +202,7 @@ def _of_responses(
     problems = []
     for input in model.input_names or ("",):
         for output in outputs or ("",):
+            # Each pair has frequencies of its own, so that no resonance is missed by all.
             omega = np.sort(
                 np.exp(random.uniform(math.log(BAND[0]), math.log(BAND[1]), FREQUENCIES))
             )
@@ -231,6 +233,7 @@ def _of_record(
     time, gaps = _times(model, values, random)
     shape = random.normal(size=(len(model.input_names), len(time)))
     measured = random.normal(size=(len(outputs), len(time)))
+    # A given noise keeps the estimated variance from depending on the random outputs.
     criterion = OutputError(noise=dict.fromkeys(outputs, 1.0), initial=initial, inputs="held")
 
     for size in SIZES:

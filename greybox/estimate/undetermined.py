@@ -44,6 +44,7 @@ def invisible_groups(
 
     Directions without a common parameter are different groups, however the directions are mixed.
     """
+    # The projector does not depend on how the singular vectors mix equal singular values.
     projector = invisible @ invisible.T
     linked = np.abs(projector) > BLIND
     remaining = set(np.flatnonzero(np.diag(projector) > BLIND**2).tolist())
@@ -98,6 +99,7 @@ def collinear_groups(
     )
     _, singular, rows = np.linalg.svd(np.linalg.qr(unit, mode="r"), full_matrices=True)
     singular = np.concatenate([singular, np.zeros(len(rows) - len(singular))])
+    # The smallest singular values belong to the invisible directions, which have groups already.
     seen = len(rows) - round(float(np.sum(invisible[inside] ** 2)))
     groups: dict[frozenset[str], Combination] = {}
 

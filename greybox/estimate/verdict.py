@@ -105,6 +105,7 @@ def _determined(fit: Any) -> tuple[str, bool]:
             False,
         )
 
+    # NaN belongs to parameters at a bound, which were named before.
     worst = int(np.nanargmax(judged.error))
     subject = (
         "The free parameter is"

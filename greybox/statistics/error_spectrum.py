@@ -83,6 +83,7 @@ class ErrorSpectrum:
 
     @cached_property
     def _principal(self) -> tuple[Array, ComplexArray]:
+        # Outputs that are combinations of others have singular spectra: rounding is their floor.
         size, vectors = np.linalg.eigh(self.density.transpose(2, 0, 1))
         return np.maximum(size, ROUNDING), vectors
 

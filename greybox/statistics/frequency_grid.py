@@ -41,6 +41,7 @@ class FrequencyGrid:
     @classmethod
     def of(cls, longest: int) -> "FrequencyGrid":
         """Return the grid of transforms without wrap-around of up to `longest` samples."""
+        # Twice the samples: products of both ends would otherwise wrap around.
         size = fast_length(2 * longest)
         count = size // 2 + 1
         weight = np.where(np.arange(count) % (size // 2) == 0, 1.0, 2.0) / size

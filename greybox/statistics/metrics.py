@@ -161,6 +161,7 @@ def feedback_correlation(
         [_filtered(s, autoregression([np.nan_to_num(s) for s in group])) for s in group]
         for group in stretches
     )
+    # In this order a response of the input follows the residual.
     sums, pairs = _lagged(u, e, lags)
     sizes = [rms(np.concatenate(group)) for group in (e, u)]
     used = pairs[1:] > 0
@@ -187,6 +188,7 @@ def mean_test(stretches: Sequence[ArrayLike]) -> tuple[float, float]:
 
     mean = float(np.nanmean(values))
     centered = [np.nan_to_num(s - mean) for s in series]
+    # Its spectrum at zero is that of the mean: neighbors that are alike count less.
     a = autoregression(centered)
     white = np.concatenate(
         [_filtered(np.where(np.isfinite(s), s - mean, np.nan), a) for s in series]

@@ -114,6 +114,7 @@ def neighbor_correlation(
     if not np.sqrt(np.mean(np.abs(errors) ** 2)) > EXACT:
         return None
 
+    # What the parameters took from the errors is missing in the residuals.
     basis = column_basis(design)
     numbers = 2 * n - basis.shape[1]
     if numbers < LEAST_LEFT:
@@ -154,6 +155,7 @@ def neighbor_correlation(
     if weight[0] > TAKEN_FOR_SURE:
         return None
 
+    # Most values have no weight, and each costs a column of powers.
     likely = weight > LEAST_WEIGHT
     weight = weight[likely] / weight[likely].sum()
     return NeighborCorrelation(n, rho[likely], weight, scale[likely])
@@ -187,6 +189,7 @@ def averaged_meat(
     n = known.points
     size = 1 << (2 * n - 1).bit_length()
     correlations = correlation(known.powers)
+    # Sums over all pairs of points by their distance: a correlation, fast by transforms.
     turned = np.fft.fft(scores @ root, size, axis=0)
     of_lags = np.fft.ifft(np.sum(np.abs(turned) ** 2, axis=1)).real[:n]
     of_lags[1:] *= 2

@@ -59,6 +59,7 @@ def noise_ratio(stretches: Sequence[ArrayLike]) -> NoiseRatio:
     ]
     series = [s for s in series if s.size > 1]
     samples = sum(s.size for s in series)
+    # No difference is taken across the end of a stretch.
     differences = sum(s.size - 1 for s in series)
     squares = sum(float(np.sum((s - s.mean()) ** 2)) for s in series)
 

@@ -126,6 +126,7 @@ def colored_information(
         nothing = np.zeros_like(inverse)
         return ColoredInformation(nothing, 0.0, 0.0, np.zeros(k), corrected=True, spectrum=None)
 
+    # An output without any residual has no spectrum, and would make matrices singular.
     spectra = ResidualSpectra(
         [J[compared] for J in weighted],
         [e[compared] for e in residuals],
@@ -305,6 +306,7 @@ class ResidualSpectra:
         alone = [
             self.one_output(i, lags[:, i, i], banded[i, i].real, self.families[i]) for i in range(k)
         ]
+        # Independent outputs need the fewest numbers, so short records decide for them.
         candidates = [self.independent_outputs(alone)]
 
         if k > 1:
@@ -321,6 +323,7 @@ class ResidualSpectra:
         if self.noise_parts is not None:
             candidates.append(self.process_noise(self.noise_parts))
 
+        # By evidence, and with the disagreement of the spectra as part of the uncertainty.
         score = np.array([average.score for average in candidates])
         weight = np.exp(-(score - score.min()) / 2)
         weight /= weight.sum()
@@ -482,6 +485,7 @@ class ResidualSpectra:
         """Return the vector autoregression of the order that AICc chooses, from lags (l, k, k)."""
         k = lags.shape[1]
         n = self.counts.max()
+        # Whittle's recursion goes through all orders at the price of the highest.
         longest = int(min(len(lags) - 1, n // (5 * k)))  # five numbers for a coefficient
         steps = list(vector_autoregressions(lags[: longest + 1]))
         innovations = np.array([innovation for _, innovation in steps])
@@ -513,7 +517,9 @@ class ResidualSpectra:
         Pᵀ. What other data bring to the estimate is taken to have errors of the same color.
         """
         grid = self.grid
+        # They are needed twice; records that are corrected are short enough to store them.
         transforms = list(self.transforms())
+        # Bands are wider than the lines of the transform: the density is interpolated.
         spread = grid.spread_out(density)
         colored = [
             self._in_time(filtered(spread, F), J)

@@ -97,8 +97,10 @@ def variance_components(
     gradient, information = slopes(variance)
     damping = DAMPING
     for _ in range(ITERATIONS):
+        # Scaled by its diagonal, damping does not depend on the units of the parts.
         curvature = information + np.diag(damping * information.diagonal() + LEAST)
         step = np.clip(-np.linalg.solve(curvature, gradient), -LONGEST_STEP, LONGEST_STEP)
+        # Steps of the logarithm keep variances positive.
         trial = np.maximum(variance * np.exp(step), LEAST**2)
         new = whittle_score(spectrum(trial), periodogram, numbers)
         if not new < score:

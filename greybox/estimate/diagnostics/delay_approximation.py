@@ -15,6 +15,7 @@ def pade_error(part: Problem, values: dict[str, float]) -> float | None:
     if delay_order(part.delay) is None:
         return None
     data = part.response
+    # Measured frequencies may be far apart, and a resonance between them turns the phase.
     omega = np.union1d(np.geomspace(data.omega.min(), data.omega.max(), 200), data.omega)
     signals = {"input": data.input, "output": data.output, "at": part.at}
     exact = frequency_response(part.model, values, omega, **signals)

@@ -26,6 +26,7 @@ def failure_warnings(
         f"{counted(run.iterations, 'iteration')} ({run.status}); its values, which are no "
         f"estimate, are in best_effort: {_cure(run)}."
     )
+    # A run that was cut short says nothing about what blocks it.
     profile = None if run.status in CUT_SHORT else _end(search, solver, run)
 
     if profile is None:

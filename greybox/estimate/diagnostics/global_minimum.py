@@ -39,6 +39,7 @@ def few_agreeing_starts(nlp: CompiledProblem, search: Multistart, agreeing: int)
 def unfinished_runs(search: Multistart) -> Iterator[str]:
     """Name the run that ended at the lowest cost below the answer, but did not converge."""
     best = search.minima[0].cost
+    # A run on too coarse an integration has a cost that no finer one would have.
     unfinished = [
         run
         for run in search.brought

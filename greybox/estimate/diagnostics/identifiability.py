@@ -19,6 +19,7 @@ def not_determined(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str]:
     """Name the combinations that the data determine poorly or not at all, the worst three first."""
     absent = _absent_noise(nlp, accuracy)
     combinations = [c for c in accuracy.combinations if not set(c.names) <= absent]
+    # Infinite indices first: without them fixed, no standard error exists.
     combinations.sort(key=lambda c: -c.index)
     for combination in combinations[:3]:
         if math.isinf(combination.index):

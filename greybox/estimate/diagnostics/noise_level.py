@@ -69,6 +69,7 @@ def _of_record(part: RecordPart, trajectory: Trajectory) -> Iterator[Finding]:
 
 def unused_noise(problem: AnyProblem) -> Iterator[str]:
     """Note responses whose variances or coherence the criterion does not use."""
+    # Beside a likelihood, a cost that is none cannot be proposed.
     beside_likelihood = any(part.criterion.is_likelihood for part in problem.parts)
     for part in problem.parts:
         if not isinstance(part.criterion, Criterion) or part.criterion.uses is None:

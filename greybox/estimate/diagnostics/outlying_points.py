@@ -119,6 +119,7 @@ def deletion_ratios(
     basis = column_basis(np.vstack([sensitivity.real, sensitivity.imag]))
     dof = 2 * n - basis.shape[1] - 2
     z = np.concatenate([residual.real, residual.imag])
+    # Other criteria do not leave residuals orthogonal to the Jacobian; the test needs that.
     z = z - basis @ (basis.T @ z)
     total = float(z @ z)
 

@@ -157,6 +157,7 @@ def biased_by_feedback(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iter
     responding = []
 
     for part, fitted in tested:
+        # Lags across a gap would compare samples that are not neighbors.
         ends = np.cumsum([len(piece) for piece in fitted.data.pieces])[:-1]
         inputs = {name: np.split(fitted.data[name], ends) for name in part.system.inputs}
         place = "" if len(pairs) == 1 else f" in {fitted.data.name or fitted.name!r}"
