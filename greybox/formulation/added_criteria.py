@@ -19,6 +19,7 @@ def with_costs_that_add(parts: Sequence[Any]) -> tuple[Any, ...]:
     ValueError
         If one criterion is a likelihood and another is not, or if two others differ.
     """
+    # One likelihood makes the sum one: all others must be likelihoods too.
     likelihood = next((part for part in parts if part.criterion.is_likelihood), None)
     if likelihood is None:
         first = parts[0]

@@ -41,5 +41,6 @@ def require_data_once(parts: Sequence[Any]) -> None:
 
 def _holds(record: Record, stretch: Stretch) -> bool:
     """Tell whether a record has samples of a stretch; two stretches may meet at one sample."""
+    # One sample is no overlap: stretches of a log may share their ends.
     first, last = np.searchsorted(record.time, [stretch.start, np.nextafter(stretch.end, np.inf)])
     return record.checksum == stretch.checksum and int(last - first) > 1

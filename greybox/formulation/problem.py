@@ -132,6 +132,7 @@ class Problem:
         ):
             raise ValueError(f"weight {self.weight!r} must be a finite number above 0.")
 
+        # An unknown word is refused here, not in the middle of a search.
         delay_order(self.delay)
 
         object.__setattr__(
@@ -329,6 +330,7 @@ class Problem:
         for name in self.tied:
             _require_number(numbers[name], f"tied[{name!r}]")
 
+        # `if`, `max` and `math.exp` work with numbers and fail here.
         symbols = self.local_values({name: ca.SX.sym(name) for name in parameters})
         for name in self.tied:
             require_no_nan(f"tied[{name!r}]", ca.SX(symbols[name]))
@@ -429,6 +431,7 @@ class Problem:
 
     def with_(self, **changes: Any) -> Self:
         """Return the problem with some fields changed; a criterion that was left out remains so."""
+        # A sum may choose another default later.
         left_out = {"criterion": None} if self.has_default_criterion else {}
         return replace(self, **{**left_out, **changes})
 

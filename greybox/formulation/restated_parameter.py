@@ -29,6 +29,7 @@ def restated(
         return parameter
     try:
         limits = parameter.bounds if bounds is None else number_pair(bounds, "bounds")
+        # Without finite bounds nothing could be drawn.
         drawn = parameter.starts if all(map(math.isfinite, limits)) else parameter.box
         box = _cut(drawn, limits) if starts is None else number_pair(starts, "starts")
         low, high = limits if starts is None or box is None else box

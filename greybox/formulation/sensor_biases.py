@@ -23,6 +23,7 @@ def with_numbered_biases(parts: Sequence[Any]) -> tuple[Any, ...]:
     numbered: dict[tuple[str, int], str] = {}
     for part, record in zip(parts, records, strict=True):
         for name in _unnamed_biases(part):
+            # A bias that only one record has keeps its plain name.
             owners = {r for r, names in zip(records, outside, strict=True) if name in names}
             if len(owners) > 1 and (name, record) not in numbered:
                 candidates = (f"{name}_{k}" for k in itertools.count(record))

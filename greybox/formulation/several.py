@@ -44,6 +44,7 @@ def several(
 
     parts = []
     for number, record in enumerate(records, start=1):
+        # Each record has its own problem, so that its noise and its initial states are its own.
         problem = Problem(model, record, **options)
         require_known(own, problem.declared, "parameter", model.label)
         numbered = {name: f"{name}_{number}" for name in own}

@@ -78,6 +78,7 @@ def _conversion(
 
     reason = f"{label} is in {unit} in {place} and in {declared} in {model.label}"
     if not are_of_one_kind(modeled, measured):
+        # A rate where an angle is expected is the usual mistake.
         is_rate = measured.si != "1" and are_of_one_kind(modeled, to_si(f"{measured.si}*s"))
         cure = rate_cure if is_rate and rate_cure else "correct the unit or give the right signal"
         raise ValueError(f"{reason}: these are different quantities, {cure}.")

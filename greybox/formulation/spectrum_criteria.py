@@ -83,6 +83,8 @@ def outputs_in_spectrum(
 
     outputs = modeled_outputs(model, spectrum.inputs, spectrum.outputs, "spectrum")
     criterion.check_noise(model, outputs)
+    # With fewer equations than states, the others are eliminated to one of higher order; in
+    # between there is no likelihood.
     states = len(dynamics(model).states)
     if isinstance(criterion, EquationError) and len(outputs) not in (1, states):
         raise ValueError(

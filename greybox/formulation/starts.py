@@ -74,6 +74,7 @@ class Sobol(RandomStarts):
         from scipy.stats import qmc  # noqa: PLC0415  (imports slowly)
 
         sequence = qmc.Sobol(size, scramble=True, rng=np.random.default_rng(self.seed))
+        # A power of two keeps the sequence balanced, and scipy warns otherwise.
         return sequence.random_base2(math.ceil(math.log2(self.number)))[: self.number]
 
 

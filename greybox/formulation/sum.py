@@ -43,6 +43,7 @@ class Sum(Generic[Part]):
     def __post_init__(self) -> None:
         """Choose criteria whose costs add, number biases, merge parameters, compare ties."""
         require_data_once(self.parts)
+        # Kept for further sums: `a + b + c` must number biases once, over all records.
         object.__setattr__(self, "_as_added", self.parts)
         object.__setattr__(self, "parts", with_numbered_biases(with_costs_that_add(self.parts)))
         if not self.name:

@@ -130,6 +130,7 @@ class TimeCriterion(AnyCriterion):
             the model is not static and the record has no time.
         """
         label = model.label
+        # A static model needs no time: its rows may be in any order.
         if not model.is_static:
             require_time(record, f"the dynamic model {label}")
         outputs = modeled_outputs(model, record.signals, record.signals, "record")

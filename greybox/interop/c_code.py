@@ -201,6 +201,7 @@ def _source(
         "output": ("y", system.output(x, u, p)),
         "step": ("x", step(x, u)),
     }
+    # CasADi writes the formulas; its calling convention stays inside the file.
     generator = ca.CodeGenerator(f"{name}_formulas", {"with_header": False})
     wrappers = []
     for what, (result, formula) in formulas.items():

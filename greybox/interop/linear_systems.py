@@ -53,6 +53,7 @@ class GivenModel:
         """Return numerator and denominator, highest power of s first."""
         input, output = pick_signals(self.model, input, output)
         at = self.at if isinstance(self.model, StateSpace) else None
+        # 0 leaves the delay out, which is an exact reading without the delay.
         order = pade or None
         ratio: Rational = rational(
             self.model, self.values, input=input, output=output, at=at, pade=order

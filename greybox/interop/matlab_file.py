@@ -106,6 +106,7 @@ def _value(value: Any) -> Any:
     if isinstance(value, list):
         texts = [item for item in value if isinstance(item, str)]
         if texts or any(isinstance(item, Mapping) for item in value):
+            # The extra element keeps numpy from stacking equal lists into a matrix.
             return np.array([*map(_value, value), None], dtype=object)[:-1]
         return np.array(value, dtype=float)  # None is NaN
 

@@ -61,6 +61,7 @@ def to_control(
     """
     control = required("control", "control", "to_control()")
     if isinstance(thing, FrequencyResponse):
+        # python-control interpolates, for which frequencies must increase.
         order = np.argsort(thing.omega)
         names = {"inputs": [thing.input or "u"], "outputs": [thing.output or "y"]}
         response = thing.response[order].reshape(1, 1, -1)

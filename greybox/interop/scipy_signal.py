@@ -77,6 +77,7 @@ def from_scipy(
         ]
         return KnownStateSpace(linear.A, linear.B, linear.C, linear.D, inputs=u, outputs=y)
 
+    # ZerosPolesGain has no polynomials of its own.
     rational = linear.to_tf()
     if rational.num.ndim > 1:
         raise ValueError(

@@ -75,6 +75,7 @@ def elimination_order(
     entries = [[None if zero[i, k] else samples[:, i, k, None] for k in range(n)] for i in range(n)]
     right = [np.broadcast_to(b[:, i, None], (m, omega.size)).astype(complex) for i in range(n)]
     pencil = s[..., None, None] * np.eye(n) - samples[:, None]
+    # Orders with a pivot of zero divide by it here; they are the ones to be found out.
     with np.errstate(all="ignore"):
         exact = solve_pencils(pencil, np.stack(right, axis=-1))
         size = np.abs(exact).max(axis=-1, keepdims=True)
@@ -90,6 +91,7 @@ def elimination_order(
             if error < least:
                 best = order
                 least = error
+            # The first good order is taken: the natural one keeps the expressions short.
             if least < ACCURATE:
                 break
 

@@ -207,6 +207,7 @@ class Balance:
             means.insert(0, per_amplitude[held, 0])
 
         mean_conditions = ca.vertcat(*means)
+        # Per amplitude, so that one tolerance serves sines of any size.
         residual = ca.vertcat(*balance) / amplitude
         settings = ca.vertcat(p, point, omega, amplitude)
         slopes = [ca.jacobian(e, unknown) for e in (residual, mean_conditions)]
@@ -333,6 +334,7 @@ def _mean_conditions(balance: Balance, settings: Array) -> tuple[int, ...] | Non
     rows, conditions = (
         block / np.maximum(np.linalg.norm(block, axis=1, keepdims=True), 1e-300) for block in slopes
     )
+    # Directions of the unknown that change no harmonic of the balance are open.
     _, singular, basis = np.linalg.svd(rows)
     open_directions = basis[int(np.sum(singular > 1e-9)) :]  # below, rounding alone
     missing = balance.unknown.numel() - balance.balance.numel()

@@ -51,6 +51,7 @@ class KnownTransferFunction(TransferFunction):
         if a == [0.0]:
             raise ValueError("the denominator is zero: give one with a coefficient that is not.")
 
+        # Plain lists, which a stored result can hold.
         self.arguments = ((b, a, input, output, prefix), {})
         self.input = input
         self.output = output

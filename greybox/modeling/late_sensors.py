@@ -49,6 +49,7 @@ class LateSensors(StateSpace):
             for new in (name, *added):
                 if new in (*self.parameters, *self.states, *self.inputs):
                     raise ValueError(f"{model.label} already has {new!r}: rename it there.")
+            # The geometric mean is equally far, in ratio, from both bounds.
             self.parameters[name] = Parameter(
                 math.sqrt(low * high),
                 bounds=(low, high),

@@ -68,6 +68,8 @@ def frequency_response(
 def _transfer_function_values(
     model: TransferFunction, omega: Array, p: Names, pade: int | None
 ) -> ComplexArray:
+    # Plain complex numbers where possible: they do not depend on the arithmetic of `Complex`,
+    # against which tests compare them.
     s: Any = 1j * omega if pade is None else Complex(np.zeros_like(omega), omega, pade)
     result = model.response(s, p)
     if isinstance(result, Complex):
@@ -179,6 +181,7 @@ def _elimination_order(
     for point in points:
         at = trim.function(point, [] if trim.root is None else trim.root(point))
         A, B = (np.asarray(ca.DM(block)) for block in matrices(point, *at)[:2])
+        # A draw may have no operating point.
         if np.all(np.isfinite(A)) and np.all(np.isfinite(B)):
             systems.append((A, B[:, input]))
 

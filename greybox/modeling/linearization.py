@@ -86,6 +86,7 @@ def linearize(
     vector = list(p.values())
     x, u = trim_of(model, at or {}).closed()(vector)
     point = np.concatenate([np.asarray(x).ravel(), np.asarray(u).ravel()])
+    # `trim_of` returns an infinite point where there is none, so that a search can go on.
     if not np.all(np.isfinite(point)):
         raise ValueError(
             f"{model.label} has no operating point with {dict(at or {})} at {dict(p)}: check `at` "

@@ -78,6 +78,7 @@ class Model(ABC):
         """Collect the parameters of the class body and of the classes above it."""
         super().__init_subclass__(**kwargs)
         parameters: dict[str, Parameter] = {}
+        # Base classes first, so that a subclass can declare a parameter anew.
         for owner in reversed(cls.__mro__):
             hidden = [
                 n
@@ -100,6 +101,7 @@ class Model(ABC):
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
         """Remember the arguments, so that a stored result can name its model."""
+        # Tilt(a1=3) looks like giving a value, and Python would accept it in silence.
         if (args or kwargs) and cls.__init__ is object.__init__:
             raise TypeError(
                 f"{cls.__name__}() takes no arguments: give values to a problem, e.g. "
@@ -216,6 +218,7 @@ def merge(name: str, a: Parameter, b: Parameter) -> Parameter:
             f"or give one another name, rename={{{name!r}: ...}}."
         )
 
+    # Two constants of one name that differ are two quantities.
     if a.fixed and a.start != b.start:
         raise ValueError(
             f"{name!r} is fixed at {a.start:g} in one part and at {b.start:g} in the other: "

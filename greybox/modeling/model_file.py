@@ -22,6 +22,7 @@ def module_from_file(path: Path) -> ModuleType:
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}.")
     folder = str(path.resolve().parent)
+    # The file may import its neighbors.
     if folder not in sys.path:
         sys.path.insert(0, folder)
 
@@ -31,6 +32,7 @@ def module_from_file(path: Path) -> ModuleType:
         and Path(getattr(loaded, "__file__", "") or "").resolve() == path.resolve()
     ):
         return loaded
+    # A second module of this name would replace the first one everywhere.
     if loaded is not None or path.stem in sys.stdlib_module_names:
         raise ValueError(
             f"{path} has the name of another Python module, {path.stem!r}: rename the file."

@@ -102,6 +102,7 @@ def included_model(module_name: str, class_name: str) -> type[Model] | None:
     if f"{module_name}:{class_name}" in general:
         return general[f"{module_name}:{class_name}"]
 
+    # By name, since models come after modeling; only modules of this package are imported.
     package = importlib.import_module("greybox.models")
     included = {f"greybox.models.{item.name}" for item in pkgutil.iter_modules(package.__path__)}
     if module_name not in included:

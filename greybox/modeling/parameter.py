@@ -105,6 +105,7 @@ class Parameter:
         An open end is taken at ten times the size of the start, at least ten, from it.
         """
         low, high = self.box
+        # An open end has no scale but that of the start.
         reach = 10.0 * max(abs(self.start), 1.0)
         low = low if math.isfinite(low) else min(self.start, high) - reach
         high = high if math.isfinite(high) else max(self.start, low) + reach

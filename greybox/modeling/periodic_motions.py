@@ -127,6 +127,7 @@ def periodic_motions(
     if not np.isfinite(direct).all():
         number = min(number, 7)  # the search for harmonics has gone to its limit in vain
     elif sine.harmonics is None:
+        # One harmonic has the folds of a spring at other amplitudes.
         number = max(number, 3)
 
     balance = CompiledBalance.at(model, omega, replace(sine, harmonics=number), **options)

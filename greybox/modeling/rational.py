@@ -60,6 +60,7 @@ class Rational(FunctionOfS):
             return NotImplemented
         delay = self._same_delay(operand)
         pade = self.pade or operand.pade
+        # A common denominator is kept once, for the same reason.
         if _equal_polynomials(self.denominator, operand.denominator):
             return Rational(_sum(self.numerator, operand.numerator), self.denominator, delay, pade)
 
@@ -73,6 +74,8 @@ class Rational(FunctionOfS):
         operand = _rational(operand)
         if operand is None:
             return NotImplemented
+        # Equal factors cancel: without this the order grows with every product of a formula, and
+        # the realization gets states that cannot be observed.
         n1, d2 = _cancel(self.numerator, operand.denominator)
         n2, d1 = _cancel(operand.numerator, self.denominator)
         return Rational(
@@ -105,6 +108,7 @@ class Rational(FunctionOfS):
 
     def exp(self) -> "Rational":
         """exp(-s T) as a delay, or as a rational function where a Padé order is set."""
+        # The order travels with s through the formula, so that a model needs no word about delays.
         if self.pade is not None:
             return pade_exponential(self, self.pade)
         constant = len(self.denominator) == 1 and not is_casadi(self.delay) and self.delay == 0

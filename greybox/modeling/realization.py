@@ -128,8 +128,11 @@ def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
 
     numerator = [ca.SX(0)] * (n + 1 - len(numerator)) + numerator
     a = [c / denominator[0] for c in denominator]
+    # What passes at once is split off: the rest is strictly proper.
     feedthrough = numerator[0] / denominator[0]
     b = [c / denominator[0] - feedthrough * a[k] for k, c in enumerate(numerator)]
+    # In units of the poles all states are of one size; in seconds the coefficients of a fast
+    # system of order n differ by its n-th power.
     scale = _time_scale(a, p, model)
 
     x = ca.SX.sym("x", n)
@@ -182,6 +185,7 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
     rows = []
     delayed_inputs = []
     for k, name in enumerate(exact.inputs):
+        # An input without a delay needs no states.
         if delays[k].is_zero():
             delayed_inputs.append(u[k])
             continue

@@ -42,6 +42,7 @@ class StateSpace(Model):
                 )
             require_usable(names, cls.__name__)
 
+        # Formulas could not tell them apart, nor could data.
         twice = set(cls.states) & set(cls.inputs)
         if twice:
             raise ValueError(

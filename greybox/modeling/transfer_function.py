@@ -121,6 +121,7 @@ class SeriesConnection(TransferFunction):
         shared: Sequence[str] = (),
     ) -> None:
         _require_transfer_functions(first, second)
+        # Silently shared, the delay of a rotor would act once more as the delay of the airframe.
         for name in first.parameters:
             if name in second.parameters and name not in shared:
                 raise ValueError(
@@ -134,6 +135,7 @@ class SeriesConnection(TransferFunction):
         self.parameters = merged_parameters((first, second))
         self.input = first.input
         self.output = output or second.output
+        # A filter of the output keeps the unit of what it filters.
         ends = ((first, first.input), (first if output == first.output else second, self.output))
         self.units = {name: model.units[name] for model, name in ends if name in model.units}
 

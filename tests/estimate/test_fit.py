@@ -354,13 +354,14 @@ def test_what_ctrl_c_and_time_limits_left_out_is_said():
             ]
 
 
-def test_a_number_of_starts_begins_with_the_declared_values_where_the_solver_asks_for_it():
-    solver = SimpleNamespace(starts=20, tries_declared_values=True, promising=(3, 0.5))
-    other = SimpleNamespace(starts=200, tries_declared_values=False, promising=(8, 0.5))
+def test_a_number_of_starts_has_the_declared_values():
+    solver = SimpleNamespace(starts=20, declared_first=True)
+    other = SimpleNamespace(starts=200, declared_first=False)
+    assert _rule(None, 3, other) == Chained((Sobol(199, 3), Listed(({},))))
+    assert _rule(1, None, other) == Listed(({},))
     assert _rule(None, 3, solver) == Chained((Listed(({},)), Sobol(19, 3)))
     assert _rule(2, None, solver) == Chained((Listed(({},)), Sobol(1, 0)))
     assert _rule(1, 3, solver) == Listed(({},))
-    assert _rule(None, 3, other) == Sobol(200, 3)
     assert _rule(Sobol(5, 2), None, solver) == Sobol(5, 2)
     assert _rule([{"K": 1.0}], None, solver) == Listed(({"K": 1.0},))
 
