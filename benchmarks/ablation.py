@@ -1,6 +1,7 @@
-"""What each rescue of the solver for records buys, and how its constants stand at a tenth and at ten times their value.
+"""What each strategy of the record solver buys, and its constants at a tenth and ten times.
 
-python benchmarks/ablation.py [--strategies NAME ...] [--constants [NAME ...]] [--without NAME ...] [--only PROBLEM ...]
+python benchmarks/ablation.py [--strategies NAME ...] [--constants [NAME ...]]
+    [--without NAME ...] [--only PROBLEM ...]
                               [--seeds 0 1 2] [--quick] [--output benchmarks/results/ablation.txt]
 
 Every problem is fitted as a user would, `gb.fit(problem, starts=N, seed=s)`: from the declared
@@ -198,7 +199,7 @@ def stop(*_: Any) -> None:
 
 
 def fitted(case: Case, problem: Any, strategies: Strategies, seed: int) -> dict[str, Any]:
-    """Fit once; return costs of the runs (None where not converged), of the fit, iterations, and seconds."""
+    """Fit once; return costs of runs (None if not converged) and fit, iterations, seconds."""
     began = time.process_time()
     signal.signal(signal.SIGALRM, stop)
     signal.alarm(LIMIT)
@@ -216,8 +217,13 @@ def fitted(case: Case, problem: Any, strategies: Strategies, seed: int) -> dict[
     finally:
         signal.alarm(0)
     runs += [None] * (case.starts - len(runs))
-    return {"runs": runs, "cost": cost, "iterations": iterations, "seconds": time.process_time() - began,
-            "failure": failure}  # fmt: skip
+    return {
+        "runs": runs,
+        "cost": cost,
+        "iterations": iterations,
+        "seconds": time.process_time() - began,
+        "failure": failure,
+    }
 
 
 def reached(case: Case, cost: float | None) -> bool:
@@ -288,8 +294,10 @@ def row(results: Results, setting: str, first: int) -> list[str]:
         item[7] += base["iterations"]
         item[8] += entry["iterations"]
     pooled = [[value for item in problems.values() for value in item[k]] for k in range(4)]
-    changed = [chance(sum(a > b for a, b in zip(x, y, strict=True)), sum(a < b for a, b in zip(x, y, strict=True)))
-               for x, y in ((pooled[0], pooled[1]), (pooled[2], pooled[3]))]  # fmt: skip
+    changed = []
+    for x, y in ((pooled[0], pooled[1]), (pooled[2], pooled[3])):
+        pairs = [*zip(x, y, strict=True)]
+        changed.append(chance(sum(a > b for a, b in pairs), sum(a < b for a, b in pairs)))
     ratio = math.exp(np.mean([math.log(item[5] / item[4]) for item in problems.values()]))
     total = sum(item[5] for item in problems.values()) / sum(item[4] for item in problems.values())
     steps = sum(item[8] for item in problems.values()) / max(

@@ -1,6 +1,7 @@
-"""Do bootstrap intervals hold the truth? Monte Carlo coverage at 95 %, beside that of the standard errors.
+"""Coverage of bootstrap intervals at 95 %, beside that of the standard errors.
 
-python benchmarks/bootstrap_coverage.py [--repeats 200] [--replicates 400] [--only TEXT] [--output FILE]
+python benchmarks/bootstrap_coverage.py [--repeats 200] [--replicates 400] [--only TEXT]
+    [--output FILE]
 
 Frequency responses with isotropic errors of one relative size: a lag, the tilt model of the paper
 and a pole far above the band, with few points and with more; and a lag in time whose errors are
@@ -143,7 +144,7 @@ def _record_case():
 
 
 def held(make, truth, repeats, replicates):
-    """Return how many intervals of every kind hold the truth, by parameter, and how many replicates failed."""
+    """Return how many intervals of every kind cover, by parameter, and failed replicates."""
     counts = {method: dict.fromkeys(truth, 0) for method in ("plain", "percentile", "wald")}
     failed = 0
     for seed in range(repeats):

@@ -1,4 +1,4 @@
-"""Linear experiments with errors that are correlated in time, fast enough to be repeated hundreds of times.
+"""Linear experiments with errors correlated in time, fast enough for hundreds of repeats.
 
 Part of `coverage_time.py`.
 
@@ -60,7 +60,7 @@ class Plant:
         return c @ states
 
     def jacobian(self, u: Array) -> tuple[Array, Array]:
-        """Return the derivatives of the outputs by parameters (k, p, n) and initial states (k, s, n)."""
+        """Return the derivatives of the outputs by parameters (k, p, n) and states (k, s, n)."""
         q = np.array(self.values, dtype=complex)
         states = len(self.discrete(q)[0])
         tiny = 1e-30j  # complex step
@@ -99,7 +99,7 @@ PLANTS = (
 
 @dataclass(frozen=True)
 class Errors:
-    """White sensor noise of 0.05, an AR(1) in its place or added to it, or wind through the plant."""
+    """White sensor noise of 0.05, an AR(1) instead or in addition, or wind through the plant."""
 
     name: str
     phi: float = 0.0

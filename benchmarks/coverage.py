@@ -1,6 +1,6 @@
-"""Are the standard errors right? Monte Carlo coverage of the 95 % Student-t interval, for every criterion.
+"""Are the standard errors right? Coverage of the 95 % Student-t interval for every criterion.
 
-python benchmarks/coverage.py [--repeats 1000] [--only tilt] [--output benchmarks/results/coverage.txt]
+python benchmarks/coverage.py [--repeats 1000] [--only tilt] [--output FILE]
 
 Synthetic truths with isotropic complex normal noise are fitted again and again; counted is how
 often the interval holds the truth. To be quick a cell is compiled once, its cost taken from the
@@ -142,7 +142,7 @@ class Part:
 
 @dataclass(frozen=True)
 class Case:
-    """What is fitted: parts solved together, after `first`, if any, whose Fit they take as fixed."""
+    """What is fitted: parts solved together, after `first`, whose Fit they take as fixed."""
 
     label: str
     parts: tuple[Part, ...]
@@ -279,7 +279,7 @@ class Cell:
         )
 
     def minimize(self, data: np.ndarray, constants: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the minima (repeats, p) near the truth for data (repeats, 2N), and whether they are ones."""
+        """Return points (repeats, p) near the truth, and which are minima; data (repeats, 2N)."""
         repeats, p = len(data), len(self.nlp.free)
         function = self._newton.map(repeats)
         z, damping = np.ones((repeats, p)), np.full(repeats, 1e-3)
@@ -341,7 +341,7 @@ class Cell:
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """Values, standard errors, centers and half widths of the 95 % intervals, in the order of `Cell.names`."""
+    """Values, standard errors, centers and half widths of 95 % intervals, as `Cell.names`."""
 
     value: np.ndarray
     error: np.ndarray
@@ -375,7 +375,7 @@ class Outcome:
         self.rough.append(answer.rough)
 
     def summary(self) -> list[tuple[str, float, float, int, float, float]]:
-        """Per quantity: coverage and its binomial sigma (per cent), no interval, bias / sd, printed error / sd."""
+        """Per quantity: coverage and its sigma (%), no interval, bias / sd, printed error / sd."""
         value, error, center, half = (
             np.array(v) for v in (self.value, self.error, self.center, self.half)
         )

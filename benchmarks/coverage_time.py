@@ -1,4 +1,4 @@
-"""Are the standard errors of fits in time right, and do starts agree? Monte Carlo coverage of the 95 % interval.
+"""Coverage of 95 % intervals of fits in time, and whether starts agree.
 
 python benchmarks/coverage_time.py [--repeats 300] [--linear 150] [--flights 60] [--output
 benchmarks/results/coverage_time.txt]

@@ -1,4 +1,4 @@
-"""How much `gb.fit` adds to a bare loop over a ready IPOPT solver, and what importing greybox costs.
+"""What `gb.fit` adds to a bare loop over a ready IPOPT solver, and what its import costs.
 
 python benchmarks/fit_speed.py [--starts 200] [--rounds 7]
 

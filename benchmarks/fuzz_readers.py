@@ -2,7 +2,8 @@
 
 None may hang, crash the process, print, or raise anything but a sentence.
 
-python benchmarks/fuzz_readers.py [--count 20000] [--seed 0] [--entry read|inspect] [--only 4711] [--kinds bin tlog]
+python benchmarks/fuzz_readers.py [--count 20000] [--seed 0] [--entry read|inspect]
+    [--only 4711] [--kinds bin tlog]
 
 All inputs go through one process, each with a time limit. They are sound files of every format (up
 to 200 kB) after one to four mutations; number N of a seed is always the same input, so that

@@ -1,4 +1,4 @@
-"""Load result files that were damaged or crafted and then sealed again, as a stranger could send them.
+"""Load damaged or crafted result files, sealed again, as a stranger could send them.
 
 python benchmarks/fuzz_results.py [--count 2000] [--seed 0] [--only 4711] [--keep FILE]
 

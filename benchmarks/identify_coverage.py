@@ -42,7 +42,7 @@ GYRO, ATTITUDE = 0.003, 0.0002  # noise, rad/s and rad
 
 
 class Cell(NamedTuple):
-    """Gusts in rad/s², samples of the log in Hz, the sweep in s and Hz, its amplitude, where it is injected."""
+    """Gusts in rad/s², rate of the log in Hz, sweep in s and Hz, amplitude, injection."""
 
     gust: float
     logged: int
@@ -74,7 +74,7 @@ def sweep(cell, time):
 
 
 def flown(cell, flights, seed):
-    """Return time (n,), control and measured angle (n, flights), and the injected signal (n,), as logged."""
+    """Return time (n,), control and angle (n, flights), and injected signal (n,), as logged."""
     random = np.random.default_rng(seed)
     steps = round((cell.duration + 2 * REST) / STEP)
     injected = sweep(cell, STEP * np.arange(steps))
@@ -118,7 +118,7 @@ def plant(omega):
 
 
 def measured(cell, flights, seed):
-    """Return numbers of points (flights,), mean squared errors of points (flights,), standardized errors (n, 3)."""
+    """Return numbers and mean squared errors of points (flights,), standardized errors (n, 3)."""
     time, controls, angles, injected = flown(cell, flights, seed)
     name, size = ("desired", np.degrees(1)) if cell.where == "setpoint" else ("injected", 1.0)
     points, squares, errors, held = [], [], [], []

@@ -1,6 +1,7 @@
 """Plant faults in the package, one at a time, and see whether a test notices.
 
-python benchmarks/mutation.py [--count 200] [--seed 1] [--files 'greybox/*'] [--jobs 1] [--cache DIR] [--budget 300]
+python benchmarks/mutation.py [--count 200] [--seed 1] [--files 'greybox/*'] [--jobs 1]
+    [--cache DIR] [--budget 300]
     [--minutes 60] [--anew] [--list]
 
 Needs `coverage`, which comes with the `dev` extra. Faults are a changed sign, operator, comparison
@@ -283,7 +284,7 @@ class Map:
         return found
 
     def against(self, fault: Fault, root: Path) -> list:
-        """Return the tests that meet a fault, those of the mirroring file first, then the fastest."""
+        """Return the tests that meet a fault: those of the mirroring file, then the fastest."""
         tests = self.executing(fault.file, fault.lines)
         if (
             fault.on_import

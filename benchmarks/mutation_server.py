@@ -1,4 +1,4 @@
-"""Run chosen tests in forks of a process that has imported the libraries, but nothing that may hold a fault.
+"""Run chosen tests in forks of a process that has imported libraries, but nothing with a fault.
 
 Imports take most of the time of a short run. `mutation.py` starts one server in each copy of the
 package, and writes one request a line: the file with the tests, that for the output, the limits of

@@ -1,6 +1,6 @@
-"""Are intervals right where errors are correlated along frequency? Coverage at 95 %, and what it costs otherwise.
+"""Coverage of 95 % intervals where errors are correlated along frequency, and its cost.
 
-python benchmarks/neighbor_coverage.py [--repeats 400] [--only yaw] [--output benchmarks/results/neighbor_coverage.txt]
+python benchmarks/neighbor_coverage.py [--repeats 400] [--only yaw] [--output FILE]
 
 Errors are circular, of one relative size, and an autoregression of first order from point to point.
 Fits and intervals are made as in `coverage.py`, and once more as if all errors were independent,
@@ -153,8 +153,10 @@ def _row(found: Outcome, independent: Outcome) -> tuple[np.ndarray, str]:
     silent = 100 * (~hits[0] & ~rough[:, None]).mean(axis=0).max()
     return (
         hits[0].ravel(),
-        f"{mark + f'{covers.min():.1f} - {covers.max():.1f}':>16}{f'{before.min():.0f} - {before.max():.0f}':>14}"
-        f"{np.nanmedian(halves[0] / halves[1]):7.2f}{100 * rough.mean():6.0f}%{silent:8.1f}{none:6}",
+        f"{mark + f'{covers.min():.1f} - {covers.max():.1f}':>16}"
+        f"{f'{before.min():.0f} - {before.max():.0f}':>14}"
+        f"{np.nanmedian(halves[0] / halves[1]):7.2f}"
+        f"{100 * rough.mean():6.0f}%{silent:8.1f}{none:6}",
     )
 
 

@@ -1,4 +1,4 @@
-"""Planned sines against what they achieve in virtual flights, and against equally spaced ones of the same flight time.
+"""Planned sines: what they achieve in virtual flights, and equally spaced ones of equal time.
 
 python benchmarks/planned_tests.py [--flights 40] [--output FILE]
 
@@ -42,7 +42,7 @@ def planned() -> SinePlan:
 
 
 def equally_spaced(plan: SinePlan) -> gb.experiment.Excitation:
-    """Return as many sines at equally spaced logarithms of frequency, of one duration, that fill the same flight."""
+    """Return as many sines at equally spaced log frequencies that fill the same flight."""
     omega = np.geomspace(*BAND, len(plan.omega))
     amplitude = np.interp(np.log(omega), np.log(plan.omega), plan.amplitude)
     low, high = 1.0, plan.flight_time
@@ -56,7 +56,7 @@ def equally_spaced(plan: SinePlan) -> gb.experiment.Excitation:
 
 
 def scatter(excitation: gb.experiment.Excitation, flights: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the standard deviation of the estimates, and the median of the standard errors that are printed."""
+    """Return the standard deviation of the estimates, and the median printed standard error."""
     estimates, printed = [], []
     for seed in range(flights):
         record = gb.virtual_flight(

@@ -1,4 +1,4 @@
-"""Filter error: coverage of its intervals, and how often process noise is found where there is none.
+"""Filter error: coverage of its intervals, and false alarms of the test for process noise.
 
 python benchmarks/process_noise.py [--repeats 200] [--output benchmarks/results/process_noise.txt]
 

@@ -151,7 +151,7 @@ def under(kernel: str, fits: int) -> list[dict[str, Any]]:
 
 
 def moves(reference: dict[str, Any], answer: dict[str, Any]) -> tuple[float, float]:
-    """Return the largest move of an estimate, in standard errors, and the largest change of an error."""
+    """Return the largest move of an estimate, in standard errors, and of an error."""
     move = change = 0.0
     for name, error in reference["error"].items():
         other = answer["error"][name]

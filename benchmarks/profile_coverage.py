@@ -1,6 +1,6 @@
-"""Do profile intervals hold the truth? Monte Carlo coverage at 95 %, beside that of the standard errors, and speed.
+"""Coverage and speed of profile intervals at 95 %, beside those of the standard errors.
 
-python benchmarks/profile_coverage.py [--repeats 1000] [--output benchmarks/results/profile_coverage.txt]
+python benchmarks/profile_coverage.py [--repeats 1000] [--output FILE]
 
 A model whose pole lies far above the band, so that the data bound it on one side alone, and the
 tilt model of the paper; isotropic errors of one relative size, independent or an autoregression

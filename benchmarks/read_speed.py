@@ -1,4 +1,4 @@
-"""How long `gb.read` takes for a DataFlash log, against pymavlink's iteration over the same messages, and its memory.
+"""Time and memory of `gb.read` for a DataFlash log, against pymavlink on the same messages.
 
 python benchmarks/read_speed.py [LOG.BIN] [--messages ATT RATE] [--megabytes 20] [--rounds 5]
 
@@ -31,7 +31,8 @@ MEMORY = """
 import sys
 import greybox.logs.readers.dataflash as dataflash
 def peak():
-    return next(int(line.split()[1]) * 1024 for line in open("/proc/self/status") if line.startswith("VmHWM"))
+    lines = open("/proc/self/status")
+    return next(int(line.split()[1]) * 1024 for line in lines if line.startswith("VmHWM"))
 before = peak()
 recording = dataflash.read(sys.argv[1], sys.argv[2:] or None)
 kept = sum(record.time.nbytes * (1 + len(record.signals)) for record in recording.values())

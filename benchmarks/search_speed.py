@@ -1,4 +1,4 @@
-"""How fast the search from many starts is, against a bare loop of CasADi's IPOPT as people write it.
+"""Speed of the search from many starts, against a bare loop of IPOPT as people write it.
 
 python benchmarks/search_speed.py [--starts 1000] [--seeds 100] [--bare 100]
 
@@ -178,7 +178,7 @@ def time_per_success(problem, options, lowest):
 
 
 def default_searches(problem, options, lowest):
-    """Return the median seconds of a default search, its share of successes, and its mean number of runs."""
+    """Return median seconds of a default search, share of successes, and mean number of runs."""
     nlp = compile_problem(problem)
     parameters = {name: problem.parameters[name] for name in nlp.free}
     seconds, found, brought = [], 0, []

@@ -1,4 +1,4 @@
-"""What the constants of sine detection and of spectral estimates decide, each at other values than the one in use.
+"""What the constants of sine detection and spectral estimates decide, each at other values.
 
 python benchmarks/signal_constants.py [detection] [polynomials]
 
@@ -54,7 +54,7 @@ POLYNOMIALS = {
 
 
 def found_all(runs, plan, starts, within):
-    """Whether exactly the planned sines were found, by frequency, amplitude (3) and time (in half periods)."""
+    """Whether exactly the planned sines were detected: frequency, amplitude (3), time."""
     return [run.kind for run in runs] == ["sine"] * len(plan) and all(
         abs(run.omega / omega - 1) < 2e-3
         and abs(run.amplitude / 3 - 1) < 0.1

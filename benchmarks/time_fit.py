@@ -175,7 +175,7 @@ def scipy_case(flight: Flight, options: dict[str, Any]) -> dict[str, Any]:
 
 
 def clear() -> float:
-    """Return the processor's time once Python has looked through what was imported, which takes it up to 60 ms."""
+    """Return the processor's time after a garbage collection, which takes up to 60 ms."""
     gc.collect()
     return time.process_time()
 
@@ -185,7 +185,7 @@ def solved(run: dict[str, Any]) -> bool:
 
 
 def starts_of(options: dict[str, Any]) -> np.ndarray:
-    """Return START, or as many random starts in the box of the bounds as asked for, C_x evenly in its logarithm."""
+    """Return START, or this many random starts within the bounds, C_x uniform in its logarithm."""
     if not options.get("starts"):
         return START[None]
     part = np.random.default_rng(0).random((options["starts"], len(START)))
@@ -206,7 +206,7 @@ CASES: dict[str, tuple[Case, dict[str, Any]]] = {
 
 
 def peak() -> float:
-    """Return the peak memory of this process, MB (VmHWM of Linux: ru_maxrss would begin with the parent's)."""
+    """Return the peak memory, MB (VmHWM of Linux: ru_maxrss would begin with the parent's)."""
     try:
         lines = Path("/proc/self/status").read_text(encoding="ascii").splitlines()
         return next(int(line.split()[1]) for line in lines if line.startswith("VmHWM")) * 1024 / 1e6
@@ -235,7 +235,7 @@ class Bench:
         self.environment = {**os.environ, **THREADS, "XDG_CACHE_HOME": str(folder / "cache")}
 
     def record(self, samples: int, seed: int = 0) -> Path:
-        """Return the file of a record, made in a process of its own so that this one stays small."""
+        """Return the file of a record, made in another process so that this one stays small."""
         path = self.folder / f"{samples}_{seed}.npz"
         if not path.exists():
             self._child("--make", str(path), str(samples), str(seed))
@@ -320,7 +320,7 @@ def ratios(found: dict[str, list[dict[str, Any]]], case: str, samples: int) -> N
 
 
 def same_minimum(bench: Bench, found: dict[str, list[dict[str, Any]]], samples: int) -> bool:
-    """Hold every estimator of this one cost against IPOPT, in standard errors of the 60 s record, scaled; say so."""
+    """Compare every estimator of this cost with IPOPT, in standard errors of the 60 s record."""
     reference = bench.run("IPOPT by blocks", SAMPLES, errors=True)
     if reference is None or "IPOPT by blocks" not in found:
         print("!!! nothing to hold the minimum against: the NLP was not solved")
@@ -376,7 +376,7 @@ def growth(bench: Bench, cases: Sequence[str], sizes: Sequence[int], rounds: int
 
 
 def starts(bench: Bench, cases: Sequence[str], number: int) -> None:
-    """Print the share of random starts in the box of the bounds that come within 1 % of the best cost."""
+    """Print the share of random starts within the bounds that reach 1 % of the best cost."""
     print(
         f"\n{number} random starts in the bounds, {SAMPLES} samples: share within 1 % of the "
         f"lowest cost; in all"
@@ -396,7 +396,7 @@ def starts(bench: Bench, cases: Sequence[str], number: int) -> None:
 
 
 def errors(bench: Bench, cases: Sequence[str], flights: int) -> None:
-    """Print the error of the parameters over several flights, in percent and in the method's own standard errors."""
+    """Print the errors over several flights, in percent and in the method's standard errors."""
     print(
         f"\nRoot mean square error of the parameters over {flights} flights, %; and in its own "
         f"standard errors"
@@ -422,7 +422,7 @@ def errors(bench: Bench, cases: Sequence[str], flights: int) -> None:
 
 
 def records(bench: Bench, rounds: int) -> None:
-    """Print how much longer many short records take than one record with as many samples and gaps."""
+    """Print how much longer many short records take than one with as many samples and gaps."""
     one, many = "greybox, one record with gaps", "greybox, many records"
     for count in (1, 20):
         print(

@@ -77,7 +77,7 @@ class Flight:
 
 
 def fly(samples: int, seed: int = 0) -> Flight:
-    """Fly the unstable plant in a loop around its noisy measurements, excited by a multisine of 60 s.
+    """Fly the unstable plant in a loop with noisy measurements, excited by a multisine of 60 s.
 
     The truth takes four Runge-Kutta steps where the estimators take one.
     """
@@ -107,7 +107,7 @@ def multisine(samples: int) -> Array:
 
 
 def shooting_segment(length: int) -> ca.Function:
-    """(x0 (3,), u (1, length), y (3, length), scaled p (5,)) -> standardized residuals (3, length), state after it."""
+    """(x0 (3,), u (1, n), y (3, n), scaled p (5,)) -> standardized residuals (3, n), last state."""
     x0, u, y, p = (
         ca.SX.sym(n, *size)
         for n, size in zip("xuyp", [(3,), (1, length), (3, length), (5,)], strict=True)
@@ -302,7 +302,7 @@ class ShortSegments:
         self.heads = smoothed(flight.y)[:, ::SECOND] if free else self.y[0]
 
     def unknowns(self, start: Array) -> Array:
-        """Return the scaled parameters and, where they are unknown, the head states over the noise."""
+        """Return the scaled parameters and, if unknown, the head states over the noise."""
         return np.r_[start / SCALE, (self.heads / SIGMA).ravel() if self.free else ()]
 
     def _parts(self, w: Array) -> tuple[Array, Array]:
@@ -329,7 +329,7 @@ class ShortSegments:
         return self._with_heads(dense, quotients[:, :, n:]) if self.free else dense
 
     def _with_heads(self, dense: Array, quotients: Array) -> Any:
-        from scipy.sparse import csr_array, hstack  # noqa: PLC0415  (the references import what they use themselves)
+        from scipy.sparse import csr_array, hstack  # noqa: PLC0415  (only this reference uses it)
 
         rows = np.arange(quotients.size // 3).reshape(*quotients.shape[:2], 1, self.segments)
         columns = np.arange(3 * self.segments).reshape(3, self.segments)
@@ -341,7 +341,7 @@ def segment_fit(
     flight: Flight, start: Array, free: bool = False, errors: bool = False
 ) -> dict[str, Any]:
     """Return `estimate`, `cost`, `status` and `iterations`, and `standard_error` if asked for."""
-    from scipy.optimize import least_squares  # noqa: PLC0415  (the references import what they use themselves)
+    from scipy.optimize import least_squares  # noqa: PLC0415  (only this reference uses it)
 
     problem = ShortSegments(flight, free)
     w, heads = problem.unknowns(start), problem.unknowns(start)[len(TRUTH) :]

@@ -65,7 +65,7 @@ LATERAL = {"Lp": -3.0, "Lr": 0.8, "Np": -0.4, "Nr": -0.9, "La": 9.0, "Nd": -3.0}
 
 
 def pulses(*edges: float, size: float = 0.1) -> Callable:
-    """Return an input that changes its sign at the edges, s, as a 2-1-1 does, with a step shortly before 8 s."""
+    """Return an input that changes its sign at the edges, s, and has a step shortly before 8 s."""
 
     def at(t):
         sign = (-1.0) ** np.searchsorted(edges, t + 1e-9, side="right")
@@ -76,7 +76,7 @@ def pulses(*edges: float, size: float = 0.1) -> Callable:
 
 
 def simulated(a, b, c, inputs, delay, duration, start):
-    """Return times (n,), inputs (m, n) and outputs (k, n) of the linear system for inputs held between samples."""
+    """Return times (n,), held inputs (m, n) and outputs (k, n) of the linear system."""
     t = np.arange(round(duration / STEP) + 1) * STEP
     fine = np.arange((len(t) - 1) * FINE + 1) * STEP / FINE
     order, number = len(a), len(inputs)
@@ -120,7 +120,7 @@ def measured(record, noise, random):
 
 
 def disturbed(record, a, noise, random):
-    """Return the record with white noise of a deviation a sample in x' = A x + e added, of outputs that are states."""
+    """Return the record with white noise in x' = A x + e added to outputs that are states."""
     one = expm(a * STEP / FINE)
     size = np.array([*noise.values()]) * np.sqrt(FINE)
     x, rows = np.zeros(len(a)), []
@@ -136,7 +136,7 @@ def disturbed(record, a, noise, random):
 
 
 def short_period_in_turbulence(record, random):
-    """Return the record with white noise in the differential equation of second order, and a trim value."""
+    """Return the record with white noise in the equation of second order, and a trim value."""
     p = SHORT_PERIOD
     a = np.array([[0.0, 1.0], [-(p["w"] ** 2), -2 * p["z"] * p["w"]]])
     return disturbed(record, a, {"q": 0.0, "rate of q": 0.3}, random)
@@ -162,7 +162,7 @@ def correlated(record, random):
 
 
 def cases():
-    """Return name -> (model, truth, clean records, how they are measured, inputs, outputs, criterion)."""
+    """Return name -> (model, truth, clean records, measurement, inputs, outputs, criterion)."""
     first = short_period_record(8.0, (1.0, 2.0, 2.5, 3.0), [0.005, 0.01])
     second = short_period_record(6.0, (0.5, 1.2, 1.9), [0.0, 0.0])
     lateral = lateral_record()
@@ -199,7 +199,7 @@ def cases():
 
 
 def coverage(case, runs, seed):
-    """Return the share of intervals that hold the truth, by parameter, and the rms of the standardized errors."""
+    """Return the coverage by parameter, and the rms of the standardized errors."""
     model, truth, records, measure, inputs, outputs, criterion = case
     random = np.random.default_rng(seed)
     names = list(truth)
