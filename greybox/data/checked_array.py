@@ -26,7 +26,8 @@ def checked_array(name: str, values: ArrayLike, kind: type = float) -> NDArray:
         If the values are not a one-dimensional array of numbers; complex ones are not real.
     """
     try:
-        dtype = values.dtype if hasattr(values, "dtype") else np.asanyarray(values).dtype
+        dtype = getattr(values, "dtype", None)
+        dtype = np.asanyarray(values).dtype if dtype is None else dtype
         if dtype.kind not in ("biufc" if kind is complex else "biuf"):
             raise TypeError(dtype)
         if hasattr(values, "filled"):  # a masked array

@@ -241,11 +241,12 @@ class Record:
         if others.pop("has_time", True):
             moments, column, findings = times_of(frame, time)
         columns = columns_of(frame, without=column)
-        described = {
+        described: dict[str, Any] = {
             name: frame.attrs[name]
             for name in ("units", "hold", "name", "source")
             if name in frame.attrs
-        } | {"findings": findings}
+        }
+        described["findings"] = findings
         if "units" in described:  # those of columns that were dropped later stay in `attrs`
             described["units"] = {n: u for n, u in described["units"].items() if n in columns}
         options = described | others | ({} if units is None else {"units": units})

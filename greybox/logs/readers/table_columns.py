@@ -47,14 +47,14 @@ def table(
         (key for key in columns if seconds(key, units.get(key, "")) and columns[key].ndim == 1), ""
     )
     # MATLAB's iddata and many scripts store one interval instead of a vector of times.
-    interval = columns["Ts"] if np.size(columns.get("Ts", ())) == 1 else None
+    interval = np.ravel(columns.get("Ts", np.empty(0)))
     if timer and columns[timer].size:
         time, assumed = times_in_seconds(timer, units.get(timer, ""), columns[timer])
-    elif rate or interval is not None:
+    elif rate or interval.size == 1:
         columns = {key: values for key, values in columns.items() if key != "Ts"}
         count = max((len(values) for values in columns.values()), default=0)
-        step = 1 / rate if rate else float(np.ravel(interval)[0])
-        time, assumed = np.arange(count) * step, ()
+        step = 1 / rate if rate else float(interval[0])
+        time, assumed = np.arange(count, dtype=float) * step, ()
     else:
         return None, (
             f"{name or 'the file'}: {len(columns)} variables without a time were left out.",
