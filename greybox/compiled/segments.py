@@ -356,11 +356,7 @@ class Segments:
                 moved.append([end, self._evaluate(self._output, states, values, d)[1]])
             slopes.append([(up - down) / (2 * h) for up, down in zip(*moved, strict=True)])
 
-        A, C = (
-            (np.concatenate(parts) for parts in zip(*slopes, strict=True))
-            if slopes
-            else (x[:0], x[:0])
-        )
+        A, C = (np.concatenate(parts) for parts in zip(*slopes, strict=True))
         return A, C
 
     def _propagated(self, A: Array, C: Array, count: int) -> tuple[Array, Array]:
