@@ -143,6 +143,9 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     """
     logs = [log] if isinstance(log, str | Path | Recording) else list(log)
     recordings = [item if isinstance(item, Recording) else read(item) for item in logs]
+    checksums = {recording.checksum for recording in recordings if recording.checksum}
+    if len(checksums) not in (0, len(recordings)):
+        raise ValueError("a log is given twice: its errors would count as independent.")
     stated["drop_warned"] = not all_points
     settings, choices = choose(recordings[0], **stated)
     used = [settings, *(_settings_as(settings, r, stated) for r in recordings[1:])]

@@ -64,11 +64,7 @@ class NestedTest:
         else:
             verdict = f"{verb} not needed: {self.small} explains the data as well as {self.large}"
 
-        numerator, denominator = self.dof
-        if math.isinf(denominator):
-            statistic = f"chi2({numerator:g}) = {number(self.statistic * numerator, 4)}"
-        else:
-            statistic = f"F({numerator:g}, {denominator:.0f}) = {number(self.statistic, 4)}"
+        statistic = "F({:g}, {:.0f})".format(*self.dof) + f" = {number(self.statistic, 4)}"
         scale = "" if self.scale == 1.0 else f"; scaled by {number(self.scale, 3)}"
         return f"{', '.join(self.terms)} {verdict} ({statistic}, {p_text(self.p_value)}{scale})."
 

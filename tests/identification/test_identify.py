@@ -353,6 +353,11 @@ def test_several_logs_of_one_axis_are_fitted_together(plant):
     assert abs(both.fit.estimate["b0"] + 4e-4) < 3 * both.fit.standard_error["b0"]
 
 
+def test_one_log_is_no_two():
+    with pytest.raises(ValueError, match="a log is given twice"):
+        gb.identify([sitl_pitch.LOG, sitl_pitch.LOG])
+
+
 def test_a_structure_that_does_not_explain_the_data_says_so():
     found = gb.identify(plant_log(), structures=[YawRateLag()], **OF_PLANT)
     assert not found.selection.explains

@@ -85,7 +85,7 @@ def test_on_a_bound_half_of_the_statistic_has_one_degree_less():
     ("given", "words"),
     [
         ({}, "(F(2, 30) = 1.5, p = 0.24; scaled by 2)."),
-        ({"dof": (2, np.inf)}, "(chi2(2) = 3, p = 0.24; scaled"),
+        ({"dof": (2, np.inf)}, "(F(2, inf) = 1.5, p = 0.24; scaled"),
         ({"scale": 1.0}, "p = 0.24)."),
         ({"p_value": 0.049}, "a, b are needed: small is rejected"),
         ({"p_value": 0.051}, "a, b are not needed: small explains the data as well as large"),
