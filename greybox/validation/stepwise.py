@@ -14,7 +14,7 @@ by Bonferroni.
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -111,18 +111,12 @@ class StepwiseSelection:
             change = [str(trial.step), trial.change, trial.term]
             rows.append([*change, number(trial.cost, 4), p, f"{trial.limit:.2g}", outcome])
         table = text_table(["step", "", "term", "cost", "p", "limit", ""], rows, left=(1, 2, 6))
-        title = f"{self.fit.name}: stepwise selection at {100 * self.size:g} %"
-        return "\n".join([title, "", self.verdict, "", table, "", *self._notes()])
-
-    def _notes(self) -> Iterator[str]:
+        title = f"{self.fit.name}: stepwise selection at {100 * self.size:g} % (Bonferroni)"
+        lines = [title, "", self.verdict, "", table, ""]
         for term, rivals in self.alike.items():
             texts = listed([f"{rival} (AIC {above:+.2f})" for rival, above in rivals.items()])
-            yield f"These data cannot tell {term} from {texts}."
-        yield (
-            f"A term is added below {100 * self.size:g} % over the number of terms tried "
-            "(Bonferroni), "
-            f"and removed above {100 * self.size:g} %."
-        )
+            lines.append(f"These data cannot tell {term} from {texts}.")
+        return "\n".join(lines)
 
 
 def stepwise(
