@@ -133,7 +133,10 @@ def test_parameters_of_every_record_of_a_fit_are_estimated_from_another():
 
 
 class Integrated(gb.StateSpace):
-    """A position from its rate: a constant error of the position cannot be told from where it began."""
+    """A position from its rate.
+
+    A constant error of the position cannot be told from where it began.
+    """
 
     states, inputs, outputs = ("x",), ("rate",), ("x",)
     gain = gb.Parameter(1.0, bounds=(0, 5))
@@ -186,7 +189,10 @@ class Gain(gb.StateSpace):
 
 @pytest.mark.parametrize("every", [1, 2])
 def test_the_error_of_a_constant_offset_is_that_of_a_mean(every):
-    """White errors of 0.1, and every so many samples measured: 0.1 over the root of their number."""
+    """White errors of 0.1, and every so many samples measured.
+
+    0.1 over the root of their number.
+    """
     time = np.arange(400) / 20
     u = np.sin(time)
     y = 2 * u + 0.7 + 0.1 * np.random.default_rng(0).normal(size=400)

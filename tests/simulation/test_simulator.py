@@ -79,7 +79,10 @@ def test_the_spread_of_a_signal_that_does_not_change_is_one():
 @pytest.mark.parametrize("integrator", [gb.RungeKutta(), gb.Rosenbrock()], ids=repr)
 @pytest.mark.parametrize("rate", [0.5, 8.0, 40.0])
 def test_substeps_are_refined_to_the_tolerance(integrator, rate):
-    """x' = -rate x² from 1 is 1 / (1 + rate t): fast at first, and slow where the poles at rest say so."""
+    """x' = -rate x² from 1 is 1 / (1 + rate t).
+
+    Fast at first, and slow where the poles at rest say so.
+    """
     time = 0.1 * np.arange(50)
     record = gb.Record(time, {"u": np.zeros(50)})
     found = gb.simulate(Kinked(), {"rate": rate}, record, initial={"x": 1.0}, integrator=integrator)
@@ -183,7 +186,10 @@ def test_a_free_simulation_takes_its_fitted_initial_states_along():
 
 
 def test_guesses_begin_with_what_was_measured():
-    """A state of an output's name at its first sample; others at zero, as fitted, or of the outputs' size."""
+    """A state of an output's name at its first sample.
+
+    Others at zero, as fitted, or of the outputs' size.
+    """
     nan = np.nan
     past = np.array([[[nan, nan], [4.0, 7.0], [1.0, -2.0]], [[2.0, nan], [nan, nan], [-6.0, nan]]])
     model = SimpleNamespace(system=SimpleNamespace(states=("p", "y")), part=None)

@@ -1,4 +1,7 @@
-"""States of lead-ins: least squares and Gaussian conditioning written out; models that are not finite everywhere."""
+"""States of lead-ins: least squares and Gaussian conditioning written out.
+
+Models that are not finite everywhere.
+"""
 
 import numpy as np
 import pytest
@@ -133,7 +136,10 @@ def test_many_windows_tell_their_prior_and_the_noise():
 
 
 def test_one_step_errors_are_those_of_gaussian_conditioning():
-    """The joint covariance of all measurements, factored: its Cholesky factor whitens them one after another."""
+    """The joint covariance of all measurements, factored.
+
+    Its Cholesky factor whitens them one after another.
+    """
     C, truth, random = linear(4)
     noise, precision, mean = (
         np.array([0.2, 0.5]),
@@ -261,7 +267,10 @@ def test_the_noise_is_that_of_the_residuals_less_what_the_states_have_fitted_awa
 
 
 def test_the_prior_of_many_windows_is_that_of_their_states():
-    """Where each window tells its state well, mean and variance of these; a state that nothing shows has none."""
+    """Where each window tells its state well, mean and variance of these.
+
+    A state that nothing shows has none.
+    """
     random = np.random.default_rng(3)
     w = 60
     x = np.array([3.0, -1.0]) + random.normal(size=(w, 2)) * [2.0, 0.5]

@@ -20,7 +20,10 @@ def record(count=60, step=0.1, missing=(), unmeasured=()):
 
 
 def by_hand(data, first, after):
-    """Windows written out: from the first sample of every run of inputs, one horizon after another."""
+    """Windows written out.
+
+    From the first sample of every run of inputs, one horizon after another.
+    """
     rows, begin = [], 0
     known = np.isfinite(data["u"])
     while begin < len(data):

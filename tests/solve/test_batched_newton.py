@@ -1,4 +1,7 @@
-"""Newton's method from many points at once: where searches begin, what each is given, when they end."""
+"""Newton's method from many points at once.
+
+Where searches begin, what each is given, when they end.
+"""
 
 import casadi as ca
 import numpy as np
@@ -58,7 +61,10 @@ def test_one_step_leads_to_the_minimum_of_a_quadratic_nearby():
 
 @pytest.mark.parametrize("count", [1, 3, 8, 150])
 def test_every_search_has_what_is_given_for_it_however_many_are_left(count):
-    """Powers of unlike curvature end at unlike times; the places of the others must not change with them."""
+    """Powers of unlike curvature end at unlike times.
+
+    The places of the others must not change with them.
+    """
     random = np.random.default_rng(count)
     given = np.array(
         [random.uniform(-3, 3, count), random.uniform(-3, 3, count), random.uniform(0, 8, count)]
@@ -94,7 +100,10 @@ def test_nothing_is_searched_from_nowhere():
 
 
 def test_a_search_from_afar_is_kept_off_its_bounds_until_the_last_level():
-    """A cost that falls toward a bound, and rises beyond a ridge of the width of the barrier: both ends are its."""
+    """A cost that falls toward a bound, and rises beyond a ridge of the width of the barrier.
+
+    Both ends are its.
+    """
     lower, upper = np.array([0.0, -1.0]), np.array([1.0, 1.0])
     solver = newton(lambda z, smoothing: z[0] + (z[1] - 0.25) ** 2, lower, upper)
     ends = solver.minimize(np.array([[0.9, 0.2], [0.5, -0.5]]), max_iterations=60, tolerance=1e-9)
@@ -104,7 +113,10 @@ def test_a_search_from_afar_is_kept_off_its_bounds_until_the_last_level():
 
 
 def test_the_smoothing_of_the_last_level_is_that_of_every_solver():
-    """At a minimum of |z - 1| rounded off, and another unrounded one: where it is tells the smoothing."""
+    """At a minimum of |z - 1| rounded off, and another unrounded one.
+
+    Where it is tells the smoothing.
+    """
     solver = newton(
         lambda z, smoothing: ca.sqrt((z[0] - 1) ** 2 + smoothing) + 0.6 * z[0] + (z[1] - z[0]) ** 2
     )
@@ -114,7 +126,10 @@ def test_the_smoothing_of_the_last_level_is_that_of_every_solver():
 
 
 def test_a_search_passes_through_the_levels_one_after_the_other():
-    """Of a quadratic whose minimum tells the smoothing: a step leads there, and the next one takes the next level."""
+    """Of a quadratic whose minimum tells the smoothing.
+
+    A step leads there, and the next one takes the next level.
+    """
     solver = newton(
         lambda z, smoothing: 100 * (z[0] - 0.5 * smoothing) ** 2 + 90 * (z[1] - smoothing) ** 2,
         np.full(2, -np.inf),

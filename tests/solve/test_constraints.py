@@ -1,4 +1,7 @@
-"""Constraints of fits in time: starts that miss them, curved ones, and every method the same answer."""
+"""Constraints of fits in time.
+
+Starts that miss them, curved ones, and every method the same answer.
+"""
 
 import casadi as ca
 import numpy as np
@@ -48,7 +51,10 @@ def record(samples=200, step=0.05, a=2.0, b=3.0, noise=0.1):
 
 @pytest.mark.parametrize("method", METHODS, ids=repr)
 def test_a_start_that_misses_the_constraint_is_led_back_to_it(method):
-    """The declared start misses b >= 1.6 a, and so does the truth: the tie b = 1.6 a has the same minimum."""
+    """The declared start misses b >= 1.6 a, and so does the truth.
+
+    The tie b = 1.6 a has the same minimum.
+    """
     data = record()
     fit = gb.fit(
         gb.Problem(Lag(), data, HELD, constraints=[lambda p: p.b - 1.6 * p.a]),
@@ -118,7 +124,10 @@ def test_the_nearest_point_keeps_bounds_and_constraints():
 
 
 def test_steps_are_limited_by_bounds_and_constraints_but_of_variables_that_are_held():
-    """x + y <= 1, 0 <= x, y <= 1: rows of x and y upward, downward, and the constraint, from (0.25, 1.5)."""
+    """x + y <= 1, 0 <= x, y <= 1.
+
+    Rows of x and y upward, downward, and the constraint, from (0.25, 1.5).
+    """
     z = ca.SX.sym("z", 2)
     constraint = 1 - z[0] - z[1]
     limits = Limits(

@@ -31,7 +31,10 @@ COARSE = gb.MultipleShooting(integrator=gb.RungeKutta(1))
 
 
 def test_a_rate_at_the_limit_of_stability_is_not_believed():
-    """The data hold nothing of k; Runge-Kutta steps of 2.78 / k would determine it to 0.2 %, whatever their length."""
+    """The data hold nothing of k.
+
+    Runge-Kutta steps of 2.78 / k would determine it to 0.2 %, whatever their length.
+    """
     fit = gb.fit(stiff_lag(), starts=1)
     believed = fit.standard_error["k"] < 0.05 * fit.estimate["k"]
     assert not believed or any("integration is too coarse" in warning for warning in fit.warnings)
@@ -282,7 +285,10 @@ def decaying(seed, samples):
 
 
 def test_the_shift_is_that_of_a_fit_with_twice_the_steps():
-    """Of two records of unlike weights; a standard error is where the cost is half a unit higher."""
+    """Of two records of unlike weights.
+
+    A standard error is where the cost is half a unit higher.
+    """
     held = gb.OutputError(inputs="held")
     problem = gb.Problem(Lag(), decaying(0, 60), held, weight=2.0) + gb.Problem(
         Lag(), decaying(1, 40), held, weight=5.0

@@ -1,4 +1,7 @@
-"""Runs made elsewhere: the same answer from every executor, and what becomes of workers that are killed."""
+"""Runs made elsewhere.
+
+The same answer from every executor, and what becomes of workers that are killed.
+"""
 
 import os
 import select
@@ -175,7 +178,10 @@ def test_progress_counts_the_runs_in_order(workers):
 
 
 class Fragile(LocalSolver):
-    """Ends the worker it is in at one of the starts: always, or the first time, which a file remembers."""
+    """Ends the worker it is in at one of the starts.
+
+    Always, or the first time, which a file remembers.
+    """
 
     def __init__(self, deadly, file=None):
         self.deadly, self.file = deadly, file
@@ -305,7 +311,10 @@ def test_what_is_no_executor_is_refused():
 
 
 class Recorder(Executor):
-    """Does its tasks at once, and notes the first numbers of their starts; those with a `lost` start lose the worker."""
+    """Does its tasks at once, and notes the first numbers of their starts.
+
+    Those with a `lost` start lose the worker.
+    """
 
     def __init__(self, lost=None):
         self.handed, self.lost = [], lost

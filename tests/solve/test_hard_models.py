@@ -1,4 +1,7 @@
-"""Models that leave their domain, ignite, hide their states or reach limits: found from the starts that `fit` draws."""
+"""Models that leave their domain, ignite, hide their states or reach limits.
+
+Found from the starts that `fit` draws.
+"""
 
 import numpy as np
 import pytest
@@ -50,7 +53,10 @@ def test_hidden_states_do_not_explain_what_parameters_should():
 
 
 def test_what_the_data_hardly_determine_does_not_use_up_all_iterations():
-    """Thirteen parameters of a chain of five states: what is left to gain is noise, in directions that stay unknown."""
+    """Thirteen parameters of a chain of five states.
+
+    What is left to gain is noise, in directions that stay unknown.
+    """
     found = fit(tanh_chain(5, 300), [{}])
     assert found.converged
     assert max(run.iterations for run in found.runs) <= 300

@@ -1,4 +1,7 @@
-"""What is tried besides the starts: a longer search never ends higher, and what did not converge goes on."""
+"""What is tried besides the starts.
+
+A longer search never ends higher, and what did not converge goes on.
+"""
 
 import math
 from dataclasses import replace
@@ -151,7 +154,10 @@ def test_runs_agree_whose_costs_cannot_be_told_apart():
 
 
 class Searched(GaussNewton):
-    """Runs end as stated for their start; simulations diverge, but where a cost is stated for them."""
+    """Runs end as stated for their start.
+
+    Simulations diverge, but where a cost is stated for them.
+    """
 
     def __init__(self, costs, simulated=()):
         self.costs, self.by_simulation, self.asked = costs, dict(simulated), []

@@ -182,7 +182,10 @@ def of_logarithms():
 
 
 def test_starts_at_which_the_model_is_not_finite_move_toward_the_first_at_which_it_is():
-    """Half of the way in the solver's variables, a quarter, and so on; what was finite or is hopeless stays."""
+    """Half of the way in the solver's variables, a quarter, and so on.
+
+    What was finite or is hopeless stays.
+    """
     asked = []
     starts = np.array([[100.0], [64.0], [2.0], [1.0], [32.0], [50.0]])
 

@@ -1,4 +1,7 @@
-"""One iteration of many searches, number by number: what is taken, how far the next step may go, when it ends."""
+"""One iteration of many searches, number by number.
+
+What is taken, how far the next step may go, when it ends.
+"""
 
 from functools import cache
 
@@ -126,7 +129,10 @@ def test_a_failed_step_is_shortened_to_the_minimum_of_the_parabola(rise, share):
 
 @pytest.mark.parametrize(("fall", "taken"), [(-0.1, False), (0.1, True)])
 def test_a_step_beyond_the_minimum_of_the_model(fall, taken):
-    """Uphill it is refused; where the model rises again and the cost falls all the same it is poor."""
+    """Uphill it is refused.
+
+    Where the model rises again and the cost falls all the same it is poor.
+    """
     z, trial = (
         np.zeros(2),
         np.array([1.1, 0.0]),

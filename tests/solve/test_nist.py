@@ -1,4 +1,7 @@
-"""Certified regressions: estimates and standard errors from NIST's own starts, as static models of rows."""
+"""Certified regressions.
+
+Estimates and standard errors from NIST's own starts, as static models of rows.
+"""
 
 import numpy as np
 import pytest

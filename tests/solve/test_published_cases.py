@@ -1,4 +1,7 @@
-"""Identifications of other vehicles and machines: what they ask of a framework that a tilt loop does not."""
+"""Identifications of other vehicles and machines.
+
+What they ask of a framework that a tilt loop does not.
+"""
 
 import numpy as np
 import pytest
@@ -85,7 +88,10 @@ def test_an_undamped_oscillation_gets_substeps_by_its_frequency(pendulum):
 
 
 class Airspeed(gb.StateSpace):
-    """Airspeed and angle of attack of a glider, which no airspeed of zero allows; the density of the air is hidden."""
+    """Airspeed and angle of attack of a glider, which no airspeed of zero allows.
+
+    The density of the air is hidden.
+    """
 
     states = ("V", "alpha", "rho")
     inputs = ("gamma",)
@@ -121,7 +127,10 @@ def test_first_states_lie_where_the_model_is_finite():
 
 
 class Bicycle(gb.StateSpace):
-    """Side slip and yaw rate of a car; its measured speed divides, and so must not end with the record."""
+    """Side slip and yaw rate of a car.
+
+    Its measured speed divides, and so must not end with the record.
+    """
 
     states = ("v", "r")
     inputs = ("speed", "steer")

@@ -9,7 +9,10 @@ from greybox.solve.quadratic_program import solve_small_qp
 
 
 def made(seed, p=None, general=None, scales=0.0):
-    """A random convex program that zero satisfies: bounds on every unknown, and general constraints."""
+    """A random convex program that zero satisfies.
+
+    Bounds on every unknown, and general constraints.
+    """
     random = np.random.default_rng(seed)
     p = random.integers(1, 8) if p is None else p
     root = random.normal(size=(p, p))

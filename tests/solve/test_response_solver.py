@@ -40,7 +40,10 @@ def test_the_minima_of_the_paper_are_those_of_ipopt_from_every_start(module):
 
 
 def test_a_minimum_at_a_bound_is_found_as_often_as_by_ipopt():
-    """Without drag, a5 = 0, the pitch table at 5° is explained best; most searches end elsewhere."""
+    """Without drag, a5 = 0, the pitch table at 5° is explained best.
+
+    Most searches end elsewhere.
+    """
     problem = gb.Problem(Tilt(), pitch_5deg.data(), free=["a5"])
     wanted = gb.fit(problem, 30, search="multistart", progress=False, profiles=False)
     fit = gb.fit(problem, 30, progress=False, profiles=False)
@@ -74,7 +77,10 @@ def test_joint_problems_are_searched_together_too():
 
 @pytest.mark.parametrize("noise", [1e-4, 1e-6])
 def test_precise_points_are_fitted_from_every_start(noise):
-    """The gradient of their likelihood is rounded to more than a solver's tolerance; scipy begins at the truth."""
+    """The gradient of their likelihood is rounded to more than a solver's tolerance.
+
+    Scipy begins at the truth.
+    """
     data = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=noise, seed=2)
     sigma = noise * np.abs(data.response)
 
@@ -316,7 +322,10 @@ def test_the_limits_of_iterations_and_the_tolerance_are_options():
 
 
 def test_a_time_limit_cuts_between_batches(clock):
-    """On a clock that goes on by a second at every look: within a batch of which some have arrived."""
+    """On a clock that goes on by a second at every look.
+
+    Within a batch of which some have arrived.
+    """
     assert ResponseSolver(compile_problem(NOISY)).together == 1024
     wide = measured(LagLagDelay(), np.geomspace(0.1, 100, 150), TWO_LAGS, noise=0.03, seed=2)
     problem = gb.Problem(LagLagDelay(), wide)

@@ -25,7 +25,7 @@ OMEGA = np.geomspace(0.1, 10, 8)
 class Valley(gb.TransferFunction):
     """A gain with two kinks that meet in a valley, as of a table that is interpolated."""
 
-    a = gb.Parameter(3.3, bounds=(-5, 5))
+    A = gb.Parameter(3.3, bounds=(-5, 5))
     b = gb.Parameter(-2.0, bounds=(-5, 5))
 
     def response(self, s, p):
@@ -114,7 +114,10 @@ def test_what_is_no_time_is_refused():
 
 
 def test_limits_are_reached_at_their_end(monkeypatch):
-    """On a clock that stands at 100 s until it is set: of three starts at once of 5 s each, of which 2 s are spent."""
+    """On a clock that stands at 100 s until it is set.
+
+    Of three starts at once of 5 s each, of which 2 s are spent.
+    """
     now = [100.0]
     monkeypatch.setattr("greybox.solve.interruption.time", SimpleNamespace(time=lambda: now[0]))
     assert TimeLimits.from_now(7, None) == TimeLimits(math.inf, 107.0)

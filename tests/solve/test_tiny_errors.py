@@ -1,4 +1,7 @@
-"""Likelihoods of tiny errors, whose curvature is that of rounding: every start ends at the one minimum."""
+"""Likelihoods of tiny errors, whose curvature is that of rounding.
+
+Every start ends at the one minimum.
+"""
 
 import numpy as np
 

@@ -1,4 +1,7 @@
-"""A pool of worker processes: what becomes of calls whose worker is killed; `test_executors` has whole searches."""
+"""A pool of worker processes: what becomes of calls whose worker is killed.
+
+`test_executors` has whole searches.
+"""
 
 import os
 import signal

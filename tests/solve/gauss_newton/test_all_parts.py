@@ -1,4 +1,7 @@
-"""All parts of a problem: costs and penalties that add by their weights, and trajectories that go together."""
+"""All parts of a problem.
+
+Costs and penalties that add by their weights, and trajectories that go together.
+"""
 
 from dataclasses import replace
 
@@ -15,7 +18,10 @@ from greybox.solve.gauss_newton.driver import GaussNewton
 
 @pytest.fixture(scope="module")
 def made():
-    """A record of weight two, one of other outputs, and a response; an iterate with gaps between the segments."""
+    """A record of weight two, one of other outputs, and a response.
+
+    An iterate with gaps between the segments.
+    """
     omega = np.array([0.5, 2.0, 4.0])
     response = gb.frequency_response(Spring(), SPRING, omega, input="F", output="x").response * (
         1.1 + 0.05j

@@ -1,4 +1,7 @@
-"""The run of Gauss-Newton around its iteration: excerpts of long records, and the second attempt of a stalled run."""
+"""The run of Gauss-Newton around its iteration.
+
+Excerpts of long records, and the second attempt of a stalled run.
+"""
 
 import time
 from dataclasses import replace
@@ -153,7 +156,10 @@ def test_within_other_bounds_and_an_equation_runs_keep_to_them():
 
 
 def test_states_are_smoothed_at_given_parameters_where_the_model_is_finite():
-    """Of a lag that is twice too slow the nodes stay at the outputs; of the true one they are nearly continuous."""
+    """Of a lag that is twice too slow the nodes stay at the outputs.
+
+    Of the true one they are nearly continuous.
+    """
     nlp = compile_problem(gb.Problem(Lag(), record(0), HELD))
     solver = GaussNewton(nlp)
     z = nlp.scaling.to_solver(np.array([1.0]))

@@ -12,7 +12,10 @@ from greybox.solve.gauss_newton.line_search import REDUCTION, SHORTEST_STEP, lin
 
 @dataclass
 class Line:
-    """Stands for all parts: an iterate is a number, a step another one, and gaps are closed by going to `closed`."""
+    """Stands for all parts.
+
+    An iterate is a number, a step another one, and gaps are closed by going to `closed`.
+    """
 
     settings: Strategies = field(default_factory=Strategies)
     closed: float | None = None

@@ -122,7 +122,10 @@ def test_multipliers_are_those_of_the_active_constraints():
 
 @pytest.mark.parametrize("is_exact", [True, False], ids=["exact", "relaxed"])
 def test_a_missed_constraint_costs_its_penalty(is_exact):
-    """k <= 6.5 is missed by a half; the penalty is at least that of the multiplier which holds the step."""
+    """k <= 6.5 is missed by a half.
+
+    The penalty is at least that of the multiplier which holds the step.
+    """
     nlp, parts, iterate, weights, linearizations = prepared(
         {"k": 7.0, "c": 0.9, "b": 3.5}, constraints=[lambda p: 6.5 - p.k]
     )
@@ -181,7 +184,10 @@ def test_the_relaxed_merit_is_the_squares_of_residuals_and_gaps_and_infinite_whe
 
 
 def test_damping_of_nodes_shortens_a_step_and_is_no_part_of_what_it_promises():
-    """Two parts of one node w and one parameter z: the promise is the decrease of the quadratic cost of both."""
+    """Two parts of one node w and one parameter z.
+
+    The promise is the decrease of the quadratic cost of both.
+    """
     damping, slopes = 0.7, np.array([[1.0, -2.0], [-0.5, 3.0]])
     curvatures = np.array([[[2.0, 0.6], [0.6, 3.0]], [[1.5, -0.4], [-0.4, 5.0]]])
 

@@ -31,7 +31,10 @@ def of_size(value):
 
 
 class ShortPeriod(gb.StateSpace):
-    """The short-period motion of an aircraft, in boxes of thirty times its values: most points in them are unstable."""
+    """The short-period motion of an aircraft, in boxes of thirty times its values.
+
+    Most points in them are unstable.
+    """
 
     states, inputs, outputs = ("alpha", "q"), ("de",), ("alpha", "q", "az")
     Z_alpha, M_alpha, M_q, M_de, b_q, b_az = map(of_size, VALUES.values())

@@ -1,4 +1,7 @@
-"""Runs that meet on excerpts of a record: each is what it would be alone, and the way on from there is gone once."""
+"""Runs that meet on excerpts of a record.
+
+Each is what it would be alone, and the way on from there is gone once.
+"""
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace

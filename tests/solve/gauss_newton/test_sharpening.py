@@ -1,4 +1,7 @@
-"""A slope and an intercept far from the data: the normal equations hold no digit of what the data determine."""
+"""A slope and an intercept far from the data.
+
+The normal equations hold no digit of what the data determine.
+"""
 
 from types import SimpleNamespace
 
@@ -44,7 +47,10 @@ def test_what_counts_as_blurred():
 
 @pytest.mark.parametrize(("least", "blurred"), [(0.9e-9, True), (1.1e-9, False)])
 def test_a_hessian_is_blurred_from_a_part_in_1e9(least, blurred):
-    """Of the eigenvalues of that with unit diagonal, 1 ± c; a parameter without any curvature does not count."""
+    """Of the eigenvalues of that with unit diagonal, 1 ± c.
+
+    A parameter without any curvature does not count.
+    """
     c = (1 - least) / (1 + least)
     size = np.array([1e4, 1e-3, 0.0])
     hessian = np.array([[1.0, c, 0.0], [c, 1.0, 0.0], [0.0, 0.0, 0.0]]) * size * size[:, None]
@@ -105,7 +111,10 @@ def test_a_sharp_step_is_newtons_of_the_sum_of_squares():
 
 @pytest.mark.parametrize(("angle", "seen"), [(3e-8, True), (0.9e-8, False)])
 def test_directions_are_seen_whose_squares_are_lost(angle, seen):
-    """Of two columns at an angle, the singular values are as 2 to the angle; below 1e-8 a direction is rounding."""
+    """Of two columns at an angle, the singular values are as 2 to the angle.
+
+    Below 1e-8 a direction is rounding.
+    """
     J = np.array([[1.0, 1.0, 0.0], [0.0, angle, 0.0], [0.0, 0.0, 0.0]])
     right = np.array([0.0, 0.2 * angle])  # what b alone explains, with as much less of a
     gradient = -J[:2, :2].T @ right

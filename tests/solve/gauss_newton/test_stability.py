@@ -16,7 +16,10 @@ from greybox.solve.gauss_newton.stability import (
 
 
 class Gain:
-    """One gain, which is stable below one; a filter of process noise of a variance has that as gain."""
+    """One gain, which is stable below one.
+
+    A filter of process noise of a variance has that as gain.
+    """
 
     def __init__(self, place, slopes=None, left=None, diverges=False):
         self.place, self.slopes, self.left = place, slopes, left
@@ -110,7 +113,10 @@ def test_steps_to_unstable_predictors_go_part_of_the_way_to_the_limit():
     ("own", "taken"), [(10.0**-5.1, "own"), (10.0**-5.3, "filter"), (1.2, "filter")]
 )
 def test_the_best_gains_are_those_of_the_cheapest_filters_of_one_size_or_the_own(own, taken):
-    """In decades of gain, two parts want -4.1 and -6.1: the nearest filter is that of -5 for both."""
+    """In decades of gain, two parts want -4.1 and -6.1.
+
+    The nearest filter is that of -5 for both.
+    """
     parts = parts_of(Gain(0), None, Gain(1), weights=(1.0, 5.0, 1.0))
     iterate = Iterate(
         np.array([own, own]), (along(own, nodes=-4.1), along(0.0), along(own, nodes=-6.1))
