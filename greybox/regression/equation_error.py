@@ -109,7 +109,7 @@ class EquationErrorEstimate:
         lines += [f"left out: {text}" for text in self.left_out]
         lines += ["", *(f"state {text}" for text in self.states)]
         lines += [f"input {name} {text}" for name, text in self.inputs.items()]
-        lines += ["", *(f"warning: {text}" for text in self.warnings), ""]
+        lines += ["", *(f"warning: {text}" for text in self.warnings)]
         lines += [
             "Noise in the regressors biases the estimate by about 'bias by noise', which is not",
             "subtracted. Use the estimate as a start for gb.fit, which gives standard errors.",

@@ -29,7 +29,7 @@ uneven = functools.partial(st.floats, allow_nan=False, allow_infinity=False)
     offset=uneven(-50, 50),
     trend=uneven(-5, 5),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_least_squares_is_exact_on_any_sampling(seed, omega, alpha, beta, offset, trend):
     t = irregular(seed, max(6.0, 20 / omega))
     truth = complex(alpha, beta)

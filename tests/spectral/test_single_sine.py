@@ -37,7 +37,7 @@ def one_test(u, y, t, omega, **words):
     phase=uneven(-3.1, 3.1),
     periods=st.integers(1, 12),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_a_noise_free_periodic_response_is_exact(seed, omega, gain, phase, periods):
     t = irregular(
         seed, 5 + periods * 2 * math.pi / omega
@@ -184,7 +184,7 @@ def test_intervals_cover_in_closed_loop(omega, periods, sd, pole):
     assert 0.9 < np.sqrt(variance.mean() / np.mean(np.abs(error) ** 2)) < 1.35
 
 
-@pytest.mark.parametrize("periods", [2, 3, 10])
+@pytest.mark.parametrize("periods", [2, 10])
 @pytest.mark.parametrize("pole", [0.0, 0.9])
 def test_intervals_cover_in_open_loop(periods, pole):
     rng = np.random.default_rng(3)
