@@ -85,7 +85,6 @@ def fit_within_far_bounds(
 
 def _wider(quantity: Quantity) -> tuple[float, float]:
     low, high = quantity.bounds
-    at_low = quantity.value - low < high - quantity.value
-    if at_low:
+    if quantity.value - low < high - quantity.value:
         return (low * FACTOR if low < 0 else low / FACTOR, high)
     return (low, high * FACTOR if high > 0 else high / FACTOR)

@@ -6,7 +6,7 @@ from typing import Any
 from greybox.data.record import Record
 from greybox.estimate.result import Fit
 from greybox.simulation.windows import require_lengths
-from greybox.validation.common_likelihood import Likelihoods, common_likelihood
+from greybox.validation.common_likelihood import common_likelihood
 from greybox.validation.comparison import HELD_OUT, IDENTIFICATION, Comparison, Row
 from greybox.validation.held_out import (
     Predictions,
@@ -109,7 +109,8 @@ def compare(
     )
     notes = [*not_held_out(fits, names, held_out), *notes]
     if not_comparable and not different:
-        notes.append(_costs_not_compared(not_comparable, likelihoods))
+        what = "Costs, AIC and BIC" if likelihoods is None else "Costs"
+        notes.append(f"{what} are not compared: {not_comparable}.")
 
     bic = _known("BIC", rows)
     supported = verdict = ""
@@ -175,8 +176,3 @@ def _as_records(records: Any) -> list[Record]:
     if not all(isinstance(record, Record) for record in listed):
         raise TypeError(f"records is {records!r:.80}: give a Record or a list of them.")
     return listed
-
-
-def _costs_not_compared(reason: str, likelihoods: Likelihoods | None) -> str:
-    what = "Costs, AIC and BIC are" if likelihoods is None else "Costs are"
-    return f"{what} not compared: {reason}."
