@@ -271,6 +271,6 @@ def _described(orders: Orders, fit: Fit) -> tuple[str, tuple[str, ...]]:
     zeros, poles = np.roots(numerator), np.roots(denominator)
     delay = f" exp(-{number(fit.estimate['T_delay'], 3)} s)" if orders.delay else ""
     unstable = [f"{UNSTABLE} {root_text(p)}" for p in upper_half(poles) if p.real > 0]
-    pairs = [f"{pair}" for pair in near_pairs(zeros, poles)]
+    pairs = map(str, near_pairs(zeros, poles))
     formula = f"{factored(numerator, denominator)}{delay}"
     return formula, (*unstable, *pairs, *held_by_bounds(fit))
