@@ -185,9 +185,6 @@ class Information:
         Returns `bread` (a factor on JᵀJ) and `meat` (k, k), with the noise larger by the
         correction: the estimate has the covariance B⁻¹ M B⁻¹ of an M-estimator, see
         `greybox.formulation.frequency_criteria`.
-    relative_noise : float
-        Standard deviation of one component of the relative error of a frequency response; NaN for a
-        record.
     reach : (k,) array
         Lengths of the columns of the Jacobian before the initial states were fitted along: what is
         left of them is rounding where initial states make up for a value.
@@ -212,7 +209,6 @@ class Information:
     jacobian: Array
     numbers: int
     spread: Callable[[float], tuple[float, Array]]
-    relative_noise: float
     reach: Array
     initial: Mapping[str, Array] = field(default_factory=dict)
     colored: Callable[[Array], ColoredErrors] | None = None

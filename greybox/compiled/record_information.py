@@ -1,6 +1,5 @@
 """The information of a record on all values of a problem, for the covariance of the estimate."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -87,7 +86,6 @@ def record_information(
         columns.derivatives(slopes.triangle),
         part.numbers - initial,
         spread,
-        relative_noise=math.nan,
         reach=np.abs(columns.derivatives(slopes.reach)),
         initial={name: columns.derivatives(rows) for name, rows in slopes.initial.items()},
         colored=colored if in_order else None,

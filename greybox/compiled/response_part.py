@@ -1,6 +1,5 @@
 """A frequency response with its model: cost, exact derivatives, and real residuals."""
 
-import math
 from typing import Any
 
 import casadi as ca
@@ -189,12 +188,6 @@ class ResponsePart(Part):
                 neighbors.independent,
             )
 
-        nonzero = data.response != 0
-        errors = np.abs(response[nonzero] / data.response[nonzero] - 1)
-        # Isotropic normal errors with deviation s in each component have the mean magnitude
-        # s sqrt(π/2).
-        noise = float(errors.mean()) * math.sqrt(2 / math.pi) if errors.size else math.nan
-
         def offset(correction: float) -> Array:
             bias = criterion.gain_bias(criterion.noise(response, data, correction), len(data))
             return bias * criterion.jacobian(response, response[:, None], data)[:, 0]
@@ -205,7 +198,6 @@ class ResponsePart(Part):
             jacobian,
             len(jacobian),
             spread,
-            noise,
             reach,
             correlated=correlated,
             offset=offset,

@@ -402,7 +402,7 @@ class TransientPart(Part):
             return 1.0, meat * correction**2
 
         numbers = self.numbers - len(self.states)
-        return Information(self, jacobian, numbers, spread, math.nan, reach)
+        return Information(self, jacobian, numbers, spread, reach)
 
 
 def compile_spectrum(problem: Problem, expressions: Mapping[str, Any], z: ca.SX) -> TransientPart:

@@ -464,10 +464,6 @@ def test_each_part_of_a_sum_has_its_own_noise():
     data = [measured(Lags(), OMEGA, LAGS, noise, seed) for seed, noise in ((0, 0.01), (1, 0.08))]
     problem = sum(gb.Problem(Lags(), d) for d in data)
     fit = fitted(problem)
-    nlp = compile_problem(problem)
-    accuracy = assess(nlp, vector(fit, fit.free))
-    noise = [information.relative_noise for information in accuracy.informations]
-    assert_allclose(noise, [0.01, 0.08], rtol=0.25)
     bread, meat = 0, 0
     for part, d in zip(fit.parts, data, strict=True):
         error = np.abs(part.response - d.response) / np.abs(d.response)
