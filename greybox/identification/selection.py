@@ -15,7 +15,6 @@ from greybox.validation.same_data import count_numbers, count_unknowns
 # what is not noise exceeds the second share of the response. Residuals of adequate models scatter
 # about 1, of few points up to 1.5; a model within 5 % of the response serves whatever the noise.
 LIMITS = ((3.0, 0.05), (1.5, 0.3))
-WITHOUT_NOISE = 0.3  # share of the response, where the size of the noise is unknown
 
 
 # An unstable pole must be paid for by strong evidence (Kass and Raftery 1995): beside a zero, it
@@ -68,7 +67,7 @@ class Candidate:
     def explains(self) -> bool:
         """Whether the structure explains the data, as far as the noise allows to tell."""
         if math.isnan(self.noise):
-            return self.misfit <= WITHOUT_NOISE
+            return self.misfit <= 0.3  # the second share, as the noise is unknown
         beyond_noise = self.misfit * math.sqrt(max(0.0, 1 - 1 / self.noise**2))
         return all(self.noise <= factor or beyond_noise <= share for factor, share in LIMITS)
 
