@@ -136,7 +136,7 @@ class Wild(gb.StateSpace):
         ),
         (
             lambda: gb.Problem(Spring(), (DATA,)),
-            "data is a list with 1 in it: take it out of the list",
+            "data is a list with 1 in it",
         ),
         (
             lambda: gb.Problem(Spring(), gb.data.Recording({"A": DATA, "B": DATA})),
