@@ -109,10 +109,9 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     ----------
     problem : Problem or a sum of problems
     starts : int, Starts, or list
-        A number of starts, of which one has the declared values and the others are Sobol points; a
-        rule such as `LatinHypercube(200)`; or a list of ``{name: value}``. By default the 8 most
-        promising of 200, with records 4 of 20; all of them if few of these runs agree. With
-        records, starts at which the model is not finite move toward one at which it is, and from
+        A number of Sobol points, with records the declared values and one point less; a rule such
+        as `LatinHypercube(200)`; or a list of ``{name: value}``. By default the 8 most promising
+        of 200, with records 4 of 20; all of them if few of these runs agree. With records, starts at which the model is not finite move toward one at which it is, and from
         the best end of several runs, positive parameters four times larger and smaller are tried as
         extra runs.
     seed : int, optional
@@ -436,17 +435,13 @@ def _parts(
 
 
 def _rule(starts: Any, seed: int | None, solver: LocalSolver) -> Starts:
-    """Return the rule for starts; one of a number of starts has the declared values."""
+    """Return the rule for starts; for records the declared values are the first of a number."""
     number = solver.starts if starts is None else starts
     rule = as_starts(number, seed)
-    if isinstance(number, Starts | Sequence):
+    if isinstance(number, Starts | Sequence) or not solver.declared_first:
         return rule
-
     declared = Listed(({},))
-    if number == 1:
-        return declared
-    drawn = Sobol(number - 1, rule.seed or 0)
-    return Chained((declared, drawn) if solver.declared_first else (drawn, declared))
+    return Chained((declared, Sobol(number - 1, rule.seed or 0))) if number > 1 else declared
 
 
 def _all_costs(parts: Sequence[AnyFittedPart]) -> dict[str, float]:

@@ -75,7 +75,7 @@ class LocalSolver(Runner):
     starts : int
         Default number of starts.
     declared_first : bool
-        Whether the declared values are the first of a number of starts, or the last.
+        Whether the declared values are the first of a number of starts.
     promising : tuple of int
         How many of the screened starts are run first, and how many of these must agree.
     """

@@ -57,7 +57,6 @@ class ResponseSolver(LocalSolver):
     # A run takes some milliseconds, and the declared values of a transfer function are rarely
     # better than random ones.
     starts = 200
-    # The first of equal ends is reported: the last start does not change it.
     declared_first = False
     promising = (8, 4)
 

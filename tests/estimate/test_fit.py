@@ -357,8 +357,7 @@ def test_what_ctrl_c_and_time_limits_left_out_is_said():
 def test_a_number_of_starts_has_the_declared_values():
     solver = SimpleNamespace(starts=20, declared_first=True)
     other = SimpleNamespace(starts=200, declared_first=False)
-    assert _rule(None, 3, other) == Chained((Sobol(199, 3), Listed(({},))))
-    assert _rule(1, None, other) == Listed(({},))
+    assert _rule(None, 3, other) == Sobol(200, 3)
     assert _rule(None, 3, solver) == Chained((Listed(({},)), Sobol(19, 3)))
     assert _rule(2, None, solver) == Chained((Listed(({},)), Sobol(1, 0)))
     assert _rule(1, 3, solver) == Listed(({},))
