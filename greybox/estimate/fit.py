@@ -110,10 +110,10 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     problem : Problem or a sum of problems
     starts : int, Starts, or list
         A number of Sobol points, with records the declared values and one point less; a rule such
-        as `LatinHypercube(200)`; or a list of ``{name: value}``. By default the 8 most promising
-        of 200, with records 4 of 20; all of them if few of these runs agree. With records, starts at which the model is not finite move toward one at which it is, and from
-        the best end of several runs, positive parameters four times larger and smaller are tried as
-        extra runs.
+        as `LatinHypercube(200)`; or a list of ``{name: value}``. By default the 8 most promising of
+        200, with records 4 of 20; all of them if few of these runs agree. With records, starts at
+        which the model is not finite move toward one at which it is, and from the best end of
+        several runs, positive parameters four times larger and smaller are tried as extra runs.
     seed : int, optional
         Of the Sobol points, 0 by default; a rule has its own. More starts of the same seed begin
         with the same points.
