@@ -1,4 +1,4 @@
-"""Print the lowest declared version of everything that greybox and its tests need, as constraints for pip."""
+"""Print the lowest declared versions of all requirements of greybox and its tests, for pip."""
 
 import re
 import sys

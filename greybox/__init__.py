@@ -1,4 +1,4 @@
-"""Grey-box estimation: declare a model structure once, fit it to flight data, know how far to believe the answer.
+"""Grey-box estimation: declare a model structure once, fit it, know how far to believe the answer.
 
 Declare a model as a `TransferFunction` or a `StateSpace` with `Parameter`s, state a `Problem`
 (model, data, criterion), `fit` it, and print the `Fit`. The folders are namespaces:

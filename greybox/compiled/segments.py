@@ -282,7 +282,7 @@ class Segments:
                 J = np.einsum("cab,lbvc->lavc", weight[self.records[batch]], J)
 
             # Products of stacked matrices are fast for contiguous ones.
-            J = np.ascontiguousarray(J.reshape(-1, v + 1, J.shape[-1]).transpose(2, 0, 1))
+            J = np.ascontiguousarray(J.reshape(-1, v + 1, e.shape[-1]).transpose(2, 0, 1))
             H = J.transpose(0, 2, 1) @ J
             pieces.append((ends.transpose(2, 0, 1), H[:, :n].copy()))
             by_parameters += self.by_record(H[:, n:, n:], batch)

@@ -1,4 +1,4 @@
-"""Test signals, controllers, loops and their margins, virtual flights, and the planning of flight tests.
+"""Test signals, controllers, margins of loops, virtual flights, and plans of flight tests.
 
 Begin with `excitation` (what a test signal is) or `expected_errors` (what a planned test would
 tell).

@@ -1,4 +1,4 @@
-"""Stability margins of a fitted plant in the loop of its controllers, with the errors that those of the fit make.
+"""Stability margins of a fitted plant in the loop of its controllers, with their errors.
 
 Begin with `margins`.
 """
@@ -101,7 +101,7 @@ class Margins:
 
     @property
     def is_safe(self) -> bool:
-        """Whether the loop is stable at the estimate and, at this level, for what the fit leaves open."""
+        """Whether the loop is stable, at the estimate and at this level."""
         return self.is_stable and not self.instability > (1 - self.level) / 2
 
     @property
@@ -172,7 +172,7 @@ def margins(
     part: int = 0,
     level: float = 0.95,
 ) -> Margins:
-    """Return the stability margins of a plant with sampled controllers, and their confidence intervals.
+    """Return stability margins of a plant with sampled controllers, and their confidence intervals.
 
     The loop is that of `virtual_flight`: the controllers run at their rate, the control is held
     until the next sample, and the delay of the plant is exact. All margins are of the loop broken
@@ -220,9 +220,9 @@ def margins(
 
     Notes
     -----
-    A controller is linearized about its initial state: limits that are not reached play no part. The
-    delay of a model that was fitted to a measured frequency response already contains the hold of
-    the logged control, half a sample, which is not counted again.
+    A controller is linearized about its initial state: limits that are not reached play no part.
+    The delay of a model that was fitted to a measured frequency response already contains the
+    hold of the logged control, half a sample, which is not counted again.
 
     Sources: Franklin, Powell, Workman (1998), Digital Control of Dynamic Systems, section 4.3 (the
     sampled plant) and 7.4 (margins); ADS-33E-PRF and Tischler et al. (2017), Practical Methods for
@@ -276,7 +276,7 @@ def _margins_of_fit(
 
 
 def _margins(plant: str, loop: SampledLoop, signal: str, level: float) -> Margins:
-    """Return the margins of the first plant, with intervals from the draws and the open directions that follow it."""
+    """Return the margins of the first plant, with intervals from the other ones."""
     is_stable = loop.is_stable
     drawn = slice(1, 1 + DRAWS)
     instability = 1 - float(np.mean(is_stable[drawn])) if len(is_stable) > 1 else math.nan
@@ -299,17 +299,17 @@ def _margins(plant: str, loop: SampledLoop, signal: str, level: float) -> Margin
 
 
 def _draws(fit: Fit, names: Sequence[str]) -> Array:
-    """Return values (1 + `DRAWS` + open directions, parameters): the estimate, draws from its distribution, and the rest.
+    """Return values (plants, parameters): the estimate, draws from its distribution, others.
 
-    The last rows lie beside the estimate in directions of which the data say nothing.
+    The others lie beside the estimate in directions of which the data say nothing.
     """
     from scipy.special import chdtri, ndtri  # noqa: PLC0415  (takes a tenth of a second to import)
     from scipy.stats import qmc  # noqa: PLC0415  (takes a third of a second to import)
 
     if fit.directions is None:
         raise ValueError(
-            f"the fit {fit.name!r} has no covariance, so that margins would have no errors: its data leave no "
-            "degrees of freedom; add data or fix parameters."
+            f"the fit {fit.name!r} has no covariance, so that margins would have no errors: "
+            "its data leave no degrees of freedom; add data or fix parameters."
         )
     lines = {q.name: q for q in fit.quantities}
     center = np.array([lines[name].value for name in names])
@@ -379,7 +379,7 @@ def _quantities(
 
 
 def _crossings(values: Array) -> tuple[BoolArray, Array]:
-    """Return between which neighbors (plants, n - 1) the sign changes, and at what share of the way."""
+    """Return between which neighbors (plants, n - 1) the sign changes, and where between them."""
     before, after = values[:, :-1], values[:, 1:]
     changes = (before < 0) != (after < 0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -392,7 +392,7 @@ def _between(values: Array, share: Array) -> Array:
 
 
 def _smallest(values: Array, where: BoolArray, omega: Array) -> tuple[Array, Array]:
-    """Return the smallest of the values that count in each row and its frequency; infinite, NaN for none."""
+    """Return the smallest value that counts in each row, and its frequency; inf, NaN for none."""
     counted = np.where(where, values, math.inf)
     place = counted.argmin(axis=1)
     rows = np.arange(len(counted))

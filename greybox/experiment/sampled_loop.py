@@ -25,7 +25,7 @@ DOT = "_dot"  # after the name of a signal: its derivative in time
 
 
 class LinearController(NamedTuple):
-    """``x+ = F x + G (y, e)``, ``commands = H x + J (y, e)``: all controllers of a loop, about their initial states.
+    """``x+ = F x + G (y, e)``, ``commands = H x + J (y, e)``: all controllers of a loop.
 
     `y` is what they measure, `e` what is added to each command: a setpoint, or a control.
     """
@@ -79,7 +79,7 @@ class SampledLoop:
         return replace(self, **{name: getattr(self, name)[:1] for name in arrays})
 
     def plant_response(self, omega: Array) -> ComplexArray:
-        """Return the gains (plants, n, sensors, inputs) of the sampled plants at `omega` (n,) rad/s."""
+        """Return the gains (plants, n, sensors, inputs) of the plants at `omega` (n,) rad/s."""
         z = np.exp(1j * omega * self.period)
         delay = z[:, None, None] ** -self.whole[:, None, None, :]
         before = delay / z[:, None, None]
@@ -89,7 +89,7 @@ class SampledLoop:
         return plant.astype(complex)
 
     def gains(self, added_to: str, signals: Sequence[str], omega: ArrayLike) -> ComplexArray:
-        """Return the gains (plants, n, signals) in the closed loop from what is added to one signal.
+        """Return the gains (plants, n, signals) of the closed loop from an addition to one signal.
 
         `added_to` and `signals` are inputs of the plant, setpoints or outputs of controllers, or
         measured signals; the added signal is part of the signal that it is added to.
@@ -189,7 +189,7 @@ def sampled_loop(
     rate: float | None = None,
     delay_has: Literal["hold", "nothing"] = "nothing",
 ) -> SampledLoop:
-    """Return the loops of a model with each row of `values` (plants, parameters), linearized about `at`.
+    """Return loops of a model with each row of `values` (plants, parameters), linearized at `at`.
 
     The delay of a response that was measured from logged controls contains the half sample by which
     a held control is late; say so by ``delay_has="hold"``, and it is not counted twice. `measured`
@@ -222,7 +222,7 @@ def sampled_loop(
     whole = np.floor(delay / period + 1e-9)
     part = np.maximum(delay / period - whole, 0)
 
-    # Before a control arrives the one before it acts: exp(A t) and its integral, by one exponential.
+    # Before a control arrives the one before it acts: exp(A t) and its integral.
     transition, _ = _held(A, B, np.full(len(A), period))
     early, late = np.zeros_like(B), np.zeros_like(B)
     for i in range(B.shape[2]):
@@ -299,8 +299,9 @@ def measured_signal(
             return ca.jacobian(value, x) @ system.derivative(x, u, p)
     known = tuple(dict.fromkeys((*system.outputs, *system.states)))
     raise ValueError(
-        f"{label} has no {name!r} to measure; it has {', '.join(known)} and their time derivatives, "
-        f"such as '{known[0]}{DOT}': name one of them for {name!r} in the signals of the controller."
+        f"{label} has no {name!r} to measure; it has {', '.join(known)} and their time "
+        f"derivatives, such as '{known[0]}{DOT}': name one of them for {name!r} in the signals "
+        "of the controller."
     )
 
 

@@ -16,6 +16,7 @@ Splines of order two and three did worse on smooth signals and gained little on 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -196,7 +197,7 @@ def _cross_validated(amplitude: Array, omega: Array) -> float:
     # The score has several local minima: a grid finds the lowest, and a search refines it.
     best = min(candidates, key=score)
     width = candidates[1] - candidates[0]
-    refined = minimize_scalar(
+    refined: Any = minimize_scalar(
         score, bounds=(best - width, min(best + width, candidates[-1])), method="bounded"
     )
     return math.exp(refined.x if refined.fun < score(best) else best)

@@ -234,8 +234,10 @@ def with_finer_steps(
     )
     signatures = [ends[run.index].signature if run.index in ends else None for run in runs]
     moved = find_minima(nlp, [run for run in runs if run.index in ends], signatures)
-    minima = sorted([*moved, *search.minima[count:]], key=lambda m: m.cost)
-    return replace(search, runs=runs, minima=tuple(minima), nodes=ends[minima[0].runs[0]].nodes)
+    # The first that moved is the best, to rounding: what stayed costs no less than any that moved.
+    best, *others = moved
+    others = sorted([*others, *search.minima[count:]], key=lambda m: m.cost)
+    return replace(search, runs=runs, minima=(best, *others), nodes=ends[best.runs[0]].nodes)
 
 
 def _quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:

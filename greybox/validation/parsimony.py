@@ -18,7 +18,7 @@ def parsimony(
     sizes: Sequence[int],
     tests: Sequence[NestedTest] = (),
 ) -> tuple[int, str]:
-    """Return the structure with the fewest parameters whose BIC is within 2 of the least, and why."""
+    """Return the structure of fewest parameters whose BIC is within 2 of the least, and why."""
     best = min(range(len(bic)), key=lambda i: bic[i])
     near = [i for i, value in enumerate(bic) if value - bic[best] <= BARE_MENTION]
     k = min(near, key=lambda i: (sizes[i], bic[i]))

@@ -7,13 +7,11 @@ import numpy as np
 import pytest
 from hard_models import (
     CHAIN,
-    OVERFLOW,
     REACTOR,
     TANKS,
     GuardedTanks,
     Tanks,
     chain,
-    overflow,
     reactor,
     tanh_chain,
     tanks,
@@ -73,14 +71,6 @@ def test_a_state_that_nothing_shows_hinders_nothing_and_its_parameter_is_named()
     near(found, {"a": 3.0, "b": 2.0})
     assert np.isnan(found.standard_error["c"])
     assert any(text.startswith("c is not determined") for text in found.warnings)
-
-
-def test_a_limit_that_no_start_reaches_is_found_along_what_the_data_do_not_determine():
-    problem = overflow()
-    found = fit(problem, 4, seed=1)
-    assert found.cost <= gb.cost(problem, OVERFLOW) + 5
-    for name, value in OVERFLOW.items():
-        assert found.estimate[name] == pytest.approx(value, rel=0.05)
 
 
 @pytest.mark.parametrize("noise", ["diagonal", "full"])

@@ -25,7 +25,7 @@ OMEGA = np.geomspace(0.1, 10, 8)
 class Valley(gb.TransferFunction):
     """A gain with two kinks that meet in a valley, as of a table that is interpolated."""
 
-    A = gb.Parameter(3.3, bounds=(-5, 5))
+    a = gb.Parameter(3.3, bounds=(-5, 5))
     b = gb.Parameter(-2.0, bounds=(-5, 5))
 
     def response(self, s, p):

@@ -210,9 +210,6 @@ class Overflow(gb.StateSpace):
         return (p.g * x.h,)
 
 
-OVERFLOW = {"k": 0.8, "c": 0.6, "g": 3.0}
-
-
 def overflow():
     random, n = np.random.default_rng(0), 600
     u = levels(random, n, 20, 0, 1.3)
