@@ -109,6 +109,8 @@ def counted(plant, signal, repeats):
         response = gb.spectral.spectral_response(record, "u", "q", instrument=added, band=band)
         problem = gb.Problem(Rate(), response, gb.MaximumLikelihood())
         answer = gb.margins(gb.fit(problem, starts=4, progress=False), controller)
+        if not answer.is_stable:  # a miss of every margin
+            continue
         for name in NAMES:
             margin = answer[name]
             held[name] += bool(margin.low <= truth[name].value <= margin.high)

@@ -79,7 +79,7 @@ class Margins:
     level : float
         NaN without errors.
     notes : tuple of str
-        Why an interval is missing, or a number doubtful.
+        Why an interval is missing, and what the fit warns of.
     """
 
     plant: str
@@ -263,6 +263,8 @@ def _margins_of_fit(
     )
     signal = broken_at or loop.inputs[0]
     answer = _margins(model.label, loop, signal, level)
+    warned = tuple(f"The fit warns: {warning}" for warning in fit.warnings)
+    answer = replace(answer, notes=(*answer.notes, *warned))
     data = fitted.data
     if not isinstance(data, FrequencyResponse):
         return answer
