@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.response_band import require_level
 from greybox.estimate.result import Fit
@@ -265,13 +264,13 @@ def _margins_of_fit(
     answer = _margins(model.label, loop, signal, level)
     warned = tuple(f"The fit warns: {warning}" for warning in fit.warnings)
     answer = replace(answer, notes=(*answer.notes, *warned))
-    data = fitted.data
-    if not isinstance(data, FrequencyResponse):
+    if not isinstance(fitted, FittedResponse):
         return answer
+    omega = fitted.data.omega
     return replace(
         answer,
         margins=tuple(
-            replace(m, is_extrapolated=bool(m.omega < data.omega[0] or m.omega > data.omega[-1]))
+            replace(m, is_extrapolated=bool(m.omega < omega[0] or m.omega > omega[-1]))
             for m in answer.margins
         ),
     )
