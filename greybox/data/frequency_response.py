@@ -134,8 +134,7 @@ class FrequencyResponse:
         if counts.max() > 1:
             raise ValueError(
                 f"omega = {values[counts.argmax()]:g} rad/s is repeated: average the points of one "
-                "frequency, "
-                "or add two problems, one for each experiment."
+                "frequency, or add two problems, one for each experiment."
             )
 
         measured = np.isfinite(self.response)
@@ -145,8 +144,7 @@ class FrequencyResponse:
                 name,
                 ~out_of_range(getattr(self, name)),
                 "squares of such numbers are beyond floating-point arithmetic; choose another "
-                "unit, "
-                "or leave the point out",
+                "unit, or leave the point out",
             )
 
         for name in ("coherence", "variance", "dof"):
@@ -174,8 +172,8 @@ class FrequencyResponse:
             if not within.all():
                 raise ValueError(
                     "common_errors exceed the variance at omega = "
-                    f"{self.omega[np.argmin(within)]:g} rad/s, "
-                    "but they are a part of it: add their squares to it."
+                    f"{self.omega[np.argmin(within)]:g} rad/s, but they are a part of it: add "
+                    "their squares to it."
                 )
         errors.setflags(write=False)
 
@@ -358,7 +356,6 @@ class FrequencyResponse:
         extras = [name.replace("_", " ") for name, values in optional.items() if values is not None]
         return (
             f"{self.name or 'frequency response'}: {pair}, "
-            f"{counted(len(self), 'frequency', 'frequencies')} from "
-            f"{self.omega.min():g} to {self.omega.max():g} rad/s"
-            + (f", with {', '.join(extras)}" if extras else "")
+            f"{counted(len(self), 'frequency', 'frequencies')} from {self.omega.min():g} to "
+            f"{self.omega.max():g} rad/s" + (f", with {', '.join(extras)}" if extras else "")
         )

@@ -53,6 +53,6 @@ def checked_hold(name: str, seconds: Any) -> float:
         return float(seconds)
     raise ValueError(
         f"hold gives {name!r} the value {seconds!r:.40}: give math.inf for a signal that is held "
-        "until its next "
-        "sample, 0 for one that is interpolated, or how many seconds each value lasted."
+        "until its next sample, 0 for one that is interpolated, or how many seconds each value "
+        "lasted."
     )

@@ -59,8 +59,8 @@ def complex_response(
     negative = np.flatnonzero(size < 0)
     if negative.size:
         raise ValueError(
-            f"magnitude is {size[negative[0]]:g} at index {negative[0]}, below 0: "
-            "if these are decibels, say so, magnitude_unit='dB'."
+            f"magnitude is {size[negative[0]]:g} at index {negative[0]}, below 0: if these are "
+            "decibels, say so, magnitude_unit='dB'."
         )
 
     return np.asarray(size * np.exp(1j * to_si(phase_unit).apply(angle)), dtype=complex)

@@ -96,8 +96,8 @@ class Record:
         back = np.flatnonzero(np.diff(time) <= 0)
         if back.size and self.has_time:
             raise ValueError(
-                f"time does not increase after {time[back[0]]:.6f} s (index {back[0]}): "
-                "sort the samples and remove duplicates."
+                f"time does not increase after {time[back[0]]:.6f} s (index {back[0]}): sort the "
+                "samples and remove duplicates."
             )
 
         measured = {_printable(name): _read_only(x, name) for name, x in self.signals.items()}
@@ -192,8 +192,8 @@ class Record:
         rows = np.flatnonzero((self.time >= start) & (self.time <= end))
         if not rows.size:
             raise ValueError(
-                f"the record has no sample from {start:g} to {end:g} s; "
-                f"it runs from {self.time[0]:g} to {self.time[-1]:g} s."
+                f"the record has no sample from {start:g} to {end:g} s; it runs from "
+                f"{self.time[0]:g} to {self.time[-1]:g} s."
             )
         return self.rows(rows)
 
@@ -296,8 +296,8 @@ class Record:
             return f"{counted(len(self), 'row')} without a time"
         pieces = len(self.pieces)
         return (
-            f"{counted(len(self), 'sample')} at {self.rate:.4g} Hz, {self.duration:.1f} s "
-            f"from {self.time[0]:.1f} s{f' in {pieces} pieces' if pieces > 1 else ''}"
+            f"{counted(len(self), 'sample')} at {self.rate:.4g} Hz, {self.duration:.1f} s from "
+            f"{self.time[0]:.1f} s{f' in {pieces} pieces' if pieces > 1 else ''}"
         )
 
 
@@ -386,8 +386,8 @@ def require_time(record: Record, what: str) -> None:
     if not record.has_time:
         raise ValueError(
             f"{what} needs samples in time, and {record.name or 'the record'} has rows without a "
-            "time: give their "
-            "times, Record(time, ...), or for a table a column named 'time [s]' or a rate."
+            "time: give their times, Record(time, ...), or for a table a column named 'time [s]' "
+            "or a rate."
         )
 
 

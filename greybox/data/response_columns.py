@@ -51,8 +51,7 @@ def columns_by_role(columns: Mapping[str, str], header: Sequence[str]) -> dict[s
     if "frequency" not in columns or len(pairs) != 1 or not set(pairs[0]) <= set(columns):
         raise ValueError(
             f"is no frequency response by {', '.join(columns)} alone: name the columns of "
-            "frequency, magnitude and "
-            "phase, or of frequency, alpha and beta."
+            "frequency, magnitude and phase, or of frequency, alpha and beta."
         )
 
     result = {}
@@ -89,9 +88,8 @@ def written_columns(header: Sequence[str], prefix: str) -> dict[str, str]:
     if missing:
         raise ValueError(
             f"has no column {missing[0]!r}; it has {', '.join(header) or 'no header line'}: the "
-            "columns must be "
-            "omega_rad_s, alpha, beta and, if known, coherence, variance, dof, or be named, "
-            "columns={...}."
+            "columns must be omega_rad_s, alpha, beta and, if known, coherence, variance, dof, or "
+            "be named, columns={...}."
         )
     roles = [name.removeprefix(prefix) for name in header if name.startswith(prefix)]
     optional = [role for role in roles if role in EXTRAS or COMMON.fullmatch(role)]

@@ -80,8 +80,7 @@ class TransientSpectrum:
         ):
             raise ValueError(
                 f"omega must be increasing multiples of {2 * np.pi / self.duration:.6g} rad/s, 2π "
-                "over the duration: "
-                "use gb.spectral.transient_spectrum(record, ...)."
+                "over the duration: use gb.spectral.transient_spectrum(record, ...)."
             )
 
         object.__setattr__(self, "omega", omega)

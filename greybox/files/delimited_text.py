@@ -234,15 +234,13 @@ def has_decimal_comma(path: Path, rows: Iterable[tuple[int, Iterable[str]]]) -> 
     if comma and point:
         raise ValueError(
             f"{path}, line {comma[0]}, has {comma[1]!r} where line {point[0]} has {point[1]!r}: "
-            "write all numbers "
-            "with one decimal mark and without thousands separators."
+            "write all numbers with one decimal mark and without thousands separators."
         )
 
     if comma and not certain:
         raise ValueError(
             f"{path}, line {comma[0]}: {comma[1]!r} may have a decimal comma or a thousands "
-            "separator: "
-            "write a decimal point."
+            "separator: write a decimal point."
         )
 
     return comma is not None

@@ -75,8 +75,8 @@ def read_in_subprocess(kind: str, path: Path, *wanted: str) -> tuple[dict[str, A
         )
     if status or answer is None:
         raise ValueError(
-            f"{path} is damaged or of another format ({reason or 'no reason given':.160}): "
-            "export or copy it again."
+            f"{path} is damaged or of another format ({reason or 'no reason given':.160}): export "
+            "or copy it again."
         )
 
     return answer

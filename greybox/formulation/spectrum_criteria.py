@@ -44,8 +44,7 @@ class EquationError(TimeCriterion):
         """Refuse a record."""
         raise ValueError(
             "EquationError is for the Fourier integrals of a manoeuvre and the data are a record: "
-            "give gb.spectral.transient_spectrum(record, ...), or use "
-            "gb.regression.equation_error."
+            "give gb.spectral.transient_spectrum(record, ...), or use gb.regression.equation_error."
         )
 
     def condition_on(self, data: Any) -> str:

@@ -298,8 +298,7 @@ def chosen_manoeuvre(segments: Sequence[Segment], wanted: str) -> Segment:
     if len(numbers) > 1:
         raise ValueError(
             f"the log has {len(numbers)} manoeuvres of the kind {wanted!r}: give the number of "
-            "one, "
-            f"{', '.join(map(str, numbers))}."
+            f"one, {', '.join(map(str, numbers))}."
         )
 
     return segments[numbers[0] - 1]

@@ -149,8 +149,7 @@ def prepare(
     if keep.sum() < 2:
         raise ValueError(
             f"{', '.join(sources)} are never present at the same time from {grid[0]:.1f} to "
-            f"{grid[-1]:.1f} s: "
-            "choose signals, or a start and an end, that overlap."
+            f"{grid[-1]:.1f} s: choose signals, or a start and an end, that overlap."
         )
 
     values = {}

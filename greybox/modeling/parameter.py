@@ -86,8 +86,8 @@ class Parameter:
             )
         if first < low or last > high:
             raise ValueError(
-                f"starts ({first:g}, {last:g}) reach outside bounds ({low:g}, {high:g}): "
-                "narrow the start box or widen the bounds."
+                f"starts ({first:g}, {last:g}) reach outside bounds ({low:g}, {high:g}): narrow "
+                "the start box or widen the bounds."
             )
 
     @property

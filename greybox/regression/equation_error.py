@@ -241,8 +241,8 @@ def _require_motion(model: Model, system: Dynamics, record: Record) -> None:
         if name not in record.signals:
             raise ValueError(
                 f"the record has no signal {name!r}, an input of {model.label}; it has "
-                f"{', '.join(record.signals)}: name it with "
-                f"gb.prepare(..., signals={{{name!r}: ...}})."
+                f"{', '.join(record.signals)}: name it with gb.prepare(..., signals={{{name!r}: "
+                "...})."
             )
     signals = dict.fromkeys((*system.inputs, *system.states, *system.outputs))
     names = [name for name in signals if name in record.signals]

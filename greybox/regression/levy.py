@@ -124,9 +124,9 @@ class RationalFit:
                 damping = number(-root.real / abs(root), 3) if root else "-"
                 rows.append((kind, root_text(root), number(abs(root), 4), damping))
         lines = [
-            f"linear least squares (3.17), n = {self.n}, m = {self.m}"
-            f"{', with integrator' if self.integrators else ''}, {len(self.data)} frequencies, "
-            f"{how}",
+            f"linear least squares (3.17), n = {self.n}, m = "
+            f"{self.m}{', with integrator' if self.integrators else ''}, {len(self.data)} "
+            f"frequencies, {how}",
             f"P(s) = {self.factored}",
             text_table(("", "rad/s", "size", "damping"), rows),
             f"cost (4.26) {number(self.cost)}",

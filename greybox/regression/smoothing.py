@@ -76,8 +76,8 @@ def smooth(time: Array, values: Array, cutoff: float | None = None) -> Smoothed:
     if not parts:
         raise ValueError(
             f"the signal has no stretch of {SHORTEST} samples without a gap among its "
-            f"{values.size}, of which {int(np.isfinite(values).sum())} are finite: put it on "
-            "the time base of its own sensor with gb.prepare."
+            f"{values.size}, of which {int(np.isfinite(values).sum())} are finite: put it on the "
+            "time base of its own sensor with gb.prepare."
         )
     sines = [_sines(values[rows], step) for rows in parts]
     amplitude, omega = (np.concatenate(columns) for columns in zip(*sines, strict=True))
@@ -160,8 +160,8 @@ def require_uniform(time: Array) -> None:
     if odd.size:
         raise ValueError(
             f"sampling is not uniform: the step at {time[odd[0]]:.6g} s is {steps[odd[0]]:.4g} s "
-            f"and otherwise {step:.4g} s; put the signals on one time base with "
-            "gb.prepare(..., rate=...)."
+            f"and otherwise {step:.4g} s; put the signals on one time base with gb.prepare(..., "
+            "rate=...)."
         )
 
 

@@ -70,8 +70,7 @@ class OwnValues:
                 )
             notes.append(
                 f"{listed(texts)} {'was' if len(texts) == 1 else 'were'} estimated from {record} "
-                "itself: "
-                f"{counted(len(texts), 'value')} from {counted(self.numbers, 'number')}, "
+                f"itself: {counted(len(texts), 'value')} from {counted(self.numbers, 'number')}, "
                 "so the record is not held out in them."
             )
         if self.undetermined:

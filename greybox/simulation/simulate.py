@@ -296,8 +296,8 @@ def _model_and_record(
     missing = [name for name in estimated.system.inputs if name not in record.signals]
     if missing:
         raise ValueError(
-            f"{estimated.label} needs the input {missing[0]!r}, which the record does not have; "
-            f"it has {', '.join(record.signals) or 'none'}."
+            f"{estimated.label} needs the input {missing[0]!r}, which the record does not have; it "
+            f"has {', '.join(record.signals) or 'none'}."
         )
     return estimated, record
 
@@ -314,8 +314,8 @@ def _require_bounded(simulated: Mapping[str, Array], time: Array, model: ModelAt
     if abs(signals[name][max(when - 1, 0)]) > 1e6 or np.isfinite(signals[name][when]):
         raise ValueError(
             f"the simulation of {model.label} diverges at {time[when]:.6g} s: the model is "
-            "unstable at this estimate; predict it over windows instead, "
-            "gb.predict(..., horizon=...)."
+            "unstable at this estimate; predict it over windows instead, gb.predict(..., "
+            "horizon=...)."
         )
     raise ValueError(
         f"the simulation of {model.label} is not finite from {time[when]:.6g} s on, {name} first: "
@@ -358,8 +358,8 @@ def _initial_states(
         if values.ndim > 1 or values.size not in (1, stretches):
             raise ValueError(
                 f"initial gives {name!r} {values.size} values and the record has "
-                f"{counted(stretches, 'stretch', 'stretches')} without a gap: "
-                "give one value, or one for each."
+                f"{counted(stretches, 'stretch', 'stretches')} without a gap: give one value, or "
+                "one for each."
             )
         states[:, model.system.states.index(name)] = values
     return states

@@ -110,9 +110,9 @@ def cut(
     if not len(rows):
         longest = max((len(s) * s.step for s in stretches), default=0.0)
         raise ValueError(
-            f"{record.name or 'the record'} has no room for lead={lead:g} and "
-            f"{called}={horizon:g} s with measured outputs: its longest stretch without a gap "
-            f"lasts {seconds(longest)} s; give a shorter lead or {called}, or a longer record."
+            f"{record.name or 'the record'} has no room for lead={lead:g} and {called}={horizon:g} "
+            f"s with measured outputs: its longest stretch without a gap lasts {seconds(longest)} "
+            f"s; give a shorter lead or {called}, or a longer record."
         )
     return Windows(record, rows, lead_samples, horizon_samples)
 
@@ -157,6 +157,6 @@ def _require_signals(record: Record, inputs: Sequence[str]) -> None:
     if missing:
         raise ValueError(
             f"the record has no signal {missing[0]!r}, an input of the model; it has "
-            f"{', '.join(record.signals) or 'none'}: name it so in "
-            f"gb.prepare(..., signals={{{missing[0]!r}: ...}})."
+            f"{', '.join(record.signals) or 'none'}: name it so in gb.prepare(..., "
+            f"signals={{{missing[0]!r}: ...}})."
         )

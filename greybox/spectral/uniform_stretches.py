@@ -92,9 +92,9 @@ def _check_uniform(time: Array, record: Record) -> None:
     deviation = np.abs(time - uniform)
     if deviation.max() > JITTER * (uniform[1] - uniform[0]):
         raise ValueError(
-            f"{record.name or 'the record'} is not uniformly sampled "
-            f"({1e3 * deviation.max():.2g} ms off at {time[deviation.argmax()]:.2f} s): "
-            "resample it with gb.prepare(..., rate=...)."
+            f"{record.name or 'the record'} is not uniformly sampled ({1e3 * deviation.max():.2g} "
+            f"ms off at {time[deviation.argmax()]:.2f} s): resample it with gb.prepare(..., "
+            "rate=...)."
         )
 
 

@@ -5,11 +5,9 @@ from greybox.logs.axis_signals import AxisSignals
 # SID_AXIS from 1, https://ardupilot.org/copter/docs/parameters.html
 SYSTEMID_AXES = (
     "input roll,input pitch,input yaw,recovery roll,recovery pitch,recovery yaw,rate roll,rate "
-    "pitch,rate yaw,"
-    "mixer roll,mixer pitch,mixer yaw,mixer thrust,measured lateral position,measured longitudinal "
-    "position,"
-    "measured lateral velocity,measured longitudinal velocity,input lateral velocity,input "
-    "longitudinal velocity"
+    "pitch,rate yaw,mixer roll,mixer pitch,mixer yaw,mixer thrust,measured lateral "
+    "position,measured longitudinal position,measured lateral velocity,measured longitudinal "
+    "velocity,input lateral velocity,input longitudinal velocity"
 ).split(",")
 
 # s, SYSTEM_ID_DELAY: the waveform starts this long after the mode (ArduCopter/mode_systemid.cpp).

@@ -34,8 +34,7 @@ UNITS = {  # of the log, where greybox writes them differently
 }
 NO_RATE = (
     "there is no RATE message, so neither the rate setpoints nor the controls (ROut, POut, YOut) "
-    "were logged; "
-    "set LOG_BITMASK to log fast attitude and rates before the next flight."
+    "were logged; set LOG_BITMASK to log fast attitude and rates before the next flight."
 )
 
 

@@ -181,8 +181,7 @@ def _columns(
     if short:
         findings.append(
             f"{len(short)} of {len(rows)} lines have fewer cells than the header and were skipped, "
-            "the first is line "
-            f"{short[0]}."
+            f"the first is line {short[0]}."
         )
     if text_cells:
         findings.append(
@@ -250,8 +249,7 @@ def _time_first(
         unit = f" [{unread.unit}]" if unread.unit else ""
         raise ValueError(
             f"{path} has the column '{unread.name}{unit}', which is no time in numbers and a known "
-            "unit: give it in "
-            "seconds as 'time [s]', or another name if it is no time."
+            "unit: give it in seconds as 'time [s]', or another name if it is no time."
         )
 
     return dict(columns)

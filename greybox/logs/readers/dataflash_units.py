@@ -64,8 +64,7 @@ class UnitTables:
         """Letters that the table gives several units, in words."""
         return tuple(
             f"the table of units has the letter {letter!r} for {' and for '.join(sorted(labels))}: "
-            "what has it is "
-            "taken without a unit."
+            "what has it is taken without a unit."
             for letter, labels in self._several.items()
             if len(labels) > 1
         )

@@ -100,8 +100,7 @@ def recording(
     if not by_name:
         raise ValueError(
             f"{path} has no group with a vector 'time' (or t, timestamp) and vectors of its "
-            "length; "
-            f"it holds {', '.join(columns) or 'no vectors at all'}."
+            f"length; it holds {', '.join(columns) or 'no vectors at all'}."
         )
 
     return Recording(by_name, path.name, checksum, {}, tuple(findings))

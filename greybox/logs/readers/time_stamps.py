@@ -55,8 +55,7 @@ def one_clock(stamps: Array) -> tuple[Array, tuple[str, ...]]:
         if boot:
             findings.append(
                 f"the clock restarted at {end:.1f} s (another boot): later times were shifted by "
-                f"{shift:+.1f} s, "
-                f"to {PAUSE:g} s after it; the real pause is not known."
+                f"{shift:+.1f} s, to {PAUSE:g} s after it; the real pause is not known."
             )
         end = float(np.nanmax(piece)) + shift
 
