@@ -1,7 +1,7 @@
-"""Converts measured numbers to read-only arrays, and says how large and how small they may be.
+"""Converts measured numbers to read-only arrays, and limits how large and how small they may be.
 
 Fourth powers of the numbers, as in squares of sums of squares, must be finite. No physical quantity
-in any unit is outside of this range, but damaged files have such numbers.
+in any unit is outside this range, but damaged files have such numbers.
 """
 
 from typing import Any
@@ -23,9 +23,10 @@ def checked_array(name: str, values: ArrayLike, kind: type = float) -> NDArray:
     Raises
     ------
     ValueError
-        If the values are not a one-dimensional array of numbers; complex ones are not real.
+        If the values are not a one-dimensional array of numbers; complex numbers are not real.
     """
     try:
+        # numpy would convert dates, and texts such as "1", to numbers without an error.
         dtype = getattr(values, "dtype", None)
         dtype = np.asanyarray(values).dtype if dtype is None else dtype
         if dtype.kind not in ("biufc" if kind is complex else "biuf"):
@@ -51,6 +52,7 @@ def seconds_from_first(values: Any) -> Any:
     if getattr(getattr(values, "dtype", None), "kind", "") not in ("M", "m"):
         return values
     array = np.asarray(values)
+    # A slice, because an empty array has no first value.
     return (array - array[:1]) / np.timedelta64(1, "s")
 
 

@@ -22,7 +22,7 @@ COLUMNS = ("omega", "response", "coherence", "variance", "dof")
 
 @dataclass(frozen=True)
 class Stretch:
-    """A stretch of a record: the checksum of the record, and from when to when, s on its clock."""
+    """A stretch of a record: checksum of the record, start and end in s on its clock."""
 
     checksum: str
     start: float
@@ -32,8 +32,8 @@ class Stretch:
         """Check the times, and write out control characters."""
         if not (math.isfinite(self.start) and math.isfinite(self.end) and self.start <= self.end):
             raise ValueError(
-                f"a stretch runs from {self.start:g} to {self.end:g} s: give its first and its "
-                "last time."
+                f"a stretch runs from {self.start:g} to {self.end:g} s: give finite times, the "
+                "earlier one first."
             )
         object.__setattr__(self, "checksum", printable(str(self.checksum)))
         object.__setattr__(self, "start", float(self.start))
@@ -51,7 +51,7 @@ class FrequencyResponse:
     response : (n,) complex array
         Output over input, in the output's unit per the input's unit.
     input, output : str
-        Signal names, by which data and model meet. Empty: the only pair that the model has.
+        Signal names, as in the model. Empty: the only pair of the model.
     coherence : (n,) array, optional
         Magnitude-squared coherence γ², above 0 and at most 1.
     variance : (n,) array, optional
@@ -63,23 +63,23 @@ class FrequencyResponse:
     source : str
         Where the numbers come from.
     stretches : tuple of Stretch
-        The stretches of records that it was estimated from, if known: a fit to these and to the
-        response would use the same data twice.
+        The stretches of records from which it was estimated, if known: a fit to both these records
+        and the response would use the same data twice.
     units : mapping of signal name to str
         The units of input and output, if known.
     about : mapping of str to str
         How it was measured, in words: excitation, instrument, points that were dropped, filters in
-        the path, and the like. It takes no part in the checksum.
+        the path, and the like. The checksum does not include it.
     common_errors : (m, n) complex array, optional
-        Errors that all points have in common, as of a sensor's gain: row j is what one standard
-        deviation of the j-th adds to the response. They are a part of `variance`; the standard
-        errors of a fit contain them whole.
+        Errors that all points have in common, such as that of a sensor's gain: row j is what one
+        standard deviation of the j-th error adds to the response. They are a part of `variance`;
+        the standard errors of a fit include them in full, since averaging does not reduce them.
 
     Raises
     ------
     ValueError
-        For empty data, lengths that differ, NaN or infinite values, values beyond 1e75 or below
-        1e-75 (but zero), non-positive or repeated frequencies.
+        For empty data, different lengths, NaN or infinite values, values above 1e75 or below 1e-75
+        (zero is allowed), non-positive or repeated frequencies.
     """
 
     omega: Array
@@ -232,6 +232,7 @@ class FrequencyResponse:
         """Share of the variance that is independent from point to point, (n,)."""
         if self.common_errors is None or self.variance is None:
             return np.ones(len(self))
+        # Rounding in a file may leave a share slightly below zero.
         return np.maximum(1 - (np.abs(self.common_errors) ** 2).sum(axis=0) / self.variance, 0.0)
 
     @property
@@ -266,17 +267,20 @@ class FrequencyResponse:
         digest = hashlib.sha256(f"{self.input}->{self.output}".encode())
         for name in COLUMNS:
             values = getattr(self, name)
+            # The mark keeps a variance and a coherence of the same numbers apart.
             digest.update(b"-" if values is None else np.ascontiguousarray(values).tobytes())
         if self.common_errors is not None:
             digest.update(np.ascontiguousarray(self.common_errors).tobytes())
         return digest.hexdigest()
 
-    def where(self, kept: BoolArray) -> "FrequencyResponse":
-        """Return the points for which `kept` (n,) is true."""
+    def where(self, selected: BoolArray) -> "FrequencyResponse":
+        """Return the points for which `selected` (n,) is true."""
         arrays = {
-            name: values[kept] for name in COLUMNS if (values := getattr(self, name)) is not None
+            name: values[selected]
+            for name in COLUMNS
+            if (values := getattr(self, name)) is not None
         }
-        common = None if self.common_errors is None else self.common_errors[:, kept]
+        common = None if self.common_errors is None else self.common_errors[:, selected]
         return replace(self, **arrays, common_errors=common)
 
     def times_s(self, output: str = "") -> "FrequencyResponse":
@@ -295,7 +299,7 @@ class FrequencyResponse:
         # The unit of the output changes with the factor, so only that of the input is kept.
         name = output or self.output
         units = {key: value for key, value in self.units.items() if key == self.input}
-        with contextlib.suppress(ValueError):  # a unit that is not known has no rate that is
+        with contextlib.suppress(ValueError):  # of an unknown unit
             if self.units.get(self.output):
                 units[name] = to_si(self.units[self.output] + unit).si
         response = self.response * factor
@@ -325,7 +329,8 @@ class FrequencyResponse:
 
     @property
     def degrees(self) -> Array:
-        """Phase, (n,), degrees, without jumps; that of the lowest frequency is within ±180."""
+        """Phase, (n,), degrees, without jumps; at the lowest frequency it is within ±180."""
+        # The points may be in any order, and phase is continuous along frequency.
         order = np.argsort(self.omega)
         phase = np.empty(len(self))
         phase[order] = np.degrees(np.unwrap(np.angle(self.response[order])))
@@ -334,8 +339,7 @@ class FrequencyResponse:
     def to_pandas(self) -> Frame:
         """Return a pandas data frame with the angular frequency in rad/s as index.
 
-        Its other columns are `columns`; names, units and what the response says about itself stand
-        in ``frame.attrs``.
+        Its other columns are `columns`; ``frame.attrs`` has names, units and `about`.
 
         Raises
         ------

@@ -1,10 +1,11 @@
 """Signals between their samples: held, like the output of a controller, or continuous.
 
-The samples alone do not show it. A held control acts half a sample later than an interpolated one,
-and a delay or a lag of the model absorbs the difference without a trace in the residuals. So a
+The samples alone do not show which. A held control acts half a sample later than an interpolated
+one, and a delay or a lag of the model absorbs the difference without a trace in the residuals. So a
 record states how long each value of a signal lasts. A log at a lower rate than the controller lies
 between both extremes: each value lasted for less than a step of the log, and the values between the
-samples are unknown. Such a signal is interpolated and half of that time later.
+samples are unknown. Such a signal is interpolated, and delayed by half of the time for which a
+value lasted.
 
 Source: Åström and Wittenmark, Computer-Controlled Systems, 3rd ed., chapter 2 (sampling of a system
 with a zero-order hold); Ljung, System Identification, 2nd ed., section 13.3 (intersample behavior).
@@ -19,15 +20,15 @@ import numpy as np
 HELD = math.inf
 CONTINUOUS = 0.0
 
-# A value that lasts for this share of a step lasts until the next sample. A log has every value of
-# the controller, or every second, third ...: apart from the jitter of time stamps, a hold is a
-# whole step or at most half of one.
+# A value that lasts for more than this share of a step is held until the next sample. A log has
+# every value of the controller, or every second, third ...: apart from the jitter of time stamps, a
+# value lasts for a whole step or at most half of one.
 WHOLE = 0.75
 
 
 @dataclass(frozen=True)
 class Intersample:
-    """How samples are read: held until the next one, or interpolated and `late` seconds later."""
+    """A signal between its samples: held until the next one, or interpolated and `late` s later."""
 
     held: bool
     late: float = 0.0
@@ -39,12 +40,12 @@ class Intersample:
 
 
 def intersample(hold: float, step: float) -> Intersample:
-    """Return how samples at every `step` seconds are read whose values lasted `hold` seconds."""
+    """Return how a signal runs between samples `step` s apart if its values lasted `hold` s."""
     return Intersample(True) if hold > WHOLE * step else Intersample(False, hold / 2)
 
 
 def checked_hold(name: str, seconds: Any) -> float:
-    """Return how long each value of a signal lasted; raise ValueError for what is no time."""
+    """Return for how long each value of a signal lasted; ValueError if that is not a time."""
     if (
         isinstance(seconds, (int, float, np.number))
         and not isinstance(seconds, bool)

@@ -16,7 +16,7 @@ def angular_frequency(frequency: ArrayLike, unit: str) -> Array:
     Raises
     ------
     ValueError
-        For another unit, or what is no array of numbers.
+        For another unit, or anything but an array of numbers.
     """
     values = checked_array("frequency", frequency)
     si = _si(unit)
@@ -48,9 +48,8 @@ def complex_response(
         raise ValueError(f"the unit of phase is {phase_unit!r:.40}: give 'deg' or 'rad'.")
 
     if str(magnitude_unit).lower() == "db":
-        with np.errstate(
-            over="ignore"
-        ):  # what is too large is refused as a response, in a sentence of its own
+        # A magnitude that overflows is refused later, as a response that is too large.
+        with np.errstate(over="ignore"):
             size = np.minimum(10 ** (size / 20), np.finfo(float).max)
     elif magnitude_unit not in ("", "1", "abs", "absolute"):
         raise ValueError(
@@ -60,14 +59,14 @@ def complex_response(
     if negative.size:
         raise ValueError(
             f"magnitude is {size[negative[0]]:g} at index {negative[0]}, below 0: if these are "
-            "decibels, say so, magnitude_unit='dB'."
+            "decibels, give magnitude_unit='dB'."
         )
 
     return np.asarray(size * np.exp(1j * to_si(phase_unit).apply(angle)), dtype=complex)
 
 
 def _si(unit: str) -> str:
-    """Return the SI unit of a unit, or nothing."""
+    """Return the SI unit of a unit; empty for an unknown one."""
     try:
         return to_si(unit).si
     except (ValueError, AttributeError):

@@ -35,7 +35,7 @@ def frame_of(
 
 
 def require_frame(frame: Frame) -> None:
-    """Raise TypeError for what is no data frame, and ValueError for two columns of one name."""
+    """Raise TypeError for anything but a data frame, ValueError for two columns of one name."""
     if not hasattr(frame, "columns") or not hasattr(frame, "attrs"):
         raise TypeError(f"frame is {frame!r:.60}: give a pandas.DataFrame.")
     names = [str(name) for name in frame.columns]
@@ -45,21 +45,23 @@ def require_frame(frame: Frame) -> None:
 
 
 def columns_of(frame: Frame, without: str = "") -> dict[str, Array]:
-    """Return the columns of a data frame as numbers, by name, without that of the time.
+    """Return the columns of a data frame as numbers, by name, without the time column.
 
     Raises
     ------
     ValueError
-        If a column is not one of numbers.
+        If a column does not contain numbers.
     """
     result = {}
+    # By position: a name may be a number, and was made a text.
     for position, name in enumerate(map(str, frame.columns)):
         if name == without:
             continue
         column = frame.iloc[:, position]
         if column.dtype.kind not in "biuf":
             raise ValueError(
-                f"the column {name!r} of the data frame is not one of numbers: drop or convert it."
+                f"the column {name!r} of the data frame does not contain numbers: drop or convert "
+                "it."
             )
         result[name] = column.to_numpy(dtype=float, na_value=np.nan)
 
@@ -69,12 +71,12 @@ def columns_of(frame: Frame, without: str = "") -> dict[str, Array]:
 def times_of(frame: Frame, time: str | None) -> tuple[Array, str, tuple[str, ...]]:
     """Return the times of a data frame in s, the column that they come from, and findings.
 
-    The index is the time if it has dates, a name as of a time, or numbers that are not whole.
+    The index is the time if it has dates, the name of a time column, or floating-point numbers.
 
     Raises
     ------
     ValueError
-        If no column and no index is a time.
+        If neither a column nor the index is a time.
     """
     names = [str(name) for name in frame.columns]
     if time is not None and time not in names:
@@ -87,6 +89,7 @@ def times_of(frame: Frame, time: str | None) -> tuple[Array, str, tuple[str, ...
         values, name, column = index, str(index.name), ""
     elif column:
         values, name = frame.iloc[:, names.index(column)], column
+        # The array of a column knows its time zone, the column itself does not.
         values = values.array if values.dtype.kind == "M" else values
     else:
         raise ValueError(

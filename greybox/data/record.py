@@ -1,4 +1,4 @@
-"""Measured time histories: one experiment on one time base, and all that a log file holds."""
+"""Measured time histories: one experiment on one time base, and all records of a log file."""
 
 import hashlib
 import math
@@ -16,7 +16,7 @@ from greybox.data.pandas_frames import Frame, columns_of, frame_of, require_fram
 from greybox.files.arrays import Array, IntArray
 from greybox.files.text_table import alternatives, counted, one_line, printable
 
-# A step longer than this number of median steps is a gap: nothing is interpolated across it. One
+# A step longer than this number of median steps is a gap, across which nothing is interpolated. One
 # lost sample makes a step of two, which is not a gap; the half allows for jitter.
 GAP = 2.5
 # Two records are of one measurement if more than this share of the samples at common times are
@@ -34,36 +34,36 @@ class Record:
     time : (n,) array, s, or None
         Strictly increasing; dates and time differences count from the first. None for rows that
         have no order in time, as in a table of independent measurements: `time` is then the number
-        of each row, `has_time` is False, and static models alone can be fitted.
+        of each row, `has_time` is False, and only static models can be fitted.
     signals : mapping of name to (n,) array
-        Real numbers. NaN marks a sample that is missing, and so does the mask of a masked array.
-        Beyond ±1e75 values become infinite, which is missing too, and below 1e-75 zero: sums of
-        squares could not hold them.
+        Real numbers. NaN or the mask of a masked array marks a missing sample. Values beyond ±1e75
+        become infinite, which counts as missing, and values below 1e-75 become zero: their sums of
+        squares would overflow or vanish.
     units : mapping of name to str
-        SI after `prepare`; those of the log before.
+        SI units after `prepare`; before, those of the log.
     name, source : str
-        A label, and the file that it came from.
+        A label, and the name of the file.
     checksum : str
-        SHA-256 of that file; by default that of the numbers.
+        SHA-256 of that file; by default, of the numbers.
     metadata : mapping
         Vehicle, firmware, parameters and the like, from the log.
     filters : mapping of signal name to tuple
         Known filters that a signal has passed before it was logged, for a model to include.
     hold : mapping of signal name to float, s
-        How long each value lasted, if known, see `greybox.data.intersample`: infinity for a signal
-        that keeps its value until the next sample, as the output of a controller does; 0 for
-        samples of a continuous one, such as an attitude; seconds where values lasted for less than
+        For how long each value lasted, if known, see `greybox.data.intersample`: infinity for a
+        signal that keeps its value until the next sample, such as the output of a controller; 0 for
+        samples of a continuous signal, such as an attitude; seconds if values lasted for less than
         a step of the log.
     findings : tuple of str
-        Problems found in it, in words.
+        Problems of the record, in words.
     has_time : bool
         False for rows without a time.
 
     Raises
     ------
     ValueError
-        For empty records, lengths that differ, times that do not increase, units of unknown
-        signals, or a hold below 0.
+        For empty records, different lengths, times that do not increase, units of unknown signals,
+        or a hold below 0.
     """
 
     time: Array
@@ -83,7 +83,8 @@ class Record:
     def __post_init__(self) -> None:
         """Convert to read-only arrays and check them."""
         if self.time is None:
-            object.__setattr__(self, "time", _row_numbers(self.signals))
+            rows = next((np.size(values) for values in self.signals.values()), 0)
+            object.__setattr__(self, "time", np.arange(rows, dtype=float))
             object.__setattr__(self, "has_time", False)
         time = _read_only(seconds_from_first(self.time), "time")
         if time.size == 0:
@@ -118,7 +119,7 @@ class Record:
         unknown = [name for name in map(_printable, self.units) if name not in signals]
         if unknown:
             raise ValueError(
-                f"units names {unknown[0]!r}, which is no signal; it has "
+                f"units names {unknown[0]!r}, which is not a signal; the record has "
                 f"{alternatives(unknown[0], signals)}"
             )
         object.__setattr__(self, "time", time)
@@ -126,12 +127,13 @@ class Record:
         hold = {
             _printable(name): checked_hold(name, seconds) for name, seconds in self.hold.items()
         }
+        # The attributes of a data frame still name columns that were dropped.
         object.__setattr__(
             self, "hold", {name: seconds for name, seconds in hold.items() if name in signals}
         )
         for name in ("name", "source", "units", "findings"):
             object.__setattr__(self, name, _printable(getattr(self, name)))
-        # A checksum that is given is that of the file, by which excerpts of one log are recognized.
+        # A given checksum is that of the file: excerpts of one log are recognized by it.
         if not self.checksum:
             object.__setattr__(self, "checksum", _digest(time, signals))
 
@@ -152,9 +154,8 @@ class Record:
             return 1.0
         if len(self) < 2:
             return math.nan
-        steps = np.sort(
-            np.diff(self.time)
-        )  # np.median imports masked arrays, which takes a hundredth of a second
+        # np.median imports masked arrays, which takes a hundredth of a second.
+        steps = np.sort(np.diff(self.time))
         return float((steps[(steps.size - 1) // 2] + steps[steps.size // 2]) / 2)
 
     @property
@@ -169,22 +170,19 @@ class Record:
 
     @property
     def pieces(self) -> tuple["Record", ...]:
-        """The stretches between gaps, as records; rows without a time are one."""
+        """The stretches between gaps, as records; rows without a time are one piece."""
         if not self.has_time:
             return (self,)
-        # Relative to the median step: the mean would grow with the gaps that are looked for.
-        cuts = np.flatnonzero(np.diff(self.time) > GAP * self.step) + 1
-        return tuple(self.rows(slice(*ends)) for ends in pairwise([0, *cuts.tolist(), len(self)]))
+        # As slices, which copy nothing.
+        ends = [0, *(int(rows[-1]) + 1 for rows in self.independent_pieces)]
+        return tuple(self.rows(slice(*pair)) for pair in pairwise(ends))
 
     @property
     def independent_pieces(self) -> list[IntArray]:
-        """The rows of each stretch between gaps, or each row if there is no time."""
-        cuts = (
-            np.cumsum([len(piece) for piece in self.pieces])[:-1]
-            if self.has_time
-            else np.arange(1, len(self))
-        )
-        return np.split(np.arange(len(self)), cuts)
+        """The rows of each stretch between gaps; without a time, each row by itself."""
+        # Relative to the median step: the mean would grow with the gaps.
+        is_cut = np.diff(self.time) > (GAP * self.step if self.has_time else 0)
+        return np.split(np.arange(len(self)), np.flatnonzero(is_cut) + 1)
 
     def between(self, start: float, end: float) -> "Record":
         """Return the samples with start <= time <= end, s on the record's clock."""
@@ -201,6 +199,7 @@ class Record:
         self, units: Mapping[str, str] | None = None, **signals: ArrayLike
     ) -> "Record":
         """Return the record with signals added or replaced."""
+        # The numbers are no longer those of the file, so the checksum is computed again.
         return replace(
             self,
             signals={**self.signals, **signals},
@@ -222,19 +221,19 @@ class Record:
         Parameters
         ----------
         frame : pandas.DataFrame
-            Missing values are NaN. The time is its index, if that has dates or a name such as
-            ``time``, or else the column ``time``, ``t``, ``timestamp`` or ``Time (ms)``.
+            Missing values are NaN. The time is its index, if this has dates or a name such as
+            ``time``, else the column ``time``, ``t``, ``timestamp`` or ``Time (ms)``.
         time : str, optional
-            Another column that is the time. Dates and time differences count from the first.
+            Name of another time column. Dates and time differences count from the first.
         units : mapping of name to str, optional
-            In place of ``frame.attrs["units"]``, which `to_pandas` writes.
+            By default ``frame.attrs["units"]``, which `to_pandas` writes.
         others
             `name`, `hold` and the rest of a `Record`. ``has_time=False`` for rows without a time.
 
         Raises
         ------
         TypeError, ValueError
-            For what is no data frame, no table of numbers, or no record.
+            For anything but a data frame of numbers that makes a record.
         """
         require_frame(frame)
         moments, column, findings = None, "", ()
@@ -273,6 +272,7 @@ class Record:
 
     def rows(self, rows: IntArray | slice) -> "Record":
         """Return the samples of these indices, (m,), or of a slice, which is not copied."""
+        # The checksum stays: the samples are still those of one file.
         signals = {name: values[rows] for name, values in self.signals.items()}
         return replace(self, time=self.time[rows], signals=signals)
 
@@ -291,7 +291,6 @@ class Record:
         return f"{self.name or 'record'}: {self._extent()}: {signals}"
 
     def _extent(self) -> str:
-        """Say how many samples there are, and when."""
         if not self.has_time:
             return f"{counted(len(self), 'row')} without a time"
         pieces = len(self.pieces)
@@ -305,9 +304,9 @@ class Record:
 class Recording(Mapping[str, Record]):
     """The contents of one log file: a `Record` for every kind of message, on its own time base.
 
-    It is a mapping of message name to `Record`: ``recording["ATT"]["Pitch"]``. Messages that come
-    in several instances (lanes, sensors) are named ``"IMU[0]"``, ``"IMU[1]"``; the bare name is the
-    first of them.
+    It is a mapping of message name to `Record`: ``recording["ATT"]["Pitch"]``. Messages with
+    several instances (lanes, sensors) are named ``"IMU[0]"``, ``"IMU[1]"``; the bare name is the
+    first one.
 
     Attributes
     ----------
@@ -315,8 +314,8 @@ class Recording(Mapping[str, Record]):
     source, checksum : str
         File name and SHA-256 of the file.
     metadata : mapping
-        As far as known: ``vehicle, firmware`` (str), ``parameters`` (name to value, the last set),
-        ``texts`` (tuple of (time, text)), ``modes`` (tuple of (time, name)), s.
+        Those that are known of ``vehicle, firmware`` (str), ``parameters`` (name to last value),
+        ``texts`` (tuple of (time, text)), ``modes`` (tuple of (time, name)); times in s.
     findings : tuple of str
         Problems and omissions of the file, in words.
     """
@@ -355,12 +354,12 @@ class Recording(Mapping[str, Record]):
         Raises
         ------
         KeyError
-            If no message or several have it. The sentence names the alternatives.
+            If no message or several messages have it. The message names the alternatives.
         """
         message, dot, name = signal.rpartition(".")
         if dot:
             record = self[message]
-            record[name]
+            record[name]  # KeyError for an unknown field
             return record, name
         holders = [key for key, record in self.records.items() if signal in record.signals]
         if len(holders) != 1:
@@ -392,11 +391,10 @@ def require_time(record: Record, what: str) -> None:
 
 
 def share_samples(a: Record, b: Record) -> bool:
-    """Return whether two records hold some of the same measured samples.
+    """Return whether two records have some measured samples in common.
 
-    Of one file they do where their times overlap outside of gaps, or where they have a row in
-    common; others where they have the same values at the same times, as after
-    `Record.with_signals`.
+    Records of one file do if their times overlap outside gaps, or if they have a row in common.
+    Other records do if they have the same values at the same times, as after `Record.with_signals`.
     """
     if a.has_time != b.has_time:
         return False
@@ -423,15 +421,9 @@ def share_samples(a: Record, b: Record) -> bool:
     )
 
 
-def _row_numbers(signals: Mapping[str, ArrayLike]) -> Array:
-    """Return the number of every row; as many as the first signal has."""
-    return np.arange(
-        next((np.size(np.asarray(values)) for values in signals.values()), 0), dtype=float
-    )
-
-
 def _read_only(values: ArrayLike, name: str) -> Array:
-    """Return an array (n,) that nobody can write to, without a copy of one that already is."""
+    """Return a read-only array (n,), without a copy if it is read-only already."""
+    # A read-only view of an array that its owner may still change does not count.
     owner = values.base if isinstance(values, np.ndarray) and values.base is not None else values
     arrays = (values, owner)
     is_frozen = all(isinstance(x, np.ndarray) and not x.flags.writeable for x in arrays)

@@ -1,4 +1,4 @@
-"""Finds the columns of a frequency response, and their units, in a table of any origin."""
+"""Finds the columns of a frequency response, and their units, in any table."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -29,29 +29,29 @@ class Column(NamedTuple):
 
 
 def columns_by_role(columns: Mapping[str, str], header: Sequence[str]) -> dict[str, Column]:
-    """Return the column of every role, as in ``{"frequency": "f:Hz", "magnitude": "mag:dB", ...}``.
+    """Return the column of every role, from ``{"frequency": "f:Hz", "magnitude": "mag:dB", ...}``.
 
-    Names are those in the header, with or without a unit in brackets. A unit behind a colon goes
-    before the one in brackets.
+    Names are those in the header, with or without a unit in brackets. A unit behind a colon
+    overrides the one in brackets.
 
     Raises
     ------
     ValueError
-        For a role or column that does not exist, an incomplete pair, or a unit that is not stated.
-        The sentence continues one that begins with the name of the file.
+        For a role or column that does not exist, an incomplete pair, or a missing unit. The caller
+        puts the name of the file before the message.
     """
     for role in columns:
         if role not in ROLES and not COMMON.fullmatch(role):
             raise ValueError(
-                f"has no {role!r}, which is not a column of a frequency response; name "
+                f"cannot have {role!r}, which is not a column of a frequency response; name "
                 f"{alternatives(role, ROLES)}"
             )
     # One complete pair: magnitude with beta would be a response of its own making.
     pairs = [pair for pair in (RECTANGULAR, POLAR) if set(pair) & set(columns)]
     if "frequency" not in columns or len(pairs) != 1 or not set(pairs[0]) <= set(columns):
         raise ValueError(
-            f"is no frequency response by {', '.join(columns)} alone: name the columns of "
-            "frequency, magnitude and phase, or of frequency, alpha and beta."
+            f"needs more than the columns {', '.join(columns)} for a frequency response: name "
+            "those of frequency, magnitude and phase, or of frequency, alpha and beta."
         )
 
     result = {}
@@ -60,8 +60,7 @@ def columns_by_role(columns: Mapping[str, str], header: Sequence[str]) -> dict[s
         if role in UNITS and not column.unit:
             example = f"{text}:{UNITS[role].split()[-1]}"
             raise ValueError(
-                f"has the column {text!r} without a unit: say whether it is {UNITS[role]}, "
-                f"{example}."
+                f"has the column {text!r} without a unit: state {UNITS[role]}, as in {example}."
             )
         result[role] = column
 
@@ -81,8 +80,8 @@ def written_columns(header: Sequence[str], prefix: str) -> dict[str, str]:
     missing = [name for name in required.values() if name not in header]
     if missing and pairs and not prefix:
         raise ValueError(
-            f"holds several responses, {', '.join(pairs)}: choose one by the names of its input "
-            "and output."
+            f"has several responses, {', '.join(pairs)}: choose one by the names of its input and "
+            "output."
         )
 
     if missing:
@@ -122,7 +121,7 @@ def extras(values: Mapping[str, Array]) -> dict[str, Any]:
     Raises
     ------
     ValueError
-        For half of a common error.
+        If one part of a common error is missing.
     """
     optional: dict[str, Any] = {name: values[name] for name in EXTRAS if name in values}
     numbers = sorted({int(match[2]) for name in values if (match := COMMON.fullmatch(name))})
@@ -145,10 +144,10 @@ def find_column(text: str, header: Sequence[str]) -> Column:
     Raises
     ------
     ValueError
-        If there is none, or two. The sentence continues one that begins with the name of the file.
+        If there is no such column, or two. The caller puts the name of the file before the message.
     """
     name, _, unit = text.rpartition(":")
-    # A name as it stands goes first: it may have a colon or brackets of its own.
+    # The whole text is tried first: a name may have a colon or brackets of its own.
     bare = [heading(cell).name for cell in header]
     for wanted, stated in ((text, ""), (name, unit)):
         for names in (list(header), bare):

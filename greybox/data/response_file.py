@@ -31,22 +31,24 @@ def read_response(
 ) -> FrequencyResponse:
     """Read a `FrequencyResponse` from a CSV file.
 
-    The columns are ``omega_rad_s`` and those of `FrequencyResponse.columns`; their
-    order and further columns do not matter. A table of several responses names them
-    ``<prefix>alpha`` and so on, with one common ``omega_rad_s``; rows in which the chosen response
-    is blank are left out. `input` and `output` choose one of a matrix that `write_responses` wrote.
-    Tables with other columns are read with ``columns={"frequency": "f:Hz", "magnitude": "mag:dB",
-    "phase": "ph:deg", "coherence": "coh"}``: the name of each in the header and, unless it stands
-    there, its unit; ``alpha`` and ``beta`` may stand for magnitude and phase, rad/s, rad and
-    ``absolute`` for the units. Without a header line the columns have numbers, from 1, for names.
+    The columns are ``omega_rad_s`` and those of `FrequencyResponse.columns`, in any order; other
+    columns are ignored. A table of several responses names them ``<prefix>alpha`` and so on, with
+    one common ``omega_rad_s``; rows in which the chosen response is blank are left out. `input` and
+    `output` choose one response of a matrix that `write_responses` wrote.
+
+    Other tables are read with ``columns={"frequency": "f:Hz", "magnitude": "mag:dB", "phase":
+    "ph:deg", "coherence": "coh"}``: the name of each column in the header and, unless the header
+    has it, its unit. ``alpha`` and ``beta`` may replace magnitude and phase; other units are rad/s,
+    rad and ``absolute``. Without a header line, the names of the columns are their numbers, from 1.
+
     Cells are separated by commas, semicolons or tabs, numbers may have decimal commas, and lines
     that start with ``#`` or ``%`` are comments.
 
     Raises
     ------
     ValueError
-        If a column is missing, a line has more cells than the header, or a cell is not a number,
-        or might be two. The sentence names file, line and cell.
+        If a column is missing, a line has more cells than the header, or a cell is not a number or
+        can be read as two. The message names file, line and cell.
     FileNotFoundError
         If there is no such file.
     """
@@ -62,6 +64,7 @@ def read_response(
         raise ValueError(f"{path} {error}") from None
 
     values = table.numbers({role: column.place for role, column in places.items()})
+    # The comments of a file describe its only response, not those of a matrix.
     about = described({} if prefix else table.facts)
     about["input"] = input or about["input"]
     about["output"] = output or about["output"]
@@ -74,14 +77,19 @@ def read_response(
 def write_response(response: FrequencyResponse, path: str | Path) -> None:
     """Write `response` to a CSV file that `read_response` reads back exactly.
 
-    Before the numbers, comments ``# key: value`` hold the names and units of the signals, what the
-    response says about itself, and the stretches of records that it comes from.
+    Before the numbers, comments ``# key: value`` hold the names and units of the signals, what
+    `FrequencyResponse.about` says, and the stretches of records from which it was estimated.
     """
     path = Path(path)
     require_csv(path)
-    names = {key: text for key in NAMES[:2] if (text := getattr(response, key))}
+    facts = {
+        **{key: text for key in NAMES[:2] if (text := getattr(response, key))},
+        **{f"{UNIT}{name}": unit for name, unit in response.units.items() if unit},
+        **{key: text for key, text in response.about.items() if key not in NAMES},
+        **{f"{STRETCH}{k}": stretch_text(s) for k, s in enumerate(response.stretches, start=1)},
+    }
     columns = {key: x.tolist() for key, x in {OMEGA: response.omega, **response.columns}.items()}
-    write_delimited(path, names | facts_of(response), columns)
+    write_delimited(path, facts, columns)
 
 
 def write_responses(responses: Sequence[FrequencyResponse], path: str | Path) -> None:
@@ -97,7 +105,7 @@ def write_responses(responses: Sequence[FrequencyResponse], path: str | Path) ->
     """
     path = Path(path)
     require_csv(path)
-    # Pairs may have been measured at different frequencies; blank cells keep one column of them.
+    # Pairs may have been measured at different frequencies: cells of the others remain blank.
     omega = sorted({w for response in responses for w in response.omega.tolist()})
     columns: dict[str, list[object]] = {OMEGA: [*omega]}
     for response in responses:
@@ -113,18 +121,9 @@ def write_responses(responses: Sequence[FrequencyResponse], path: str | Path) ->
 
 
 def require_csv(path: Path) -> None:
-    """Refuse a name that does not end in .csv: the numbers would be taken for something else."""
+    """Refuse a name that does not end in .csv: readers choose the format by it."""
     if path.suffix.lower() != ".csv":
         raise ValueError(f"{path} is not the name of a table: give one that ends in .csv.")
-
-
-def facts_of(response: FrequencyResponse) -> dict[str, str]:
-    """Return units, remarks and stretches of a response by their keys in a file."""
-    return {
-        **{f"{UNIT}{name}": unit for name, unit in response.units.items() if unit},
-        **{key: text for key, text in response.about.items() if key not in NAMES},
-        **{f"{STRETCH}{k}": stretch_text(s) for k, s in enumerate(response.stretches, start=1)},
-    }
 
 
 def described(facts: Mapping[str, str]) -> dict[str, Any]:
@@ -149,21 +148,16 @@ def units_in(facts: Mapping[str, str]) -> dict[str, str]:
 
 
 def stretches_in(facts: Mapping[str, str]) -> tuple[Stretch, ...]:
-    """Return the stretches of records; a comment that only begins like one is not a stretch."""
+    """Return the stretches of records; a comment that only begins like one is ignored."""
     stretches = []
     for key, text in facts.items():
         if key.startswith(STRETCH):
             with contextlib.suppress(ValueError):
-                stretches.append(stretch_from(text))
+                checksum, start, end = text.rsplit(maxsplit=2)
+                stretches.append(Stretch(checksum, float(start), float(end)))
     return tuple(stretches)
 
 
 def stretch_text(stretch: Stretch) -> str:
     """Return a stretch as text for a file."""
     return f"{stretch.checksum} {stretch.start!r} {stretch.end!r}"
-
-
-def stretch_from(text: str) -> Stretch:
-    """Return the stretch from the text in a file; ValueError for other texts."""
-    checksum, start, end = text.rsplit(maxsplit=2)
-    return Stretch(checksum, float(start), float(end))

@@ -1,4 +1,4 @@
-"""One excited segment of an experiment, and a table of several."""
+"""One excited segment of an experiment, and a table of segments."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -18,15 +18,16 @@ class Segment:
     ----------
     start, end : float, s
         On the record's clock.
-    kind : "sine", "sweep" or "multisine"; of a manoeuvre one of `MANOEUVRES`
+    kind : "sine", "sweep", "multisine", or one of `MANOEUVRES`
     axis : str
-        As named in the log, or the setpoint's name.
+        The axis as named in the log, or the name of the setpoint.
     omega : float, rad/s
         Frequency of a sine; NaN otherwise.
     band : (low, high), rad/s
-        Frequencies covered; for a sine both are `omega`.
+        Frequencies covered; for a sine, both are `omega`.
     amplitude, offset : float
-        Of the excitation and its operating point, in `unit` (as the log has it); NaN if not known.
+        Amplitude of the excitation, and its operating point, in `unit` (that of the log); NaN if
+        unknown.
     source : str
         How it was detected: "SIDS", the announcing message, or "setpoint ...".
     usable : bool
@@ -35,7 +36,7 @@ class Segment:
     Raises
     ------
     ValueError
-        If end is not after start, or the kind is none of these.
+        If the end is not after the start, or the kind is unknown.
     """
 
     start: float
@@ -76,7 +77,7 @@ class Segment:
         return self.duration * self.band[0] / (2 * math.pi)
 
     def refused(self, *findings: str) -> "Segment":
-        """Return the segment with more findings, not usable."""
+        """Return the segment as not usable, with more findings."""
         return replace(self, usable=False, findings=(*self.findings, *findings))
 
     def __repr__(self) -> str:
@@ -111,9 +112,8 @@ def segment_table(segments: Sequence[Segment]) -> str:
             if s.kind == "sine"
             else f"{number(s.band[0], 3)} to {number(s.band[1], 3)}"
         )
-        periods = (
-            number(s.periods, 3) if s.kind == "sine" else "-"
-        )  # of a sweep, few of its lowest say little
+        # The periods of a sweep's lowest frequency say little about the sweep.
+        periods = number(s.periods, 3) if s.kind == "sine" else "-"
         times = (f"{s.start:.2f}", f"{s.end:.2f}", s.kind, s.axis, band, periods)
         sizes = (f"{number(s.amplitude, 3)} {s.unit}".rstrip(), number(round(s.offset, 9), 3))
         rows.append((str(k), *times, *sizes, "yes" if s.usable else "no", s.source))
@@ -128,11 +128,12 @@ def segment_table(segments: Sequence[Segment]) -> str:
 
 def checked_segments(segments: Iterable[object]) -> tuple[Segment, ...]:
     """Return the segments; TypeError for anything else, such as the parts of an `Excitation`."""
-    checked = tuple(segments)
-    for segment in checked:
+    checked = []
+    for segment in segments:
         if not isinstance(segment, Segment):
             raise TypeError(
                 f"a segment is {segment!r:.60}: give those of gb.logs.find_segments, or "
                 "gb.data.Segment(start, end)."
             )
-    return tuple(segment for segment in checked if isinstance(segment, Segment))
+        checked.append(segment)
+    return tuple(checked)

@@ -1,9 +1,9 @@
 """Recognizes the time column of a table by its name, and its clock by the size of the numbers.
 
-Loggers write times in s, ms, µs or ns, often without saying which: ROS counts ns since 1970, PX4's
-``ulog2csv`` µs and Crazyflie ms since the start. A wrong unit makes every time constant wrong by
-1000. So a column without a unit is in s only where the rate is plausible, and what was assumed
-becomes a finding.
+Loggers write times in s, ms, µs or ns, often without stating which: ROS counts ns since 1970, PX4's
+``ulog2csv`` µs and Crazyflie ms since the start. A wrong unit makes every time constant wrong by a
+factor of 1000. So a column without a unit is taken for seconds only if the rate is then plausible,
+and a finding states the assumption.
 """
 
 import math
@@ -26,10 +26,10 @@ PLAUSIBLE = (1e-3, 1e5)
 
 
 def seconds(name: str, unit: str = "") -> float | None:
-    """Return the seconds of one tick if this is the name of a time column, else None.
+    """Return the length of a tick in s if this is the name of a time column, else None.
 
-    That is time, t, timestamp or tout, in any case, with a unit of its own or as in ``time_ms``
-    (else in seconds), and TimeUS and TimeMS as ArduPilot's tools write it.
+    Names are time, t, timestamp and tout, in capitals or not, with a unit or a suffix as in
+    ``time_ms`` (else in seconds), and TimeUS and TimeMS, as ArduPilot's tools write it.
     """
     name = name.lower()
     if name in ARDUPILOT:
@@ -41,7 +41,7 @@ def seconds(name: str, unit: str = "") -> float | None:
 
 
 def tick(unit: str) -> float | None:
-    """Return the seconds of a unit of time; None for any other unit."""
+    """Return a unit of time in s; None for any other unit."""
     try:
         conversion = to_si(unit.lower())
     except ValueError:
@@ -50,14 +50,14 @@ def tick(unit: str) -> float | None:
 
 
 def times_in_seconds(name: str, unit: str, values: Array) -> tuple[Array, tuple[str, ...]]:
-    """Return the times of a column (n,) in s, and a finding where its unit had to be assumed.
+    """Return the times of a column (n,) in s, and a finding if its unit had to be assumed.
 
     Times since 1970 count from the first sample.
 
     Raises
     ------
     ValueError
-        If the unit is not stated, and seconds would be implausible.
+        If the unit is not stated and seconds would be implausible.
     """
     times = values.astype(float)
     finite = times[np.isfinite(times)]
@@ -66,6 +66,7 @@ def times_in_seconds(name: str, unit: str, values: Array) -> tuple[Array, tuple[
 
     name = printable(name)
     step = float(np.median(np.diff(finite)))
+    # The absolute time decides first: it tells the unit whatever the rate.
     for ticks, first in EPOCHS.items():
         if first <= finite[0] < 4.1 * first:
             text = f"{name} was taken for {ticks} since 1970: times are from the first sample."
@@ -74,7 +75,7 @@ def times_in_seconds(name: str, unit: str, values: Array) -> tuple[Array, tuple[
     # Ticks of a counter are whole; seconds since the start rarely are.
     is_whole = bool(np.all(finite == np.round(finite)))
     if name.lower().startswith("timestamp") and is_whole and step >= 1:
-        # A log at 1 kHz has 1000 µs a step, and one at 1 Hz has 1000 ms.
+        # A step of 1000 is 1 ms at 1 kHz in µs, or a second in ms, and logs are rarely that slow.
         ticks = "µs" if step >= 1000 else "ms"
         return times * (tick(ticks) or 1.0), (f"{name} has no unit and was taken for {ticks}.",)
 

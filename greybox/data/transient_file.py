@@ -24,9 +24,9 @@ PARTS = ("alpha", "beta")  # real and imaginary part, as in the file of a respon
 def write_spectrum(spectrum: TransientSpectrum, path: str | Path) -> None:
     """Write a spectrum to a CSV file that `read_spectrum` reads back exactly.
 
-    CSV has the column ``omega_rad_s`` and for every signal ``<signal>_alpha, <signal>_beta``, the
-    real and imaginary parts of its integral; before them, in comments ``# key: value``, what else
-    the spectrum knows.
+    The file has the column ``omega_rad_s`` and, for every signal, ``<signal>_alpha`` and
+    ``<signal>_beta``, the real and imaginary parts of its integral. Comments ``# key: value``
+    before them hold everything else.
 
     Raises
     ------
@@ -62,7 +62,7 @@ def read_spectrum(path: str | Path) -> TransientSpectrum:
     Raises
     ------
     ValueError
-        If the file is damaged or something else; the sentence names it.
+        If the file is damaged or of another kind.
     FileNotFoundError
         If there is no such file.
     """
@@ -70,7 +70,7 @@ def read_spectrum(path: str | Path) -> TransientSpectrum:
     require_file(path)
     table = read_delimited(path, path.read_bytes())
     if table.facts.get("kind") != KIND:
-        raise ValueError(f"{path} is no {KIND}: give a file that gb.data.write_spectrum wrote.")
+        raise ValueError(f"{path} is not a {KIND}: give a file that gb.data.write_spectrum wrote.")
     try:
         return _from_table(table)
     except (LookupError, TypeError, ValueError) as error:
@@ -79,6 +79,7 @@ def read_spectrum(path: str | Path) -> TransientSpectrum:
 
 def claims_spectrum(path: Path) -> bool:
     """Return whether a file claims to contain a spectrum."""
+    # The kind is in the first comment, and a file may be large.
     with path.open("rb") as file:
         head = file.read(4096)
     return b"\0" not in head and read_delimited(path, head).facts.get("kind") == KIND

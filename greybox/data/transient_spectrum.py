@@ -1,4 +1,4 @@
-"""Fourier integrals of inputs and outputs over one manoeuvre; not their ratio."""
+"""Fourier integrals of inputs and outputs over one manoeuvre, not divided by one another."""
 
 import hashlib
 from collections.abc import Mapping
@@ -33,16 +33,16 @@ class TransientSpectrum:
         Sampling interval.
     input_change : mapping of name to float
         Last less first value of each input, from which the integral of a delayed input follows; 0
-        where left out.
+        for inputs that are not listed.
     units : mapping of name to str
     name, source : str
     stretch : Stretch, optional
-        The part of a record that it was computed from.
+        The part of the record from which it was computed.
 
     Raises
     ------
     ValueError
-        For frequencies off the grid, lengths that differ, or numbers that are not finite.
+        For frequencies off the grid, different lengths, or numbers that are not finite.
     """
 
     omega: Array
@@ -65,8 +65,8 @@ class TransientSpectrum:
             object.__setattr__(self, kind, values)
         if not (np.isfinite(self.duration) and 0 < self.step < self.duration):
             raise ValueError(
-                f"duration {self.duration!r} s and step {self.step!r} s must be finite, and the "
-                "step the shorter one."
+                f"duration is {self.duration!r} s and step {self.step!r} s: give finite numbers, "
+                "the step above 0 and shorter than the duration."
             )
         omega = _checked("omega", self.omega, float)
         # Off this grid constants leak into the integrals, and errors are correlated.
@@ -140,8 +140,8 @@ class TransientSpectrum:
     def delayed_input(self, name: str, delay: float) -> ComplexArray:
         """Return the integral of an input that acts `delay` seconds later, (n,).
 
-        It is taken to have had its first value before the manoeuvre, and its last one during the
-        last `delay` seconds:
+        The input is assumed to have its first value before the manoeuvre, and its last value during
+        the last `delay` seconds:
 
             ∫ u(t - τ) exp(-jωt) dt = exp(-jωτ) U - (u(T) - u(0)) (1 - exp(-jωτ)) / jω.
         """

@@ -113,15 +113,15 @@ NAMED = {
 }  # fmt: skip
 NAMED |= {"deg C": NAMED["degC"], "deg F": NAMED["degF"], "r/min": NAMED["rpm"]}
 
-# Units that are also written in capitals, as in RPM or KTS; shorter ones are other units then, as
-# M, S and MS may be.
+# Units that may be written in capitals, such as RPM and KTS. Shorter names would then be other
+# units, as M, S and MS may be.
 CAPITALS = {
     name.lower(): unit
     for name, unit in NAMED.items()
     if len(name) > 2 or name in ("ft", "kt", "in")
 }
 
-# Not Hz: that of a rotation is 2π rad/s, and 1/s one.
+# Not Hz, which is 2π rad/s for a rotation and 1/s otherwise.
 IN_BASE_UNITS = {
     "N": "kg m s-2",
     "Pa": "kg m-1 s-2",
@@ -132,12 +132,13 @@ IN_BASE_UNITS = {
     "T": "kg s-2 A-1",
 }
 
+# Names with a second meaning; in products they are refused.
 DOUBTFUL = {
     "g": "gram",
     "G": "gauss",
     "mG": "milligauss",
     "C": "coulomb",
-}  # and what else they may be; not in products
+}
 POUNDS = ("lb", "lbs", "pound", "pounds")
 
 SUPERSCRIPTS = "⁰¹²³⁴⁵⁶⁷⁸⁹⁻"
@@ -171,13 +172,12 @@ class Conversion:
 
 @lru_cache(maxsize=1024)
 def to_si(unit: str) -> Conversion:
-    """Return how numbers in `unit` become SI; without a unit they remain what they are.
+    """Return the conversion of numbers in `unit` to SI; numbers without a unit do not change.
 
     Raises
     ------
     ValueError
-        If the unit is not known or may mean two things, in words to which the name of the signal
-        can be added.
+        If the unit is unknown or ambiguous. The caller adds the name of the signal and a full stop.
     """
     text = unit.strip()
     if not text:
@@ -197,6 +197,7 @@ def to_si(unit: str) -> Conversion:
     for name, power in _powers(text[leading.end() :] if leading else text).items():
         if name.lower() in POUNDS:
             raise ValueError(f"{name} may be a pound of mass or of force, write lbm or lbf")
+        # A remark can state the assumption about one unit, not about a part of a product.
         named = None if name in DOUBTFUL else _named(name)
         if named is None:
             raise ValueError(f"the unit {unit!r} is not known")
@@ -211,6 +212,7 @@ def to_si(unit: str) -> Conversion:
 
 def are_of_one_kind(a: Conversion, b: Conversion) -> bool:
     """Return whether two units measure the same kind of quantity; radians are pure numbers."""
+    # Derived units may be written in several ways: N/kg and m/s² are one kind.
     kinds = []
     for conversion in (a, b):
         powers: dict[str, int] = {}
@@ -235,11 +237,12 @@ def _named(name: str) -> _Unit | None:
 
 
 def _powers(text: str) -> dict[str, int]:
-    """Return the names in a product with their exponents; none where it is no product."""
+    """Return the names in a product with their exponents; empty if the text is not a product."""
     plain = text.translate(str.maketrans(SUPERSCRIPTS, PLAIN))
     powers: dict[str, int] = {}
-    side = 1  # of the division that the next name is on
-    group = 0  # that of the parentheses around it, if any
+    # Signs of the exponents: -1 behind a slash. A slash before parentheses holds for all in them.
+    side = 1
+    group = 0
     at = 0
     while at < len(plain):
         token = TOKEN.match(plain, at)

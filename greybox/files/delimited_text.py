@@ -2,8 +2,8 @@
 
 A spreadsheet writes what its country does: semicolons or tabs between cells and commas in numbers.
 The header line decides the separator, all numbers together decide the decimal mark. A table that
-can be read in two ways is refused, with the line to look at: a wrong number would be worse than
-none.
+can be read in two ways is refused, and the message names the line: a wrong number would be worse
+than no number.
 """
 
 import csv
@@ -57,13 +57,13 @@ class DelimitedText:
     facts: Mapping[str, str]
 
     def rows(self) -> Iterator[tuple[int, list[str]]]:
-        """Yield the number of each line and its stripped cells, which may be fewer than the names.
+        """Yield the number of each line and its stripped cells; a line may have too few of them.
 
         Raises
         ------
         ValueError
-            If a line has more cells than the header, as decimal commas between commas make them; or
-            if the file is not CSV.
+            If a line has more cells than the header (as with decimal commas in a file separated by
+            commas), or if the file is not CSV.
         """
         width = len(self.header)
         reader = csv.reader(self.lines, delimiter=self.separator, skipinitialspace=True)
@@ -88,7 +88,7 @@ class DelimitedText:
         Raises
         ------
         ValueError
-            If a cell is missing, is not a number, or might be two.
+            If a cell is missing, is not a number, or can be read as two different numbers.
         """
         rows = []
         for number, row in self.rows():
@@ -98,6 +98,7 @@ class DelimitedText:
                     f"has {len(self.header)}."
                 )
             cells = [row[place] for place in places.values()]
+            # A matrix of responses has blanks at the frequencies of its other responses.
             if any(cells[1:]):
                 rows.append((number, cells))
 
@@ -143,9 +144,9 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
             "UTF-8."
         )
     lines = _decoded(raw).replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    # Excel reads and writes its separator in a line of its own.
+    # Excel names its separator in a line of its own, sep=;
     first = lines[0].strip().lower()
-    hint = first[4:] if re.fullmatch(r"sep=[;,]", first) else ""  # Excel's name of the separator
+    hint = first[4:] if re.fullmatch(r"sep=[;,]", first) else ""
 
     body = [
         k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith(COMMENTS)
@@ -156,6 +157,7 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
 
     header = body[0]
     names, separator = _split(lines[header], hint)
+    # `numpy.savetxt` writes the names as a comment.
     if are_numbers(names):
         comment = next((line for line in reversed(lines[:header]) if line.strip()), "")
         titles, mark = _split(comment.lstrip().lstrip("#%"), hint)
@@ -176,6 +178,7 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
 
 def numbered(text: DelimitedText) -> DelimitedText:
     """Return a table without a header line with the numbers of its columns as names."""
+    # What was taken for the header is the first row.
     line = text.separator.join(text.header)
     lines = [line, *text.lines]
     if len(text.header) == 1 and len(line.split()) > 1:
@@ -208,12 +211,13 @@ def are_numbers(cells: Iterable[str]) -> bool:
 
 
 def has_decimal_comma(path: Path, rows: Iterable[tuple[int, Iterable[str]]]) -> bool:
-    """Return whether the numbers of a table have decimal commas, from the cells of numbered lines.
+    """Return whether the numbers in the cells of numbered lines have decimal commas.
 
     Raises
     ------
     ValueError
-        If numbers have both marks, or commas that separate thousands or may do so.
+        If some numbers have decimal points and others commas, or if a comma separates thousands or
+        may do so.
     """
     point: tuple[int, str] | None = None
     comma: tuple[int, str] | None = None
@@ -255,6 +259,7 @@ def parsed(cell: str, decimal_comma: bool) -> float:
 
 def _decoded(raw: bytes) -> str:
     """Return the text, from UTF-8 or a Western encoding, with plain minus signs."""
+    # Every text is valid Latin-1: it comes last. `float` does not read typographic minus signs.
     for encoding in ("utf-8-sig", "cp1252"):
         try:
             return raw.decode(encoding).replace("\u2212", "-")
@@ -267,6 +272,7 @@ def _split(line: str, hint: str) -> tuple[list[str], str]:
     """Return the cells of a header and their separator: the hint, or the one with most cells."""
     best: list[str] = []
     separator = hint or ","
+    # Commas come last: between semicolons they are decimal marks.
     for mark in hint or ";\t,":
         try:
             cells = next(csv.reader([line], delimiter=mark, skipinitialspace=True), [])

@@ -3,9 +3,8 @@
 import re
 from typing import NamedTuple
 
-INDEX = re.compile(
-    r".*\w\[\d+\]"
-)  # an element of an array, as flight controllers write it: no unit
+# An element of an array, as flight controllers write it: its brackets hold no unit.
+INDEX = re.compile(r".*\w\[\d+\]")
 BRACKETS = re.compile(r"^([^\[\]()]+?)\s*(?:\[([^\[\]]*)\]|\(([^()]*)\))$")
 
 

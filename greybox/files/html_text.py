@@ -5,7 +5,7 @@ from html import escape
 
 from greybox.files.text_table import printable
 
-ROWS = 60  # of a table; a notebook stays readable, and the whole is in the object
+ROWS = 60  # of a table: a notebook stays readable, and the object has all of them
 
 _CELL = {True: ' style="text-align:left"', False: ' style="text-align:right"'}
 
@@ -16,7 +16,7 @@ def html_text(text: str, element: str = "p") -> str:
 
 
 def html_list(texts: Sequence[str]) -> str:
-    """Return sentences as a list, nothing where there are none."""
+    """Return sentences as a list; without sentences, an empty text."""
     return f"<ul>{''.join(html_text(text, 'li') for text in texts)}</ul>" if texts else ""
 
 

@@ -1,4 +1,4 @@
-"""Packages that greybox works without, but for what they are for: imported when first asked for."""
+"""Optional packages, imported when a function first needs them."""
 
 from importlib import import_module
 from typing import Any
@@ -10,23 +10,22 @@ def required(package: str, extra: str, what: str) -> Any:
     Parameters
     ----------
     package : str
-        To be imported.
+        Name of the module.
     extra : str
-        Of greybox, which installs it.
+        The extra of greybox that installs it.
     what : str
-        Needs it: the subject of the sentence.
+        What needs it: the subject of the message.
 
     Raises
     ------
     ModuleNotFoundError
-        If it is not installed; the sentence names the extra.
+        If it is not installed; the message names the extra.
     """
     try:
         return import_module(package)
     except ModuleNotFoundError as error:
-        if (
-            error.name != package.partition(".")[0]
-        ):  # which is installed, and lacks something of its own
+        # The package itself is installed, and lacks a module that it needs.
+        if error.name != package.partition(".")[0]:
             raise
         cure = f"pip install 'greybox-id[{extra}]'"
         raise ModuleNotFoundError(f"{what} needs {package}: {cure}.", name=error.name) from None

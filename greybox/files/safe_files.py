@@ -11,25 +11,26 @@ HDF5 = (".h5", ".hdf5")  # suffixes
 
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
-    """Give a temporary path to write to, which replaces `path` if no exception occurs.
+    """Yield a temporary path to write to, which replaces `path` if no exception occurs.
 
-    Every call has its own temporary file, so threads and processes may write to one path: the last
-    one wins.
+    Every call has its own temporary file, so threads and processes may write to the same path: the
+    last one wins.
 
     Raises
     ------
     OSError
-        If the file cannot be written, for example on a full disk. Nothing is left of it, and `path`
-        is as it was.
+        If the file cannot be written, for example on a full disk. The temporary file is removed,
+        and `path` is unchanged.
     """
-    # 48 characters of the name and the rest stay below 255 bytes in UTF-8.
-    # In the same folder: a rename is atomic within a file system only.
+    # In the same folder, since a rename is atomic within a file system only. With 48 characters of
+    # the name, the whole stays below the limit of 255 bytes in UTF-8.
     temporary = path.with_name(f".{path.name[:48]}.{os.getpid()}-{secrets.token_hex(4)}.part")
     try:
         try:
             yield temporary
             with temporary.open("r+b") as file:
-                os.fsync(file.fileno())  # some file systems report only now that they are full
+                # Some file systems report only now that they are full.
+                os.fsync(file.fileno())
             temporary.replace(path)
         finally:
             temporary.unlink(missing_ok=True)
@@ -47,16 +48,17 @@ def write_text(path: Path, text: str) -> None:
 
 
 def require_file(path: Path) -> None:
-    """Refuse what is not a file that can be read from its beginning to its end, more than once.
+    """Raise OSError unless a path is a file that can be read several times.
 
     Raises
     ------
     OSError
-        For a path where nothing is (`FileNotFoundError`), a folder, and a pipe, which would block.
+        For a path that does not exist (`FileNotFoundError`), a folder, and a pipe, which would
+        block.
     """
     if not path.exists():
         raise FileNotFoundError(f"there is no file {path}.")
     if path.is_dir():
         raise IsADirectoryError(f"{path} is a folder: give a file in it.")
     if not path.is_file():
-        raise OSError(f"{path} is a pipe or a device: copy what it gives to a file, and give that.")
+        raise OSError(f"{path} is a pipe or a device: copy its contents to a file, and give that.")

@@ -4,9 +4,9 @@ A file is made in memory and written in one piece under a temporary name, since 
 crashes when a disk is full. Its first 512 bytes are an HDF5 user block, which every HDF5 reader
 skips; it holds the kind of the file and the SHA-256 of everything after it.
 
-The checksum finds damage. It is no signature: whoever changes a file can seal it again. So the HDF5
-library reads it in a subprocess, see `subprocess_reader`, and what comes back is plain numbers and
-texts.
+The checksum finds damage. It is not a signature: whoever changes a file can seal it again. So the
+HDF5 library reads the file in a subprocess, see `subprocess_reader`, which returns plain numbers
+and texts.
 """
 
 import hashlib
@@ -60,15 +60,15 @@ def write_sealed(path: Path, kind: str, fill: Callable[[Node], None]) -> None:
     Raises
     ------
     OSError
-        If it cannot be written; nothing is left of it, and `path` is as it was.
+        If it cannot be written; `path` is then unchanged.
     """
     import h5py  # noqa: PLC0415  (reading needs it in the subprocess only)
 
     buffer = io.BytesIO()
     with h5py.File(buffer, "w", userblock_size=BLOCK) as file:
         fill(file)
-    # No copy of what may be large; and no view of the buffer, which held by a traceback crashes
-    # Python 3.12 at its end.
+    # A view of the bytes, without another copy of what may be large. A view of the buffer itself
+    # would be held by a traceback, and crash Python 3.12 at its end.
     body = memoryview(buffer.getvalue())[BLOCK:]
     head = _block(kind, hashlib.sha256(body).hexdigest())
     with replacing(path) as temporary, temporary.open("wb") as file:
@@ -85,11 +85,11 @@ def open_sealed(path: Path, kind: str) -> Iterator[Stored]:
     FileNotFoundError
         If there is no such file.
     ValueError
-        If it is of another kind, or was changed since it was sealed, or cannot be read.
+        If it is of another kind, was changed after it was sealed, or cannot be read.
     """
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}.")
-    # Before the HDF5 library sees the file: damage is found by the checksum, not by a crash.
+    # The checksum comes before the HDF5 library, which damage could crash.
     _require_seal(path, kind)
     head, arrays = read_in_subprocess("sealed", path)
     try:
@@ -124,17 +124,13 @@ def seal(path: Path, kind: str) -> None:
         file.write(_block(kind, digest))
 
 
-def is_sealed(path: Path, kind: str) -> bool:
-    """Return whether a file claims to be a sealed one of this kind."""
-    with path.open("rb") as file:
-        return file.read(BLOCK).startswith(_title(kind).encode())
-
-
 def _require_seal(path: Path, kind: str) -> None:
-    if not is_sealed(path, kind):
-        raise ValueError(f"{path} is not a greybox {kind}: give a file that greybox saved as one.")
     with path.open("rb") as file:
         head = file.read(BLOCK)
+        if not head.startswith(_title(kind).encode()):
+            raise ValueError(
+                f"{path} is not a greybox {kind}: give a file that greybox saved as one."
+            )
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     if head != _block(kind, digest):
         raise ValueError(

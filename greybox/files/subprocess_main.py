@@ -1,4 +1,4 @@
-"""Runs in a subprocess the libraries that a damaged or crafted file can lead astray.
+"""Reads a file in a subprocess, with libraries that a damaged or crafted file can crash.
 
 Run as a script: ``subprocess_main.py KIND FILE [TOPIC ...]`` with the kinds of `KINDS`. It writes a
 line of JSON to standard output, ``{"items": [...], "findings": [...], "about": {...}, "shapes":
@@ -20,15 +20,13 @@ from typing import Any
 
 import numpy as np
 
-SMALL = (
-    2**24
-)  # bytes: arrays of 16 MB together are accepted from a log of any size; and characters of text
+# Bytes of arrays that are accepted from a log of any size, 16 MB; also the most characters of text.
+SMALL = 2**24
 # Bytes of arrays, at 8 a number, per byte of a log. Deflate reaches 1032, which turns a mail into
 # gigabytes; compressed flights reach 10, and files of mostly constant signals stay below this.
 EXPANSION = 100
-MEMORY = (
-    2**27
-)  # bytes that the process may use in addition to what it used before, besides those of arrays
+# Bytes that the process may use beyond those of its libraries and of the arrays.
+MEMORY = 2**27
 # Processor time: s, and more for a large file at bytes per s. A saved fit of 0.1 MB takes 0.02 s;
 # HDF5 and MATLAB files of arrays run at 200 MB/s, compressed ones and those of many small objects
 # at 10 MB/s.
@@ -40,15 +38,13 @@ ATTRIBUTES = 100  # of a group or dataset; a saved fit has 20
 DEEPEST = 8  # structs within structs, groups within groups
 HARD, SOFT = 0, 1  # types of links, H5L_type_t of the HDF5 library
 REFUSED = 3  # the exit status for a file that names other files, or more than it can hold
-OPAQUE = (
-    "MatlabOpaque",
-    "MatlabFunction",
-)  # scipy's stand-ins for timetable, timeseries, table and other objects
+# Scipy's stand-ins for timetable, timeseries, table and other objects.
+OPAQUE = ("MatlabOpaque", "MatlabFunction")
 PROBLEMS = (OSError, RuntimeError, ValueError, TypeError, KeyError, OverflowError, MemoryError)
 
 
 class RefusedError(Exception):
-    """The file has something that no honest file has: the whole file is refused."""
+    """The file has contents that no honest file has: the whole file is refused."""
 
 
 class Collector:
@@ -64,7 +60,7 @@ class Collector:
         self.about: dict[str, Any] = {}
 
     def reserve(self, numbers: int) -> bool:
-        """Return whether there is room for this number of numbers, and take it."""
+        """Return whether there is room for so many numbers, and reserve it if so."""
         fits = 8 * numbers <= self.room and len(self.arrays) < MOST
         self.room -= 8 * numbers if fits else 0
         return fits
@@ -77,7 +73,7 @@ class Collector:
         return text
 
     def add(self, path: str, values: np.ndarray, **about: Any) -> None:
-        """Keep an array."""
+        """Store an array."""
         self.arrays.append(np.atleast_1d(values))
         self.items.append({"path": path, **about})
 
@@ -92,6 +88,7 @@ class Collector:
         }
         out = sys.stdout.buffer
         out.write(json.dumps(head).encode() + b"\n")
+        # Each array is released once it is written: the parent process holds its copy by then.
         while self.arrays:
             array = np.ascontiguousarray(self.arrays.pop(0), dtype="<f8")
             out.write(array.data if array.size else b"")
@@ -100,9 +97,9 @@ class Collector:
 def hdf5_objects(path: str, collector: Collector) -> Iterator[tuple[str, Any]]:
     """Yield the groups and datasets of an HDF5 file by path, each once.
 
-    Soft links are not followed, so there is no loop. Refused are links to other files, datasets
-    whose numbers lie in other files (external storage, virtual datasets), and more links or levels
-    than a file of measurements has.
+    Soft links are not followed, so there is no loop. Links to other files, datasets whose numbers
+    are in other files (external storage, virtual datasets), and more links or levels than a file of
+    measurements has are refused.
     """
     import h5py  # noqa: PLC0415 (only one of these libraries is needed)
 
@@ -119,6 +116,7 @@ def hdf5_objects(path: str, collector: Collector) -> Iterator[tuple[str, Any]]:
             if isinstance(item, h5py.Dataset):
                 _require_own_storage(name, item)
             yield name, item
+            # Reversed, since the last one is taken first: objects come in the order of the file.
             if isinstance(item, h5py.Group):
                 waiting += reversed([*_members(name, item, collector, addresses)])
 
@@ -153,7 +151,7 @@ def _require_own_storage(name: str, dataset: Any) -> None:
 
 
 def _stored(dataset: Any) -> int:
-    """Return the least number of 8-byte numbers that reading takes; a chunk is read as a whole."""
+    """Return the memory that reading takes, in 8-byte numbers; a chunk is read as a whole."""
     largest = max(math.prod(dataset.shape), math.prod(dataset.chunks or ()))
     return math.ceil(largest * max(dataset.dtype.itemsize / 8, len(dataset.dtype.names or "1")))
 
@@ -172,6 +170,7 @@ def _keep_dataset(name: str, dataset: Any, collector: Collector) -> None:
     if dataset.shape is None:
         return
     fields = dataset.dtype.names
+    # A table is a vector of structs; images and other arrays of more dimensions are no signals.
     numeric = dataset.dtype.kind in "biuf" or (fields and dataset.ndim == 1)
     if not numeric or not 1 <= dataset.ndim <= 2 or not dataset.size:
         return
@@ -256,6 +255,7 @@ def matlab(path: str, collector: Collector, _: list[str]) -> None:
     """Collect the numeric arrays of the workspace and of its structs, and the warnings of scipy."""
     from scipy.io import loadmat  # noqa: PLC0415 (only one of these libraries is needed)
 
+    # scipy warns of duplicate and unreadable variables: the user must learn of these.
     with warnings.catch_warnings(record=True) as raised:
         warnings.simplefilter("always")
         contents = loadmat(path, simplify_cells=True)
@@ -357,7 +357,8 @@ def limit_resources(size: int, room: int) -> None:
         import signal  # noqa: PLC0415
     except ImportError:
         return
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))  # a crash leaves no image of the memory
+    # A crash leaves no image of the memory on the disk.
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     signal.setitimer(signal.ITIMER_PROF, SECONDS + size / SPEED)
     # An array is in memory as it is stored, as it is written, and once more on the way.
     most = _memory() + MEMORY + 3 * room
@@ -384,13 +385,14 @@ KINDS = {
 
 
 def main() -> None:
-    """Write the contents of a file to standard output, or exit with the reason why not."""
+    """Write the contents of a file to standard output, or exit with the reason of the failure."""
     kind, path, *topics = sys.argv[1:]
     library, collect = KINDS[kind]
     size = os.path.getsize(path)
     # greybox compresses nothing; a truth value, which takes one byte in a file, takes eight here.
     collector = Collector(8 * size if kind == "sealed" else max(SMALL, EXPANSION * size))
     try:
+        # The library comes first: its own time and memory do not depend on the file.
         importlib.import_module(library)
         limit_resources(size, collector.room)
         collect(path, collector, topics)

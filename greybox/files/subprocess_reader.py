@@ -1,10 +1,10 @@
 """Reads HDF5, MATLAB and PX4 files, and the results that greybox saved as HDF5, in a subprocess.
 
 A damaged or crafted file can send the HDF5 library into an endless loop, crash it or scipy's MATLAB
-reader, and make all of them, and pyulog, exhaust the memory. Python cannot catch most of that. So
-`subprocess_main` reads the file in another process, with limits of its processor time and memory
-where the system has them. Nothing depends on the clock: a slow machine does not damage a file. The
-subprocess costs about 0.15 s per file, 0.3 s for MATLAB.
+reader, and make all of these and pyulog exhaust the memory. Python cannot catch most of that. So
+`subprocess_main` reads the file in another process, with limits on processor time and memory where
+the operating system has them. Wall-clock time is not limited: a slow machine does not make a file
+damaged. The subprocess costs about 0.15 s per file, 0.3 s for MATLAB.
 """
 
 import json
@@ -28,23 +28,17 @@ TOO_LONG = -getattr(signal, "SIGPROF", 0)
 
 
 def read_in_subprocess(kind: str, path: Path, *wanted: str) -> tuple[dict[str, Any], list[Array]]:
-    """Return what the function of this `kind` in `subprocess_main` reports, and its numeric arrays.
+    """Return the report of `subprocess_main` on a file of this `kind`, and its numeric arrays.
 
     Raises
     ------
     ValueError
         If the file cannot be read, or not within the limits of processor time and memory.
     """
-    command = [
-        sys.executable,
-        "-P",
-        "-W",
-        "ignore",
-        str(SCRIPT),
-        kind,
-        str(path.absolute()),
-        *wanted,
-    ]
+    # -P keeps the folder of the script off the path of imports, where its neighbors could hide
+    # modules of Python; warnings would mix with the reason of a failure.
+    options = ["-P", "-W", "ignore"]
+    command = [sys.executable, *options, str(SCRIPT), kind, str(path.absolute()), *wanted]
     environment = {
         **os.environ,
         "OPENBLAS_NUM_THREADS": "1",  # every thread of it reserves memory
@@ -59,6 +53,7 @@ def read_in_subprocess(kind: str, path: Path, *wanted: str) -> tuple[dict[str, A
         try:
             answer = _answer(process.stdout)
         except BaseException:
+            # An interrupt must not leave the process behind.
             process.kill()
             raise
         status = process.wait()

@@ -11,7 +11,7 @@ CONTROLS = ("Cc", "Cf", "Cs", "Zl", "Zp")
 
 
 def printable(text: str, keep: str = "") -> str:
-    r"""Return a text with its control characters written out, ``\x1b``, except those to `keep`.
+    r"""Return a text with its control characters written out, as ``\x1b``, except those in `keep`.
 
     Every name and text that comes from a file passes through here before it is printed.
     """
@@ -63,7 +63,7 @@ def listed(names: Sequence[str]) -> str:
 
 
 def some(names: Sequence[str], most: int = 4) -> str:
-    """Return names as `listed` does, of many the first ones and how many more there are."""
+    """Return names as `listed` does; of many names, the first ones and the number of the others."""
     return (
         listed(names)
         if len(names) <= most + 1
@@ -72,7 +72,7 @@ def some(names: Sequence[str], most: int = 4) -> str:
 
 
 def nearest(name: str, known: Iterable[str]) -> str | None:
-    """Return the known name that a misspelled one probably means; None if it resembles none."""
+    """Return the known name most like a misspelled one; None if no known name resembles it."""
     # Capitals are the most frequent mistake.
     spelled = {candidate.lower(): candidate for candidate in known}
     matches = difflib.get_close_matches(name.lower(), spelled, n=1)
@@ -80,7 +80,7 @@ def nearest(name: str, known: Iterable[str]) -> str | None:
 
 
 def alternatives(name: object, names: Iterable[str]) -> str:
-    """Return the end of a sentence about an unknown name: the names, and the one that was meant."""
+    """Return the end of a message about an unknown name: the known names, and the closest one."""
     names = list(names)
     near = nearest(str(name), names)
     return (", ".join(names) or "none") + (f": did you mean {near!r}?" if near else ".")
@@ -90,8 +90,10 @@ def with_error(value: float, error: float) -> tuple[str, str]:
     """Format a standard error with two significant digits, and the value to its last digit."""
     if not (math.isfinite(value) and math.isfinite(error)) or error <= 0:
         return number(value), "-"
+    # The digits of such an error would leave the value none, or more than a person reads.
     if error > 1e3 * abs(value) or error < 1e-9 * abs(value):
         return number(value), number(error, 2)
+    # Rounded first: 0.0996 has its two digits in 0.10, one place further left.
     decimals = 1 - math.floor(math.log10(float(f"{error:.1e}")))
     if not -4 <= decimals <= 7 or abs(value) >= 1e7:
         return (

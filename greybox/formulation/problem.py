@@ -417,7 +417,8 @@ class Problem:
     def __radd__(self, other: Any) -> "Problem | Sum[Problem]":
         if isinstance(other, Sum):
             return Sum((*other.as_added, self))
-        return self if other == 0 else NotImplemented  # the built-in sum() begins with 0
+        # The built-in sum() begins with 0.
+        return self if other == 0 else NotImplemented
 
     def with_parts(self, parts: "Sequence[Problem]") -> "Problem":
         """Return the only part, see `Sum.with_parts`."""

@@ -111,7 +111,8 @@ class Sum(Generic[Part]):
         return Sum((*self.as_added, *other.as_added)) if isinstance(other, Sum) else NotImplemented
 
     def __radd__(self, other: Any) -> "Sum[Part]":
-        return self if other == 0 else NotImplemented  # the built-in sum() begins with 0
+        # The built-in sum() begins with 0.
+        return self if other == 0 else NotImplemented
 
     def with_(self, **changes: Any) -> "Sum[Part]":
         """Return the same sum with fields of every part changed (`name` is that of the sum)."""

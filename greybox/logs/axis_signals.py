@@ -15,8 +15,9 @@ class AxisSignals:
     sticks: tuple[str, ...] = ()
 
 
+# Of angle and rate in models.
 NAMES = {
     "roll": ("phi", "p"),
     "pitch": ("theta", "q"),
     "yaw": ("psi", "r"),
-}  # of angle and rate in models
+}

@@ -155,9 +155,8 @@ def _named(
     time: Array, values: Array, before: _Rest, after: _Rest, drift: float, height: float
 ) -> Segment | None:
     """Return the manoeuvre between two rests; None within the noise, and for sines and sweeps."""
-    rows = slice(
-        min(before.last, after.first), max(before.last, after.first) + 1
-    )  # noise lets rests overlap
+    # Noise lets rests overlap.
+    rows = slice(min(before.last, after.first), max(before.last, after.first) + 1)
     deviation = values[rows] - before.ends
     change = after.begins - before.ends
     returned = abs(change) <= 2 * drift

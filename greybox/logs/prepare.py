@@ -329,9 +329,8 @@ def _low_passed(time: Array, values: Array, step: float, rate: float) -> tuple[A
     samples = np.interp(uniform, time, values)
     nyquist = 0.5 / step
     taps, beta = kaiserord(ATTENUATION, (STOP - PASS) * rate / nyquist)
-    taps = min(
-        taps | 1, 2 * ((samples.size - 1) // 2) + 1
-    )  # odd, and no longer than the reflection can feed
+    # Odd, and no longer than the reflection can feed.
+    taps = min(taps | 1, 2 * ((samples.size - 1) // 2) + 1)
     window: Any = ("kaiser", beta)
     # A symmetric kernel delays all frequencies alike; centered, it delays none.
     kernel = firwin(taps, (PASS + STOP) / 2 * rate, window=window, fs=2 * nyquist)

@@ -111,7 +111,8 @@ def _turning_points(values: Array, corners: IntArray, height: float) -> IntArray
     """Return the corners where the signal turns by at least `height`, and both ends."""
     turns = []
     direction = 0  # unknown; later 1 on the way up, -1 on the way down
-    extreme = int(corners[0])  # index of the highest (lowest) value on the way
+    # Index of the highest (lowest) value on the way.
+    extreme = int(corners[0])
     levels = values[corners].tolist()
     low = high = top = levels[0]
     for index, level in zip(corners.tolist(), levels, strict=True):
@@ -174,7 +175,8 @@ def _continues(crossings: Array, swings: Array) -> bool:
     n = crossings.size - 1
     past = crossings[:-1]
     centered = np.arange(n) - (n - 1) / 2
-    half_period = 12 * float(centered @ past) / (n * (n * n - 1))  # slope of the regression line
+    # Slope of the regression line.
+    half_period = 12 * float(centered @ past) / (n * (n * n - 1))
     error = abs(crossings[-1] - past.mean() - half_period * (n + 1) / 2)
     ratio = swings[-1] / np.median(swings[:-1])
     return bool(error < OFF_LINE * half_period and SWING[0] < ratio < SWING[1])
@@ -225,7 +227,8 @@ def _fitted(time: Array, values: Array, crossings: Array) -> Segment | None:
     first = off[off < start].max(initial=time[0])
     last = off[off > end].min(initial=time[-1])
     run = Segment(float(first), float(last), omega=omega, amplitude=amplitude, offset=float(c[0]))
-    return run if run.duration >= 1 else None  # s; from 0.1 to 10 s the same sines are found
+    # s; from 0.1 to 10 s the same sines are found.
+    return run if run.duration >= 1 else None
 
 
 def _refined_frequency(t: Array, x: Array, omega: float) -> float:
@@ -348,9 +351,8 @@ def _follows(crossings: Array, swings: Array, k: int, way: int, step: float) -> 
     square = math.sqrt(max(float(_beyond(1.0) @ frequency**2), least**2))
     short, long = sorted((1 / linear, 1 / square))
     period = abs(crossings[k + way] - crossings[k])
-    ratio = (
-        swings[k + way] / swings[k]
-    )  # 1/2 on the way from a rest, whose middle is not that of the sweep
+    # 1/2 on the way from a rest, whose middle is not that of the sweep.
+    ratio = swings[k + way] / swings[k]
     predicted = (1 - OFF_SWEEP) * short - step < period < (1 + OFF_SWEEP) * long + step
 
     return bool(predicted and SWING[0] < ratio < SWING[1])

@@ -125,7 +125,8 @@ def periodic_motions(
     options = _with_order(signals)
     direct, number = directly_found(model, values, omega, sine, **options)
     if not np.isfinite(direct).all():
-        number = min(number, 7)  # the search for harmonics has gone to its limit in vain
+        # The search for harmonics has gone to its limit in vain.
+        number = min(number, 7)
     elif sine.harmonics is None:
         # One harmonic has the folds of a spring at other amplitudes.
         number = max(number, 3)

@@ -46,9 +46,8 @@ def traced(owner: str, formula: Callable[..., Any], *arguments: Any) -> Any:
     """
     try:
         with _FILTERS, warnings.catch_warnings():
-            warnings.simplefilter(
-                "ignore", FutureWarning
-            )  # CasADi's long notice about numpy functions, which do work
+            # CasADi's long notice about numpy functions, which do work.
+            warnings.simplefilter("ignore", FutureWarning)
             return formula(*arguments)
     except (RuntimeError, NotImplementedError, TypeError) as error:
         reason = re.sub(r"^\.\.\./casadi\S+ ", "", str(error).strip().partition("\n")[0])

@@ -302,9 +302,8 @@ def _linear_response(matrix: Array, drive: Array, step: float) -> Array:
     # In the Schur basis, each state is driven by those after it only: one scalar recursion after
     # another.
     drive = basis.conj().T @ drive
-    drive[:, 1:-1] -= (
-        np.diff(drive, 2) / 12
-    )  # so that the mean over a step is right to the fourth order
+    # So that the mean over a step is right to the fourth order.
+    drive[:, 1:-1] -= np.diff(drive, 2) / 12
     added = (hold - ramp) @ drive[:, :-1] + ramp @ drive[:, 1:]
     z = np.zeros(drive.shape, complex)
     # The initial state is unknown: the equilibrium with the first input is the best guess.

@@ -308,7 +308,8 @@ def _information(simulator: Simulator, windows: Windows, places: IntArray) -> _I
     J = np.einsum("ij,wtjv->wtiv", weight, np.where(used[..., None], slopes, 0.0))
     J = J.reshape(w, r.shape[1], -1)
     by_state = J[..., :n]
-    columns = np.concatenate([J[..., n:], by_state], axis=2)  # values, and the mean of the states
+    # Values, and the mean of the states.
+    columns = np.concatenate([J[..., n:], by_state], axis=2)
     matrix = np.einsum("wma,wmb->ab", columns, columns)
     gradient = np.einsum("wma,wm->a", columns, r)
     squares = float(np.sum(r**2))

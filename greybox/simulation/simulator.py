@@ -451,7 +451,8 @@ def _depends(by_value: Array, q: Array) -> BoolArray:
     """Return which samples of an output depend on which values (..., k, a), beyond rounding."""
     effect = np.abs(by_value) * np.where(q != 0, np.abs(q), 1.0)
     largest = np.nanmax(effect, axis=(*range(effect.ndim - 2), -1), initial=0.0)  # of every output
-    return ~(effect <= 1e-9 * largest[:, None])  # a smaller effect is rounding
+    # a smaller effect is rounding.
+    return ~(effect <= 1e-9 * largest[:, None])
 
 
 def _initial_guesses(model: ModelAtEstimate, outputs: tuple[str, ...], past: Array) -> list[Array]:

@@ -19,9 +19,8 @@ import numpy as np
 from greybox.files.arrays import Array, BoolArray
 
 Outputs = Callable[[Array], Array]  # initial states (w, n) -> outputs (w, samples, k)
-Sensitivities = Callable[
-    [Array], Array
-]  # initial states (w, n) -> outputs' derivatives by them (w, samples, k, n)
+# Initial states (w, n) -> outputs' derivatives by them (w, samples, k, n).
+Sensitivities = Callable[[Array], Array]
 
 ROUNDING = 1e-9  # share of an output's spread: smaller noise would make the information singular
 TINY = 1e-300  # instead of a division by zero

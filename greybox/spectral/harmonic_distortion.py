@@ -51,7 +51,8 @@ def harmonics_of(
 ) -> Harmonics:
     """Return the harmonics in a window of whole periods, from fitted amplitudes and residuals."""
     orders = range(2, amplitudes.shape[1] + 1)
-    reach = min(LINES, (periods - 1) // 2)  # half of the way to the next harmonic
+    # Half of the way to the next harmonic.
+    reach = min(LINES, (periods - 1) // 2)
     places = [sign * m / periods for m in range(1, reach + 1) for sign in (1, -1)]
     lines = [
         [spectral_line(t, residual[:2], omega * (k + place), float(t[0])) for place in places]

@@ -512,7 +512,8 @@ def _estimates(
     spread = np.sum(np.abs(weights) ** 2, axis=1)
     response = weights @ lines.values[1, fitted.rows] - band.correction
     variance = noise * spread + band.squared_error
-    rounding = (4 * EPS * np.abs(response)) ** 2  # the least variance, for data without noise
+    # The least variance, for data without noise.
+    rounding = (4 * EPS * np.abs(response)) ** 2
     coherence = _coherence(lines, fitted, noise)
     weak = STRONG * spread * input_noise > 1
     return [

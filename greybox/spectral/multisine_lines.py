@@ -165,7 +165,8 @@ def _estimates(u: ComplexArray, y: ComplexArray, r: ComplexArray) -> list[Estima
         coherence = np.minimum(1 / k, np.abs(response) ** 2 / (power(y) * spread))
         weak = STRONG * (k - 1) > n - 1
 
-    rounding = (4 * EPS * np.abs(response)) ** 2  # the least variance, for data without noise
+    # The least variance, for data without noise.
+    rounding = (4 * EPS * np.abs(response)) ** 2
     variance = np.where(weak, np.nan, np.maximum(variance, rounding))
     columns = (response, variance, dof, np.clip(coherence, EPS, 1), weak)
     return [EstimatedPoint(*point) for point in zip(*(c.tolist() for c in columns), strict=True)]

@@ -283,7 +283,8 @@ def _response(
 ) -> FrequencyResponse:
     omega = np.array([p.omega for p in points])
     values = np.array([p.response for p in points])
-    rounding = 1e-12  # of the response: noise-free data have no smaller standard error
+    # Of the response: noise-free data have no smaller standard error.
+    rounding = 1e-12
     variance = np.array(
         [max(p.standard_error**2, (rounding * abs(p.response)) ** 2) for p in points]
     )

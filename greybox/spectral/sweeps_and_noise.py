@@ -141,7 +141,8 @@ def _excited_band(lines: Lines, lowest: float, highest: float) -> tuple[float, f
             f"{FOR_MANOEUVRES}."
         )
     fine = np.geomspace(lowest, highest, 200)
-    reach = np.maximum(fine * SMOOTHED / 2, 2 * lines.spacing)  # noise has holes by chance
+    # Noise has holes by chance.
+    reach = np.maximum(fine * SMOOTHED / 2, 2 * lines.spacing)
     first = np.searchsorted(lines.omega, fine - reach)
     last = np.searchsorted(lines.omega, fine + reach)
     # Cumulative power makes the mean over any band a difference of two numbers.

@@ -35,9 +35,8 @@ TAKEN_FOR_SURE = 2 / 3
 VALUES = 200
 LEAST_WEIGHT = 1e-6  # of a value of rho: what is below does not show
 LEAST_LEFT = 4  # numbers beyond the parameters: fewer tell nothing of a correlation
-EXACT = math.sqrt(
-    np.finfo(float).eps
-)  # residuals over the sizes of the errors below which data are fitted exactly
+# Residuals over the sizes of the errors below which data are fitted exactly.
+EXACT = math.sqrt(np.finfo(float).eps)
 
 # Levels of the two intervals by which an average of distributions becomes one of Student's t: that
 # of a standard error, and the one that is printed.

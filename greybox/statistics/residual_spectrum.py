@@ -243,7 +243,8 @@ class ResidualSpectra:
             k,
             self.highest_order,
         )
-        ridge = ROUNDING * np.eye(k)  # for outputs that are combinations of others
+        # For outputs that are combinations of others.
+        ridge = ROUNDING * np.eye(k)
         lags[0] += ridge
 
         return lags, banded + ridge[:, :, None]
@@ -486,7 +487,8 @@ class ResidualSpectra:
         k = lags.shape[1]
         n = self.counts.max()
         # Whittle's recursion goes through all orders at the price of the highest.
-        longest = int(min(len(lags) - 1, n // (5 * k)))  # five numbers for a coefficient
+        # Five numbers for a coefficient.
+        longest = int(min(len(lags) - 1, n // (5 * k)))
         steps = list(vector_autoregressions(lags[: longest + 1]))
         innovations = np.array([innovation for _, innovation in steps])
         penalties = [aicc_penalty(a.size + k * (k + 1) / 2, n * k) for a, _ in steps]

@@ -81,11 +81,11 @@ def test_bounds_and_starts(capsys, own):
         ),
         (
             ["--columns", *POLAR[:2]],
-            "is no frequency response by frequency, magnitude alone: name the columns",
+            "needs more than the columns frequency, magnitude for a frequency response",
         ),
         (
             ["--columns", *POLAR[:2], "phase=Phase"],
-            "has the column 'Phase' without a unit: say whether it is deg or rad",
+            "has the column 'Phase' without a unit: state deg or rad",
         ),
         (
             ["--columns", *POLAR[:2], "phase=Phse:deg"],
@@ -93,11 +93,11 @@ def test_bounds_and_starts(capsys, own):
         ),
         (
             ["--columns", "omega=Freq", *POLAR[1:]],
-            "has no 'omega', which is not a column of a frequency response",
+            "cannot have 'omega', which is not a column of a frequency response",
         ),
         (
             ["--columns", *POLAR, "gain=Mag"],
-            "has no 'gain', which is not a column of a frequency response",
+            "cannot have 'gain', which is not a column of a frequency response",
         ),
         (
             ["--columns", *POLAR[:2], "phase=Phase:dB"],

@@ -350,7 +350,7 @@ def test_a_matrix_of_responses_from_the_log_to_a_model(capsys, tmp_path):
     read = gb.read_response(out, input="dr", output="p")
     assert read.alpha.tolist() == answer["responses"][1]["alpha"]
     fit = ["fit", "--model", "rotor:Rotor", "--data", out]
-    assert "holds several responses, p_da, p_dr: choose one" in refused(capsys, *fit)
+    assert "has several responses, p_da, p_dr: choose one" in refused(capsys, *fit)
     fitted = run(capsys, *fit, "--input", "da", "--output", "p", "--starts", "4", "--json")
     assert json.loads(fitted[1])["estimate"]["T_rotor"] == pytest.approx(0.5, rel=0.02)
     assert "--period of the multisines" in refused(capsys, *command[:7])

@@ -57,7 +57,7 @@ def test_what_is_no_table_of_numbers_is_refused(pd):
     dates = pd.to_datetime([0.0, 1.0], unit="s")
     for values in (["a", "b"], np.array([1.0, 2.0], dtype=object), [1j, 2j], dates):
         frame = pd.DataFrame({"t": [0.0, 0.1], "x": values})
-        with pytest.raises(ValueError, match=r"the column 'x' of .* is not one of numbers"):
+        with pytest.raises(ValueError, match=r"the column 'x' of .* does not contain numbers"):
             gb.Record.from_pandas(frame)
     with pytest.raises(ValueError, match="the data frame has no column 't'; it has x"):
         gb.Record.from_pandas(pd.DataFrame({"x": [1.0, 2.0]}), time="t")

@@ -45,7 +45,7 @@ def test_what_is_no_spectrum_is_refused(spectrum, tmp_path):
     with pytest.raises(FileNotFoundError):
         read_spectrum(path)
     gb.data.write_response(gb.FrequencyResponse([1.0], [1.0]), path)
-    with pytest.raises(ValueError, match=r"is no(t a greybox)? transient spectrum"):
+    with pytest.raises(ValueError, match=r"is not a( greybox)? transient spectrum"):
         read_spectrum(path)
     write_spectrum(spectrum, path)
     path.write_bytes(path.read_bytes().replace(b"duration", b"duratoin", 1)[:-40])

@@ -48,11 +48,11 @@ def test_a_delayed_input_is_the_integral_of_the_delayed_signal(delay):
     [
         (
             {"duration": np.inf},
-            "duration inf s and step 0.02 s must be finite, and the step the shorter one.",
+            "duration is inf s and step 0.02 s",
         ),
-        ({"step": 0.0}, "and the step the shorter one."),
-        ({"step": -0.1}, "and the step the shorter one."),
-        ({"step": T}, "and the step the shorter one."),
+        ({"step": 0.0}, "above 0 and shorter than the duration"),
+        ({"step": -0.1}, "above 0 and shorter than the duration"),
+        ({"step": T}, "above 0 and shorter than the duration"),
         (
             {"omega": []},
             "omega must be increasing multiples of 1.69816 rad/s, 2π over the duration",

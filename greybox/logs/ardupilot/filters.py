@@ -23,17 +23,19 @@ GYRO_RATES = {
     "PIDY": ("Act",),
 }
 
+# As the parameters of rate controllers name the axis.
 CONTROLLERS = {
     "roll": "RLL",
     "pitch": "PIT",
     "yaw": "YAW",
-}  # as the parameters of rate controllers name the axis
+}
 CONTROLLER_FILTERS = {"d-term-filter": "FLTD", "target-filter": "FLTT", "error-filter": "FLTE"}
 
+# INS_HNTCH_MODE; the others follow sensors, whose frequency only FTN or FTNS tells.
 FIXED, THROTTLE = (
     0,
     1,
-)  # INS_HNTCH_MODE; the others follow sensors, whose frequency only FTN or FTNS tells
+)
 DOUBLE, TRIPLE = 1, 16  # bits of INS_HNTCH_OPTS
 
 

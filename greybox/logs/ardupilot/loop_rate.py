@@ -28,10 +28,11 @@ GYRO_RATE = 1000.0  # Hz, of INS_GYRO_RATE 0; 1, 2, 3 double it as often
 # Passes a sample of the log, below which it has them all: the rate of the loop is kept within 10 %.
 EVERY_PASS = 1.25
 FAST, MEDIUM = 1, 2  # bits of LOG_BITMASK for attitude
+# Tried between gyro and loop; passes of which the mean is taken, a multiple of 2 to 6.
 PHASES, PASSES = (
     20,
     240,
-)  # tried between gyro and loop; passes of which the mean is taken, a multiple of 2 to 6
+)
 
 # Of an error whose size is known and whose sign is not. Kept passes and the others change their
 # roles as the clocks of gyro and loop drift: at 1 kHz by half a ms. Crystals differ by up to 30

@@ -75,7 +75,8 @@ def rounding_error(amplitude: ArrayLike, spread: ArrayLike) -> Array:
         * j1(2 * math.pi * TERMS * a)
         * np.exp(-2 * (math.pi * TERMS * sigma) ** 2)
     )
-    return np.sqrt(np.sum(terms**2, axis=-1) / 2)  # the mean of cos² over the offset
+    # The mean of cos² over the offset.
+    return np.sqrt(np.sum(terms**2, axis=-1) / 2)
 
 
 def motor_outputs(recording: Recording, start: float, end: float) -> Record | None:

@@ -15,12 +15,13 @@ from greybox.files.arrays import Array
 
 STEP = 0.01  # deg
 MESSAGES = ("ATT", "AHR2", "EKF1", "NKF1", "XKF1")
+# Yaw runs from 0 to 360: its half step is an offset only.
 FIELDS = (
     "Roll",
     "Pitch",
     "DesRoll",
     "DesPitch",
-)  # yaw runs from 0 to 360: its half step is an offset only
+)
 
 
 def is_truncated(signal: str, values: Array) -> bool:

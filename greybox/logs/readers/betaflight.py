@@ -14,10 +14,11 @@ from greybox.files.heading import Heading
 
 HEADER = re.compile(rb'^"?loopIteration"?\s*,', re.MULTILINE)
 TIME = "time"
+# Of fields that are written without one.
 UNITS = {
     r"gyro(ADC|Unfilt)\[\d\]": "deg/s",
     r"setpoint\[[0-2]\]": "deg/s",
-}  # of fields that are written without one
+}
 
 
 def without_settings(raw: bytes) -> bytes:

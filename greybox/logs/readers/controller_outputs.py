@@ -59,10 +59,11 @@ SAMPLES = {
     "sensor_combined": r"(gyro_rad|accelerometer_m_s2)\[\d\]",
 }
 
+# Hz; of ArduPilot, of PX4 (0 there: the sensor's own rate).
 LOOP_RATES = (
     "SCHED_LOOP_RATE",
     "IMU_GYRO_RATEMAX",
-)  # Hz; of ArduPilot, of PX4 (0 there: the sensor's own rate)
+)
 SLOWEST_LOOP = 50.0  # Hz, the lowest SCHED_LOOP_RATE: a log that is slower has not every pass
 
 

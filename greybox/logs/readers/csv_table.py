@@ -95,7 +95,8 @@ def read(
         columns, units = renamed(columns, units, stated, path.name)
         headings = [Heading(name, units.get(name, "")) for name in columns]
     columns = _time_first(headings, columns, path)
-    units.setdefault("time", "s")  # what a first column in a unit of time is called
+    # What a first column in a unit of time is called.
+    units.setdefault("time", "s")
     # After the names were replaced: the user may have named the time.
     has_time = any(seconds(name, units.get(name, "")) for name in columns)
     if has_time and rate:

@@ -109,7 +109,8 @@ def _layouts(
     for kind, described in descriptions.items():
         rows = np.flatnonzero(kinds == kind)
         since, number = np.array([(-1, -1), *described]).T
-        numbers[rows] = number[np.searchsorted(since, rows) - 1]  # a later description replaces it
+        # a later description replaces it.
+        numbers[rows] = number[np.searchsorted(since, rows) - 1]
 
     return tuple(layouts), numbers
 

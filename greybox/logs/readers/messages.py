@@ -185,7 +185,8 @@ def _record(name: str, part: Messages, source: str, checksum: str) -> Record | N
         time = time[rows]
         columns = {column: values[rows] for column, values in columns.items()}
     for values in (time, *columns.values()):
-        values.setflags(write=False)  # a record keeps, without a copy, what nobody can change
+        # a record keeps, without a copy, what nobody can change.
+        values.setflags(write=False)
     units = {column: part.units.get(column, "") for column in columns}
 
     return Record(time, columns, units, name, source, checksum, hold=part.hold, findings=findings)

@@ -46,7 +46,7 @@ def test_a_pipe_is_refused_before_it_blocks(tmp_path):
     os.mkfifo(path)
     for reader in (read, gb.read_response):
         with pytest.raises(
-            OSError, match=r"log\.csv is a pipe or a device: copy what it gives to a file"
+            OSError, match=r"log\.csv is a pipe or a device: copy its contents to a file"
         ):
             reader(path)
 
