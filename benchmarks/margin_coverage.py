@@ -13,13 +13,32 @@ from pathlib import Path
 
 import greybox as gb
 
-NAMES = ("phase margin", "gain margin", "delay margin", "modulus margin", "crossover")
+NAMES = (
+    "phase margin",
+    "gain margin",
+    "delay margin",
+    "modulus margin",
+    "crossover",
+    "disturbance rejection bandwidth",
+    "disturbance rejection peak",
+    "bandwidth",
+    "-180 deg frequency",
+    "ADS-33 gain bandwidth",
+    "ADS-33 phase bandwidth",
+    "phase delay",
+    "overshoot",
+    "rise time",
+    "settling time",
+    "damping ratio",
+    "natural frequency",
+)
 
 
 class Rate(gb.StateSpace):
     """Angular rate per control: a motor, damping, delay; gusts act on the angular acceleration."""
 
     states, inputs, outputs, delays = ("q", "m"), ("u",), ("q",), {"u": "tau"}
+    units = {"q": "rad/s"}
     K = gb.Parameter(40.0, bounds=(0.1, 4000), scale="log")
     a = gb.Parameter(2.0, bounds=(-50, 50))
     T = gb.Parameter(0.05, bounds=(0.002, 1), scale="log")

@@ -45,6 +45,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="where to break the loop: an input of the plant (default: the first) or a measured "
         "signal",
     )
+    parser.add_argument(
+        "--tracking",
+        nargs=2,
+        metavar=("SETPOINT", "SIGNAL"),
+        help="of which setpoint and response to give bandwidth and step (default: the first ones)",
+    )
     add_words(parser, "--at", "NAME=VALUE", "operating point of an ODE")
     parser.add_argument(
         "--level",
@@ -61,7 +67,14 @@ def run(options: argparse.Namespace) -> Answer:
     fit, _ = stated_fit(options)
     at = assignments(options.at, "--at") or None
     answers = [
-        margins(fit, controllers, broken_at=signal, at=at, level=options.level)
+        margins(
+            fit,
+            controllers,
+            broken_at=signal,
+            tracking=tuple(options.tracking) if options.tracking else None,
+            at=at,
+            level=options.level,
+        )
         for signal in options.broken_at
     ]
     summary: dict[str, Any] = {"loops": [answer.to_dict() for answer in answers]}

@@ -9,7 +9,9 @@ tell).
 | `scripts` | files that fly them on a vehicle |
 | `controller` | sampled control laws |
 | `sampled_loop` | the loop of a plant and its controllers, as linear equations |
-| `margins` | stability margins with errors |
+| `drawn_loops` | that loop at an estimate and at draws from its distribution |
+| `loop_numbers` | margins and closed-loop numbers of such loops |
+| `margins` | these numbers with their errors |
 | `virtual_flight` | flights in simulation |
 | `expected_errors` | the standard errors that a planned test would give |
 | `sine_plan` | sines that reach the wanted errors in the shortest flight |

@@ -1,11 +1,12 @@
-"""Stability margins of a fitted plant in the loop of its controllers, with their errors.
+"""Margins and closed-loop numbers of a fitted plant with its controllers, with their errors.
 
 Begin with `margins`.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,15 +15,21 @@ from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.response_band import require_level
 from greybox.estimate.result import Fit
 from greybox.experiment.controller import Controller
-from greybox.experiment.sampled_loop import SampledLoop, sampled_loop
-from greybox.files.arrays import Array, BoolArray
+from greybox.experiment.drawn_loops import BESIDE, DRAWN, drawn_loops
+from greybox.experiment.loop_numbers import (
+    LoopNumbers,
+    broken_loop_numbers,
+    closed_loop_numbers,
+    follows,
+    loop_frequencies,
+    refined,
+)
+from greybox.experiment.sampled_loop import DOT, SampledLoop, require_signal
+from greybox.files.arrays import Array
 from greybox.files.json_numbers import finite
-from greybox.files.text_table import number, one_line, text_table
+from greybox.files.text_table import listed, number, one_line, text_table
 from greybox.modeling.model import Model
 
-DRAWS = 512  # a quantile of 2.5 % is then known to 4 % of a standard error
-POINTS = 400
-DECADES = 4.0  # below the Nyquist frequency, within which crossings are looked for
 UNITS = {
     "phase margin": "deg",
     "gain margin": "dB",
@@ -31,7 +38,20 @@ UNITS = {
     "modulus margin": "",
     "crossover": "rad/s",
     "disturbance rejection bandwidth": "rad/s",
+    "disturbance rejection peak": "dB",
+    "bandwidth": "rad/s",
+    "-180 deg frequency": "rad/s",
+    "ADS-33 gain bandwidth": "rad/s",
+    "ADS-33 phase bandwidth": "rad/s",
+    "ADS-33 bandwidth": "rad/s",
+    "phase delay": "s",
+    "overshoot": "%",
+    "rise time": "s",
+    "settling time": "s",
+    "damping ratio": "",
+    "natural frequency": "rad/s",
 }
+_INTEGRALS = {"rad": 0, "deg": 0, "rad/s": 1, "deg/s": 1}  # from a response to an attitude
 
 
 @dataclass(frozen=True)
@@ -49,6 +69,8 @@ class Margin:
         Where it is found.
     is_extrapolated : bool
         Whether that is outside the frequencies of the fitted data.
+    group : str
+        The loop or the response that it describes.
     """
 
     name: str
@@ -58,6 +80,7 @@ class Margin:
     high: float
     omega: float
     is_extrapolated: bool = False
+    group: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,8 +91,10 @@ class Margins:
     ----------
     plant, signal : str
         The model, and where its loop is broken.
+    setpoint, response : str
+        Of the closed loop.
     margins : tuple of Margin
-        Empty for a loop that is not stable.
+        Every number, in groups. Empty for a loop that is not stable.
     is_stable : bool
         At the estimate.
     instability : float
@@ -77,16 +102,21 @@ class Margins:
         NaN without errors.
     level : float
         NaN without errors.
+    loop : SampledLoop
+        At the estimate, and at the draws.
     notes : tuple of str
         Why an interval is missing, and what the fit warns of.
     """
 
     plant: str
     signal: str
+    setpoint: str
+    response: str
     margins: tuple[Margin, ...]
     is_stable: bool
     instability: float
     level: float
+    loop: SampledLoop = field(repr=False)
     notes: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> Margin:
@@ -125,13 +155,15 @@ class Margins:
         """Return the numbers as plain values; None where unknown or infinite."""
         rows = {
             m.name: {key: finite(getattr(m, key)) for key in ("value", "low", "high", "omega")}
-            | {"unit": m.unit, "extrapolated": m.is_extrapolated}
+            | {"unit": m.unit, "extrapolated": m.is_extrapolated, "group": m.group}
             for m in self.margins
         }
         return {
             "verdict": self.verdict,
             "plant": self.plant,
             "broken_at": self.signal,
+            "setpoint": self.setpoint,
+            "response": self.response,
             "stable": self.is_stable,
             "probability_unstable": finite(self.instability),
             "level": finite(self.level),
@@ -154,6 +186,10 @@ class Margins:
             for m in self.margins
         ]
         interval = "" if math.isnan(self.level) else f"{100 * self.level:g} % interval"
+        # Every group begins with its name.
+        starts = [k for k, m in enumerate(self.margins) if m.group != self.margins[k - 1].group]
+        for k in reversed(starts):
+            rows.insert(k, (f"{self.margins[k].group}:", "", "", "", ""))
         header = ("", "value", interval, "unit", "at rad/s")
         table = [text_table(header, rows)] if rows else []
         beyond = any(m.is_extrapolated for m in self.margins)
@@ -167,23 +203,36 @@ def margins(
     values: Mapping[str, float] | None = None,
     *,
     broken_at: str = "",
+    tracking: tuple[str, str] | None = None,
     at: Mapping[str, float] | None = None,
     part: int = 0,
     level: float = 0.95,
 ) -> Margins:
-    """Return stability margins of a plant with sampled controllers, and their confidence intervals.
+    """Return margins and closed-loop numbers of a plant with sampled controllers, with intervals.
 
     The loop is that of `virtual_flight`: the controllers run at their rate, the control is held
-    until the next sample, and the delay of the plant is exact. All margins are of the loop broken
-    at one signal with every other loop closed:
+    until the next sample, and the delay of the plant is exact. The first group of numbers is of the
+    loop broken at one signal with every other loop closed:
 
     - *phase margin*: the smallest phase, lag or lead, that makes the loop unstable, in degrees;
     - *gain margin* and *gain reduction margin*: the smallest factors above and below one that do;
     - *delay margin*: the smallest additional delay that does;
     - *modulus margin*: the smallest distance of the loop gain from -1, the inverse of the peak of
-      the sensitivity (the disturbance rejection peak);
+      the sensitivity;
     - *crossover*: the highest frequency at which the gain is one;
-    - *disturbance rejection bandwidth*: where the sensitivity first reaches -3 dB.
+    - *disturbance rejection bandwidth* and *peak*: where the sensitivity first reaches -3 dB, and
+      its largest value;
+    - *phase margin 1*, *gain margin 1* ...: at every crossing, if there are several, from the
+      lowest frequency up; gain margins within 40 dB, negative for a reduction.
+
+    The second group is of the response to a setpoint, over its value at rest:
+
+    - *bandwidth*: the highest frequency at which it is within 3 dB; *-180 deg frequency*;
+    - *ADS-33 gain*, *phase bandwidth* and *phase delay* of the attitude, if the unit of the
+      response is that of an angle or of a rate (whose integral is taken), at samples of the
+      controller, and *ADS-33 bandwidth*, the smaller one;
+    - *overshoot*, *rise time* from 10 % to 90 % and *settling time* to 2 % of a step;
+    - *damping ratio* and *natural frequency* of the poles with the largest part in that step.
 
     The intervals are quantiles over draws from the distribution of the estimates (Student's t), so
     they need not be symmetric, and hold where the standard errors of the fit do. They contain the
@@ -200,6 +249,9 @@ def margins(
     broken_at : str
         An input of the plant (the actuator; by default the first), a signal that a controller
         measures (the rate, the attitude), or one that a controller commands.
+    tracking : (str, str), optional
+        A setpoint and the signal that responds to it; by default the first setpoint of a controller
+        and its first input.
     at : mapping of name to float, optional
         The operating point of an ODE; by default that of the fitted part.
     part : int
@@ -224,197 +276,94 @@ def margins(
     hold of the logged control, half a sample, which is not counted again.
 
     Sources: Franklin, Powell, Workman (1998), Digital Control of Dynamic Systems, section 4.3 (the
-    sampled plant) and 7.4 (margins); ADS-33E-PRF and Tischler et al. (2017), Practical Methods for
-    Aircraft and Rotorcraft Flight Control Design, section 3.3 (disturbance rejection).
+    sampled plant) and 7.4 (margins); ADS-33E-PRF (2000), Handling Qualities Requirements for
+    Military Rotorcraft, paragraph 3.3.2.1 (bandwidth and phase delay of attitudes); Tischler
+    et al. (2017), Practical Methods for Aircraft and Rotorcraft Flight Control Design, section 3.3
+    (disturbance rejection).
     """
     require_level(level)
-    if isinstance(plant, Fit):
-        if values is not None:
-            raise TypeError("values were given beside a Fit, which has its own: leave them out.")
-        return _margins_of_fit(plant, controller, broken_at, at, part, level)
-    if not isinstance(plant, Model):
-        raise TypeError(f"{plant!r:.60} has no margins: give a Fit, or a model with its values.")
-    row = np.array([list(plant.values(values).values())], dtype=float)
-    loop = sampled_loop(plant, row, controller, at=at)
+    loop = drawn_loops(plant, controller, values, at=at, part=part)
+    model = plant.model_of(part) if isinstance(plant, Fit) else plant
+    controllers = [controller] if isinstance(controller, Controller) else controller
     signal = broken_at or loop.inputs[0]
-    return _margins(plant.label, loop, signal, math.nan)
+    setpoint, response = tracking or _tracking(controllers)
+    for name in (signal, *([setpoint, response] if setpoint else [])):
+        require_signal(name, loop.signals)
 
-
-def _margins_of_fit(
-    fit: Fit,
-    controller: Controller | Sequence[Controller],
-    broken_at: str,
-    at: Mapping[str, float] | None,
-    part: int,
-    level: float,
-) -> Margins:
-    if not fit.converged:
-        raise ValueError(f"the fit {fit.name!r} has no estimate: {fit.status}.")
-    model, fitted = fit.model_of(part), fit.parts[part]
-    is_response = isinstance(fitted, FittedResponse)
-    values = _draws(fit, [fitted.rename.get(name, name) for name in model.parameters])
-    loop = sampled_loop(
-        model,
-        values,
-        controller,
-        at=fitted.at if at is None and is_response else at,
-        delay_has="hold" if is_response else "nothing",
+    is_fit = isinstance(plant, Fit)
+    instability = 1 - float(np.mean(loop.is_stable[DRAWN])) if is_fit else math.nan
+    answer = Margins(
+        model.label,
+        signal,
+        setpoint,
+        response,
+        (),
+        bool(loop.is_stable[0]),
+        instability,
+        level if is_fit else math.nan,
+        loop,
+        tuple(f"The fit warns: {warning}" for warning in plant.warnings) if is_fit else (),
     )
-    signal = broken_at or loop.inputs[0]
-    answer = _margins(model.label, loop, signal, level)
-    warned = tuple(f"The fit warns: {warning}" for warning in fit.warnings)
-    answer = replace(answer, notes=(*answer.notes, *warned))
-    if not isinstance(fitted, FittedResponse):
-        return answer
-    omega = fitted.data.omega
-    return replace(
-        answer,
-        margins=tuple(
-            replace(m, is_extrapolated=bool(m.omega < omega[0] or m.omega > omega[-1]))
-            for m in answer.margins
-        ),
-    )
-
-
-def _margins(plant: str, loop: SampledLoop, signal: str, level: float) -> Margins:
-    """Return the margins of the first plant, with intervals from the other ones."""
-    is_stable = loop.is_stable
-    drawn = slice(1, 1 + DRAWS)
-    instability = 1 - float(np.mean(is_stable[drawn])) if len(is_stable) > 1 else math.nan
-    answer = Margins(plant, signal, (), bool(is_stable[0]), instability, level)
     if not answer.is_stable:
         return answer
 
-    omega = np.geomspace(10**-DECADES, 0.999, POINTS) * math.pi / loop.period
-    tail = (1 - level) / 2
-    rows, notes = [], []
-    for name, (value, where) in _quantities(loop, signal, omega, is_stable).items():
-        low = high = math.nan
-        if not np.allclose(value[drawn.stop :], value[0], rtol=1e-3):
-            notes.append(f"The {name} depends on what the data of the fit do not determine.")
-        elif instability <= tail:
-            low, high = np.quantile(value[drawn], [tail, 1 - tail], method="closest_observation")
-        exact, place = _refined(loop.first, signal, name, value[0], where[0])
-        rows.append(Margin(name, UNITS[name], exact, float(low), float(high), place))
+    groups = {f"broken at {signal}": partial(broken_loop_numbers, signal=signal)}
+    if setpoint and follows(loop, setpoint, response):
+        integrals = _INTEGRALS.get(_unit(response, model, controllers))
+        groups[f"{setpoint} to {response}"] = partial(
+            closed_loop_numbers, setpoint=setpoint, response=response, integrals=integrals
+        )
+    fitted = plant.parts[part] if isinstance(plant, Fit) else None
+    band = fitted.data.omega[[0, -1]] if isinstance(fitted, FittedResponse) else None
+    return _with_rows(answer, groups, band)
+
+
+def _with_rows(answer: Margins, groups: Mapping[str, LoopNumbers], band: Array | None) -> Margins:
+    """Return an answer with its rows, whose intervals are quantiles over the draws."""
+    tail = (1 - answer.level) / 2
+    rows, undetermined, missing = [], [], {}
+    for group, numbers in groups.items():
+        exact = refined(answer.loop, numbers)
+        for name, (value, _) in numbers(answer.loop, loop_frequencies(answer.loop)).items():
+            first, omega = exact[name].first
+            if math.isnan(first):
+                continue
+            low = high = math.nan
+            if not np.allclose(value[BESIDE], value[0], rtol=1e-3):
+                undetermined.append(name)
+            elif np.isnan(value[DRAWN]).any():
+                missing[name] = float(np.mean(np.isnan(value[DRAWN])))
+            elif answer.instability <= tail:
+                ends = np.quantile(value[DRAWN], [tail, 1 - tail], method="closest_observation")
+                low, high = map(float, ends)
+            beyond = band is not None and bool(omega < band[0] or omega > band[1])
+            unit = UNITS[name.rstrip(" 0123456789")]
+            rows.append(Margin(name, unit, first, low, high, omega, beyond, group))
+
+    notes = list(answer.notes)
+    if undetermined:
+        names = listed(undetermined)
+        notes.insert(0, f"No interval: the data of the fit do not determine the {names}.")
+    if missing:
+        share = 100 * max(missing.values())
+        notes.insert(0, f"No interval: {share:.2g} % of the draws have no {listed([*missing])}.")
     return replace(answer, margins=tuple(rows), notes=tuple(notes))
 
 
-def _draws(fit: Fit, names: Sequence[str]) -> Array:
-    """Return values (plants, parameters): the estimate, draws from its distribution, others.
-
-    The others lie beside the estimate in directions of which the data say nothing.
-    """
-    from scipy.special import chdtri, ndtri  # noqa: PLC0415  (takes a tenth of a second to import)
-    from scipy.stats import qmc  # noqa: PLC0415  (takes a third of a second to import)
-
-    if fit.directions is None:
-        raise ValueError(
-            f"the fit {fit.name!r} has no covariance, so that margins would have no errors: "
-            "its data leave no degrees of freedom; add data or fix parameters."
-        )
-    lines = {q.name: q for q in fit.quantities}
-    center = np.array([lines[name].value for name in names])
-    known = fit.directions.of([fit.names.index(name) for name in names])
-    variances, axes = np.linalg.eigh(known.covariance)
-    root = axes * np.sqrt(np.maximum(variances, 0))
-    dof = min((lines[n].dof for n in names if lines[n].standard_error > 0), default=fit.dof)
-
-    shares = qmc.Sobol(len(names) + 1, rng=np.random.default_rng(0)).random(DRAWS)
-    shares = np.clip(shares, 1e-9, 1 - 1e-9)
-    normal = ndtri(shares[:, :-1]) @ root.T
-    widening = np.sqrt(dof / chdtri(dof, shares[:, -1])) if math.isfinite(dof) else np.ones(DRAWS)
-    bias = np.array([lines[name].bias for name in names])
-    drawn = center - bias + normal * widening[:, None]
-    beside = center + 0.1 * (known.size[:, None] * known.unseen).T
-
-    limits = np.array([lines[name].bounds for name in names]).T
-    return np.clip(np.vstack([center, drawn, beside]), *limits)
+def _tracking(controllers: Sequence[Controller]) -> tuple[str, str]:
+    """Return the first setpoint and what its controller measures first."""
+    for c in controllers:
+        if c.setpoints and c.inputs:
+            return c.outside(c.setpoints[0]), c.outside(c.inputs[0])
+    return "", ""
 
 
-def _quantities(
-    loop: SampledLoop, signal: str, omega: Array, is_stable: BoolArray
-) -> dict[str, tuple[Array, Array]]:
-    """Return every quantity (plants,) with its frequency, from the loop gain at `omega` (n,)."""
-    gain = loop.broken_at(signal, omega)
-    x = np.log(omega)
-    with np.errstate(divide="ignore"):
-        size = np.log(np.abs(gain))
-    phase = np.unwrap(np.angle(gain), axis=1)
-
-    # Where the gain is one, and how far the phase is from -180 degrees there.
-    crosses, share = _crossings(size)
-    lag = np.mod(_between(phase, share) + math.pi, 2 * math.pi)
-    at = np.exp(x[:-1] + share * np.diff(x))
-    answer = {
-        "phase margin": _smallest(np.degrees(np.minimum(lag, 2 * math.pi - lag)), crosses, at)
-    }
-
-    # Where the gain is real and negative.
-    real_axis, part = _crossings(gain.imag)
-    real_axis &= _between(gain.real, part) < 0
-    decibels = -20 / math.log(10) * _between(size, part)
-    place = np.exp(x[:-1] + part * np.diff(x))
-    answer["gain margin"] = _smallest(decibels, real_axis & (decibels > 0), place)
-    answer["gain reduction margin"] = _smallest(-decibels, real_axis & (decibels < 0), place)
-    answer["delay margin"] = _smallest(lag / at, crosses, at)
-
-    distance = np.abs(1 + gain)
-    nearest = distance.argmin(axis=1)
-    answer["modulus margin"] = (distance.min(axis=1), omega[nearest])
-    last = _smallest(-at, crosses, at)
-    answer["crossover"] = (-last[0], last[1])
-    rejects, share = _crossings(distance - math.sqrt(2))
-    at = np.exp(x[:-1] + share * np.diff(x))
-    answer["disturbance rejection bandwidth"] = _smallest(at, rejects, at)
-
-    # An unstable loop has used its margins up.
-    for name in (
-        "phase margin",
-        "gain margin",
-        "gain reduction margin",
-        "delay margin",
-        "modulus margin",
-    ):
-        answer[name] = (np.where(is_stable, answer[name][0], 0.0), answer[name][1])
-    return answer
-
-
-def _crossings(values: Array) -> tuple[BoolArray, Array]:
-    """Return between which neighbors (plants, n - 1) the sign changes, and where between them."""
-    before, after = values[:, :-1], values[:, 1:]
-    changes = (before < 0) != (after < 0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.where(changes, before / (before - after), 0.0)
-    return changes, share
-
-
-def _between(values: Array, share: Array) -> Array:
-    return values[:, :-1] + share * np.diff(values, axis=1)
-
-
-def _smallest(values: Array, where: BoolArray, omega: Array) -> tuple[Array, Array]:
-    """Return the smallest value that counts in each row, and its frequency; inf, NaN for none."""
-    counted = np.where(where, values, math.inf)
-    place = counted.argmin(axis=1)
-    rows = np.arange(len(counted))
-    value = counted[rows, place]
-    frequency = np.broadcast_to(omega, counted.shape)[rows, place]
-    return value, np.where(np.isfinite(value), frequency, math.nan)
-
-
-def _refined(
-    loop: SampledLoop, signal: str, name: str, value: float, omega: float
-) -> tuple[float, float]:
-    """Return a quantity of the first plant and its frequency, to rounding."""
-    width = DECADES * math.log(10) / POINTS
-    while math.isfinite(omega) and width > 1e-9:
-        top = 0.9999 * math.pi / loop.period
-        near = np.minimum(omega * np.exp(np.linspace(-1.5, 1.5, 100) * width), top)
-        found = _quantities(loop, signal, np.unique(near), np.ones(1, dtype=bool))[name]
-        if not math.isfinite(found[0][0]):
-            break
-        value, omega, width = float(found[0][0]), float(found[1][0]), width / 30
-    return float(value), float(omega)
+def _unit(signal: str, model: Model, controllers: Sequence[Controller]) -> str:
+    """Return the declared unit of a signal of the loop; empty if it has none."""
+    units = {c.outside(n): u for c in controllers for n, u in c.units.items()} | dict(model.units)
+    if signal not in units and signal.endswith(DOT):
+        return units.get(signal.removesuffix(DOT), "") + "/s"
+    return units.get(signal, "")
 
 
 def _with_interval(margin: Margin) -> str:

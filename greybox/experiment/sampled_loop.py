@@ -7,6 +7,7 @@ the parameters.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, NamedTuple
 
 import casadi as ca
@@ -78,6 +79,11 @@ class SampledLoop:
         arrays = ("A", "early", "late", "C", "D", "whole")
         return replace(self, **{name: getattr(self, name)[:1] for name in arrays})
 
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """What is measured and what is commanded."""
+        return (*self.sensors, *self.controller.commands)
+
     def plant_response(self, omega: Array) -> ComplexArray:
         """Return the gains (plants, n, sensors, inputs) of the plants at `omega` (n,) rad/s."""
         z = np.exp(1j * omega * self.period)
@@ -99,12 +105,9 @@ class SampledLoop:
         ValueError
             For a signal that is not in the loop.
         """
-        names = (*self.sensors, *self.controller.commands)
+        names = self.signals
         for name in (added_to, *signals):
-            if name not in names:
-                raise ValueError(
-                    f"there is no {name!r} in the loop: give one of {', '.join(names)}."
-                )
+            require_signal(name, names)
 
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
         plant = self.plant_response(omega)
@@ -137,17 +140,31 @@ class SampledLoop:
         """
         return 1 / self.gains(signal, [signal], omega)[..., 0] - 1
 
-    def poles(self) -> ComplexArray:
-        """Return the poles (plants, states) of the closed loops, in z."""
+    def closed(self, command: str, signal: str) -> tuple[Array, Array, Array, Array]:
+        """Return A, B, C, D (plants, ...) of the closed loops from a command to a signal.
+
+        ``x[k+1] = A x[k] + B e[k]`` and ``signal[k] = C x[k] + D e[k]``, where `e` is added to the
+        command.
+
+        Raises
+        ------
+        ValueError
+            For a signal that is not in the loop.
+        """
         commands, F, G, H, J = self.controller
+        sensors = self.sensors
+        require_signal(command, commands)
+        require_signal(signal, self.signals)
+        added = len(sensors) + commands.index(command)
         rows = [commands.index(name) for name in self.inputs]
-        measured = len(self.sensors)
         plants, n = self.A.shape[:2]
         m = len(self.inputs)
         length = int(self.whole.max()) + 1  # past controls that some plant still waits for
         size = n + len(F) + m * length
         every = np.arange(plants)
-        past = np.zeros((plants, 2, m, size))  # u[k-whole-1] and, where it is past, u[k-whole]
+
+        # The last column is the command.
+        past = np.zeros((plants, 2, m, size + 1))  # u[k-whole-1] and, where it is past, u[k-whole]
         for i in range(m):
             begin = n + len(F) + i * length
             past[every, 0, i, begin + self.whole[:, i]] = 1
@@ -156,27 +173,43 @@ class SampledLoop:
 
         y = self.D @ past[:, 0]
         y[:, :, :n] += self.C
-        u = J[rows, :measured] @ y
-        u[:, :, n : n + len(F)] += H[rows]
+        total = J[:, : len(sensors)] @ y
+        total[:, :, n : n + len(F)] += H
+        total[:, :, -1] += J[:, added]
+        u = total[:, rows]
         arriving = past[:, 1] + (self.whole == 0)[:, :, None] * u
 
-        closed = np.zeros((plants, size, size))
-        closed[:, :n] = self.late @ arriving + self.early @ past[:, 0]
-        closed[:, :n, :n] += self.A
-        closed[:, n : n + len(F)] = G[:, :measured] @ y
-        closed[:, n : n + len(F), n : n + len(F)] += F
+        following = np.zeros((plants, size, size + 1))
+        following[:, :n] = self.late @ arriving + self.early @ past[:, 0]
+        following[:, :n, :n] += self.A
+        following[:, n : n + len(F)] = G[:, : len(sensors)] @ y
+        following[:, n : n + len(F), n : n + len(F)] += F
+        following[:, n : n + len(F), -1] += G[:, added]
         for i in range(m):
             begin = n + len(F) + i * length
-            closed[:, begin] = u[:, i]
+            following[:, begin] = u[:, i]
             shifted = np.arange(begin + 1, begin + length)
-            closed[:, shifted, shifted - 1] = 1
+            following[:, shifted, shifted - 1] = 1
+        read = np.concatenate([y, total], axis=1)[:, self.signals.index(signal)]
+        return following[..., :-1], following[..., -1], read[:, :-1], read[:, -1]
+
+    @cached_property
+    def poles(self) -> ComplexArray:
+        """The poles (plants, states) of the closed loops, in z."""
+        closed = self.closed(self.inputs[0], self.inputs[0])[0]
         return np.linalg.eigvals(closed).astype(complex)
 
     @property
     def is_stable(self) -> BoolArray:
         """Whether no signal grows in each closed loop, (plants,)."""
         # A pole at one, such as that of a position that no controller holds, is one to rounding.
-        return np.abs(self.poles()).max(axis=1) < 1 + 1e-7
+        return np.abs(self.poles).max(axis=1) < 1 + 1e-7
+
+
+def require_signal(name: str, names: Sequence[str]) -> None:
+    """Refuse a signal that is not in the loop."""
+    if name not in names:
+        raise ValueError(f"there is no {name!r} in the loop: give one of {', '.join(names)}.")
 
 
 def sampled_loop(

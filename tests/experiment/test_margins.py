@@ -146,7 +146,9 @@ def test_intervals_cover_the_true_margins_and_are_as_wide_as_the_scatter():
     # A measured response has the delay of the hold of its control.
     truth = gb.margins(RateDynamics(), RateLoop(), {**TRUTH, "tau": TRUTH["tau"] - 0.5 / RATE})
     answers = [gb.margins(fitted(seed), RateLoop()) for seed in range(12)]
-    for name in ("phase margin", "gain margin", "delay margin", "modulus margin", "crossover"):
+    names = "phase margin, gain margin, delay margin, modulus margin, crossover, bandwidth, "
+    names += "disturbance rejection peak, -180 deg frequency, overshoot, rise time, damping ratio"
+    for name in names.split(", "):
         low, value, high = np.array([(a[name].low, a[name].value, a[name].high) for a in answers]).T
         assert np.sum((low <= truth[name].value) & (truth[name].value <= high)) >= 10
         half_width = np.mean(high - low) / 2

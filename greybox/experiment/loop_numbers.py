@@ -1,0 +1,324 @@
+"""Numbers that describe loops of many plants: margins, crossings, closed-loop response, poles.
+
+Begin with `loop_numbers`.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from greybox.experiment.sampled_loop import SampledLoop
+from greybox.files.arrays import Array, BoolArray
+
+POINTS = 400
+DECADES = 4.0  # below the Nyquist frequency, within which crossings are looked for
+TOP = 0.999  # of the Nyquist frequency
+REST = 1e-6  # rad per sample: a response at rest, still exact to ten digits
+FAR = 40.0  # dB: a crossing of the real axis that is farther away limits no gain
+STEPS = 2**14  # most points of a step response: 70 MB for all draws
+TOLERANCE = 0.02  # of a settled response
+
+
+class Located(NamedTuple):
+    """A quantity of every plant, and the frequency at which it arises, both (plants,).
+
+    The value is infinite where it does not exist, NaN where it is not defined.
+    """
+
+    value: Array
+    omega: Array
+
+    @property
+    def first(self) -> tuple[float, float]:
+        """The value and the frequency of the first plant."""
+        return float(self.value[0]), float(self.omega[0])
+
+
+Numbers = dict[str, Located]
+LoopNumbers = Callable[[SampledLoop, Array], Numbers]  # at frequencies (n,)
+
+
+@dataclass(frozen=True, eq=False)
+class Crossings:
+    """Where curves (plants, n) change their sign.
+
+    Attributes
+    ----------
+    occurs : (plants, n - 1) array of bool
+        Between which neighbors.
+    share : (plants, n - 1) array
+        How far between them.
+    omega : (plants, n - 1) array
+    """
+
+    occurs: BoolArray
+    share: Array
+    omega: Array
+
+    def between(self, values: Array) -> Array:
+        """Interpolate other curves (plants, n) there."""
+        return values[:, :-1] + self.share * np.diff(values, axis=1)
+
+    def where(self, condition: BoolArray) -> "Crossings":
+        """Return those that fulfil a condition (plants, n - 1)."""
+        return replace(self, occurs=self.occurs & condition)
+
+    def smallest(self, values: Array) -> Located:
+        """Return the smallest value of each plant; infinity for none."""
+        counted = np.where(self.occurs, values, math.inf)
+        place = counted.argmin(axis=1)[:, None]
+        value = np.take_along_axis(counted, place, 1)[:, 0]
+        omega = np.take_along_axis(self.omega, place, 1)[:, 0]
+        return Located(value, np.where(np.isfinite(value), omega, math.nan))
+
+    @property
+    def first(self) -> Located:
+        """The lowest frequency of each plant; infinity for none."""
+        return self.smallest(self.omega)
+
+    @property
+    def last(self) -> Located:
+        """The highest frequency of each plant; minus infinity for none."""
+        value, omega = self.smallest(-self.omega)
+        return Located(-value, omega)
+
+    def listed(self, name: str, values: Array) -> Numbers:
+        """Return the value at every crossing of the first plant, if it has several.
+
+        They are NaN for plants that have another number of crossings.
+        """
+        count = self.occurs.sum(axis=1)
+        if count[0] < 2:
+            return {}
+        same = count == count[0]
+        table = np.full((2, len(count), count[0]), math.nan)
+        for row, numbers in zip(table, (values, self.omega), strict=True):
+            row[same] = numbers[self.occurs & same[:, None]].reshape(-1, count[0])
+        return {f"{name} {k + 1}": Located(*table[:, :, k]) for k in range(count[0])}
+
+
+def crossings(values: Array, omega: Array) -> Crossings:
+    """Return where curves (plants, n) change their sign along `omega` (n,)."""
+    before, after = values[:, :-1], values[:, 1:]
+    occurs = (before < 0) != (after < 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.where(occurs, before / (before - after), 0.0)
+    x = np.log(omega)
+    return Crossings(occurs, share, np.exp(x[:-1] + share * np.diff(x)))
+
+
+def loop_frequencies(loop: SampledLoop) -> Array:
+    """Return the frequencies, in rad/s, at which loops are evaluated before any refinement."""
+    return np.geomspace(10**-DECADES, TOP, POINTS) * math.pi / loop.period
+
+
+def refined(loop: SampledLoop, numbers: LoopNumbers) -> Numbers:
+    """Return `numbers` of the first plant, with their frequencies to rounding.
+
+    The places at which quantities arise get points of their own, which are ever closer.
+    """
+    alone, coarse = loop.first, loop_frequencies(loop)
+    width = math.log(coarse[1] / coarse[0])
+    answer = numbers(alone, coarse)
+    for _ in range(3):
+        places = np.array([quantity.first[1] for quantity in answer.values()])
+        places = places[np.isfinite(places)]
+        # A phase delay takes the phase at twice its frequency, too.
+        near = np.outer([*places, *(2 * places)], np.exp(np.linspace(-1.5, 1.5, 61) * width))
+        omega = np.unique([*coarse, *near.ravel()])
+        answer = numbers(alone, omega[omega <= coarse[-1]])
+        width /= 20  # the straight lines between points leave 0.001 of a spacing of 0.05 widths
+    return answer
+
+
+def broken_loop_numbers(loop: SampledLoop, omega: Array, signal: str) -> Numbers:
+    """Return the margins of the loops broken at a signal, from their gains at `omega` (n,)."""
+    gain = loop.broken_at(signal, omega)
+    with np.errstate(divide="ignore"):
+        size = np.log(np.abs(gain))
+    phase = np.unwrap(np.angle(gain), axis=1)
+
+    # Where the gain is one, and how far the phase is from -180 degrees there.
+    unity = crossings(size, omega)
+    lag = np.mod(unity.between(phase) + math.pi, 2 * math.pi)
+    angle = np.degrees(np.minimum(lag, 2 * math.pi - lag))
+
+    # Where the gain is real and negative.
+    real = crossings(gain.imag, omega)
+    real = real.where(real.between(gain.real) < 0)
+    decibels = -20 / math.log(10) * real.between(size)
+
+    distance = np.abs(1 + gain)
+    nearest = distance.argmin(axis=1)
+    least, closest = distance.min(axis=1), omega[nearest]
+    margins = {
+        "phase margin": unity.smallest(angle),
+        "gain margin": real.where(decibels > 0).smallest(decibels),
+        "gain reduction margin": real.where(decibels < 0).smallest(-decibels),
+        "delay margin": unity.smallest(lag / unity.omega),
+        "modulus margin": Located(least, closest),
+    }
+    # An unstable loop has used its margins up.
+    stable = loop.is_stable
+    used_up = {
+        name: Located(np.where(stable, value, 0.0), place)
+        for name, (value, place) in margins.items()
+    }
+    return {
+        **used_up,
+        "crossover": unity.last,
+        "disturbance rejection bandwidth": crossings(distance - math.sqrt(2), omega).first,
+        "disturbance rejection peak": Located(-20 * np.log10(least), closest),
+        **unity.listed("phase margin", angle),
+        **real.where(np.abs(decibels) < FAR).listed("gain margin", decibels),
+    }
+
+
+def follows(loop: SampledLoop, setpoint: str, response: str) -> bool:
+    """Return whether the response to a step of the setpoint has a final value other than zero."""
+    omega = np.array([REST / loop.period, *loop_frequencies(loop)])
+    size = np.abs(loop.first.gains(setpoint, [response], omega)[0, :, 0])
+    return bool(size[0] > 1e-6 * size.max())
+
+
+def closed_loop_numbers(
+    loop: SampledLoop, omega: Array, setpoint: str, response: str, integrals: int | None
+) -> Numbers:
+    """Return numbers of the closed loops from a setpoint to a response.
+
+    `integrals` is how often the response is integrated to an attitude, for the criteria of ADS-33;
+    None if it is none.
+    """
+    return {
+        **_response_numbers(loop, omega, setpoint, response, integrals),
+        **_step_numbers(loop, setpoint, response),
+        **_pole_numbers(loop, setpoint, response),
+    }
+
+
+def _response_numbers(
+    loop: SampledLoop, omega: Array, setpoint: str, response: str, integrals: int | None
+) -> Numbers:
+    rest = loop.gains(setpoint, [response], REST / loop.period)[..., 0].real
+    gain = loop.gains(setpoint, [response], omega)[..., 0] / rest
+    size, phase = np.abs(gain), np.unwrap(np.angle(gain), axis=1)
+    answer = {
+        "bandwidth": crossings(size - math.sqrt(0.5), omega).last,
+        "-180 deg frequency": crossings(phase + math.pi, omega).first,
+    }
+    if integrals is None:
+        return answer
+
+    # ADS-33E-PRF, 3.3.2.1: 45 degrees before the phase at which a pilot's gain makes the attitude
+    # unstable, and 6 dB below that gain; the phase delay is the slope of the phase beyond.
+    size, phase = size / omega**integrals, phase - integrals * math.pi / 2
+    reversal = crossings(phase + math.pi, omega).first
+    there = np.array(
+        [np.interp(w, omega, row) for w, row in zip(reversal.omega, size, strict=True)]
+    )
+    enough = crossings(size - 10 ** (6 / 20) * there[:, None], omega)
+    by_gain = enough.where(enough.omega < reversal.omega[:, None]).last
+    by_phase = crossings(phase + 0.75 * math.pi, omega).first
+    smaller = by_gain.value < by_phase.value
+    twice = 2 * reversal.omega
+    beyond = np.array([np.interp(w, omega, row) for w, row in zip(twice, phase, strict=True)])
+    delay = np.where(twice <= omega[-1], -(math.pi + beyond) / twice, math.nan)
+    return answer | {
+        "ADS-33 gain bandwidth": by_gain,
+        "ADS-33 phase bandwidth": by_phase,
+        "ADS-33 bandwidth": Located(
+            np.minimum(by_gain.value, by_phase.value),
+            np.where(smaller, by_gain.omega, by_phase.omega),
+        ),
+        "phase delay": Located(delay, reversal.omega),
+    }
+
+
+def _pole_numbers(loop: SampledLoop, setpoint: str, response: str) -> Numbers:
+    """Return damping ratio and natural frequency of the poles that dominate a step.
+
+    The dominant pole of the first plant has the largest part in the step; those of the other plants
+    are next to it.
+    """
+    from scipy.linalg import eig  # noqa: PLC0415  (takes a tenth of a second to import)
+
+    A, B, C, _ = (block[0] for block in loop.first.closed(setpoint, response))
+    z, left, right = map(np.asarray, eig(A, left=True, right=True))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        part = (C @ right) * (left.conj().T @ B) / np.sum(left.conj() * right, axis=0) / (1 - z)
+        # Poles at zero are past controls; one at one is a position that no controller holds.
+        part[(np.abs(z) < 1e-3) | (np.abs(z - 1) < 1e-7)] = 0
+        dominant = np.log(z[np.abs(part).argmax()]) / loop.period
+        poles = np.log(loop.poles) / loop.period
+    dominant = dominant.real + 1j * abs(dominant.imag)
+    nearest = np.nanargmin(np.abs(poles - dominant), axis=1)[:, None]
+    pole = np.take_along_axis(poles, nearest, 1)[:, 0]
+    frequency = np.abs(pole)
+    return {
+        "damping ratio": Located(-pole.real / frequency, frequency),
+        "natural frequency": Located(frequency, frequency),
+    }
+
+
+def _step_numbers(loop: SampledLoop, setpoint: str, response: str) -> Numbers:
+    """Return overshoot (percent), rise time and settling time of a step of a setpoint.
+
+    The rise is from 10 % to 90 % of the final response, which is settled within 2 % of it.
+    """
+    time, steps = step_responses(loop, setpoint, response)
+    rise = _passed(steps, 0.9, time) - _passed(steps, 0.1, time)
+
+    # Settled after the last sample outside, from which it enters along a straight line.
+    outside = np.abs(steps - 1) - TOLERANCE
+    last = len(time) - 1 - (outside[:, ::-1] > 0).argmax(axis=1)
+    entry = np.minimum(last, len(time) - 2)[:, None]
+    before, after = (np.take_along_axis(outside, k, 1)[:, 0] for k in (entry, entry + 1))
+    settling = time[entry[:, 0]] + time[1] * before / (before - after)
+    settling[last > entry[:, 0]] = math.inf
+
+    stable, nowhere = loop.is_stable, np.full(len(steps), math.nan)
+    numbers = {
+        "overshoot": 100 * np.maximum(steps.max(axis=1) - 1, 0),
+        "rise time": rise,
+        "settling time": settling,
+    }
+    return {n: Located(np.where(stable, v, math.inf), nowhere) for n, v in numbers.items()}
+
+
+def step_responses(loop: SampledLoop, setpoint: str, response: str) -> tuple[Array, Array]:
+    """Return times (n,) and responses (plants, n) to a step of a setpoint, over their final values.
+
+    They end when the slowest pole of the first plant has decayed.
+    """
+    size = np.abs(loop.first.poles)
+    slowest = size[size < 1 - 1e-7].max(initial=0.5)
+    count = max(int(math.log(1e-4) / math.log(slowest)), 100)
+    stride = -(-count // STEPS)
+    length = math.isqrt(count // stride) + 1
+    A, B, C, D = loop.closed(setpoint, response)
+
+    # With the constant input as a state, sample k is the row [C D] M^k of the column of the input.
+    M = np.zeros((len(A), len(A[0]) + 1, len(A[0]) + 1))
+    M[:, :-1, :-1], M[:, :-1, -1], M[:, -1, -1] = A, B, 1
+    rows = [np.concatenate([C, D[:, None]], axis=1)[:, None]]
+    columns = [np.broadcast_to(np.eye(M.shape[1])[:, -1:], (len(M), M.shape[1], 1))]
+    with np.errstate(over="ignore", invalid="ignore"):  # unstable loops
+        between = np.linalg.matrix_power(M, stride)
+        across = np.linalg.matrix_power(between, length)
+        for _ in range(length - 1):
+            rows.append(rows[-1] @ between)
+            columns.append(across @ columns[-1])
+        steps = np.concatenate(columns, axis=2).mT @ np.concatenate(rows, axis=1).mT
+    rest = loop.gains(setpoint, [response], REST / loop.period)[:, 0, 0].real
+    time = loop.period * stride * np.arange(length**2, dtype=float)
+    return time, steps.reshape(len(M), -1) / rest[:, None]
+
+
+def _passed(steps: Array, level: float, time: Array) -> Array:
+    """Return when each response (plants, n) first reaches a level."""
+    k = np.maximum((steps >= level).argmax(axis=1), 1)
+    before, after = (np.take_along_axis(steps, i[:, None], 1)[:, 0] for i in (k - 1, k))
+    return time[k - 1] + (level - before) / (after - before) * (time[k] - time[k - 1])

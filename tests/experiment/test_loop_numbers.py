@@ -1,0 +1,174 @@
+"""Numbers of closed loops, held against python-control and dense computations on random loops."""
+
+import control
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+import greybox as gb
+
+RATE = 100.0
+
+
+class RateDynamics(gb.TransferFunction):
+    """Angular rate per control: K e^(-tau s) / ((s + a) (T s + 1))."""
+
+    input, output, units = "u", "q", {"q": "rad/s"}
+    K = gb.Parameter(40.0, bounds=(0, 1000))
+    a = gb.Parameter(2.0, bounds=(-20, 50))
+    T = gb.Parameter(0.05, bounds=(0.001, 1))
+    tau = gb.Parameter(0.02, bounds=(0, 0.2))
+
+    def response(self, s, p):
+        return p.K * gb.exp(-p.tau * s) / ((s + p.a) * (p.T * s + 1))
+
+
+class RateLoop(gb.Controller):
+    """A proportional-integral controller of the rate, whose integral is one sample late."""
+
+    states, inputs, outputs, rate = ("integral",), ("q",), ("u",), RATE
+    K_P = gb.Parameter(0.15, bounds=(0, 10))
+    K_I = gb.Parameter(0.3, bounds=(0, 10))
+
+    def update(self, x, u, p):
+        error = u.reference - u.q
+        return (x.integral + error / self.rate,), (p.K_P * error + p.K_I * x.integral,)
+
+
+class Quiet(RateDynamics):
+    """The same without a unit of the rate."""
+
+    units = {}
+
+
+def random_loops(number):
+    rng = np.random.default_rng(3)
+    for _ in range(number):
+        values = {
+            "K": rng.uniform(5, 80),
+            "a": rng.uniform(-2, 10),
+            "T": rng.uniform(0.02, 0.2),
+            "tau": rng.integers(0, 5) / RATE,
+        }
+        gains = {"K_P": rng.uniform(0.05, 0.4), "K_I": rng.uniform(0.2, 1)}
+        answer = gb.margins(RateDynamics(), RateLoop(gains), values)
+        if answer.is_stable:
+            yield answer, in_python_control(values, gains)
+
+
+def in_python_control(values, gains):
+    """The broken loop: plant by zero-order hold, whole samples of delay, controller."""
+    denominator = np.polymul([1, values["a"]], [values["T"], 1])
+    plant = control.c2d(control.tf([values["K"]], denominator), 1 / RATE)
+    delay = control.tf([1], [1, *[0] * round(values["tau"] * RATE)], 1 / RATE)
+    law = control.tf([gains["K_P"], gains["K_I"] / RATE - gains["K_P"]], [1, -1], 1 / RATE)
+    return plant * delay * law
+
+
+def first_zero(function, omega):
+    """The first zero of a function, to rounding."""
+    values = function(omega)
+    k = int(np.flatnonzero((values[:-1] < 0) != (values[1:] < 0))[0])
+    return brentq(lambda w: float(function(np.array([w]))[0]), *omega[k : k + 2], xtol=1e-13)
+
+
+def test_numbers_of_the_closed_loop_are_those_of_python_control():
+    omega = np.geomspace(0.05, 0.99 * np.pi * RATE, 4000)
+    compared = 0
+    for answer, loop in random_loops(16):
+
+        def response(w, loop=loop):
+            gain = loop(np.exp(1j * w / RATE))
+            return gain / (1 + gain)
+
+        def phase(w):
+            # The phase unwrapped along a dense grid that the points are added to.
+            every = np.union1d(omega, w)
+            return np.unwrap(np.angle(response(every)))[np.searchsorted(every, w)]
+
+        expected = {
+            "bandwidth": first_zero(lambda w: np.abs(response(w)) - 0.5**0.5, omega[::-1]),
+            "-180 deg frequency": first_zero(lambda w: phase(w) + np.pi, omega),
+        }
+        # The attitude is the integral of the rate.
+        reversal = first_zero(lambda w: phase(w) + np.pi / 2, omega)
+        level = 10**0.3 * np.abs(response(reversal)) / reversal
+        before = omega[omega < reversal][::-1]
+
+        def above(w, level=level):
+            return np.abs(response(w)) / w - level
+
+        expected |= {
+            "ADS-33 phase bandwidth": first_zero(lambda w: phase(w) + np.pi / 4, omega),
+            "ADS-33 gain bandwidth": first_zero(above, before),
+            "phase delay": -(phase(2 * reversal) + np.pi / 2) / (2 * reversal),
+        }
+        for name, value in expected.items():
+            assert answer[name].value == pytest.approx(value, rel=1e-7), name
+        bandwidths = (expected["ADS-33 phase bandwidth"], expected["ADS-33 gain bandwidth"])
+        assert answer["ADS-33 bandwidth"].value == pytest.approx(min(bandwidths), rel=1e-7)
+        assert answer["disturbance rejection peak"].value == pytest.approx(
+            -20 * np.log10(answer["modulus margin"].value)
+        )
+
+        closed = control.feedback(loop, 1)
+        frequency, damping, _ = control.damp(closed, doprint=False)
+        near = np.argmin(np.abs(frequency - answer["natural frequency"].value))
+        assert answer["natural frequency"].value == pytest.approx(frequency[near], rel=1e-6)
+        assert answer["damping ratio"].value == pytest.approx(damping[near], abs=1e-6)
+
+        time, steps = control.step_response(closed, T=np.arange(3000) / RATE)
+        assert answer["overshoot"].value == pytest.approx(100 * max(steps.max() - 1, 0), abs=1e-6)
+        info = control.step_info(steps, T=time, yfinal=1.0)
+        assert answer["rise time"].value == pytest.approx(info["RiseTime"], abs=2 / RATE)
+        assert answer["settling time"].value == pytest.approx(info["SettlingTime"], abs=1.01 / RATE)
+        compared += 1
+    assert compared > 8
+
+
+def test_the_criteria_of_ads_33_need_an_attitude():
+    names = [margin.name for margin in gb.margins(Quiet(), RateLoop()).margins]
+    assert "bandwidth" in names
+    assert not any("ADS" in name for name in names)
+
+
+def test_steps_are_those_of_a_flight_with_a_fraction_of_a_sample_of_delay():
+    values = {"K": 40.0, "a": 2.0, "T": 0.05, "tau": 0.023}
+    answer = gb.margins(RateDynamics(), RateLoop(), values)
+    flight = gb.virtual_flight(
+        RateDynamics(), values, {"reference": np.ones(600)}, controller=RateLoop()
+    )
+    assert answer["overshoot"].value == pytest.approx(100 * (flight["q"].max() - 1), rel=1e-6)
+
+
+class Resonant(gb.TransferFunction):
+    """A rate with a structural mode, which crosses a gain of one twice more."""
+
+    input, output = "u", "q"
+    K = gb.Parameter(10.0)
+    peak = gb.Parameter(300.0)
+
+    def response(self, s, p):
+        return p.K / s + p.peak * s / (s**2 + 0.8 * s + 40.0**2) * 0.01
+
+
+def test_every_crossing_is_listed_and_the_smallest_decides():
+    class Proportional(RateLoop):
+        states = ()
+
+        def update(self, x, u, p):
+            return (), (0.5 * (u.reference - u.q),)
+
+    answer = gb.margins(Resonant(), Proportional())
+    phases = [m for m in answer.margins if m.name.startswith("phase margin ")]
+    assert len(phases) == 3
+    assert answer["phase margin"].value == min(m.value for m in phases)
+    gain = answer.loop.broken_at("u", [m.omega for m in phases])[0]
+    assert np.abs(gain) == pytest.approx(np.ones(3), rel=1e-8)
+
+
+def test_what_tracks_what_can_be_chosen():
+    answer = gb.margins(RateDynamics(), RateLoop(), tracking=("reference", "u"))
+    assert answer.response == "u"
+    with pytest.raises(ValueError, match="no 'theta' in the loop"):
+        gb.margins(RateDynamics(), RateLoop(), tracking=("reference", "theta"))
