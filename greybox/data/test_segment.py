@@ -6,19 +6,19 @@ from dataclasses import dataclass, replace
 
 from greybox.files.text_table import number, one_line, text_table
 
-PERIODIC = ("sine", "sweep", "multisine")
+EXCITATIONS = ("sine", "sweep", "multisine", "noise")
 MANOEUVRES = ("2-1-1", "3-2-1-1", "doublet", "pulse", "step", "stick input")
 
 
 @dataclass(frozen=True)
 class Segment:
-    """One excited segment of an experiment: a sine, a sweep, a multisine or a manoeuvre.
+    """One excited segment of an experiment: a sine, a sweep, a multisine, noise or a manoeuvre.
 
     Parameters
     ----------
     start, end : float, s
         On the record's clock.
-    kind : "sine", "sweep", "multisine", or one of `MANOEUVRES`
+    kind : "sine", "sweep", "multisine", "noise", or one of `MANOEUVRES`
     axis : str
         The axis as named in the log, or the name of the setpoint.
     omega : float, rad/s
@@ -29,7 +29,7 @@ class Segment:
         Amplitude of the excitation, and its operating point, in `unit` (that of the log); NaN if
         unknown.
     source : str
-        How it was detected: "SIDS", the announcing message, or "setpoint ...".
+        How it was detected: "SIDS", the announcing message, "setpoint ..." or "injected ...".
     usable : bool
         False for a test that cannot be used; `findings` (tuple of str) says why.
 
@@ -58,10 +58,10 @@ class Segment:
             raise ValueError(
                 f"the segment ends at {self.end:g} s, not after its start at {self.start:g} s."
             )
-        if self.kind not in (*PERIODIC, *MANOEUVRES):
+        if self.kind not in (*EXCITATIONS, *MANOEUVRES):
             raise ValueError(
                 f"the kind of a segment is {self.kind!r}: it must be one of "
-                f"{', '.join((*PERIODIC, *MANOEUVRES))}."
+                f"{', '.join((*EXCITATIONS, *MANOEUVRES))}."
             )
         if self.kind == "sine" and math.isnan(self.band[0]):
             object.__setattr__(self, "band", (self.omega, self.omega))

@@ -14,7 +14,8 @@ from greybox.data.test_segment import Segment
 from greybox.identification.measurement import Settings, found_tests
 from greybox.logs.axis_signals import NAMES
 from greybox.logs.flight_controllers import AXES, axis_of
-from greybox.logs.segment_detection import announcing
+from greybox.logs.injected_tests import INJECTED
+from greybox.logs.segment_detection import announcing, present
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,8 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
         raise ValueError(
             "no usable test was found in "
             f"{recording.source or 'the log'}{f' ({why})' if why else ''}: give "
-            "announced=MESSAGE or setpoint=SIGNAL, or whole=True with instrument=SIGNAL."
+            "announced=MESSAGE or setpoint=SIGNAL, or whole=True with the injected "
+            "instrument=SIGNAL, input=SIGNAL and output=SIGNAL."
         )
     axes = {
         raw: _body_axis(recording, [t for t in usable if t.axis == raw])
@@ -108,8 +110,7 @@ def _known_axes(recording: Recording) -> list[str]:
 
 
 def _has(recording: Recording, signal: str) -> bool:
-    message, _, field = signal.rpartition(".")
-    return message in recording and field in recording[message].signals
+    return bool(present(recording, [signal]))
 
 
 def _first(recording: Recording, signals: Sequence[str]) -> str:
@@ -161,6 +162,8 @@ def _chosen_axis(usable: Sequence[Segment], axes: dict[str, str], wanted: str) -
 def _why_axis(test: Segment) -> str:
     if test.source == "SIDS":
         return f"the log of the System Identification mode says {test.axis}"
+    if test.source.startswith(INJECTED):
+        return f"{test.source.removeprefix(INJECTED)} is injected there"
     return f"{test.axis} moves" if axis_of(test.axis) else "its setpoint moves most"
 
 

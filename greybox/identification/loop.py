@@ -13,7 +13,7 @@ from itertools import chain
 
 from greybox.data.record import Recording
 from greybox.logs.flight_controllers import AXES, axis_of
-from greybox.logs.segment_detection import SETPOINTS
+from greybox.logs.segment_detection import SETPOINTS, present
 
 # Messages and columns that only a controller's log has, whatever the axis; of PX4 and of MAVLink.
 CONTROLLER_MESSAGES = (
@@ -32,14 +32,9 @@ def controller_in(recording: Recording, controls: Sequence[str], measured: Seque
     """
     axes = [axis_of(control) for control in controls]
     for names in chain.from_iterable([AXES[axis]] if axis else AXES.values() for axis in axes):
-        for signal in (*names.setpoints, *names.terms):
-            message, _, field = signal.rpartition(".")
-            if (
-                signal not in measured
-                and message in recording
-                and field in recording[message].signals
-            ):
-                return signal
+        signals = [s for s in (*names.setpoints, *names.terms) if s not in measured]
+        if logged := present(recording, signals):
+            return logged[0]
     table = set(next(iter(recording.values())).signals) if len(recording) == 1 else set()
     for name in (*CONTROLLER_MESSAGES, *SETPOINTS):
         if (name in recording.records or name in table) and name not in measured:

@@ -23,6 +23,7 @@ from greybox.identification.systematic_errors import (
 )
 from greybox.logs.ardupilot.truncated_angles import STEP, is_truncated
 from greybox.logs.flight_controllers import axis_of, named_filters
+from greybox.logs.injected_tests import INJECTED
 from greybox.logs.known_filters import KnownFilter, in_series
 from greybox.logs.prepare import prepare
 from greybox.logs.segment_detection import find_segments
@@ -235,7 +236,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
 
     start = min((segment.start for segment in used), default=-math.inf)
     end = max((segment.end for segment in used), default=math.inf)
-    record = prepare(recording, signals, settings.rate, start=start, end=end)
+    record = prepare(recording, signals, _rate(recording, settings, used), start=start, end=end)
     raw, _ = recording.locate(output)
     during = raw.between(record.time[0], record.time[-1])
     judged = [segment for segment in tests if segment in used or not segment.usable]
@@ -358,11 +359,18 @@ def _instrument(recording: Recording, settings: Settings, used: Sequence[Segment
             if "SIDD" in recording and "Targ" in recording["SIDD"].signals
             else settings.setpoint
         )
-    return (
-        used[0].source.removeprefix("setpoint ")
-        if used[0].source.startswith("setpoint ")
-        else settings.setpoint
-    )
+    for start in ("setpoint ", INJECTED):
+        if used[0].source.startswith(start):
+            return used[0].source.removeprefix(start)
+    return settings.setpoint
+
+
+def _rate(recording: Recording, settings: Settings, used: Sequence[Segment]) -> float | None:
+    """Return the stated rate, or that of input and output beside a signal that is injected."""
+    if settings.rate is not None or not used or not used[0].source.startswith(INJECTED):
+        return settings.rate
+    # The injected signal is held, so that its messages may be slower than the others.
+    return min(1 / recording.locate(signal)[0].step for _, signal in settings.names)
 
 
 def _estimated(

@@ -10,8 +10,9 @@ Begin with `readers`, then `prepare`.
 | `sine_detection` | sines and sweeps in one signal |
 | `manoeuvre_detection` | doublets, 2-1-1 and other inputs |
 | `named_columns` | columns of a table under the names that the user gives them; signals in SI |
-| `flight_controllers` | signals of an axis and filters, for ArduPilot and PX4 together |
-| `ardupilot`, `px4` | the same for each flight controller |
+| `injected_tests` | tests that Betaflight and PX4 inject themselves |
+| `flight_controllers` | signals of an axis and filters, for all flight controllers together |
+| `ardupilot`, `px4`, `betaflight` | the same for each flight controller |
 | `axis_signals` | the signals of one axis |
 | `known_filters` | filters with known parameters |
 """

@@ -4,16 +4,21 @@ from greybox.data.record import Recording
 from greybox.logs.ardupilot import filters as of_ardupilot
 from greybox.logs.ardupilot.signals import AXES as ARDUPILOT_AXES
 from greybox.logs.axis_signals import AxisSignals
+from greybox.logs.betaflight import AXES as BETAFLIGHT_AXES
 from greybox.logs.known_filters import KnownFilter
 from greybox.logs.px4 import AXES as PX4_AXES
 from greybox.logs.px4 import named_filters as px4_filters
 from greybox.logs.px4 import passed_filters as passed_in_px4
 
+CONTROLLERS = (ARDUPILOT_AXES, PX4_AXES, BETAFLIGHT_AXES)
 AXES = {
     axis: AxisSignals(
-        *(getattr(own, kind) + getattr(PX4_AXES[axis], kind) for kind in AxisSignals.__match_args__)
+        *(
+            sum((getattr(axes[axis], kind) for axes in CONTROLLERS), ())
+            for kind in AxisSignals.__match_args__
+        )
     )
-    for axis, own in ARDUPILOT_AXES.items()
+    for axis in ARDUPILOT_AXES
 }
 
 

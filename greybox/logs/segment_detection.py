@@ -11,7 +11,9 @@ from greybox.data.test_segment import Segment
 from greybox.data.units import to_si
 from greybox.files.arrays import Array, IntArray
 from greybox.logs.ardupilot import ATTITUDE_SETPOINTS, SYSTEMID_AXES, SYSTEMID_DELAY
+from greybox.logs.betaflight import AXES as BETAFLIGHT_AXES
 from greybox.logs.flight_controllers import AXES, axis_of
+from greybox.logs.injected_tests import injected_tests
 from greybox.logs.px4 import AXES as PX4_AXES
 from greybox.logs.sine_detection import sines_and_sweeps
 
@@ -19,6 +21,7 @@ ANNOUNCED = {"segment": "Seg", "axis": "Ax", "omega": "W", "amplitude": "Eta", "
 SETPOINTS = (  # searched when none is named
     *ATTITUDE_SETPOINTS,
     *(axis.setpoints[0] for axis in PX4_AXES.values()),
+    *(axis.setpoints[0] for axis in BETAFLIGHT_AXES.values()),
     *("r", "setpoint", "reference"),
 )
 
@@ -43,8 +46,9 @@ def find_segments(
 ) -> tuple[Segment, ...]:
     """Return the excited segments of a flight, in order of time.
 
-    Runs of ArduPilot's System Identification mode (messages SIDS and SIDD) and tests announced in
-    `message` come first. Without any, sines and sweeps are searched in the setpoint.
+    Runs of ArduPilot's System Identification mode (messages SIDS and SIDD), of Betaflight's chirp
+    mode and of PX4's autotuning, and tests announced in `message` come first. Without any, sines
+    and sweeps are searched in the setpoint.
 
     Parameters
     ----------
@@ -74,6 +78,8 @@ def find_segments(
         )
     # What the autopilot states about its own tests is exact; a search in the setpoint is not.
     segments = _system_identification(data)
+    if not (message or setpoint):
+        segments += injected_tests(data)
     if message or (fields and isinstance(data, Record)):
         segments += _announced(data, message, fields)
     if not segments:

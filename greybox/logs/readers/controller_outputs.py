@@ -59,6 +59,9 @@ SAMPLES = {
     "sensor_combined": r"(gyro_rad|accelerometer_m_s2)\[\d\]",
 }
 
+# Added in every pass of the loop until the next message.
+KEPT = {"autotune_attitude_control_status": r"rate_sp\[\d\]"}
+
 # Hz; of ArduPilot, of PX4 (0 there: the sensor's own rate).
 LOOP_RATES = (
     "SCHED_LOOP_RATE",
@@ -76,6 +79,7 @@ def with_holds(groups: Iterable[Messages], parameters: Mapping[str, float]) -> l
 
 def _holds(group: Messages, period: float) -> dict[str, float]:
     holds = {name: CONTINUOUS for name in group.columns if _is_among(SAMPLES, group.name, name)}
+    holds |= {name: HELD for name in group.columns if _is_among(KEPT, group.name, name)}
     if math.isnan(period):
         steps = (
             np.diff(group.time)

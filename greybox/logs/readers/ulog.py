@@ -38,6 +38,7 @@ RATES = {  # fields in rad/s
     "vehicle_angular_velocity": r"xyz\[\d\]",
     "vehicle_rates_setpoint": "roll|pitch|yaw",
     "vehicle_attitude": "(roll|pitch|yaw)speed",
+    "autotune_attitude_control_status": r"rate_sp\[\d\]",
 }
 
 

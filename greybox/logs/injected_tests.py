@@ -1,0 +1,115 @@
+"""Tests in which a flight controller injects a signal of its own and logs it.
+
+Betaflight's chirp mode adds a chirp to the setpoint of one angular velocity, and PX4's autotuning
+adds steps or sweeps to it.
+
+Sources: DEBUG_CHIRP in pid.c of https://github.com/betaflight/betaflight;
+AutotuneAttitudeControlStatus.msg of https://github.com/PX4/PX4-Autopilot.
+"""
+
+import math
+
+import numpy as np
+
+from greybox.data.record import Record, Recording
+from greybox.data.test_segment import Segment
+from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
+
+INJECTED = "injected "  # begins the source of such a test, and the signal follows
+AXES = ("roll", "pitch", "yaw")
+CHIRP, PHASE = "chirp", "debug[0]"
+COUNTS = 5000  # of the phase in a radian
+AUTOTUNE = "autotune_attitude_control_status"
+# s: the phase of a chirp is zero for moments, and the steps of an autotuning cross zero.
+PAUSE = 1.0
+SHORTEST = 2.0  # s, a start that was broken off
+
+
+def injected_tests(data: Recording | Record) -> list[Segment]:
+    """Return the tests of Betaflight's chirp mode and of PX4's autotuning."""
+    records = data.records if isinstance(data, Recording) else {data.name: data}
+    tests = []
+    for name, record in records.items():
+        if CHIRP in record.signals and PHASE in record.signals:
+            tests += _chirps(record)
+        elif name == AUTOTUNE:
+            tests += _autotuning(record)
+    return tests
+
+
+def _chirps(record: Record) -> list[Segment]:
+    """Return the runs of Betaflight's chirp mode."""
+    phase = np.nan_to_num(record[PHASE]) / COUNTS
+    tests = []
+    for rows in _runs(record.time, phase > 0):
+        axis = _axis_of_chirp(record, rows, np.exp(1j * phase[rows]))
+        low, high, count = _band(record.time[rows], phase[rows])
+        used = rows[:count]
+        if axis in AXES:
+            tests.append(_segment(record, used, CHIRP, axis, "sweep", (low, high)))
+    return tests
+
+
+def _axis_of_chirp(record: Record, rows: IntArray, turning: ComplexArray) -> str:
+    """Return the axis that the debug fields state, or else that of the setpoint that moves."""
+    # Firmware before 2026 logs only the phase, and the other fields are zero.
+    if np.any(record.signals.get("debug[2]", np.zeros(1))):
+        number = int(np.median(record.signals.get("debug[1]", np.full(len(record), -1.0))[rows]))
+        return dict(enumerate(AXES)).get(number, "")
+    for signal in ("setpoint", "axisSum", "gyroADC"):
+        moves = {
+            axis: abs(np.mean(signals[rows] * turning))
+            for k, axis in enumerate(AXES)
+            if (signals := record.signals.get(f"{signal}[{k}]")) is not None
+        }
+        if any(moves.values()):
+            return max(moves, key=moves.__getitem__)
+    return ""
+
+
+def _autotuning(record: Record) -> list[Segment]:
+    """Return the stretches in which PX4's autotuning moves the setpoint of one axis."""
+    tests = []
+    for k, axis in enumerate(AXES):
+        name = f"rate_sp[{k}]"
+        values = record.signals.get(name, np.zeros(len(record)))
+        for rows in _runs(record.time, np.nan_to_num(values) != 0):
+            lasts = float(record.time[rows[-1]] - record.time[rows[0]])
+            band = (2 * math.pi / lasts, math.pi / record.step)
+            tests.append(_segment(record, rows, f"{AUTOTUNE}.{name}", axis, "noise", band))
+    return tests
+
+
+def _runs(time: Array, active: BoolArray) -> list[IntArray]:
+    """Return the samples of every stretch of activity without a pause."""
+    samples = np.flatnonzero(active)
+    runs = np.split(samples, np.flatnonzero(np.diff(time[samples]) > PAUSE) + 1)
+    return [run for run in runs if run.size > 1 and time[run[-1]] - time[run[0]] > SHORTEST]
+
+
+def _segment(
+    record: Record,
+    rows: IntArray,
+    signal: str,
+    axis: str,
+    kind: str,
+    band: tuple[float, float],
+) -> Segment:
+    start, end = record.time[rows[[0, -1]]]
+    size = float(np.nanmax(np.abs(record[signal.rpartition(".")[2]][rows])))
+    return Segment(
+        float(start), float(end), kind, axis, band=band, amplitude=size, source=INJECTED + signal
+    )
+
+
+def _band(time: Array, phase: Array) -> tuple[float, float, int]:
+    """Return the first and the last frequency of a chirp, rad/s, and its number of samples."""
+    steps = np.diff(phase) % (2 * math.pi)
+    # Beyond half the sampling rate, steps of the phase are over half a turn.
+    beyond = np.flatnonzero(np.convolve(steps > math.pi, np.ones(3), "valid") == 3)
+    last = int(beyond[0]) if beyond.size else time.size
+    edge = max(last // 50, 2)
+    turned = np.concatenate([[0.0], np.cumsum(steps[: last - 1])])
+    low = (turned[edge] - turned[0]) / (time[edge] - time[0])
+    high = (turned[-1] - turned[-edge]) / (time[last - 1] - time[last - edge])
+    return float(low), float(high), last

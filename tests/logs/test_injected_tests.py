@@ -1,0 +1,68 @@
+"""Tests that flight controllers inject themselves: found, measured and identified."""
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.identification.choices import choose
+from greybox.identification.measurement import measure
+from greybox.logs.injected_tests import injected_tests
+from tests.support.rate_loops import GAIN, LAG, autotuning, blackbox
+
+
+def measured(log):
+    settings, _ = choose(log)
+    return measure(log, settings)
+
+
+def off_truth(response, gain):
+    """Return the relative errors of a response, without its delay."""
+    s = 1j * response.omega
+    truth = gain / (s * (LAG * s + 1))
+    return np.abs(np.abs(response.response / truth) - 1)
+
+
+def test_a_chirp_of_betaflight_is_identified_without_options(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(blackbox())
+    fit = gb.identify(path).fit
+    for name, truth in (("b0", np.deg2rad(GAIN / LAG)), ("a1", 1 / LAG)):
+        assert abs(fit.estimate[name] - truth) < 3 * fit.standard_error[name], name
+
+
+@pytest.mark.parametrize(("axis", "states_axis", "fine"), [(1, True, False), (0, False, True)])
+def test_the_debug_fields_or_the_setpoint_have_the_axis(tmp_path, axis, states_axis, fine):
+    path = tmp_path / "log.csv"
+    path.write_text(blackbox(axis, states_axis=states_axis, fine=fine))
+    log = gb.read(path)
+    result = measured(log)
+    (test,) = result.used
+    assert (test.kind, test.axis) == ("sweep", ("roll", "pitch")[axis])
+    assert (test.start, test.end) == pytest.approx((5, 17), abs=0.01)
+    np.testing.assert_allclose(test.band, 2 * np.pi * np.array([0.5, 60]), rtol=0.1)
+    assert result.signals["u"] == f"axisSum[{axis}]"
+    assert np.median(off_truth(result.response, np.deg2rad(GAIN))) < 0.02
+    assert any("0.1 deg/s" in text for text in log.findings) != fine
+
+
+def test_other_debug_fields_are_no_chirp(tmp_path):
+    path = tmp_path / "log.csv"
+    head, *rows = blackbox(seconds=3.0).splitlines()
+    numbers = np.random.default_rng(0).integers(0, 31_000, len(rows))
+    place = head.split(",").index("debug[0]")
+    cells = [row.split(",") for row in rows]
+    other = [
+        [*row[:place], str(n), *row[place + 1 :]] for row, n in zip(cells, numbers, strict=True)
+    ]
+    path.write_text("\n".join([head, *map(",".join, other)]) + "\n")
+    log = gb.read(path)
+    assert "chirp" not in log["log"].signals
+    assert not injected_tests(log)
+
+
+def test_an_autotuning_of_px4_is_measured_without_options():
+    result = measured(autotuning())
+    (test,) = result.used
+    assert (test.kind, test.axis) == ("noise", "pitch")
+    assert result.signals["instrument"].endswith("rate_sp[1]")
+    assert np.median(off_truth(result.response, GAIN)) < 0.02
