@@ -20,8 +20,8 @@ import numpy as np
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
+from greybox.compiled.response_part import SMOOTHING
 from greybox.problems import pitch_hover
-from greybox.solve.ipopt import SMOOTHING
 
 
 def bare_loop(solver, starts, bounds):

@@ -85,6 +85,9 @@ def greybox_case(flight: Flight, options: dict[str, Any]) -> dict[str, Any]:
 
     import greybox as gb  # noqa: PLC0415
 
+    # `import greybox` is lazy: what a fit imports at its first use is library, too.
+    assert all((gb.fit, gb.several, gb.MultipleShooting, gb.OutputError))
+
     class FastTilt(gb.StateSpace):
         """(4.23) of the paper, the rotor being much faster."""
 
