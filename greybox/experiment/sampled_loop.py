@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from greybox.experiment.controller import Controller, connected, updated
 from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
+from greybox.modeling.held_inputs import held_response
 from greybox.modeling.model import Model
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics, dynamics
@@ -256,12 +257,12 @@ def sampled_loop(
     part = np.maximum(delay / period - whole, 0)
 
     # Before a control arrives the one before it acts: exp(A t) and its integral.
-    transition, _ = _held(A, B, np.full(len(A), period))
+    transition, _ = held_response(A, B, period)
     early, late = np.zeros_like(B), np.zeros_like(B)
     for i in range(B.shape[2]):
         column = B[:, :, i : i + 1]
-        _, first = _held(A, column, part[:, i] * period)
-        decay, second = _held(A, column, (1 - part[:, i]) * period)
+        _, first = held_response(A, column, part[:, i] * period)
+        decay, second = held_response(A, column, (1 - part[:, i]) * period)
         early[:, :, i : i + 1] = decay @ first
         late[:, :, i : i + 1] = second
     return SampledLoop(
@@ -276,18 +277,6 @@ def sampled_loop(
         _linear(controllers, sensors, system.inputs),
         period,
     )
-
-
-def _held(A: Array, B: Array, time: Array) -> tuple[Array, Array]:
-    """Return exp(A t) and the effect of a constant input over t (plants,)."""
-    from scipy.linalg import expm  # noqa: PLC0415  (takes a tenth of a second to import)
-
-    n, m = B.shape[1:]
-    both = np.zeros((len(A), n + m, n + m))
-    both[:, :n, :n] = A
-    both[:, :n, n:] = B
-    result = np.asarray(expm(both * time[:, None, None]), dtype=float)
-    return result[:, :n, :n], result[:, :n, n:]
 
 
 @one_thread_at_a_time

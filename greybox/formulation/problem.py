@@ -16,7 +16,7 @@ from greybox.files.text_table import one_line
 from greybox.formulation.frequency_criteria import Criterion, RelativeError
 from greybox.formulation.held_estimate import HeldEstimate
 from greybox.formulation.prior import Knowledge, NormalPrior, normal_priors
-from greybox.formulation.restated_parameter import restated
+from greybox.formulation.restated_parameter import held_at, restated
 from greybox.formulation.signal_units import check_response_units, check_units
 from greybox.formulation.spectrum_criteria import outputs_in_spectrum
 from greybox.formulation.sum import Sum
@@ -24,7 +24,7 @@ from greybox.formulation.time_criteria import OutputError, TimeCriterion
 from greybox.modeling.harmonic_balance import check_sine
 from greybox.modeling.model import Model, Names, pick_signals, require_known
 from greybox.modeling.pade_delay import delay_order
-from greybox.modeling.parameter import Parameter
+from greybox.modeling.parameter import Parameter, is_finite_number
 from greybox.modeling.sine import Sine, as_sine
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import require_no_nan, traced
@@ -127,9 +127,7 @@ class Problem:
             else f"OutputError(), for a {noun}"
         )
         _require(self.criterion, kind, "criterion", f"a criterion such as {cure}")
-        if not isinstance(self.weight, (int, float, np.number)) or not (
-            math.isfinite(self.weight) and self.weight > 0
-        ):
+        if not is_finite_number(self.weight) or self.weight <= 0:
             raise ValueError(f"weight {self.weight!r} must be a finite number above 0.")
 
         # An unknown word is refused here, not in the middle of a search.
@@ -280,19 +278,7 @@ class Problem:
                 [self.outside(name)], value.estimate, "estimate", "the Fit given as fixed"
             )
             value = value.estimate[self.outside(name)]
-        if not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
-            raise ValueError(
-                f"fixed gives {name!r} the value {value!r}: give a finite number or a Fit."
-            )
-
-        low, high = parameter.bounds
-        if not low <= value <= high:
-            raise ValueError(
-                f"fixed gives {name!r} the value {value:g} outside its bounds ({low:g}, {high:g}): "
-                f"change the value, or the bounds, bounds={{{name!r}: (low, high)}}."
-            )
-
-        return replace(parameter, start=float(value), fixed=True)
+        return held_at(name, parameter, value)
 
     def _check_prior(self) -> None:
         """Gather the priors, and require a likelihood where there are any."""

@@ -1,4 +1,4 @@
-"""Where the runs begin: Sobol points, a Latin hypercube, or a list."""
+"""Starts of the runs: Sobol points, a Latin hypercube, or a list."""
 
 import math
 from abc import ABC, abstractmethod
@@ -9,11 +9,11 @@ import numpy as np
 
 from greybox.files.arrays import Array
 from greybox.files.text_table import counted, one_line
-from greybox.modeling.parameter import Parameter
+from greybox.modeling.parameter import Parameter, is_finite_number
 
 
 class Starts(ABC):
-    """A rule for the starts of a search; `seed` is None if nothing is random."""
+    """A rule for the starts of a search; `seed` is None if it draws no random numbers."""
 
     seed: int | None = None
 
@@ -60,7 +60,13 @@ class RandomStarts(Starts):
     def draw(self, parameters: Mapping[str, Parameter]) -> Array:
         """Return the starts, (number, p)."""
         for name, parameter in parameters.items():
-            _require_finite_box(name, parameter)
+            low, high = parameter.box
+            if not (math.isfinite(low) and math.isfinite(high)):
+                raise ValueError(
+                    f"random starts for {name!r} need a finite box and its bounds are ({low:g}, "
+                    f"{high:g}): declare Parameter(..., starts=(low, high)) or give the starts as "
+                    "a list."
+                )
         shares = self.unit_points(len(parameters))
         return np.column_stack([p.in_box(shares[:, k]) for k, p in enumerate(parameters.values())])
 
@@ -162,10 +168,11 @@ def as_starts(
     if isinstance(starts, Starts):
         return starts
 
-    if isinstance(starts, Sequence) and not isinstance(starts, str):
-        if starts and all(isinstance(item, Mapping) for item in starts):
+    # A text is a sequence, too: its letters are neither mappings nor rules.
+    if isinstance(starts, Sequence) and starts:
+        if all(isinstance(item, Mapping) for item in starts):
             return Listed(tuple(item for item in starts if isinstance(item, Mapping)))
-        if starts and all(isinstance(item, (Mapping, Starts)) for item in starts):
+        if all(isinstance(item, (Mapping, Starts)) for item in starts):
             return Chained(
                 tuple(item if isinstance(item, Starts) else Listed((item,)) for item in starts)
             )
@@ -176,17 +183,8 @@ def as_starts(
     )
 
 
-def _require_finite_box(name: str, parameter: Parameter) -> None:
-    low, high = parameter.box
-    if not (math.isfinite(low) and math.isfinite(high)):
-        raise ValueError(
-            f"random starts for {name!r} need a finite box and its bounds are ({low:g}, {high:g}): "
-            "declare Parameter(..., starts=(low, high)) or give the starts as a list."
-        )
-
-
 def _check_listed(name: str, value: float, parameters: Mapping[str, Parameter]) -> None:
-    if not isinstance(value, (int, float, np.number)) or not math.isfinite(value):
+    if not is_finite_number(value):
         raise ValueError(
             f"a listed start gives {name!r} the value {value!r}: give a finite number."
         )

@@ -12,7 +12,7 @@ from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.input_assumptions import Inputs, require_inputs
 from greybox.modeling.model import Model, require_known
-from greybox.modeling.parameter import Parameter
+from greybox.modeling.parameter import Parameter, is_finite_number
 from greybox.modeling.state_space import StateSpace
 
 ROWS_CONDITION = "independent errors of equal variance in each output"
@@ -73,9 +73,7 @@ class TimeCriterion(AnyCriterion):
         """Check the options."""
         if isinstance(self.noise, Mapping):
             for name, sigma in self.noise.items():
-                if not isinstance(sigma, (int, float, np.number)) or not (
-                    math.isfinite(sigma) and sigma > 0
-                ):
+                if not is_finite_number(sigma) or sigma <= 0:
                     raise ValueError(
                         f"noise gives {name!r} the value {sigma!r}: give a standard deviation "
                         "above 0."
@@ -99,8 +97,7 @@ class TimeCriterion(AnyCriterion):
             )
 
         for name, value in self.initial.items():
-            number = isinstance(value, (int, float, np.number)) and math.isfinite(value)
-            if not (number or callable(value)):
+            if not (is_finite_number(value) or callable(value)):
                 raise ValueError(
                     f"initial gives {name!r} the value {value!r}: give a finite number or a "
                     "function of the parameters."

@@ -13,6 +13,7 @@ from greybox.files.safe_files import write_text
 from greybox.files.text_table import printable
 from greybox.interop.linear_systems import GivenModel, given_model
 from greybox.interop.source_names import identifier, identifiers
+from greybox.modeling.held_inputs import held_response
 from greybox.modeling.integrators import RungeKutta
 from greybox.modeling.realization import Dynamics
 
@@ -127,8 +128,6 @@ def write_c(
 
 def _discretized(system: Dynamics, p: Array, step: float) -> tuple[ca.Function, int]:
     """Return (x, u) -> x one substep later and the number of substeps, 0 where it is exact."""
-    from scipy.linalg import expm  # noqa: PLC0415  (imports slowly)
-
     n, m = len(system.states), len(system.inputs)
     x, u = ca.SX.sym("x", n), ca.SX.sym("u", m)
     z = ca.vertcat(x, u)
@@ -141,9 +140,10 @@ def _discretized(system: Dynamics, p: Array, step: float) -> tuple[ca.Function, 
     moved = np.asarray(linearized(points)[0]) - at_zero
     expected = jacobian @ points
     if np.all(np.abs(moved - expected) <= 1e-9 * (1 + np.abs(jacobian) @ np.abs(points))):
-        matrix = np.zeros((n + m + 1, n + m + 1))
-        matrix[:n] = np.hstack([jacobian, at_zero]) * step
-        exact = expm(matrix)[:n]
+        # What the derivative is at rest acts like one more held input, of one.
+        exact = np.hstack(
+            held_response(jacobian[:, :n], np.hstack([jacobian[:, n:], at_zero]), step)
+        )
         return ca.Function("step", [x, u], [ca.DM(exact) @ ca.vertcat(z, 1)]), 0
 
     fastest = np.abs(np.linalg.eigvals(jacobian[:, :n])).max(initial=0.0)

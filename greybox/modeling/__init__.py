@@ -19,6 +19,7 @@ Begin with `model`.
 | `sine`, `harmonic_balance`, `periodic_motions` | the response to a sine of finite amplitude |
 | `realization` | every model as an ODE with delayed inputs |
 | `integrators`, `implicit_integrators`, `step_size` | explicit and implicit steps, and how many |
+| `held_inputs` | the exact step of a linear system with held inputs |
 | `known_systems` | linear models with known numbers, such as a filter |
 | `late_sensors` | an ODE whose outputs are measured with a delay or a lag |
 | `model_reference`, `model_file` | a model by name in a stored result, or in a file of your own |

@@ -54,7 +54,7 @@ class Parameter:
             raise ValueError(
                 f"bounds {self.bounds} are reversed or empty: give (low, high) with low < high."
             )
-        if not isinstance(self.start, (int, float, np.number)) or not math.isfinite(self.start):
+        if not is_finite_number(self.start):
             raise ValueError(
                 f"start {self.start!r} is not a finite number: give a value inside bounds "
                 f"{self.bounds}."
@@ -119,15 +119,20 @@ class Parameter:
         return np.clip(values, low, high)
 
 
+def is_finite_number(value: Any) -> bool:
+    """Return whether a value is a finite real number, of Python or of numpy."""
+    return isinstance(value, (int, float, np.number)) and math.isfinite(value)
+
+
 def number_pair(value: object, what: str) -> tuple[float, float]:
-    """Return two numbers (low, high), of which none is NaN; ValueError for anything else."""
+    """Return two numbers (low, high), neither of them NaN; ValueError for anything else."""
     try:
         low, high = value  # type: ignore[misc]
         low, high = float(low), float(high)
     except (TypeError, ValueError):
         raise ValueError(f"{what} {value!r} must be a pair of numbers.") from None
     if math.isnan(low) or math.isnan(high):
-        raise ValueError(f"{what} {value!r} hold a NaN: give two numbers (low, high).")
+        raise ValueError(f"{what} {value!r} contain a NaN: give two numbers (low, high).")
     return low, high
 
 

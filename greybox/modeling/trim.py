@@ -10,6 +10,7 @@ import numpy as np
 from greybox.files.arrays import Array, IntArray
 from greybox.modeling.model import Names, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.parameter import is_finite_number
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import (
     column,
@@ -68,7 +69,7 @@ def trim_of(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
     """
     require_known(at, (*model.states, *model.inputs), "state or input", model.label)
     for name, value in at.items():
-        if not isinstance(value, (int, float, np.number)) or not np.isfinite(value):
+        if not is_finite_number(value):
             raise ValueError(f"at[{name!r}] is {value!r}: give a finite number.")
 
     p = ca.SX.sym("p", len(model.parameters))

@@ -1,8 +1,8 @@
 """Equation error: derivatives from smoothed data, then least squares; no start is needed.
 
 Every equation of an ODE whose states are known in time is a regression, linear in most parameters.
-The few that enter otherwise (delays, the time constant of a simulated state) are found by variable
-projection (Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432).
+Variable projection (Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432) finds the few others
+(delays, the time constant of a simulated state).
 
 Source: Morelli and Klein, Aircraft System Identification, 2nd ed., chapters 5 and 11.
 """
@@ -24,6 +24,7 @@ from greybox.formulation.input_assumptions import (
     described_inputs,
     require_inputs,
 )
+from greybox.formulation.restated_parameter import held_at
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.realization import Dynamics, dynamics
@@ -48,18 +49,18 @@ class UsedEquation:
 
 @dataclass(frozen=True, eq=False)
 class EquationErrorEstimate:
-    """The result of `equation_error`. Printing it says what was estimated from which equations.
+    """The result of `equation_error`; printing it shows estimates and equations.
 
-    It is a start, ``gb.fit(problem, starts=[result.estimate])``.
+    Its estimate is a start of a fit, ``gb.fit(problem, starts=[result.estimate])``.
 
     Attributes
     ----------
     name : str
         Names of model and record.
     estimate : mapping of name to float
-        Free parameters that could be estimated, within their bounds.
+        The free parameters that could be estimated, within their bounds.
     bias : mapping of name to float
-        Bias by the noise left in the regressors, to first order; it was not subtracted.
+        Bias due to the remaining noise in the regressors, to first order; not subtracted.
     equations : tuple of UsedEquation
     left_out : tuple of str
         Equations that could not be used, and why.
@@ -67,7 +68,7 @@ class EquationErrorEstimate:
         Free parameters that could not be estimated, and why.
     at_bound : tuple of str
     states : tuple of str
-        The source of each state.
+        Where each state comes from.
     parameters : mapping of name to Parameter
     warnings : tuple of str
     inputs : mapping of name to str
@@ -128,37 +129,36 @@ def equation_error(
 ) -> EquationErrorEstimate:
     """Estimate the parameters of an ODE from measured states, by least squares per equation.
 
-    A state is known when the record has a signal of its name or an output that equals it (up to
-    constants), when it is the derivative of a known state (``theta' = q``), or when it follows from
-    a stable linear equation driven by known signals (a rotor lag), which is then simulated.
-    Equations with other states are left out. All terms of an equation pass the same low-pass
-    filter, so that smoothing takes the same from both sides. Inputs that are not held are
-    interpolated between samples by cubic splines. A transfer function can be used only when it has
-    one pole.
+    A state is known if the record has a signal of its name or an output that equals it (up to
+    constants), if it is the derivative of a known state (``theta' = q``), or if it follows from a
+    stable linear equation driven by known signals (a rotor lag), which is then simulated. Equations
+    with other states are left out. All terms of an equation pass the same low-pass filter, so that
+    smoothing affects both sides alike. Inputs that are not held are interpolated between samples by
+    cubic splines. A transfer function can be used only if it has one pole.
 
-    Noise in the states biases the estimate; `EquationErrorEstimate.bias` says how far, but not what
-    a controller adds that feeds the noise back to an input. An equation with a state that is
-    simulated from its own target (`nu` from `r` in `greybox.models.yaw.YawStates`) may at high
-    noise explain the target by itself: its parameters then run to their bounds.
+    Noise in the states biases the estimate. `EquationErrorEstimate.bias` estimates this bias, but
+    not the part that arises if a controller feeds the noise back to an input. An equation with a
+    state that is simulated from its own target (`nu` from `r` in `greybox.models.yaw.YawStates`)
+    may at high noise explain the target by itself: its parameters then run to their bounds.
 
     Parameters
     ----------
     model : Model
-        Met by the names of inputs, states and outputs.
+        Its inputs, states and outputs have the names of signals in the record.
     record : Record
         Uniform but for gaps, with every input; NaN marks missing samples.
     fixed : mapping of name to value
         Parameters held constant.
     free : sequence of str
-        Parameters that the model declares fixed and that are to be estimated.
+        Parameters to estimate although the model declares them fixed.
     inputs : "record", "linear" or "held"
         How inputs run between their samples, as in `OutputError`: by default as the record says.
 
     Raises
     ------
     ValueError
-        When a name is not known, an input is missing, nothing moves, sampling is not uniform,
-        nothing is free or determined, or no equation can be used.
+        For an unknown name, a missing input, constant signals, or non-uniform sampling; if nothing
+        is free or determined; or if no equation can be used.
     """
     _require(model, record)
     require_inputs(inputs)
@@ -181,8 +181,8 @@ def equation_error(
     # The smoothing does not depend on the parameters, so it is done once.
     data = regressors(equations, record, start, longest_delays, between)
     projection = project(data, unknown, start)
-    # Lags that turn out slower than at their start need more rows at the beginning to forget their
-    # initial values.
+    # Lags that turn out slower than at their start need more rows to forget their initial values.
+    # With a memory 10 % longer than assumed, they hold 1.5 % of these instead of 1 %.
     slower = projection.vector
     if memory(equations, slower) > 1.1 * memory(equations, start):
         cutoffs = data.cutoffs
@@ -224,15 +224,7 @@ def _problem_parameters(
     if both:
         raise ValueError(f"{both[0]!r} is both fixed and free: keep one of them.")
     result = {n: replace(p, fixed=p.fixed and n not in free) for n, p in declared.items()}
-    for name, value in fixed.items():
-        low, high = result[name].bounds
-        if not isinstance(value, (int, float, np.number)) or not low <= value <= high:
-            raise ValueError(
-                f"fixed gives {name!r} the value {value!r}: give a number within ({low:g}, "
-                f"{high:g})."
-            )
-        result[name] = replace(result[name], start=float(value), fixed=True)
-    return result
+    return result | {name: held_at(name, result[name], value) for name, value in fixed.items()}
 
 
 def _require_motion(model: Model, system: Dynamics, record: Record) -> None:
@@ -293,8 +285,8 @@ def _bias(
 ) -> dict[str, float]:
     """Return how far noise like that of the signals moves the estimate, by adding it once more.
 
-    Simulation and extrapolation (Cook and Stefanski, J. Amer. Statist. Assoc. 89 (1994) 1314-1328),
-    linear and with one Gauss-Newton step; noise of both signs, so that odd effects cancel.
+    Source: simulation and extrapolation, Cook and Stefanski, J. Amer. Statist. Assoc. 89 (1994)
+    1314-1328, here with linear extrapolation and one Gauss-Newton step.
     """
     if not data.noise:
         return dict.fromkeys(projection.names, 0.0)
@@ -304,6 +296,7 @@ def _bias(
     # One pair averages well enough over a long record.
     for _ in range(2 if len(record) < 20000 else 1):
         noise = {n: s * random.normal(size=len(record)) for n, s in data.noise.items()}
+        # With both signs, effects that are odd in the noise cancel.
         for sign in (1, -1):
             added = {n: record[n] + sign * e for n, e in noise.items()}
             noisy = replace(record, signals={**record.signals, **added})
@@ -351,7 +344,6 @@ def _result(
 
 
 def _why(name: str, equations: Equations, projection: Projection) -> str:
-    """Say why a parameter was not estimated."""
     partners = next((group for group in projection.undetermined if name in group), ())
     if len(partners) > 1:
         return f"only a combination of {', '.join(partners)} is determined: fix one of them"

@@ -7,12 +7,13 @@ import numpy as np
 
 from greybox.files.arrays import Array
 
-# Singular value of the matrix with unit columns below which a combination is not determined: the
-# root of the rounding, at which the normal equations lose it.
+# Singular value of the matrix with unit columns, below which a combination is undetermined: about
+# the root of the rounding error, where normal equations would lose it.
 UNDETERMINED = 1e-7
-# Share in such a combination from which a column belongs to it: above rounding over UNDETERMINED.
+# Share of a column in such a combination from which it belongs to it: above the rounding error over
+# UNDETERMINED.
 PART = 1e-3
-ROUNDING = 1e-24  # of the power of a target: residuals smaller than this are rounding
+ROUNDING = 1e-24  # of the power of a target: smaller squares of residuals are rounding errors
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +27,7 @@ class Block:
 
 
 def undetermined(blocks: Sequence[Block]) -> list[tuple[int, ...]]:
-    """Return the columns without effect, and the sets with a combination without effect."""
+    """Return the columns without effect, and sets of columns with a combination without effect."""
     # The triangular factor has the singular values of all rows, which may be many thousands.
     triangle = _triangle(blocks, np.ones(1 + max(b.equation for b in blocks)))[:, 1:]
     sizes = np.linalg.norm(triangle, axis=0)
@@ -52,6 +53,7 @@ def solve(blocks: Sequence[Block], weights: Array, low: Array, high: Array) -> A
     if not matrix.shape[1]:
         return np.zeros(0)
     sizes = np.linalg.norm(matrix, axis=0)
+    # The least-norm solution of columns of length one does not depend on units.
     sizes[sizes == 0] = 1.0
     # Usually no bound is active, and the plain solution is the answer.
     free = np.linalg.lstsq(matrix / sizes, right, rcond=None)[0] / sizes
@@ -70,9 +72,9 @@ def residuals(blocks: Sequence[Block], unknowns: Array) -> list[Array]:
 
 
 def spread(blocks: Sequence[Block], errors: Sequence[Array]) -> Array:
-    """Return the rms error of every equation, at least the rounding of its target.
+    """Return the rms error of every equation, at least the rounding error of its target.
 
-    One of an equation whose target is zero and whose errors are: any other would do.
+    It is one for an equation whose target and errors are zero: any other number would do.
     """
     count = 1 + max(block.equation for block in blocks)
     squares = np.zeros(count)
@@ -89,6 +91,7 @@ def spread(blocks: Sequence[Block], errors: Sequence[Array]) -> Array:
 def _triangle(blocks: Sequence[Block], weights: Array) -> Array:
     """Return the triangular factor of the weighted [right side, slopes] of all blocks."""
     result = np.zeros((0, 1 + blocks[0].slopes.shape[1]))
+    # Block by block, so that no matrix of all rows is formed.
     for block in blocks:
         rows = np.column_stack([block.target - block.base, block.slopes]) * weights[block.equation]
         result = np.asarray(np.linalg.qr(np.vstack([result, rows]), mode="r"))

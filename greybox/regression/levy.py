@@ -1,8 +1,8 @@
 """Rational functions from a measured response by linear least squares, (3.17).
 
-Multiplying (2.13) = P by the denominator makes every frequency one complex equation that is linear
-in the unknown coefficients: b(jω) - P [a(jω) - (jω)ⁿ] = P (jω)ⁿ. It needs no start. It minimizes
-|a(jω)| times the error and not the error itself, which favors high frequencies.
+Multiplied by its denominator, (2.13) = P is a complex equation at every frequency that is linear in
+the unknown coefficients: b(jω) - P [a(jω) - (jω)ⁿ] = P (jω)ⁿ. It needs no start. The method
+minimizes |a(jω)| times the error, not the error itself, which favors high frequencies.
 
 Sources: Levy, Complex-curve fitting, IRE Trans. Automatic Control 4 (1959) 37-43 (who sets a0 = 1
 where (2.13) sets the highest coefficient to 1). Sanathanan and Koerner, Transfer function synthesis
@@ -28,8 +28,8 @@ from greybox.regression.poles_and_zeros import (
     upper_half,
 )
 
-# Singular values smaller than this part of the largest are rounding: of 1e-16 in the columns, with
-# a margin for sums.
+# Singular values smaller than this share of the largest are rounding errors: 1e-16 in the columns,
+# with a margin for sums.
 RANK = 1e-12
 
 
@@ -42,14 +42,14 @@ class RationalFit:
     numerator, denominator : (m + 1,), (n + 1,) arrays
         Coefficients, highest power of s first; the denominator is monic.
     integrators : int
-        How many of the last coefficients of the denominator are 0.
+        Number of last coefficients of the denominator that are 0.
     data : FrequencyResponse
     iterations : int
         Number of reweightings.
     cost : float
-        Sum of relative errors (4.26), which was not minimized; NaN when the data hold a zero.
+        Sum of relative errors (4.26), which was not minimized; NaN if the data contain a zero.
     condition : float
-        Condition number of the equations with normalized columns, inf where one is superfluous.
+        Condition number of the equations with normalized columns; infinite if one is superfluous.
     """
 
     numerator: Array
@@ -92,7 +92,7 @@ class RationalFit:
 
     @property
     def determined(self) -> bool:
-        """False when the data do not determine the coefficients: the orders are too high."""
+        """False if the data do not determine the coefficients: the orders are too high."""
         return self.condition < 1 / RANK
 
     @property
@@ -149,9 +149,9 @@ def levy(
     """Fit (2.13) of chosen orders to `data` by linear least squares, (3.17), as the paper does.
 
     Real and imaginary part of b(jω) - P [a(jω) - (jω)ⁿ] = P (jω)ⁿ at the n_ω frequencies are 2 n_ω
-    equations. Their columns are normalized before they are solved, which changes the rounding and
-    not the solution. Where the equations are rank deficient the solution of least norm (of the
-    normalized unknowns) is taken; see `determined`. The result is a start for the model:
+    equations. Their columns are normalized, which changes rounding errors but not the solution. If
+    the equations are rank deficient, the solution of least norm (of the normalized unknowns) is
+    taken; see `determined`. The result is a start for the model:
     ``gb.fit(problem, starts=[levy(data, 4, 1).coefficients, gb.solve.Sobol(100)])``.
 
     Parameters
@@ -162,27 +162,27 @@ def levy(
         Orders of denominator and numerator, 0 <= m < n. `n` counts the integrator: (3.20) is n=4,
         m=1 with integrator.
     integrator : bool or int
-        How many factors s the denominator has, so that a0 and so on are no unknowns.
+        Number of factors s of the denominator; a0 and so on are then not estimated.
     weight : (n_ω,) array, optional
         Factors of the equations, above 0, e.g. ``1 / abs(data.response)``. Default: all one, as in
         the paper.
     iterations : int
-        How often to solve again with the equations also divided by |a(jω)| of the solution before
-        (Sanathanan and Koerner 1963), which leads from the equation error towards the error of the
-        response.
+        How often to solve again with the equations divided by |a(jω)| of the previous solution
+        (Sanathanan and Koerner 1963): the equation error then approaches the error of the response.
 
     Raises
     ------
     ValueError
-        For orders that are no whole numbers with 0 <= m < n, or that have as many unknowns as
-        equations or more (the paper's 2 n_ω > n + m + 1; one unknown less with integrator), and for
-        weights or iterations out of range.
+        For orders that are not whole numbers with 0 <= m < n, or with as many unknowns as equations
+        or more (the paper's 2 n_ω > n + m + 1; one unknown less with integrator); for weights or
+        iterations out of range.
     """
     _check_orders(data, n, m, integrator)
     weights = _check_weight(weight, data)
     _check_whole("iterations", iterations, 0)
 
     numerator, denominator, condition = _solve(data, n, m, integrator, weights)
+    # Divided by |a|, the equation error is the error of the response where a no longer changes.
     for _ in range(iterations):
         size = np.abs(np.polyval(denominator, 1j * data.omega))
         numerator, denominator, condition = _solve(data, n, m, integrator, weights / size)
@@ -208,19 +208,19 @@ def order_path(
     """Lower the orders from `n` and `m` until no stable pole and zero obviously cancel (section 3).
 
     If a stable zero and a stable pole are `near_pairs`, or the equations are rank deficient, both
-    orders are lowered by one and fitted again, down to m = 0. The paper does not say how close is
-    obvious. On its tables the rule does not lead to its (4, 1): try several orders to begin with,
-    or use `gb.identification.select_orders`.
+    orders are lowered by one and fitted again, down to m = 0. The paper gives no number for
+    "obviously". On its tables this rule does not lead to its (4, 1): begin with several orders, or
+    use `gb.identification.select_orders`.
 
     Parameters
     ----------
     data, n, m, integrator
-        As for `levy`; the highest orders to begin with.
+        As for `levy`; the orders are the highest ones.
 
     Returns
     -------
     tuple of RationalFit
-        Every step; the last one is where the rule ends.
+        All steps; the last one is the result.
 
     Raises
     ------
@@ -245,7 +245,7 @@ def _solve(
     matrix = np.concatenate([equations.real, equations.imag])
     right = np.concatenate([response[:, 0].real, response[:, 0].imag])
 
-    # Powers of ω differ by decades: without scaling, the rank would be that of the units.
+    # Powers of ω differ by decades: without scaling, the rank would depend on the units.
     scale = np.linalg.norm(matrix, axis=0)
     scale[scale == 0] = 1.0
     normalized, _, _, singular = np.linalg.lstsq(matrix / scale, right, rcond=RANK)

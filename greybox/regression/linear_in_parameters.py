@@ -19,8 +19,9 @@ Source = tuple[str, ca.SX, Literal["signal", "derivative"]]
 class KnownState:
     """How a state is known in time.
 
-    ``value(x, s)`` gives it from `s`, the signal `source` of the record or the derivative of the
-    state `source`, and the states known before it; None where it is the signal itself or simulated.
+    ``value(x, s)`` gives it from the states known before it and from `s`: the signal `source` of
+    the record, or the derivative of the state `source`. None if the state is the signal itself, or
+    simulated.
     """
 
     name: str
@@ -46,7 +47,7 @@ class Equation:
 
     @property
     def left(self) -> str:
-        """The left side as a person writes it."""
+        """The left side as text."""
         return f"{self.target}'" if self.kind == "derivative" else self.target
 
 
@@ -57,12 +58,12 @@ class Equations:
     Attributes
     ----------
     states : tuple of KnownState
-        In an order in which each needs only those before it; the simulated ones come last.
+        Each needs only those before it; the simulated ones come last.
     equations : tuple of Equation
     state_names, input_names : tuple of str
         Names of the model, in the order of x and u.
     linear, nonlinear : tuple of str
-        Free parameters that enter the equations linearly (given the others), and those that do not.
+        Free parameters that enter the equations linearly (given the others), and the other ones.
     rows : casadi.Function
         (x, u, p) -> the right sides at zero `linear` (k,) and their slopes (k, linear).
     simulated : casadi.Function
@@ -87,7 +88,7 @@ class Equations:
 
     @property
     def simulated_names(self) -> tuple[str, ...]:
-        """The states that follow from their equation alone."""
+        """The states that follow from their own equation."""
         return tuple(state.name for state in self.states if state.how == "simulated")
 
 
@@ -104,7 +105,7 @@ def regressions(
     model : Dynamics
     signals : names of the signals in the record
     fixed : mapping of name to value
-        Of the parameters that are not estimated.
+        Values of the parameters that are not estimated.
     start : (number of free parameters,) array
         Values at which simulated states must be stable, so that they forget their unknown initial
         values.
@@ -112,8 +113,13 @@ def regressions(
     return _Analysis(model, set(signals), fixed, start).result()
 
 
+def _column(entries: Sequence[ca.SX]) -> ca.SX:
+    # Without the last one, no entries would make a DM instead of an SX.
+    return ca.vertcat(*entries, ca.SX(0, 1))
+
+
 class _Analysis:
-    """Symbols of one model with the fixed parameters put in."""
+    """A model in symbols, with numbers for the fixed parameters."""
 
     def __init__(
         self,
@@ -129,9 +135,7 @@ class _Analysis:
         self.u = ca.SX.sym("u", len(model.inputs))
         self.free = tuple(name for name in model.parameters if name not in fixed)
         self.p = ca.SX.sym("p", len(self.free))
-        p = ca.vertcat(
-            *[fixed.get(name, self._symbol(name)) for name in model.parameters], ca.SX(0, 1)
-        )
+        p = _column([fixed.get(name, self._symbol(name)) for name in model.parameters])
         f = ca.vertsplit(ca.SX(model.derivative(self.x, self.u, p)))
         h = ca.vertsplit(ca.SX(model.output(self.x, self.u, p)))
         self.f = dict(zip(model.states, f, strict=True))
@@ -146,6 +150,8 @@ class _Analysis:
     @one_thread_at_a_time
     def result(self) -> Equations:
         """Go through the states, then the equations, then the parameters."""
+        # Each step needs the previous one: only known states make equations, and only the equations
+        # show which parameters are linear.
         self._know_measured_states()
         self._know_simulated_states()
         candidates = list(self._candidates())
@@ -158,15 +164,15 @@ class _Analysis:
             n for n in self.free if n not in linear and any(n in e.parameters for e in equations)
         )
 
-        symbols = ca.vertcat(*[self._symbol(n) for n in linear], ca.SX(0, 1))
-        right_sides = ca.vertcat(*rows, ca.SX(0, 1))
+        symbols = _column([self._symbol(n) for n in linear])
+        right_sides = _column(rows)
         slopes = ca.jacobian(right_sides, symbols)
         zero = ca.SX.zeros(symbols.numel())
         base = ca.substitute(right_sides, symbols, zero) if linear else right_sides
 
         # x' = matrix x + drive for the simulated states
         simulated = [s.name for s in states if s.how == "simulated"]
-        derivative = ca.vertcat(*[self.f[name] for name in simulated], ca.SX(0, 1))
+        derivative = _column([self.f[name] for name in simulated])
         x = self._states(simulated)
         drive = ca.substitute(derivative, x, ca.SX.zeros(x.numel())) if simulated else derivative
         matrix = ca.jacobian(derivative, x)
@@ -239,10 +245,10 @@ class _Analysis:
             self.states[name] = KnownState(name, "simulated", source, None)
 
     def _states(self, names: Sequence[str]) -> ca.SX:
-        return ca.vertcat(*[self.x[self.model.states.index(n)] for n in names], ca.SX(0, 1))
+        return _column([self.x[self.model.states.index(n)] for n in names])
 
     def _affine(self, row: ca.SX, symbols: ca.SX) -> bool:
-        """Tell in numbers whether a row is affine in the symbols: a sign has no derivative."""
+        """Return whether a row is affine in the symbols, by numbers: a sign has no derivative."""
         step = ca.SX.sym("step", symbols.numel())
         moved = ca.substitute(row, symbols, symbols + step)
         error = moved - row - ca.mtimes(ca.jacobian(row, symbols), step)
@@ -328,19 +334,18 @@ class _Analysis:
 
     def _linear(self, rows: list[ca.SX]) -> tuple[str, ...]:
         """Return the parameters in which all rows are jointly affine."""
-        # What is in a delay or in the equation of a simulated state changes the regressors
-        # themselves.
+        # A parameter of a delay or of a simulated state changes the regressors themselves.
         inside = ca.vertcat(
             *[r for row in rows for r in self._rows_behind(row)[1:]], self.delays, ca.SX(0, 1)
         )
         names = [n for n in self.free if not ca.depends_on(inside, self._symbol(n))]
         names = [n for n in names if any(ca.depends_on(row, self._symbol(n)) for row in rows)]
 
-        right_sides = ca.vertcat(*rows, ca.SX(0, 1))
+        right_sides = _column(rows)
         partners = {n: self._partners(right_sides, n, names) for n in names}
         linear: set[str] = set()
-        # Of parameters that multiply one another, the one with the most partners is searched for:
-        # then the others are linear.
+        # If parameters multiply one another, the search is over the one with the most partners: the
+        # others are then linear.
         for name in sorted(names, key=lambda n: len(partners[n])):
             is_affine = all(self._affine(row, self._symbol(name)) for row in rows)
             if is_affine and not partners[name] & {name, *linear}:
@@ -355,6 +360,7 @@ class _Analysis:
 
 def _unstable(matrix: np.ndarray, names: list[str]) -> list[str]:
     """Return the state with the largest part in a mode that does not decay."""
+    # Without that state, the others may be stable.
     if not np.all(np.isfinite(matrix)):
         return names
     values, vectors = np.linalg.eig(matrix)

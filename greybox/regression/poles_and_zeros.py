@@ -10,9 +10,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from greybox.files.text_table import number
 
-# Relative distance below which a pole and a zero count as nearly cancelling. A real pair (s + z) /
-# (s + p) this close changes the response by about this much, 10 %, at most, at any frequency. The
-# paper names no number.
+# Relative distance below which a pole and a zero nearly cancel. A real pair (s + z) / (s + p) at
+# this distance changes the response by at most about 10 % at any frequency. The paper gives no
+# number.
 NEAR = 0.1
 
 
@@ -26,7 +26,7 @@ class NearPair:
 
     @property
     def stable(self) -> bool:
-        """Whether both lie in the open left half plane; only then may they be cancelled."""
+        """Whether both are in the open left half plane; only then may they be cancelled."""
         return self.zero.real < 0 and self.pole.real < 0
 
     def __str__(self) -> str:
@@ -74,6 +74,7 @@ def near_pairs(zeros: ArrayLike, poles: ArrayLike, tolerance: float = NEAR) -> t
     sizes = [(z, p, max(abs(z), abs(p))) for z in free_zeros for p in free_poles]
     candidates = [NearPair(z, p, abs(z - p) / size if size else 0.0) for z, p, size in sizes]
     matched: list[NearPair] = []
+    # The closest pair first: a zero between two poles cancels the nearer one.
     for pair in sorted(candidates, key=lambda pair: pair.distance):
         if pair.distance < tolerance and pair.zero in free_zeros and pair.pole in free_poles:
             matched.append(pair)
@@ -86,6 +87,7 @@ def factored(
     numerator: Sequence[float] | NDArray[Any], denominator: Sequence[float] | NDArray[Any]
 ) -> Factored:
     """Factor a ratio of real polynomials (highest power of s first) into the form of (3.18)."""
+    # A numerator of lower order than assumed may begin with zeros, which have no roots.
     above = np.trim_zeros(np.asarray(numerator, float), "f")
     below = np.asarray(denominator, float)
     zeros = upper_half(np.roots(above))

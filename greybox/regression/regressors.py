@@ -1,4 +1,4 @@
-"""The regressions of a record: smoothed states, delayed inputs, one filter for all terms."""
+"""The regressions of a record: smoothed states, delayed inputs, and one filter for all terms."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -9,6 +9,7 @@ import numpy as np
 from greybox.data.intersample import Intersample
 from greybox.data.record import Record
 from greybox.files.arrays import Array
+from greybox.modeling.held_inputs import held_response
 from greybox.regression.least_squares import Block
 from greybox.regression.linear_in_parameters import Equations
 from greybox.regression.smoothing import (
@@ -20,14 +21,14 @@ from greybox.regression.smoothing import (
     without_holes,
 )
 
-# Cutoff of an equation's terms over the lowest of its signals: with 1 what the signals have lost
-# biases the tilt model by many standard errors, with 0.7 and 0.5 the intervals cover, with 0.35
-# precision is lost.
+# Cutoff of an equation's terms over the lowest cutoff of its signals. With 1, what smoothing took
+# from the signals biases the tilt model by many standard errors; with 0.7 and 0.5, the intervals
+# cover; with 0.35, precision is lost.
 SHARE = 0.5
-# Of its unknown initial value: what a simulated state may still hold where its rows begin. An error
-# of 1 % that decays within a few rows is far below what noise in the regressors does.
+# Share of its unknown initial value that a simulated state may still have where its rows begin. An
+# error of 1 % that decays within a few rows is far below the effect of noise in the regressors.
 REMEMBERED = 0.01
-FEWEST = 4  # rows left of a stretch: fewer add nothing to the thousands of a record
+FEWEST = 4  # remaining rows of a stretch: fewer add nothing to the thousands of a record
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,20 +40,19 @@ class Regressors:
     time : (n,) array, s
         Uniform but for gaps.
     states, derivatives : mapping of name to (n,) array
-        Of the states that are known without simulation; NaN where they are not.
+        States that are known without simulation, and their derivatives; NaN where unknown.
     inputs : mapping of name to (n,) array
-        As they act without their delay: what is held acts half a sample late, see `acting`.
+        As they act without their delay: a held input acts half a sample late, see `acting`.
     between : mapping of name to Intersample
     outputs : mapping of name to (n,) array
-        Of output equations.
+        Left sides of output equations.
     cutoffs, noise : mapping of signal name to float
-        Of the smoothed signals: rad/s, and the standard deviation of what was taken away.
+        Cutoffs of the smoothed signals, rad/s, and standard deviations of the removed noise.
     bands : tuple of float
-        Cutoff of the filter that all terms of an equation pass, rad/s; infinite where no signal was
+        Cutoff of the filter that all terms of an equation pass, rad/s; infinite if no signal was
         smoothed.
     lateness : float, s
-        Time at the beginning of a stretch for which delayed inputs or simulated states are not
-        state.
+        Time at the beginning of a stretch for which delayed inputs or simulated states are unknown.
     """
 
     equations: Equations
@@ -82,6 +82,7 @@ class Regressors:
         x = np.full((len(self.equations.state_names), self.time.size), np.nan)
         for name, values in self.states.items():
             x[self.equations.state_names.index(name)] = values
+        # An unstable state would grow beyond all numbers within a record.
         if not self._simulate(x, u, p):
             return []
         parameters = np.tile(np.reshape(p, (-1, 1)), (1, self.time.size))
@@ -157,9 +158,9 @@ def regressors(
     Parameters
     ----------
     p : (number of free parameters,) array
-        Start values, at which simulated states say how long they remember.
+        Start values, at which the memory of simulated states is computed.
     latest : (number of inputs,) array, s
-        The largest delays that are possible.
+        The largest possible delays.
     between : mapping of input name to Intersample
         How the inputs run between samples.
     cutoffs : mapping of signal name to rad/s, optional
@@ -180,6 +181,8 @@ def regressors(
             signal = derivatives[state.source]
         else:
             continue
+        # The formula may use the states before this one; others stay NaN, and it has no use of
+        # them.
         if state.value is not None:
             nothing = np.full(signal.size, np.nan)
             x = np.array([states.get(name, nothing) for name in equations.state_names])
@@ -220,13 +223,13 @@ def regressors(
 
 
 def acting(time: Array, values: Array, held: bool) -> Array:
-    """Return an input (n,) as smooth samples of what it drives see it.
+    """Return an input (n,) as the derivative of a smooth curve through the driven state shows it.
 
-    A state that integrates what is held is a straight line from sample to sample. The smooth curve
-    through its samples has the slope S(t - h/2) of the smooth curve S through those of the input,
-    with oscillations that are larger by 1 / sinc(ωh/2) = 1 + (ωh)² / 24 + ..., which the second
-    derivative of S adds: the pulse transfer function of an integrator behind a zero-order hold is h
-    / (z - 1), and jωh / (z - 1) = exp(-jωh/2) / sinc(ωh/2).
+    A state that integrates a held input is a straight line from sample to sample. A smooth curve
+    through its samples has the slope S(t - h/2), where S is the smooth curve through the samples of
+    the input, with oscillations enlarged by 1 / sinc(ωh/2) = 1 + (ωh)² / 24 + ... The second
+    derivative of S adds this. Derivation: the pulse transfer function of an integrator behind a
+    zero-order hold is h / (z - 1), and jωh / (z - 1) = exp(-jωh/2) / sinc(ωh/2).
     """
     from scipy.interpolate import CubicSpline  # noqa: PLC0415  (imports slowly)
 
@@ -245,11 +248,10 @@ def acting(time: Array, values: Array, held: bool) -> Array:
 def _splines(
     time: Array, inputs: Mapping[str, Array], between: Mapping[str, Intersample]
 ) -> dict[str, list[tuple[slice, Callable[[Array], Array]]]]:
-    """Return what interpolates every stretch of the inputs.
+    """Return interpolating splines for every stretch of the inputs.
 
-    That is a cubic spline. A held input whose delay is a fraction of a step changes within a step,
-    which the samples of what it drives show as the mean, in shares of this fraction, of what two
-    neighboring values do: linear.
+    They are cubic, but linear for held inputs: if the delay is a fraction of a step, the driven
+    state sees two neighboring values, each for its share of the step.
     """
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415  (takes a quarter of a second)
 
@@ -282,27 +284,25 @@ def memory(equations: Equations, p: Array) -> float:
 def _linear_response(matrix: Array, drive: Array, step: float) -> Array:
     """Solve ``x' = matrix x + drive`` (s, n) from the equilibrium at the first sample.
 
-    Source: first-order hold, Franklin, Powell and Workman, Digital Control of Dynamic Systems, by
-    the matrix exponential of Van Loan, IEEE Trans. Automatic Control 23 (1978) 395-404; the
+    Source: first-order hold, Franklin, Powell and Workman, Digital Control of Dynamic Systems; the
     recursion runs in the Schur basis.
     """
-    from scipy.linalg import expm, schur  # noqa: PLC0415  (imports slowly)
+    from scipy.linalg import schur  # noqa: PLC0415  (imports slowly)
     from scipy.signal import lfilter  # noqa: PLC0415  (takes a third of a second to import)
 
     s = len(matrix)
+    unit = np.eye(s)
     triangle, basis, *_ = schur(matrix, output="complex")
-    augmented = np.zeros((3 * s, 3 * s), complex)
-    augmented[:s, :s] = triangle * step
-    augmented[:s, s : 2 * s] = step * np.eye(s)
-    augmented[s : 2 * s, 2 * s :] = np.eye(s)
-    exponential = expm(augmented)
-    hold = exponential[:s, s : 2 * s]
-    ramp = exponential[:s, 2 * s :]
+    # The drive is a state whose derivative, its change over the step, is held.
+    with_drive = np.block([[triangle, unit], [np.zeros((s, 2 * s))]])
+    transition, effect = held_response(with_drive, np.vstack([0 * unit, unit / step]), step)
+    exponential, hold = transition[:s, :s], transition[:s, s:]
+    ramp = effect[:s]
 
     # In the Schur basis, each state is driven by those after it only: one scalar recursion after
     # another.
     drive = basis.conj().T @ drive
-    # So that the mean over a step is right to the fourth order.
+    # The mean of straight lines over a step then equals that of the smooth curve to fourth order.
     drive[:, 1:-1] -= np.diff(drive, 2) / 12
     added = (hold - ramp) @ drive[:, :-1] + ramp @ drive[:, 1:]
     z = np.zeros(drive.shape, complex)

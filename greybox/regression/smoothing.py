@@ -1,16 +1,16 @@
 """Smoothing of a measured signal, and its derivative, with a cutoff chosen from the signal itself.
 
-A stretch less the line between its ends is a sum of sines (Lanczos, Applied Analysis, 1956; Morelli
-and Klein, Aircraft System Identification, 2nd ed., chapter 11, who weigh them by a Wiener filter).
-Here the weight of the sine of angular frequency ω is 1 / (1 + (ω / cutoff)⁸), that of a smoothing
-spline of order four on uniform samples, and the cutoff is the one of least generalized
-cross-validation (Craven and Wahba, Numer. Math. 31 (1979) 377-403).
+A stretch minus the line between its ends is a sum of sines (Lanczos, Applied Analysis, 1956;
+Morelli and Klein, Aircraft System Identification, 2nd ed., chapter 11, who weight them by a Wiener
+filter). Here the weight of a sine of angular frequency ω is 1 / (1 + (ω / cutoff)⁸), as for a
+smoothing spline of order four on uniform samples. Generalized cross-validation (Craven and Wahba,
+Numer. Math. 31 (1979) 377-403) chooses the cutoff.
 
-Measured on multisines, chirps and friction with jumps (1500 and 6000 samples): the derivative had
-at most 1.25 times the error of the best cutoff at white noise of 1 % and more, three times at 0.01
-%, and less than that of the best Savitzky-Golay window except at jumps, where they are equal.
-Splines of order two and three did worse on smooth signals and gained little on jumps.
-`scipy.interpolate.make_smoothing_spline` takes 16 s for 60 000 samples, this takes 0.2 s.
+Measured on multisines, chirps and friction with jumps (1500 and 6000 samples): the error of the
+derivative was at most 1.25 times that of the best cutoff at white noise of 1 % and more, three
+times at 0.01 %. It was below that of the best Savitzky-Golay window except at jumps, where both
+were equal. Splines of order two and three were worse on smooth signals and little better at jumps.
+`scipy.interpolate.make_smoothing_spline` takes 16 s for 60 000 samples, this method 0.2 s.
 """
 
 import math
@@ -36,12 +36,12 @@ class Smoothed:
     Attributes
     ----------
     values : (n,) array
-        In the unit of the signal; NaN where the signal is missing or its stretch is too short. The
+        In the unit of the signal; NaN if the signal is missing or its stretch is too short. The
         first and last ``reach(cutoff)`` seconds of a stretch are less accurate.
     cutoff : float, rad/s
-        Where half of the amplitude passes.
+        Frequency at which half of the amplitude passes.
     noise : float
-        Standard deviation of the noise, if it is white.
+        Standard deviation of the noise, assuming that it is white.
     """
 
     values: Array
@@ -62,8 +62,8 @@ def smooth(time: Array, values: Array, cutoff: float | None = None) -> Smoothed:
     values : (n,) array
         NaN marks missing samples.
     cutoff : float, rad/s, optional
-        By default chosen by generalized cross-validation, which takes everything but white noise as
-        signal: give it when a vibration is to be removed.
+        By default chosen by generalized cross-validation, which takes everything but white noise
+        for signal: give a cutoff to remove a vibration.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def smooth(time: Array, values: Array, cutoff: float | None = None) -> Smoothed:
     sines = [_sines(values[rows], step) for rows in parts]
     amplitude, omega = (np.concatenate(columns) for columns in zip(*sines, strict=True))
     if cutoff is None:
-        # A straight line has nothing but rounding above it.
+        # A straight line leaves nothing but rounding errors.
         is_line = float(np.sum(amplitude**2)) <= 1e-24 * float(np.nansum(values**2))
         cutoff = float(omega.max()) if is_line else _cross_validated(amplitude, omega)
 
@@ -100,6 +100,7 @@ def low_pass(values: Array, step: float, cutoff: float) -> Array:
     """Filter one stretch (n,) or (n, k) without a shift; a straight line passes."""
     from scipy.fft import idst  # noqa: PLC0415  (imports slowly)
 
+    # Without the line, the sines would have to form the jump between both ends.
     line = np.linspace(values[0], values[-1], len(values))
     amplitude, omega = _sines(values, step)
     weight = _weight(omega, cutoff).reshape(-1, *[1] * (values.ndim - 1))
@@ -115,12 +116,12 @@ def differentiate(values: Array, step: float) -> Array:
 
 
 def reach(cutoff: float) -> float:
-    """Return the time, s, until the filter decays to a tenth; its slowest pole is 0.38 cutoff."""
+    """Return the time, s, of a decay to a tenth; the slowest pole of the filter is 0.38 cutoff."""
     return math.log(10) / (math.sin(math.pi / POWER) * cutoff)
 
 
 def stretches(time: Array, *signals: Array) -> list[slice]:
-    """Return the runs of rows in which all signals are there and time has no gap."""
+    """Return the runs of rows in which no signal is missing and time has no gap."""
     present = np.logical_and.reduce([np.isfinite(values) for values in signals])
     rows = np.flatnonzero(present)
     if rows.size == 0:
@@ -142,20 +143,21 @@ def without_holes(time: Array, values: Array) -> Array:
     near = np.diff(time[present]) <= GAP * step
     for part in np.split(present, np.flatnonzero(~near) + 1):
         inside = np.setdiff1d(np.arange(part[0], part[-1] + 1), part)
+        # A cubic needs four samples.
         if inside.size and part.size >= 4:
             filled[inside] = CubicSpline(time[part], values[part])(time[inside])
     return filled
 
 
 def require_uniform(time: Array) -> None:
-    """Raise ValueError where a step that is no gap differs from the median step."""
+    """Raise ValueError if a step other than a gap differs from the median step."""
     if time.size < 2:
         raise ValueError(
             f"{counted(time.size, 'sample has', 'samples have')} no derivative: give more."
         )
     steps = np.diff(time)
     step = float(np.median(steps))
-    # A slope errs by the share by which a sample is off the uniform base.
+    # The relative error of a slope is that of the step.
     odd = np.flatnonzero((np.abs(steps - step) > 0.02 * step) & (steps <= GAP * step))
     if odd.size:
         raise ValueError(
@@ -166,7 +168,7 @@ def require_uniform(time: Array) -> None:
 
 
 def _sines(values: Array, step: float) -> tuple[Array, Array]:
-    """Return the sine amplitudes of a stretch less the line between its ends, and rad/s."""
+    """Return the sine amplitudes of a stretch minus the line between its ends, and rad/s."""
     from scipy.fft import dst  # noqa: PLC0415  (imports slowly)
 
     n = len(values)
@@ -191,6 +193,7 @@ def _cross_validated(amplitude: Array, omega: Array) -> float:
             float(np.sum(removed)) + 1e-300
         )
 
+    # A cutoff below the third sine would take nearly all of the signal for noise.
     candidates: Sequence[float] = np.linspace(
         math.log(np.sort(omega)[2]), math.log(omega.max()), 60
     ).tolist()

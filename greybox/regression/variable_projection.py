@@ -1,4 +1,4 @@
-"""Variable projection: linear unknowns by least squares, inside a search over the others."""
+"""Variable projection: least squares for the linear unknowns within a search over the others."""
 
 import math
 from collections.abc import Mapping
@@ -19,7 +19,7 @@ from greybox.regression.least_squares import (
 from greybox.regression.regressors import Regressors
 from greybox.regression.smoothing import reach, stretches
 
-# Of the interval between bounds: closer is at the bound.
+# Share of the interval between bounds, closer than which a value is at its bound.
 TOUCHING = 1e-6
 
 
@@ -30,10 +30,10 @@ class Projection:
     Attributes
     ----------
     names : tuple of str
-        What could be estimated, in the order of `values`.
+        The estimated parameters, in the order of `values`.
     at_bound : tuple of str
     r_squared, rows, spread : tuple
-        Of every equation; 0 rows where no stretch was long enough.
+        For every equation; 0 rows if no stretch was long enough.
     undetermined : tuple of tuples of names
         Parameters that have no effect, alone or in a combination.
     """
@@ -56,7 +56,7 @@ class Projection:
         return self.search.vector(self.point)
 
     def step(self, data: Regressors) -> Array:
-        """Return the Gauss-Newton step (k,) from here to other data of the same equations."""
+        """Return the Gauss-Newton step (k,) from here for other data of the same equations."""
         search = self.search.on(data)
         blocks = search.full(self.point, self.unknowns)
         free = [
@@ -72,6 +72,7 @@ class Projection:
             )
             for b in blocks
         ]
+        # Values at their bounds are held; a bound would cut the small steps of the others.
         unbounded = np.full(len(free), np.inf)
         step = np.zeros(len(search.columns))
         step[free] = (
@@ -134,8 +135,8 @@ class _Search:
                 self.blocks(point + sign * size * (np.arange(len(point)) == k)) for sign in (1, -1)
             ]
             if any([len(b.base) for b in end] != [len(b.base) for b in blocks] for end in ends):
-                # A simulated state becomes unstable there, or rows are lost: no difference can be
-                # taken.
+                # A simulated state becomes unstable there, or rows are lost: a difference of these
+                # residuals does not exist.
                 slopes.append([0 * b.base for b in blocks])
                 continue
             above, below = ([b.base + b.slopes @ unknowns for b in end] for end in ends)
@@ -162,11 +163,11 @@ def project(data: Regressors, parameters: Mapping[str, Parameter], start: Array)
         raise ValueError(_too_short(data))
     point = _located(search)
 
-    # The sizes of the residuals weigh the equations; they are known only after a first solution.
+    # The equations are weighted by the sizes of their residuals, known only after a first solution.
     blocks = search.blocks(point)
     weights = _weights(blocks, [b.target for b in blocks])
     weights = _weights(blocks, residuals(blocks, _inner(search, blocks, weights)))
-    # Each pass changes the weights of several equations to second order only.
+    # Weights and estimate determine one another; each pass changes the weights less.
     for _ in range(3 if len(weights) > 1 else 1):
         point = _refine(search, point, weights)
         blocks = search.blocks(point)
@@ -209,7 +210,7 @@ def _errors(search: _Search, point: Array, weights: Array) -> Array | None:
 
 
 def _located(search: _Search) -> Array:
-    """Return the best end of searches from the start and a good point."""
+    """Return the best result of searches from the start and from a good point."""
     start = np.array([search.parameters[n].start for n in search.nonlinear])
     if not start.size:
         return start
@@ -222,7 +223,7 @@ def _located(search: _Search) -> Array:
         # Rows are lost where a simulated state is unstable.
         return math.inf if errors is None or errors.size != size else float(np.mean(errors**2))
 
-    # There are one to three nonlinear unknowns, a delay or a lag each.
+    # There are one to three nonlinear unknowns, delays and lags: eight points are enough.
     boxes = {n: search.parameters[n] for n in search.nonlinear}
     is_bounded = all(np.all(np.isfinite(p.box)) for p in boxes.values())
     points = sorted(Sobol(8).draw(boxes), key=cost)[:1] if is_bounded else []
@@ -249,6 +250,7 @@ def _refine(search: _Search, point: Array, weights: Array) -> Array:
             return np.full(begin.size, 1e3)  # worse than any that exist
         return residual
 
+    # `least_squares` begins strictly within the bounds.
     inside = np.clip(point, low + TOUCHING * width, high - TOUCHING * width)
     end = least_squares(errors, inside, bounds=(low, high), x_scale=width, xtol=1e-8, ftol=1e-10)
     values = np.where(end.x - low < 2 * TOUCHING * width, low, end.x)
@@ -257,7 +259,6 @@ def _refine(search: _Search, point: Array, weights: Array) -> Array:
 
 
 def _judged(search: _Search, point: Array, unknowns: Array, weights: Array) -> Projection:
-    """Work out what is determined."""
     values = np.concatenate([unknowns, point])
     low, high = search.bounds(search.columns)
     groups = undetermined(search.full(point, unknowns))

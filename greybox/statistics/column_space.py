@@ -1,4 +1,4 @@
-"""What linear parameters can take from residuals: the space of the columns of a Jacobian."""
+"""The column space of a Jacobian: what linear parameters can remove from residuals."""
 
 import numpy as np
 
@@ -9,6 +9,7 @@ DEPENDENT = 1e-9  # of the largest singular value of columns of unit length: rou
 
 def column_basis(columns: Array) -> Array:
     """Return an orthonormal basis (n, r) of the space of columns (n, p), of any length."""
+    # Parameters have different units: without scaling, the rank would depend on these.
     length = np.linalg.norm(columns, axis=0)
     vectors, singular, _ = np.linalg.svd(
         columns[:, length > 0] / length[length > 0], full_matrices=False

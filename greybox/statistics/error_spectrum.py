@@ -1,10 +1,10 @@
-"""The spectrum of errors in time: residuals are whitened by it, and errors drawn that have it.
+"""The spectrum of errors in time, by which residuals are whitened and errors are drawn.
 
 Blocks of correlated residuals cut off the correlation at their ends, so that the variance of a mean
 comes out too small: by a fifth with 23 samples of an autoregression of coefficient 0.8. Whitened
-residuals have none to cut off. Sources: Davison and Hinkley (1997), Bootstrap Methods and their
-Application, section 8.2.3 (post-blackening); Kirch and Politis (2011), TFT-bootstrap, Annals of
-Statistics 39 (by the spectrum, back in time).
+residuals have no correlation that a block could cut off. Sources: Davison and Hinkley (1997),
+Bootstrap Methods and their Application, section 8.2.3 (post-blackening); Kirch and Politis (2011),
+TFT-bootstrap, Annals of Statistics 39 (by the spectrum, back in time).
 """
 
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ import numpy as np
 
 from greybox.files.arrays import Array, ComplexArray
 
-ROUNDING = 1e-9  # of spectra, in units of an output's variance: what is below is rounding
+ROUNDING = 1e-9  # of spectra, in units of an output's variance: lower values are rounding
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,16 +35,14 @@ class ErrorSpectrum:
     deviation: Array
 
     def enlarged(self, factor: float) -> "ErrorSpectrum":
-        """Return that of errors whose variance is so many times larger."""
+        """Return the spectrum of errors whose variance is larger by a factor."""
         return ErrorSpectrum(self.omega, self.density, np.sqrt(factor) * self.deviation)
 
     def whitened(self, residuals: Array) -> Array:
-        """Return residuals (k, n) without their correlation; those that are missing, NaN, stay so.
-
-        Mirrored at the ends, and straight across gaps: a jump there would be an error of its own.
-        """
+        """Return residuals (k, n) without their correlation; missing ones remain NaN."""
         is_measured = np.isfinite(residuals)
         samples = np.arange(residuals.shape[1])
+        # A straight line across gaps, and mirrored ends below: a jump would be an error of its own.
         filled = np.zeros_like(residuals)
         for row, is_finite, values in zip(filled, is_measured, residuals, strict=True):
             if is_finite.any():
@@ -59,16 +57,17 @@ class ErrorSpectrum:
         return self.deviation[:, None] * self._filtered(white, 0.5)
 
     def of_draws(self, white: Array) -> "ErrorSpectrum":
-        """Return the one by which draws of whitened residuals (k, n) get the variances of this one.
+        """Return the spectrum that gives draws of whitened residuals (k, n) the variances of this.
 
-        Fits take from residuals, samples are missing, and of outputs that are combinations of
-        others the whitened residuals are too: their covariance is not one.
+        The covariance of whitened residuals is not one, because a fit takes a part of the errors,
+        samples are missing, and outputs may be combinations of others.
         """
         is_measured = np.isfinite(white)
         filled = np.nan_to_num(white)
         covariance = filled @ filled.T / white.shape[1]
         np.fill_diagonal(covariance, (filled**2).sum(axis=1) / is_measured.sum(axis=1))
         roots = self._roots(0.5)
+        # The trapezoidal rule over uneven frequencies.
         width = np.gradient(self.omega)
         drawn = np.einsum(
             "bij,jk,bik,b->i", roots, covariance, roots.conj(), width, optimize=True
@@ -90,6 +89,7 @@ class ErrorSpectrum:
     def _filtered(self, values: Array, power: float) -> Array:
         """Return values (k, m) on a circle, filtered without delay by a power of the spectrum."""
         m = values.shape[1]
+        # The Hermitian root has no phase, so that nothing moves in time.
         roots = self._roots(power)
         omega = 2 * np.pi * np.arange(m // 2 + 1) / m
         transform = np.fft.rfft(values)

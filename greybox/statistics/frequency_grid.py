@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from greybox.files.arrays import Array, ComplexArray, IntArray
 
 HIGHEST_ORDER = 50  # of an autoregression: the longest lag of interest
-LOWEST = 256  # lowest frequencies that are bands of their own
+LOWEST = 256  # lowest frequencies, each of which is a band of its own
 COLUMNS = 65536  # frequencies at once in memory: 25 MB for three outputs and eight parameters
 
 
@@ -24,7 +24,7 @@ class FrequencyGrid:
     starts : (b,) array
         First frequency of every band.
     weight : (frequencies,) array
-        Of the positive frequencies in the mean over all.
+        Weights of the positive frequencies in the mean over all frequencies.
     band_weight, omega : (b,) arrays
         Sum of the weights, and mean frequency, rad/sample.
     longest : int
@@ -44,12 +44,14 @@ class FrequencyGrid:
         # Twice the samples: products of both ends would otherwise wrap around.
         size = fast_length(2 * longest)
         count = size // 2 + 1
+        # Zero and half of the sampling rate occur once, all others with both signs.
         weight = np.where(np.arange(count) % (size // 2) == 0, 1.0, 2.0) / size
         # Bands above have a relative width of 1.5 %.
         bands = max(math.ceil(math.log(max(count / LOWEST, 1.0)) / 0.015), 1)
         edges = np.geomspace(LOWEST, max(count, LOWEST), bands + 1).astype(int)
         starts = np.concatenate([np.arange(min(LOWEST, count)), edges[edges < count]])
-        starts = starts[first_indices(starts)]
+        # Low edges coincide. np.unique would import masked arrays, which takes 8 ms.
+        starts = starts[np.flatnonzero(np.diff(starts, prepend=-1))]
         band_weight = np.add.reduceat(weight, starts)
         omega = np.add.reduceat(weight * 2 * np.pi * np.arange(count) / size, starts) / band_weight
 
@@ -65,7 +67,7 @@ class FrequencyGrid:
         above = np.clip(np.searchsorted(self.omega, omega), 1, len(self.omega) - 1)
         low, high = self.omega[above - 1], self.omega[above]
         share = np.clip((omega - low) / (high - low), 0.0, 1.0)
-        # Indexing would put the frequencies first in memory, where all that follows runs over them.
+        # Indexing would put the frequencies first in memory, and later products run along them.
         return (
             np.take(values, above - 1, axis=-1) * (1 - share)
             + np.take(values, above, axis=-1) * share
@@ -92,13 +94,14 @@ class FrequencyGrid:
     ) -> tuple[Array, ComplexArray]:
         """Return autocovariances (order + 1, k, k) and band means (k, k, b) of a periodogram.
 
-        `density` gives it at all frequencies for two outputs, in both orders the conjugate.
+        `density(i, j)` is its value for two outputs at all frequencies, the conjugate of (j, i).
         """
         lags = np.zeros((order + 1, k, k))
         banded = np.zeros((k, k, len(self.starts)), dtype=complex)
         for i, j in output_pairs(k):
             values = density(i, j)
             r = np.fft.irfft(values, self.size)
+            # Negative lags are at the end of the transform.
             lags[:, i, j] = r[: order + 1]
             lags[1:, j, i] = r[: -order - 1 : -1]
             lags[0, j, i] = r[0]
@@ -109,15 +112,16 @@ class FrequencyGrid:
 
     def score_covariance(self, transforms: Iterable[ComplexArray], density: ComplexArray) -> Array:
         """Return Σ J' Σ_e J (p, p) by the transforms (k, p, frequencies) of all stretches."""
-        total: Array | float = 0.0
+        parts = []
         for transform in transforms:
             for start in range(0, len(self.weight), COLUMNS):
                 part = slice(start, start + COLUMNS)
                 spread = self.spread_out(density, part) * self.weight[part]
                 columns = np.ascontiguousarray(transform[..., part])
-                total = total + products(columns.view(float), filtered(spread, columns).view(float))
+                # As pairs of reals, of which the product is the real part of the complex one.
+                parts.append(products(columns.view(float), filtered(spread, columns).view(float)))
 
-        assert isinstance(total, np.ndarray)
+        total = np.sum(parts, axis=0)
         return (total + total.T) / 2
 
     def correlation_times(self, spectra: Array) -> Array:
@@ -141,19 +145,14 @@ def filtered(density: NDArray, transform: ComplexArray) -> ComplexArray:
     return result
 
 
-def products(one: Array, other: Array) -> Array:
+def products(a: Array, b: Array) -> Array:
     """Return the sums (p, q) over k and n of the products of arrays (k, p, n) and (k, q, n)."""
-    return (one @ other.transpose(0, 2, 1)).sum(axis=0)
+    return (a @ b.transpose(0, 2, 1)).sum(axis=0)
 
 
 def output_pairs(k: int) -> list[tuple[int, int]]:
-    """Return the pairs of k outputs, each with itself too, the later one first."""
+    """Return the pairs of k outputs, also of each with itself, the later one first."""
     return [(i, j) for i in range(k) for j in range(i + 1)]
-
-
-def first_indices(values: IntArray) -> IntArray:
-    """Return where each sorted value stands first; np.unique imports masked arrays, 8 ms."""
-    return np.flatnonzero(np.diff(values, prepend=-1))
 
 
 def fast_length(count: int) -> int:

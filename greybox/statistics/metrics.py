@@ -1,6 +1,6 @@
 """Measures of fit, and tests of residuals.
 
-All take measured and predicted values, or residuals, as arrays with NaN where there is none.
+They take measured and predicted values, or residuals, as arrays with NaN for missing values.
 """
 
 import math
@@ -14,7 +14,7 @@ from greybox.files.arrays import Array, IntArray
 from greybox.statistics.residual_autocorrelation import autoregression
 
 LAGS = 25  # Ljung (1999), section 16.6, takes 20 to 30
-NORMAL_99 = 2.576  # standard deviations that 99 % of normal values stay within
+NORMAL_99 = 2.576  # standard deviations within which 99 % of normal values lie
 
 
 def rms(error: ArrayLike) -> float:
@@ -45,7 +45,7 @@ def theil_coefficient(measured: ArrayLike, predicted: ArrayLike) -> float:
 class CorrelationTest:
     """A statistic with its degrees of freedom, and the probability of a larger one by chance.
 
-    `correlations` (lags,) are those tested, `bound` what 99 % of single ones stay within.
+    `correlations` (lags,) are the tested ones; 99 % of single ones lie within ± `bound` by chance.
     """
 
     statistic: float
@@ -61,7 +61,7 @@ def whiteness(stretches: Sequence[ArrayLike], lags: int = LAGS, fitted: int = 0)
     Parameters
     ----------
     stretches : sequence of (n,) arrays
-        Uniformly sampled, NaN where there is none.
+        Uniformly sampled, NaN for missing samples.
     lags : int
         Correlations at 1 to `lags` samples are tested.
     fitted : int
@@ -74,7 +74,8 @@ def whiteness(stretches: Sequence[ArrayLike], lags: int = LAGS, fitted: int = 0)
     series = [_present(s) for s in stretches]
     n = sum(int(np.isfinite(s).sum()) for s in series)
     mean = float(np.nanmean(np.concatenate(series))) if n else 0.0
-    sums, pairs = _lagged([s - mean for s in series], [s - mean for s in series], lags)
+    centered = [s - mean for s in series]
+    sums, pairs = _lagged(centered, centered, lags)
     if n < 3 or not sums[0] > 0:
         return _unknown(lags)
 
@@ -91,11 +92,11 @@ def whiteness(stretches: Sequence[ArrayLike], lags: int = LAGS, fitted: int = 0)
 def input_correlation(
     residuals: Sequence[ArrayLike], inputs: Sequence[ArrayLike], lags: int = LAGS
 ) -> CorrelationTest:
-    """Test whether residuals are correlated with the input up to `lags` samples before.
+    """Test whether residuals are correlated with the input 1 to `lags` samples earlier.
 
-    If they are, the model lacks dynamics. The input of the same moment or later is not tested,
-    since feedback correlates it with the errors. The autocorrelation of the input is accounted for,
-    and so is that of the residuals, as an autoregression. Source: Ljung (1999), System
+    If they are, the model lacks dynamics. The input of the same sample or later is not tested,
+    since feedback correlates it with the errors. The test takes account of the autocorrelation of
+    the input, and of that of the residuals, as an autoregression. Source: Ljung (1999), System
     Identification, 2nd ed., section 16.6.
     """
     pairs = _centered(residuals, inputs)
@@ -108,8 +109,8 @@ def input_correlation(
     # independent.
     a = autoregression([np.nan_to_num(s) for s in e])
     e, u = ([_filtered(s, a) for s in group] for group in (e, u))
-    # Products of the same samples at every lag, not those of a stationary input: a step or a drift,
-    # whose past values hardly differ, is no alarm.
+    # The products are taken over the same samples at every lag, not as those of a stationary input:
+    # a step or a drift, whose past values hardly differ, then raises no alarm.
     errors, past = _with_past_values(e, u, lags)
     products = past.T @ past
 
@@ -188,7 +189,7 @@ def mean_test(stretches: Sequence[ArrayLike]) -> tuple[float, float]:
 
     mean = float(np.nanmean(values))
     centered = [np.nan_to_num(s - mean) for s in series]
-    # Its spectrum at zero is that of the mean: neighbors that are alike count less.
+    # The spectrum at zero gives the variance of the mean: samples like their neighbors count less.
     a = autoregression(centered)
     white = np.concatenate(
         [_filtered(np.where(np.isfinite(s), s - mean, np.nan), a) for s in series]

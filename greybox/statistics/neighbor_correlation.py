@@ -1,14 +1,14 @@
 """The correlation of errors of neighboring points along frequency, from the residuals of a fit.
 
-The correlation is taken to fall exponentially with the number of points between, rho^|i - j|, real
-and imaginary parts alike: so do errors of points that are closer than the resolution of their
-transform, and of a model that leaves something smooth out. Twenty points tell rho to about 0.15,
-which no one value stands for: standard errors and intervals are averaged over all values that it
-may have, each with its restricted likelihood, which counts what the fitted parameters took from the
-errors. That there is none is as likely before as that there is one, and where it is twice as likely
-afterwards, errors count as independent: of independent ones in nine of ten fits of 48 points, two
-of three of
-12. `benchmarks/neighbor_coverage.py` shows what that costs.
+The correlation is assumed to fall exponentially with the distance in points, rho^|i - j|, and to be
+the same for real and imaginary parts. Errors behave so if points are closer than the resolution of
+their transform, or if the model omits a smooth effect. Twenty points determine rho to about 0.15
+only. So standard errors and intervals are averaged over all values of rho, weighted by its
+restricted likelihood, which takes account of what the fitted parameters took from the errors.
+Before the data, independent errors are as likely as correlated ones. If they are twice as likely
+afterwards, the errors count as independent. Errors that are independent are recognized in nine of
+ten fits of 48 points, and in two of three fits of 12. `benchmarks/neighbor_coverage.py` shows what
+this costs.
 
 Sources: Patterson and Thompson (1971), Recovery of inter-block information when block sizes are
 unequal, Biometrika 58 (restricted likelihood); Tunnicliffe Wilson (1989), On the use of marginal
@@ -26,38 +26,37 @@ import numpy as np
 from greybox.files.arrays import Array, ComplexArray
 from greybox.statistics.column_space import column_basis
 
-INDEPENDENT = 0.5  # how likely independent errors are before
-# How likely afterwards, where they are taken for sure: intervals then change by less than 8 %, and
-# hold half a per cent less of the truths.
+INDEPENDENT = 0.5  # prior probability of independent errors
+# Posterior probability above which errors count as independent. Intervals then change by less than
+# 8 %, and contain the truth half a per cent less often.
 TAKEN_FOR_SURE = 2 / 3
-# Values of rho, evenly up to a correlation over all points: steps are below its error up to 10 000
-# points.
+# Values of rho, evenly spaced up to a correlation over all points. The spacing is below the error
+# of rho up to 10 000 points.
 VALUES = 200
-LEAST_WEIGHT = 1e-6  # of a value of rho: what is below does not show
-LEAST_LEFT = 4  # numbers beyond the parameters: fewer tell nothing of a correlation
+LEAST_WEIGHT = 1e-6  # of a value of rho: smaller weights do not show in the result
+LEAST_LEFT = 4  # numbers beyond the parameters: fewer have no information on a correlation
 # Residuals over the sizes of the errors below which data are fitted exactly.
 EXACT = math.sqrt(np.finfo(float).eps)
 
-# Levels of the two intervals by which an average of distributions becomes one of Student's t: that
-# of a standard error, and the one that is printed.
+# Levels at which the intervals of an average of distributions and of Student's t shall agree: those
+# of a standard error, and of the printed interval.
 LEVELS = (0.6827, 0.95)
 BISECTIONS = 40
 
 
 @dataclass(frozen=True, eq=False)
 class NeighborCorrelation:
-    """What is known of the correlation of neighboring errors.
+    """The distribution of the correlation of neighboring errors.
 
     Attributes
     ----------
     points : int
     rho : (m,) array
-        Values that it may have, from zero on.
+        Possible values, from zero on.
     weight : (m,) array
-        How likely they are, in all one.
+        Their probabilities.
     scale : (m,) array
-        How many times larger the variance of the errors is than if they were independent: fits take
-        more from slow ones.
+        Variance of the errors over that of independent ones: fits take more from slow errors.
     """
 
     points: int
@@ -89,23 +88,23 @@ class NeighborCorrelation:
 def neighbor_correlation(
     errors: ComplexArray, design: Array, inflation: float | None = None
 ) -> NeighborCorrelation | None:
-    """Return what the residuals of a fit tell of the correlation of their errors.
+    """Return the distribution of the correlation of errors, by the residuals of a fit.
 
     Parameters
     ----------
     errors : (n,) complex array
         Residuals over the sizes of the errors, by frequency.
     design : (2n, p) array
-        What the fit may have taken from them, in the same units: derivatives, real parts first.
+        Derivatives of the residuals in the same units, real parts first.
     inflation : float, optional
-        How many times larger than they should be the squares are, where sizes were given: these are
-        believed where the residuals are smaller. Without it the residuals tell the size.
+        Squared residuals over their expectation by given error sizes. If it is below one, the given
+        sizes are used. By default, the residuals give the size.
 
     Returns
     -------
     NeighborCorrelation or None
-        None where errors count as independent: too few numbers are left, the data are fitted
-        exactly, or the residuals say so.
+        None if errors count as independent: too few numbers remain, the data are fitted exactly, or
+        the residuals show no correlation.
     """
     n = errors.size
     if n < 2 or not (np.all(np.isfinite(design)) and np.all(np.isfinite(errors))):
@@ -113,14 +112,14 @@ def neighbor_correlation(
     if not np.sqrt(np.mean(np.abs(errors) ** 2)) > EXACT:
         return None
 
-    # What the parameters took from the errors is missing in the residuals.
+    # The residuals lack what the parameters took from the errors.
     basis = column_basis(design)
     numbers = 2 * n - basis.shape[1]
     if numbers < LEAST_LEFT:
         return None
 
     rho = np.linspace(0.0, math.exp(-1 / n), VALUES)
-    # The inverse of a matrix rho^|i - j| has three diagonals.
+    # The inverse of a matrix rho^|i - j| has three diagonals, so that no matrix need be formed.
     rows = np.column_stack([errors, basis[:n] + 1j * basis[n:]])
     squares_of_rows = (rows.conj().T @ rows).real
     ends = (rows[[0, -1]].conj().T @ rows[[0, -1]]).real
@@ -133,9 +132,8 @@ def neighbor_correlation(
         gradient * np.linalg.solve(information, gradient), axis=(1, 2)
     )
 
-    if (
-        not squares.min() > EXACT**2 * squares_of_rows[0, 0]
-    ):  # what is left was all taken, but for rounding
+    # The parameters took all of the errors, but for rounding.
+    if not squares.min() > EXACT**2 * squares_of_rows[0, 0]:
         return None
 
     squares /= squares[0]
@@ -145,6 +143,7 @@ def neighbor_correlation(
         size = np.maximum(inflation * squares, 1.0)
         scale, score = size / size[0], numbers * (np.log(size) + inflation * squares / size)
 
+    # -2 log of the restricted likelihood: the last term is that of the fitted parameters.
     score += 2 * (n - 1) * np.log(1 - rho**2) + np.linalg.slogdet(information)[1]
 
     prior = np.full(VALUES, (1 - INDEPENDENT) / (VALUES - 1))
@@ -154,7 +153,7 @@ def neighbor_correlation(
     if weight[0] > TAKEN_FOR_SURE:
         return None
 
-    # Most values have no weight, and each costs a column of powers.
+    # Most values have hardly any weight, and each costs a column of powers.
     likely = weight > LEAST_WEIGHT
     weight = weight[likely] / weight[likely].sum()
     return NeighborCorrelation(n, rho[likely], weight, scale[likely])
@@ -169,8 +168,8 @@ def averaged_meat(
 ) -> tuple[Array, float, float]:
     """Return the covariance of the sum of scores, its degrees of freedom, and a scale.
 
-    The last number is how many times larger than those of independent errors the variances of
-    errors are that have the mean correlation and make the estimate vary as much.
+    Errors with the mean correlation, and variances larger than those of independent errors by this
+    scale, make the estimate vary as much.
 
     Parameters
     ----------
@@ -181,14 +180,14 @@ def averaged_meat(
         Of the inverse bread.
     known : NeighborCorrelation
     correlation : function of an array
-        The correlation of scores whose errors have a correlation.
+        The correlation of scores by that of their errors.
     dof : float
         Degrees of freedom of the size of the errors.
     """
     n = known.points
     size = 1 << (2 * n - 1).bit_length()
     correlations = correlation(known.powers)
-    # Sums over all pairs of points by their distance: a correlation, fast by transforms.
+    # Sums over all pairs of points by their distance are a correlation, which transforms speed up.
     turned = np.fft.fft(scores @ root, size, axis=0)
     of_lags = np.fft.ifft(np.sum(np.abs(turned) ** 2, axis=1)).real[:n]
     of_lags[1:] *= 2
@@ -208,10 +207,10 @@ def averaged_meat(
 
 
 def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[float, float]:
-    """Return variance and degrees of freedom of Student's t like an average of such distributions.
+    """Return variance and degrees of freedom of the Student's t closest to an average of such.
 
-    These have variances (m,) and the same degrees of freedom; the result has the same intervals at
-    `LEVELS`.
+    The distributions have variances (m,) and the same degrees of freedom; the result has the same
+    intervals as their average at `LEVELS`.
     """
     from scipy.special import stdtr, stdtrit  # noqa: PLC0415  (takes a tenth of a second to import)
 
@@ -219,6 +218,7 @@ def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[floa
     if variance.size == 1 or not variance.min() > 0:
         return float(weight @ variance), dof
 
+    # The interval of the average lies between those of the narrowest and the widest distribution.
     deviation = np.sqrt(variance)
     tails = (1 - np.array(LEVELS)) / 2
     unit = -stdtrit(dof, tails)

@@ -48,7 +48,7 @@ class NoiseRatio:
 
     @property
     def attainable_fit_percent(self) -> float:
-        """The fit of the best model in percent, if what is not smooth is noise; NaN if unknown."""
+        """Fit of the best model in percent, if all that is not smooth is noise; NaN if unknown."""
         return 100 * (1 - math.sqrt(min(self.ratio / 2, 1.0)))
 
 

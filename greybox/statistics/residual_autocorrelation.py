@@ -7,9 +7,9 @@ import numpy as np
 from greybox.files.arrays import Array
 from greybox.statistics.error_spectrum import ROUNDING
 
-HIGHEST_ORDER = 50  # of an autoregression
+HIGHEST_ORDER = 50  # of an autoregression: the longest lag of interest
 SAMPLES_PER_TERM = 20  # at least
-PREDICTABLE = 1e-12  # relative variance of what cannot be predicted, below which it is rounding
+PREDICTABLE = 1e-12  # relative variance of the innovations, below which they are rounding
 
 
 def autocovariance(stretches: list[Array], lags: int) -> Array:
@@ -29,10 +29,10 @@ def autocovariance(stretches: list[Array], lags: int) -> Array:
 def levinson(r: Array) -> list[tuple[Array, float]]:
     """Return the autoregressions of order 0, 1, 2 ... from autocovariances r (lags + 1,).
 
-    Each has coefficients and a variance. Coefficients are 1, a_1 ... a_n with white e + Σ a_k e(t -
-    k) of that variance. Yule-Walker equations by the recursion of Levinson and Durbin, so that all
-    are stable; up to the order at which the series is predictable. Source: Box, Jenkins, Reinsel,
-    Ljung, Time Series Analysis, 5th ed., appendix A3.2.
+    Each is a pair of coefficients and variance: with coefficients 1, a_1 ... a_n, e + Σ a_k e(t -
+    k) is white with this variance. The recursion of Levinson and Durbin solves the Yule-Walker
+    equations, so that all are stable, up to the order at which the series is predictable. Source:
+    Box, Jenkins, Reinsel, Ljung, Time Series Analysis, 5th ed., appendix A3.2.
     """
     a: Array = np.ones(1)
     variance = float(r[0])
@@ -50,7 +50,7 @@ def levinson(r: Array) -> list[tuple[Array, float]]:
 
 
 def autoregression(stretches: list[Array]) -> Array:
-    """Return 1, a_1 ... a_n with white e + Σ a_k e(t - k), of the order that BIC chooses.
+    """Return 1, a_1 ... a_n such that e + Σ a_k e(t - k) is white; BIC chooses the order.
 
     Source: Box, Jenkins, Reinsel, Ljung, Time Series Analysis, 5th ed., section 6.2; Schwarz
     (1978), Annals of Statistics 6.
@@ -68,8 +68,8 @@ def autoregression(stretches: list[Array]) -> Array:
 def vector_autoregressions(r: Array) -> Iterator[tuple[Array, Array]]:
     """Yield coefficients (k, order * k) and innovation covariance (k, k) of every order.
 
-    The coefficients A_1, A_2 ... stand side by side. From r (lags + 1, k, k), with r(l) = E e(t +
-    l) e(t)ᵀ, by Whittle's recursion, so that all are stable.
+    The coefficients A_1, A_2 ... are side by side. Whittle's recursion from r (lags + 1, k, k),
+    with r(l) = E e(t + l) e(t)ᵀ, makes all of them stable.
     """
     k = r.shape[1]
     last_first = r[:0:-1].reshape(-1, k)

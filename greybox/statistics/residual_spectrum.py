@@ -4,15 +4,15 @@ No single family of spectra fits short records of every kind: a small slow drift
 needs an autoregression of order 30, whose coefficients 300 samples do not determine, and wind moves
 several outputs together. So several families are fitted and averaged by their evidence:
 
-- for every output alone, autoregressions of every order, white noise with a slow part (whose
+- for every output by itself, autoregressions of every order, white noise with a slow part (whose
   correlation decays exponentially), and white noise with a part of the color of the sensitivities.
-  Process noise passes through the same dynamics as these, and errors of this color harm the
+  Process noise passes through the same dynamics as these, and errors of this color disturb the
   estimate most;
 - for all outputs together, a vector autoregression, and white noise of the sensors with process
-  noise through the dynamics of the model. Only the latter is determined by records of a few
-  correlation times.
+  noise through the dynamics of the model. Records of a few correlation times determine this family
+  only.
 
-Their disagreement shows how well the variance is known.
+The disagreement of the families shows how well the variance is known.
 
 Sources: Burnham and Anderson (2002), Model Selection and Multimodel Inference, 2nd ed., chapter 4
 (averaging by AICc and the variance between models); Whittle (1953), Arkiv för Matematik 2
@@ -53,8 +53,9 @@ from greybox.statistics.variance_components import (
     whittle_score,
 )
 
-# Samples above which residuals are not corrected for what the fit took from the errors: it is far
-# below the uncertainty of the spectrum, and counting it, as for white errors, is enough.
+# Samples above which the spectrum is not corrected for what the fit took from the errors. That part
+# is then far below the uncertainty of the spectrum, and a count of parameters suffices, as for
+# white errors.
 LONGEST_CORRECTED = 50_000
 
 TINY = 1e-300
@@ -111,11 +112,11 @@ def colored_information(
     noise : (k, k) array
         R.
     initial : sequence of (k, m, n) arrays, optional
-        R⁻¹ dy/dx by directions x of the initial states, which the fit moved along, of unit variance
-        for white errors of covariance R: what these took from the errors.
+        R⁻¹ dy/dx by directions x of the fitted initial states, of unit variance for white errors of
+        covariance R.
     shocks : function, optional
-        Returns (k, s, n), dy of the longest stretch after unit jumps of s states, through which
-        process noise reaches the outputs. Long records do not ask for it.
+        Returns (k, s, n), the outputs of the longest stretch after unit jumps of s states: process
+        noise reaches the outputs in this way. It is not called for long records.
 
     Source of the sandwich: Morelli and Klein (1997), Accuracy of aerodynamic model parameters
     estimated from flight test data, Journal of Guidance, Control, and Dynamics 20(1).
@@ -126,7 +127,7 @@ def colored_information(
         nothing = np.zeros_like(inverse)
         return ColoredInformation(nothing, 0.0, 0.0, np.zeros(k), corrected=True, spectrum=None)
 
-    # An output without any residual has no spectrum, and would make matrices singular.
+    # An output without residuals has no spectrum, and would make matrices singular.
     spectra = ResidualSpectra(
         [J[compared] for J in weighted],
         [e[compared] for e in residuals],
@@ -243,7 +244,7 @@ class ResidualSpectra:
             k,
             self.highest_order,
         )
-        # For outputs that are combinations of others.
+        # Outputs that are combinations of others have a singular covariance.
         ridge = ROUNDING * np.eye(k)
         lags[0] += ridge
 
@@ -340,7 +341,7 @@ class ResidualSpectra:
         )
 
     def independent_outputs(self, alone: Sequence[AveragedSpectrum]) -> AveragedSpectrum:
-        """Return the spectra of outputs whose errors are independent, from those of every one."""
+        """Return the joint spectrum of outputs whose errors are independent."""
         k = len(alone)
         density = np.zeros((k, k, len(self.grid.omega)), dtype=complex)
         density[np.arange(k), np.arange(k)] = [average.density for average in alone]
@@ -358,7 +359,8 @@ class ResidualSpectra:
     def judged_on_residuals(
         self, average: AveragedSpectrum, banded: ComplexArray
     ) -> AveragedSpectrum:
-        """Replace the likelihood of the errors by that of the residuals, and keep the penalty."""
+        """Replace the likelihood of the errors by that of the residuals; the penalty remains."""
+        # Process noise is compared with the residuals as they are, so the others must be, too.
         density = average.density.transpose(2, 0, 1)
         errors = whittle_score(density, banded.transpose(2, 0, 1), self._numbers)
         penalty = average.score - errors + self._numbers.sum() * len(self.counts)
@@ -400,8 +402,8 @@ class ResidualSpectra:
 
     @cached_property
     def noise_parts(self) -> "_NoiseParts | None":
-        """White noise of every sensor and process noise of every state, of variance one, if any."""
-        # A record of more samples shows the spectrum of process noise without the model's dynamics.
+        """White noise of every sensor and process noise of every state, of variance one."""
+        # A longer record shows the spectrum of process noise without the model's dynamics.
         if self.shocks is None or self.counts.max() > 10_000:
             return None
 
@@ -412,6 +414,7 @@ class ResidualSpectra:
             np.diag(row)[:, :, None] * np.ones(len(grid.weight), dtype=complex) for row in np.eye(k)
         ]
 
+        # A state that no output shows has no process noise that could be estimated.
         for H in transforms.transpose(1, 0, 2):
             spectrum = np.einsum("if,jf->ijf", H, H.conj())
             power = float(np.einsum("iif->f", spectrum).real @ grid.weight) / k
@@ -421,7 +424,7 @@ class ResidualSpectra:
         if len(spectra) == k:
             return None
 
-        # Products of measured samples some lag apart.
+        # A missing sample reduces the expected covariance at every lag at which it is missing.
         masks = [np.fft.rfft((e != 0).astype(float), grid.size) for e in self.residuals]
         pairs = np.fft.irfft(sum(mask[:, None] * mask.conj() for mask in masks), grid.size)
         pairs /= np.sqrt(self.counts * self.counts[:, None])[:, :, None]
@@ -461,7 +464,7 @@ class ResidualSpectra:
         least = float(score.min())
         weight = np.exp(-(score - least) / 2)
         evidence = least - 2 * math.log(weight.sum())
-        likely = weight > 1e-4 * weight.sum()  # a lower weight does not show
+        likely = weight > 1e-4 * weight.sum()  # lower weights do not change the mean
         weight = weight[likely] / weight[likely].sum()
 
         chosen = np.split(likely, np.cumsum([len(scale) for scale in scales[:-1]]))
@@ -486,8 +489,8 @@ class ResidualSpectra:
         """Return the vector autoregression of the order that AICc chooses, from lags (l, k, k)."""
         k = lags.shape[1]
         n = self.counts.max()
-        # Whittle's recursion goes through all orders at the price of the highest.
-        # Five numbers for a coefficient.
+        # Whittle's recursion yields all orders at the price of the highest. A coefficient needs at
+        # least five numbers.
         longest = int(min(len(lags) - 1, n // (5 * k)))
         steps = list(vector_autoregressions(lags[: longest + 1]))
         innovations = np.array([innovation for _, innovation in steps])
@@ -516,10 +519,10 @@ class ResidualSpectra:
         """Return the periodogram of what the fit took from errors of this spectrum.
 
         Residuals r = (1 - P) e, with P = J B⁻¹ (R⁻¹ J)ᵀ, have the covariance Σ - P Σ - Σ Pᵀ + P Σ
-        Pᵀ. What other data bring to the estimate is taken to have errors of the same color.
+        Pᵀ. The errors of other data of the fit are assumed to have the same color.
         """
         grid = self.grid
-        # They are needed twice; records that are corrected are short enough to store them.
+        # They are used twice; records that are corrected are short enough to store them.
         transforms = list(self.transforms())
         # Bands are wider than the lines of the transform: the density is interpolated.
         spread = grid.spread_out(density)
@@ -543,8 +546,8 @@ class ResidualSpectra:
             moved = self.inverse @ colored[s]
             covariance = middle
             if self.initial is not None:
-                # Every stretch has initial states of its own, whose errors are correlated with
-                # those of the parameters.
+                # The errors of a stretch's initial states are correlated with those of the
+                # parameters.
                 X = self.initial[s]
                 of_initial = grid.transform(X, self.deviation)
                 G = self._in_time(filtered(spread, of_initial), X)
@@ -574,13 +577,14 @@ class ResidualSpectra:
 
 @dataclass(frozen=True, eq=False)
 class _NoiseParts:
-    """Parts of the errors, of variance one: spectra, and expected periodograms of residuals.
+    """Parts of the errors, of variance one.
 
     Attributes
     ----------
     density : (c, k, k, b) array
+        Their spectra.
     of_residuals : (c, b, k, k) array
-        Of what the fit leaves of errors as long as the record, and with its missing samples.
+        Expected periodograms of the residuals, after the fit and with the missing samples.
     """
 
     density: ComplexArray
@@ -606,12 +610,12 @@ def product_over_time(weighted: Array, noise: Array) -> Array:
 
 
 def unmasked(density: ComplexArray, shares: Array, grid: FrequencyGrid) -> ComplexArray:
-    """Return the spectrum of errors of which these shares (k,) were measured, at random.
+    """Return the spectrum of errors of which shares (k,) were measured, at random.
 
     Missing samples multiply covariances at all lags but zero by the share, as if part of the errors
     were white.
     """
-    # Covariances are less than 5 % too small.
+    # Covariances are then less than 5 % too small, below the uncertainty of the spectrum.
     if shares.min() >= 0.95:
         return density
     variance = grid.mean(np.einsum("iib->ib", density).real)
@@ -621,9 +625,9 @@ def unmasked(density: ComplexArray, shares: Array, grid: FrequencyGrid) -> Compl
 
 
 def remaining_products(stretches: Sequence[Array]) -> Array:
-    """Return the share (k,) of products of samples that missing samples leave, at the best lag.
+    """Return the share (k,) of sample products in which none is missing, at the best lag.
 
-    Near 1 where blocks are missing, or every n-th sample is measured; less where samples are
+    It is near 1 if blocks are missing, or if every n-th sample is measured, and less if samples are
     missing at random.
     """
     measured = [(e != 0).astype(float) for e in stretches]

@@ -30,11 +30,9 @@ class SpectralFamily:
         return cls(shapes, grid.mean(np.log(shapes)), grid.band_weight / shapes)
 
     def scores(self, banded: Array, n: float) -> tuple[Array, Array]:
-        """Return variances (m,) for n samples of a periodogram (b,), and -2 log likelihood.
-
-        The likelihood has its penalty. Every member is equally likely before: the family counts
-        with its mean likelihood.
-        """
+        """Return variances (m,) for n samples of a periodogram (b,), and -2 log likelihood."""
+        # All members are equally likely before the data: a family counts with its mean likelihood,
+        # whatever its number of members.
         scale = self.inverse @ np.maximum(banded, ROUNDING)
         return scale, n * (np.log(scale) + self.logarithm) + 2 * math.log(
             len(scale)
@@ -42,13 +40,13 @@ class SpectralFamily:
 
 
 def aicc_penalty(unknowns: float, n: float) -> float:
-    """Return the penalty of AICc, without limit as the unknowns approach the numbers."""
+    """Return the penalty of AICc, which grows without limit as unknowns approach the numbers."""
     return 2 * unknowns * n / max(n - unknowns - 1, 1e-3)
 
 
 def slow_parts(grid: FrequencyGrid) -> Array:
     """Return spectra (m, b), of mean one, of white noise with an exponentially correlated part."""
-    # A record cannot tell slower errors from a constant.
+    # In a record of this length, slower errors look like a constant.
     times = np.geomspace(1.0, max(grid.longest / 3, 2.0), 14)
     phi = np.exp(-1 / times)[:, None]
     return with_white_noise((1 - phi**2) / (1 - 2 * phi * np.cos(grid.omega) + phi**2))

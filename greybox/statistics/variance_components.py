@@ -1,10 +1,10 @@
-"""The variances of parts of the errors whose spectra are known but for their sizes.
+"""The variances of parts of the errors whose spectra are known but for a factor.
 
-Sensors have white noise each, and process noise reaches the outputs through the dynamics, which the
-model knows. Then a few variances say all of the spectrum, where an autoregression has to find the
-dynamics again, of which a record of a few correlation times tells little. The periodogram is
-compared with its expectation under every part, so that neither leakage in a short record nor what a
-fit took from the errors makes the variances too small.
+Every sensor has white noise, and process noise reaches the outputs through the dynamics of the
+model. A few variances then determine the whole spectrum, while an autoregression has to find the
+dynamics again, on which a record of a few correlation times has little information. The periodogram
+is compared with its expectation, so that neither leakage in a short record nor what a fit took from
+the errors makes the variances too small.
 
 Sources: Sykulski, Olhede, Guillaumin, Lilly and Early (2019), The debiased Whittle likelihood,
 Biometrika 106; Harville (1977), Maximum likelihood approaches to variance component estimation,
@@ -28,8 +28,8 @@ DAMPING = 1e-2  # at the beginning, of Levenberg and Marquardt
 UNDAMPED = 1e-6
 NO_STEP = 1e6  # damping beyond which there is no better point
 
-# Of the variance of an output: variances below are zero. A ridge of this size stands for what the
-# expectations leave out where a fit takes all power from a frequency.
+# Share of the variance of an output below which a variance is zero. A ridge of this size also
+# replaces what the expectations lack at a frequency from which the fit takes all power.
 LEAST = 1e-4
 # Share of the largest eigenvalue of the information below which the likelihood does not change.
 UNSEEN = 1e-8
@@ -72,11 +72,11 @@ def variance_components(
         Expected periodograms of k outputs in b bands for parts of variance one, positive
         semidefinite.
     periodogram : (b, k, k) array
-        Of one unit of power for each output, about.
+        With about one unit of power for each output.
     numbers : (b,) array
         Independent numbers of each output in every band.
     sensors : int
-        How many of the parts, the first, are noise of one output alone.
+        Number of the first parts, each of which is the noise of one output.
     """
     k = periodogram.shape[1]
     variance = np.full(len(expected), WHITE)
@@ -86,6 +86,7 @@ def variance_components(
         return np.tensordot(variance, expected, 1)
 
     def slopes(variance: Array) -> tuple[Array, Array]:
+        # The expected curvature is positive, that of the likelihood need not be: Fisher scoring.
         inverse = np.linalg.inv(spectrum(variance) + LEAST * np.eye(k))
         parts = inverse @ expected
         misfit = np.eye(k) - inverse @ periodogram

@@ -487,7 +487,7 @@ def test_it_prints_itself(flown):
         (
             {},
             {"fixed": {"d": 7.0}},
-            r"fixed gives 'd' the value 7\.0: give a number within \(0, 0\.3\)",
+            r"fixed gives 'd' the value 7 outside its bounds \(0, 0\.3\)",
         ),
         ({}, {"inputs": "cubic"}, "inputs 'cubic' is not known: use 'linear' or 'held'"),
     ],
@@ -657,7 +657,7 @@ def test_what_is_fixed_may_lie_at_its_bound(value):
 @pytest.mark.parametrize(
     ("options", "error", "sentence"),
     [
-        ({"fixed": {"b": 10.1}}, ValueError, r"give a number within \(-10, 10\)"),
+        ({"fixed": {"b": 10.1}}, ValueError, r"outside its bounds \(-10, 10\)"),
         ({"fixed": {"b": "1"}}, ValueError, r"fixed gives 'b' the value '1'"),
         ({"fixed": ["b"]}, TypeError, r"fixed is \['b'\]: give \{name: value\}"),
     ],
