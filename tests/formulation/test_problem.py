@@ -506,8 +506,8 @@ ROWS = gb.Record(np.arange(4.0), {"F": [0.0, 1.0, 2.0, 1.0], "v": [0.0, 0.5, np.
         ),
         (
             {"fixed": {"c": 7.0}},
-            "fixed gives 'c' the value 7 outside its bounds (0.1, 5): change the value, or the bounds, "
-            "bounds={'c': (low, high)}.",
+            "fixed gives 'c' the value 7 outside its bounds (0.1, 5): change the value, or the bounds "
+            "of the parameter.",
         ),
         ({"fixed": {"c": np.nan}}, "fixed gives 'c' the value nan: give a finite number or a Fit."),
         (
