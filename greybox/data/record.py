@@ -315,7 +315,8 @@ class Recording(Mapping[str, Record]):
         File name and SHA-256 of the file.
     metadata : mapping
         Those that are known of ``vehicle, firmware`` (str), ``parameters`` (name to last value),
-        ``texts`` (tuple of (time, text)), ``modes`` (tuple of (time, name)); times in s.
+        ``parameter_changes`` (tuple of (time, name, previous, value)), ``texts`` (tuple of (time,
+        text)), ``modes`` (tuple of (time, name)); times in s.
     findings : tuple of str
         Problems and omissions of the file, in words.
     """

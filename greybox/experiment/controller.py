@@ -212,8 +212,8 @@ def connected(
 
         provides = {*map(c.outside, c.outputs)}
         commanded = {*map(c.outside, c.setpoints)}
-        next_setpoints = (d.outside(n) for d in controllers[k + 1 :] for n in d.setpoints)
-        if not provides & {*inputs, *next_setpoints}:
+        read_next = (d.outside(n) for d in controllers[k + 1 :] for n in (*d.inputs, *d.setpoints))
+        if not provides & {*inputs, *read_next}:
             raise ValueError(
                 f"{label} gives {', '.join(map(c.outside, c.outputs))}, but {plant} takes "
                 f"{', '.join(inputs) or 'none'}: connect them, "
@@ -236,6 +236,17 @@ def connected(
             )
         driven |= provides
     return tuple(controllers)
+
+
+def sensors_of(controllers: Sequence[Controller]) -> tuple[str, ...]:
+    """Return what controllers read from the plant: inputs that no controller before provides."""
+    provided: set[str] = set()
+    sensors: dict[str, None] = {}
+    for controller in controllers:
+        names = map(controller.outside, controller.inputs)
+        sensors |= dict.fromkeys(name for name in names if name not in provided)
+        provided |= {*map(controller.outside, controller.outputs)}
+    return tuple(sensors)
 
 
 def _collected(cls: type) -> dict[str, Parameter]:

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.experiment.controller import Controller, connected, updated
+from greybox.experiment.controller import Controller, connected, sensors_of, updated
 from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
 from greybox.modeling.held_inputs import held_response
 from greybox.modeling.model import Model
@@ -241,13 +241,14 @@ def sampled_loop(
     )
     if not controllers and rate is None:
         raise ValueError("a loop without a controller has no rate: give rate=... in Hz.")
-    wanted = (c.outside(n) for c in controllers for n in c.inputs)
     commands = {
         *system.inputs,
         *(c.outside(n) for c in controllers for n in (*c.setpoints, *c.outputs)),
     }
     sensors = tuple(
-        dict.fromkeys((*wanted, *system.outputs, *(n for n in measured if n not in commands)))
+        dict.fromkeys(
+            (*sensors_of(controllers), *system.outputs, *(n for n in measured if n not in commands))
+        )
     )
     A, B, C, D, delay = _plants(model, system, sensors, values, at or {})
     period = 1 / (controllers[0].rate if controllers else float(rate or 0))

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.data.record import Record
-from greybox.experiment.controller import Controller, connected, updated
+from greybox.experiment.controller import Controller, connected, sensors_of, updated
 from greybox.experiment.excitation import Excitation
 from greybox.experiment.sampled_loop import measured_signal
 from greybox.files.arrays import Array, BoolArray
@@ -72,8 +72,8 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
         controller and its limits. The arrays of a mapping have one sample per sample of the loop.
     controller : Controller or several, optional
         It measures outputs or states of the plant; ``"theta_dot"`` is the time derivative of
-        ``"theta"``. The outputs of one may be the setpoints of the next. Without a controller, the
-        plant flies in open loop, at the rate of the excitation.
+        ``"theta"``. The outputs of one may be setpoints or inputs of the next. Without a
+        controller, the plant flies in open loop, at the rate of the excitation.
     noise : mapping of name to float
         Standard deviation of the white noise of a sensor. A state or a derivative that is named
         here is measured and logged in addition to the outputs, with ``{"q": 0.0}`` without error.
@@ -117,7 +117,6 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     places = (*(c.outside(n) for c in controllers for n in c.setpoints), *system.inputs)
     time, commands, units = _commands(excitation, clock, tuple(dict.fromkeys(places)), model.label)
 
-    sensors = (n for c in controllers for n in map(c.outside, c.inputs))
     loop = _Loop(
         model.label,
         system,
@@ -125,7 +124,7 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
         controllers,
         clock,
         excited=tuple(commands),
-        measured=tuple(dict.fromkeys((*system.outputs, *sensors, *noise))),
+        measured=tuple(dict.fromkeys((*system.outputs, *sensors_of(controllers), *noise))),
         forced=tuple(process_noise),
         initial=_checked("initial", initial, (*system.states, *system.inputs)),
     )
@@ -330,7 +329,7 @@ def _control(
     """Run the controllers, add what they give to the signals, and return their next states."""
     remembered = []
     for controller, x in zip(loop.controllers, memory, strict=True):
-        u = {n: y[controller.outside(n)] for n in controller.inputs}
+        u = {n: {**signals, **y}[controller.outside(n)] for n in controller.inputs}
         u |= {n: signals.get(controller.outside(n), ca.SX(0)) for n in controller.setpoints}
         following, outputs = updated(controller, x, u)
         remembered.append(following)

@@ -333,6 +333,8 @@ def ulog(path: str, collector: Collector, topics: list[str]) -> None:
     }
     collector.about = {
         "parameters": parameters,
+        "initial": log.initial_parameters,
+        "changes": log.changed_parameters,
         "texts": [(line.timestamp, line.message) for line in log.logged_messages],
         "info": {
             key: value

@@ -6,6 +6,7 @@ from typing import Any
 
 from pymavlink.mavutil import mode_mapping_bynumber
 
+from greybox.logs.parameter_history import parameter_changes
 from greybox.logs.readers.messages import Messages
 
 # The firmware's names for itself, and its MAV_TYPE of MAVLink, by which pymavlink knows the modes.
@@ -49,6 +50,7 @@ def metadata(groups: Iterable[Messages]) -> dict[str, Any]:
     about: dict[str, Any] = {
         **_firmware(by_name),
         "parameters": _parameters(by_name.get("PARM")),
+        "parameter_changes": _changes(by_name.get("PARM")),
         "texts": _texts(by_name.get("MSG")),
     }
     about["modes"] = _modes(by_name.get("MODE"), about.get("vehicle", ""))
@@ -82,6 +84,12 @@ def _parameters(parm: Messages | None) -> dict[str, float]:
     if parm is None or "Name" not in parm.texts or "Value" not in parm.columns:
         return {}
     return dict(zip(parm.texts["Name"], parm.columns["Value"].tolist(), strict=True))
+
+
+def _changes(parm: Messages | None) -> tuple[tuple[float, str, float, float], ...]:
+    if parm is None or parm.time is None or not _parameters(parm):
+        return ()
+    return parameter_changes(parm.time.tolist(), parm.texts["Name"], parm.columns["Value"].tolist())
 
 
 def _texts(msg: Messages | None) -> tuple[tuple[float, str], ...]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from greybox.data.record import Record, Recording
+from greybox.logs.parameter_history import parameter_changes
 from greybox.logs.readers import named_arrays
 from greybox.logs.readers.messages import bare
 
@@ -105,6 +106,11 @@ def _about(said: Mapping[str, Any]) -> dict[str, Any]:
         "vehicle": info.get("sys_name"),
         "firmware": firmware_of(info),
         "parameters": {name: float(value) for name, value in said["parameters"].items()},
+        "parameter_changes": parameter_changes(
+            [0.0] * len(said["initial"]) + [ticks / 1e6 for ticks, _, _ in said["changes"]],
+            [*said["initial"], *(name for _, name, _ in said["changes"])],
+            [*said["initial"].values(), *(value for _, _, value in said["changes"])],
+        ),
         "texts": tuple((ticks / 1e6, text) for ticks, text in said["texts"]),
     }
     return {key: value for key, value in about.items() if value}

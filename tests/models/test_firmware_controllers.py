@@ -1,0 +1,149 @@
+"""Control laws of firmware, against their published difference equations written down again."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.signal import butter, iirnotch, lfilter
+
+import greybox as gb
+from greybox.modeling.model import Names
+from greybox.models.ardupilot import (
+    AngleController,
+    PlaneAngleController,
+    PlaneRateController,
+    RateController,
+)
+from greybox.models.digital_filters import SampledLag, SampledLowPass, SampledNotch
+
+
+def run(controller, **signals):
+    """The first output of a controller on sequences, from rest."""
+    x = Names(dict(zip(controller.states, controller.initial, strict=True)))
+    outputs = []
+    names = (*controller.inputs, *controller.setpoints)
+    for row in np.broadcast(*(signals.get(n, 0.0) for n in names)):
+        u = Names(dict(zip(names, np.atleast_1d(row), strict=True)))
+        following, output = controller.update(x, u, controller.values)
+        x = Names(dict(zip(controller.states, map(float, following), strict=True)))
+        outputs.append(float(output[0]))
+    return np.array(outputs)
+
+
+def walks(count, n=1500, size=0.05):
+    return size * np.cumsum(np.random.default_rng(1).normal(size=(count, n)), axis=1)
+
+
+def ac_pid(g, h, targets, measurements, mixer=None):
+    """AC_PID::update_all and update_i; the limit flag is that of the last control."""
+
+    def alpha(cutoff):
+        return 1.0 if cutoff == 0 else h / (h + 1 / (2 * np.pi * cutoff))
+
+    target = error = derivative = integrator = 0.0
+    limit, controls = False, []
+    for k, (wanted, measured) in enumerate(zip(targets, measurements, strict=True)):
+        last_target, last = target, error
+        target += alpha(g["FLTT"]) * (wanted - target)
+        error += alpha(g["FLTE"]) * (target - measured - error)
+        derivative += alpha(g["FLTD"]) * ((error - last) / h - derivative)
+        if not limit or integrator * error < 0:
+            integrator = np.clip(integrator + g["I"] * h * error, -g["IMAX"], g["IMAX"])
+        total = g["P"] * error + integrator + g["D"] * derivative
+        total += g["FF"] * target + g["D_FF"] * (target - last_target) / h
+        total += 0 if mixer is None else mixer[k]
+        limit = abs(total) >= 1
+        controls.append(np.clip(total, -1, 1))
+    return np.array(controls)
+
+
+GAINS = {"P": 0.2, "I": 0.5, "D": 0.01, "FF": 0.05, "D_FF": 0.001, "IMAX": 0.1}
+FILTERS = {"FLTT": 20.0, "FLTE": 2.5, "FLTD": 10.0}
+
+
+@pytest.mark.parametrize("filters", [FILTERS, dict.fromkeys(FILTERS, 0.0)])
+@pytest.mark.parametrize("size", [0.02, 0.3])  # never and often at a limit
+def test_rate_controller_is_ac_pid(filters, size):
+    targets, q, mixer = walks(3, size=size)
+    gains = GAINS | filters
+    expected = ac_pid(gains, 1 / 400, targets, q, 0.01 * mixer)
+    controller = RateController(gains)
+    given = run(controller, q=q, q_reference=targets, mixer=0.01 * mixer)
+    assert_allclose(given, expected, atol=1e-12)
+    assert (np.abs(expected) == 1).any() == (size == 0.3)
+
+
+def test_the_notch_of_the_error_is_that_of_scipy():
+    targets, q = walks(2)
+    plain = dict.fromkeys(FILTERS, 0.0) | {"P": 1.0, "I": 0.0, "D": 0.0, "u_max": 10}
+    notched = RateController({**plain, "notch": 60.0, "notch_Q": 3.0, "notch_depth": 100.0})
+    b, a = iirnotch(60.0, 3.0, fs=400)  # of infinite depth, and of the width at -3 dB
+    assert_allclose(
+        run(notched, q=q, q_reference=targets), lfilter(b, a, targets - q), rtol=0.02, atol=0.02
+    )
+
+
+def test_plane_scales_by_airspeed():
+    targets, q = walks(2, size=0.02)
+    s, n = 1.3, 1.1
+    pid = ac_pid(GAINS | FILTERS | {"FF": 0.0, "D_FF": 0.0}, 1 / 50, s**2 * targets, s**2 * q)
+    filtered = lfilter(*_lag(20.0, 50), targets)
+    forward = s / n * (0.05 * filtered + 0.001 * 50 * np.diff(filtered, prepend=0))
+    controller = PlaneRateController(GAINS | FILTERS | {"scaler": s, "density": n})
+    expected = np.degrees(pid + forward) / 45
+    inside = np.cumprod(np.abs(expected) < 1).astype(bool)  # before the first limit
+    assert inside.sum() > 300
+    assert_allclose(run(controller, q=q, q_reference=targets)[inside], expected[inside], atol=1e-12)
+    assert run(PlaneAngleController(), theta=0.2, reference=0.3) == pytest.approx([0.2])
+
+
+def _lag(cutoff, rate):
+    share = 1 / rate / (1 / rate + 1 / (2 * np.pi * cutoff))
+    return [share], [1, share - 1]
+
+
+def test_angle_controller_is_the_square_root_controller_and_late():
+    errors = np.linspace(-2, 2, 41)
+    P, a = 4.5, 9.6
+    far = np.sign(errors) * np.sqrt(2 * a * (np.abs(errors) - a / P**2 / 2).clip(0))
+    expected = np.where(np.abs(errors) > a / P**2, far, P * errors)
+    controller = AngleController({"P": P, "acceleration": a, "delay": 2})
+    given = run(controller, theta=-errors, reference=0.0)
+    assert_allclose(given[2:], expected[:-2], rtol=1e-12, atol=1e-12)
+    linear = AngleController({"acceleration": 0.0, "delay": 0})
+    assert_allclose(run(linear, theta=-errors), 4.5 * errors)
+
+
+def test_sensor_filters_are_those_of_scipy():
+    (raw,) = walks(1)
+    assert_allclose(
+        run(SampledLowPass({"cutoff": 20.0}), raw=raw), lfilter(*butter(2, 20, fs=400), raw)
+    )
+    assert_allclose(run(SampledLag({"cutoff": 20.0}), raw=raw), lfilter(*_lag(20, 400), raw))
+    # scipy's notch has its width between the points of -3 dB in the frequency of z.
+    notch = SampledNotch({"center": 50.0, "quality": 4.0, "attenuation": 300.0})
+    spectrum = np.fft.rfft(run(notch, raw=np.eye(1, 4000)[0]))
+    assert np.abs(spectrum[500]) < 1e-9
+    assert np.abs(spectrum[[0, -1]]) == pytest.approx([1, 1], abs=1e-6)
+
+
+def test_a_filter_before_a_controller_is_in_the_loop():
+    class Rate(gb.TransferFunction):
+        input, output = "u", "p"
+        K = gb.Parameter(30.0)
+
+        def response(self, s, p):
+            return p.K / s
+
+    law = RateController({"D": 0.0, "I": 0.0}, signals={"q": "filtered"})
+    chain = [SampledLowPass({"cutoff": 20.0}, signals={"raw": "p"}), law]
+    loop = gb.margins(Rate(), chain)["phase margin"]
+    z = np.exp(1j * loop.omega / 400)
+    b, a = butter(2, 20, fs=400)
+    low_pass = np.polyval(b, z) / np.polyval(a, z)
+    gain = 0.135 * low_pass * 30 / 400 / (z - 1)
+    assert abs(gain) == pytest.approx(1, rel=1e-8)
+    assert loop.value == pytest.approx(180 - abs(np.degrees(np.angle(gain))), abs=1e-6)
+    excitation = {"q_reference": 0.1 * np.ones(800)}
+    flight = gb.virtual_flight(Rate(), None, excitation, controller=chain)
+    assert flight["p"][-1] == pytest.approx(0.1, rel=1e-3)
+    assert_allclose(flight["filtered"], lfilter(b, a, flight["p"]), atol=1e-12)
