@@ -1,13 +1,81 @@
 """The controllers that a log shows: firmware, gains, rate and filters, for one axis."""
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 
-from greybox.experiment.flown_controller import FlownController
+import numpy as np
+
+import greybox as gb
 from greybox.logs.ardupilot import SYSTEMID_AXES
 from greybox.logs.flight_controllers import AXES, named_filters
-from greybox.logs.parameter_history import parameters_during
+from greybox.logs.named_columns import in_si
 from greybox.models import ardupilot
 from greybox.models.digital_filters import SampledLowPass, SampledNotch
+
+
+@dataclass(frozen=True, eq=False)
+class FlownController:
+    """Controllers of one axis with the gains that flew, and the log signals of the last of them.
+
+    Attributes
+    ----------
+    controllers : tuple of Controller
+        In the order in which they run; `gb.margins` takes them.
+    axis : str
+    signals : mapping of str to str
+        Own inputs, setpoints and output of the last controller to signals of the log, such as
+        ``{"q": "RATE.P", "u": "RATE.POut"}``. The first setpoint must be there.
+    start, end : float, s
+        Of the test.
+    notes : tuple of str
+        What the log names and the controllers leave out.
+    """
+
+    controllers: tuple
+    axis: str
+    signals: Mapping[str, str]
+    start: float = -math.inf
+    end: float = math.inf
+    notes: tuple = ()
+
+    def check(self, recording):
+        """Return the `ControlCheck` of the last controller on a log.
+
+        Raises
+        ------
+        ValueError
+            If the log lacks the error or the control, or the controller is another one.
+        """
+        return gb.experiment.check_controller(self.controllers[-1], self.record(recording))
+
+    def record(self, recording):
+        """Return the signals of the last controller in SI, at the times of its control."""
+        law = self.controllers[-1]
+        record, name = self._located(recording, law.outputs[0])
+        record = max(record.between(self.start, self.end).pieces, key=len)
+        columns = {law.outputs[0]: record[name]}
+        for own in (*law.inputs, *law.setpoints):
+            if own in self.signals:
+                other, name = self._located(recording, own)
+                present = np.isfinite(other[name])
+                columns[own] = np.interp(record.time, other.time[present], other[name][present])
+        return gb.Record(record.time, columns)
+
+    def _located(self, recording, own):
+        try:
+            record, name = recording.locate(self.signals[own])
+        except KeyError as error:
+            raise ValueError(f"the log does not show its control law: {error.args[0]}") from None
+        return in_si(record, [name]), name
+
+    def __str__(self):
+        laws = [
+            f"{type(c).__name__}: {', '.join(f'{n} {v:.4g}' for n, v in c.values.items())}"
+            for c in self.controllers
+        ]
+        rate = f"{self.axis}, {self.controllers[-1].rate:g} Hz"
+        return "\n".join([f"Controllers of {rate}, gains from the log:", *laws, *self.notes])
 
 
 def from_log(
@@ -67,9 +135,37 @@ def from_log(
     if outside.get("q", "").endswith("_dot") if raw_rate is None else raw_rate:
         filters = _gyro_filters(recording, axis, rate, outside.get("q", "q"))
         outside["q"] = filters[-1].outside("filtered") if filters else outside.get("q", "q")
-    return FlownController(
-        (*filters, *(_renamed(c, outside) for c in laws)), axis, logged, tuple(notes)
-    )
+    laws = [_renamed(law, outside) for law in laws]
+    return FlownController((*filters, *laws), axis, logged, start, end, tuple(notes))
+
+
+def parameters_during(recording, start, end, begin):
+    """Return the parameters in effect from `start` to `end`, s.
+
+    Raises
+    ------
+    ValueError
+        If the log has no parameters, or if one whose name begins with one of `begin` changes.
+    """
+    about = recording.metadata
+    parameters = dict(about.get("parameters", {}))
+    if not parameters:
+        raise ValueError(
+            f"{recording.source or 'the recording'} has no parameters, so the gains that flew are "
+            "not known: log them, or give a controller with its gains."
+        )
+    changed = []
+    for time, name, previous, value in reversed(about.get("parameter_changes", ())):
+        if time > start:
+            parameters[name] = previous
+            if time <= end and name.startswith(tuple(begin)):
+                changed.append(f"{name} from {previous:g} to {value:g} at {time:.1f} s")
+    if changed:
+        raise ValueError(
+            f"gains changed during the test, {start:.1f} to {end:.1f} s: "
+            f"{', '.join(reversed(changed))}; choose a test or a time without changes."
+        )
+    return parameters
 
 
 def _renamed(controller, outside):

@@ -15,7 +15,7 @@ Begin with `readers`, then `prepare`.
 | `ardupilot`, `px4`, `betaflight` | the same for each flight controller |
 | `axis_signals` | the signals of one axis |
 | `known_filters` | filters with known parameters |
-| `parameter_history` | parameters in effect during a test, and their changes |
+| `parameter_history` | changes of parameters in a log |
 """
 
 from greybox.logs.manoeuvre_detection import find_manoeuvres as find_manoeuvres

@@ -3,7 +3,8 @@
 import pytest
 
 from greybox.data.record import Recording
-from greybox.logs.parameter_history import parameter_changes, parameters_during
+from greybox.logs.parameter_history import parameter_changes
+from greybox.models.firmware import parameters_during
 
 TIMES, NAMES, VALUES = (0, 0, 1, 5, 8), ("P", "I", "P", "P", "I"), (0.1, 0.2, 0.1, 0.3, 0.25)
 

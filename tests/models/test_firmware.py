@@ -8,7 +8,6 @@ import pytest
 
 import greybox as gb
 from greybox.data.record import Recording
-from greybox.experiment.flown_controller import check_controller
 from greybox.models.ardupilot import AngleController, RateController
 from greybox.models.firmware import from_log
 
@@ -89,30 +88,30 @@ def test_gains_rate_and_filters_come_from_the_log(log):
 
 def test_the_firmware_itself_is_reproduced(log):
     # The cut log has 1.5 s of every second pass, of which the first is lost to the filters.
-    check = check_controller(from_log(log, "yaw"), log)
+    check = from_log(log, "yaw").check(log)
     assert check.residual < 0.02
     assert check.late == {"q_reference": 2}
     assert "log has 200.1 of 400 Hz" in str(check)
 
 
 def test_a_flight_is_reproduced_to_rounding_and_other_gains_are_not(flight):
-    check = check_controller(from_log(flight), flight)
+    check = from_log(flight).check(flight)
     assert check.residual < 1e-9
     assert check.late == {"q_reference": 0}
     assert check.reproduces
     other = with_gains(flight, ATC_RAT_PIT_P=0.19)
-    check = check_controller(from_log(other), other)
+    check = from_log(other).check(other)
     assert 0.1 < check.residual < 0.5
     assert "does not reproduce" in str(check)
     wrong = with_gains(flight, ATC_RAT_PIT_P=0.4)
-    with pytest.raises(ValueError, match=r"does not reproduce RATE.POut: \d+ %"):
-        check_controller(from_log(wrong), wrong)
+    with pytest.raises(ValueError, match=r"does not reproduce the logged u: \d+ %"):
+        from_log(wrong).check(wrong)
 
 
 def test_a_thinned_log_is_reproduced_nearly(flight):
     rate = flight["RATE"]
     thinned = replace(flight, records={"RATE": rate.rows(slice(None, None, 2))})
-    check = check_controller(from_log(thinned), thinned)
+    check = from_log(thinned).check(thinned)
     assert check.residual < 0.3
     assert "200 of 400 Hz" in str(check)
 
@@ -136,8 +135,8 @@ def test_logs_without_gains_or_signals_are_refused(flight):
         from_log(flight, "heave")
     rate = flight["RATE"]
     without = gb.Record(rate.time, {"POut": rate["POut"]})
-    with pytest.raises(ValueError, match="cannot show its control law"):
-        check_controller(from_log(flight), replace(flight, records={"RATE": without}))
+    with pytest.raises(ValueError, match="does not show its control law"):
+        from_log(flight).check(replace(flight, records={"RATE": without}))
 
 
 def test_what_is_not_modeled_is_noted(flight):

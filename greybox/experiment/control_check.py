@@ -1,0 +1,114 @@
+"""Whether a controller computes the control of a log from the error of the log."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from greybox.data.record import Record
+from greybox.experiment.controller import Controller, updated
+from greybox.modeling.one_thread import one_thread_at_a_time
+
+LATEST = 3  # samples by which a logged setpoint may precede the control that it belongs to
+SETTLED = 1.0  # s, until filters have forgotten that they began at zero
+THINNED = 1.2  # rate of the loop over that of the log, above which passes are missing
+
+# Of the control. A tenth is 1 dB of loop gain or 6 degrees of phase, as much as a good interval; if
+# half remains, the margins are those of another controller.
+GOOD, REFUSED = 0.1, 0.5
+
+
+@dataclass(frozen=True)
+class ControlCheck:
+    """How far a controller reproduces a logged control.
+
+    Attributes
+    ----------
+    residual : float
+        Root mean square of the difference over that of the control, means removed.
+    late : mapping of setpoint to int
+        Samples of the loop between the log of each setpoint and its effect on the control.
+    log_rate, rate : float, Hz
+        Of the log and of the controller.
+    """
+
+    residual: float
+    late: Mapping[str, int]
+    log_rate: float
+    rate: float
+
+    @property
+    def reproduces(self) -> bool:
+        """Whether the controller computes the logged control to a tenth."""
+        return self.residual <= GOOD
+
+    def __str__(self) -> str:
+        is_thinned = self.rate > THINNED * self.log_rate
+        log = f"; the log has {self.log_rate:.4g} of {self.rate:g} Hz" if is_thinned else ""
+        cure = "log every pass of the loop" if is_thinned else "check gains, filters and scaling"
+        verdict = "reproduces it." if self.reproduces else f"does not reproduce it: {cure}."
+        return f"Residual {100 * self.residual:.2g} % of the control{log}: the controller {verdict}"
+
+
+def check_controller(controller: Controller, record: Record) -> ControlCheck:
+    """Simulate a controller on the logged error, and compare its first output with the log.
+
+    Parameters
+    ----------
+    controller : Controller
+    record : Record
+        Inputs, setpoints and the first output by the controller's own names; a setpoint that is
+        not there is zero. Where a log has only some passes of the loop, the signals are
+        interpolated by cubic splines.
+
+    Raises
+    ------
+    ValueError
+        If the control does not change, or if half of it is not reproduced.
+    """
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415  (takes a tenth of a second to import)
+
+    time, name = record.time, controller.outputs[0]
+    logged = record[name]
+    grid = time  # a log of every pass has the samples themselves, whatever its time stamps
+    if controller.rate > THINNED * record.rate:
+        grid = time[0] + np.arange(math.ceil(record.duration * controller.rate)) / controller.rate
+    read = [record[n] for n in controller.inputs]
+    read += [record.signals.get(n, np.zeros(len(time))) for n in controller.setpoints]
+    rows = np.array([CubicSpline(time, values)(grid) for values in read])
+    simulate = _compiled(controller).mapaccum("flown", len(grid))
+
+    settled = time > time[0] + min(SETTLED, record.duration / 2)
+    size = float(np.std(logged[settled]))
+    if not size > 0:
+        raise ValueError(f"the logged control {name} does not change: the loop was open.")
+    late = dict.fromkeys([n for n in controller.setpoints if n in record.signals], 0)
+    names = (*controller.inputs, *controller.setpoints)
+    best = math.inf
+    # The delay of one setpoint moves the best of another: go through them twice.
+    for setpoint in [*late, *list(late)[:-1]] or [""]:
+        for samples in range(LATEST + 1):
+            trial = {**late, setpoint: samples}
+            shifted = [np.roll(row, trial.get(n, 0)) for n, row in zip(names, rows, strict=True)]
+            _, control = simulate(controller.initial, np.array(shifted))
+            computed = np.interp(time, grid, np.asarray(control)[0])
+            residual = float(np.std((logged - computed)[settled])) / size
+            if residual < best:
+                best, late = residual, trial
+    if best > REFUSED:
+        raise ValueError(
+            f"{type(controller).__name__} does not reproduce the logged {name}: {100 * best:.0f} % "
+            "of it remains; check that the gains and the log are of this controller and axis."
+        )
+    late.pop("", None)
+    return ControlCheck(best, late, record.rate, controller.rate)
+
+
+@one_thread_at_a_time
+def _compiled(controller: Controller) -> ca.Function:
+    names = (*controller.inputs, *controller.setpoints)
+    x, u = ca.SX.sym("x", len(controller.states)), ca.SX.sym("u", len(names))
+    following, outputs = updated(controller, x, dict(zip(names, ca.vertsplit(u), strict=True)))
+    return ca.Function("law", [x, u], [following, outputs[0]])
