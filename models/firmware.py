@@ -11,6 +11,7 @@ from greybox.logs.ardupilot import SYSTEMID_AXES
 from greybox.logs.flight_controllers import AXES, named_filters
 from greybox.logs.named_columns import in_si
 from greybox.models import ardupilot
+from greybox.models.control_check import check_controller
 from greybox.models.digital_filters import SampledLowPass, SampledNotch
 
 
@@ -47,7 +48,7 @@ class FlownController:
         ValueError
             If the log lacks the error or the control, or the controller is another one.
         """
-        return gb.experiment.check_controller(self.controllers[-1], self.record(recording))
+        return check_controller(self.controllers[-1], self.record(recording))
 
     def record(self, recording):
         """Return the signals of the last controller in SI, at the times of its control."""

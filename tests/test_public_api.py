@@ -27,8 +27,7 @@ arccos arcsin arctan arctan2 cos exp g log maximum minimum sign sin sqrt tan tan
 NAMESPACES = {
     "data": "FrequencyResponse Record Recording Segment Stretch TransientSpectrum read_response read_spectrum "
     "segment_table write_response write_responses write_spectrum",
-    "experiment": "ChosenTests ControlCheck Controller Excitation ExpectedErrors Margins SinePlan "
-    "ardupilot_script check_controller choose_tests "
+    "experiment": "ChosenTests Controller Excitation ExpectedErrors Margins SinePlan ardupilot_script choose_tests "
     "expected_errors margins multisine plan_sines sine_schedule sweep systemid_parameters virtual_flight write_excitation",
     "formulation": "Criterion EquationError MagnitudePhase MaximumLikelihood OutputError PredictionError Problem "
     "RelativeError RelativeLikelihood SquaredRelativeError Starts Sum TimeCriterion several",

@@ -8,7 +8,6 @@ tell).
 | `sines`, `sweep`, `multisine` | test signals |
 | `scripts` | files that fly them on a vehicle |
 | `controller` | sampled control laws |
-| `control_check` | whether a controller reproduces a logged control |
 | `sampled_loop` | the loop of a plant and its controllers, as linear equations |
 | `drawn_loops` | that loop at an estimate and at draws from its distribution |
 | `loop_numbers` | margins and closed-loop numbers of such loops |
@@ -22,8 +21,6 @@ tell).
 
 from greybox.experiment.chosen_tests import ChosenTests as ChosenTests
 from greybox.experiment.chosen_tests import choose_tests as choose_tests
-from greybox.experiment.control_check import ControlCheck as ControlCheck
-from greybox.experiment.control_check import check_controller as check_controller
 from greybox.experiment.controller import Controller as Controller
 from greybox.experiment.excitation import Excitation as Excitation
 from greybox.experiment.expected_errors import ExpectedErrors as ExpectedErrors

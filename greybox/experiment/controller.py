@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from greybox.modeling.model import Names, require_known
+from greybox.modeling.model import Names, declared_parameters, require_known
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.symbolic_reading import column, traced
 
@@ -69,7 +69,7 @@ class Controller(ABC):
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Collect the parameters of the class and of the classes above it, and check the names."""
         super().__init_subclass__(**kwargs)
-        parameters = _collected(cls)
+        parameters = declared_parameters(cls)
         cls.parameters = MappingProxyType(parameters)
         for kind in ("states", "inputs", "setpoints", "outputs"):
             if isinstance(getattr(cls, kind), str):
@@ -247,22 +247,3 @@ def sensors_of(controllers: Sequence[Controller]) -> tuple[str, ...]:
         sensors |= dict.fromkeys(name for name in names if name not in provided)
         provided |= {*map(controller.outside, controller.outputs)}
     return tuple(sensors)
-
-
-def _collected(cls: type) -> dict[str, Parameter]:
-    parameters: dict[str, Parameter] = {}
-    for owner in reversed(cls.__mro__):
-        hidden = [
-            n
-            for n, value in vars(owner).items()
-            if n in parameters and isinstance(value, (int, float))
-        ]
-        if hidden:
-            raise TypeError(
-                f"{cls.__name__}.{hidden[0]} is a number where a Parameter was: use "
-                "gb.Parameter(...)."
-            )
-        parameters |= {
-            name: value for name, value in vars(owner).items() if isinstance(value, Parameter)
-        }
-    return parameters

@@ -5,7 +5,7 @@ Begin with `virtual_flight`.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from types import MappingProxyType
 
@@ -19,6 +19,7 @@ from greybox.experiment.controller import Controller, connected, sensors_of, upd
 from greybox.experiment.excitation import Excitation
 from greybox.experiment.sampled_loop import measured_signal
 from greybox.files.arrays import Array, BoolArray
+from greybox.modeling.integrators import RungeKutta
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics, dynamics
@@ -299,8 +300,7 @@ def _step(loop: _Loop, substeps: int) -> tuple[ca.Function, list[str]]:
         span = (end - begin) / loop.clock
         count = math.ceil(substeps * (end - begin))
         coarse, fine = (
-            _runge_kutta(loop, v, u, force, span, k)
-            for v, k in ((coarse, count), (fine, 2 * count))
+            _integrated(loop, v, u, force, span, k) for v, k in ((coarse, count), (fine, 2 * count))
         )
 
     shifted = [
@@ -340,19 +340,12 @@ def _control(
     return remembered
 
 
-def _runge_kutta(loop: _Loop, x: ca.SX, u: ca.SX, force: ca.SX, span: float, count: int) -> ca.SX:
+def _integrated(loop: _Loop, x: ca.SX, u: ca.SX, force: ca.SX, span: float, count: int) -> ca.SX:
     """Integrate over `span` seconds with a constant input in `count` steps of RK4."""
-    h = span / count
-
-    def f(state: ca.SX) -> ca.SX:
-        return loop.system.derivative(state, u, loop.p) + force
-
+    derivative = loop.system.derivative
+    forced = replace(loop.system, derivative=lambda x, u, p: derivative(x, u, p) + force)
     for _ in range(count if loop.system.states else 0):
-        k1 = f(x)
-        k2 = f(x + h / 2 * k1)
-        k3 = f(x + h / 2 * k2)
-        k4 = f(x + h * k3)
-        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        x = RungeKutta().advance(forced, x, u, ca.SX.zeros(u.numel()), loop.p, span / count)
     return x
 
 

@@ -54,6 +54,27 @@ def require_usable(names: Iterable[str], owner: str, base: type = Names) -> None
             )
 
 
+def declared_parameters(cls: type) -> dict[str, Parameter]:
+    """Return the parameters of a class body and of the classes above it, by name."""
+    parameters: dict[str, Parameter] = {}
+    # Base classes first, so that a subclass can declare a parameter anew.
+    for owner in reversed(cls.__mro__):
+        hidden = [
+            n
+            for n, value in vars(owner).items()
+            if n in parameters and isinstance(value, (int, float))
+        ]
+        if hidden:
+            raise TypeError(
+                f"{cls.__name__}.{hidden[0]} is a number where a Parameter was declared: use "
+                "gb.Parameter(...)."
+            )
+        parameters |= {
+            name: value for name, value in vars(owner).items() if isinstance(value, Parameter)
+        }
+    return parameters
+
+
 class Model(ABC):
     """What `TransferFunction` and `StateSpace` share: declared parameters and derived quantities.
 
@@ -77,23 +98,7 @@ class Model(ABC):
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Collect the parameters of the class body and of the classes above it."""
         super().__init_subclass__(**kwargs)
-        parameters: dict[str, Parameter] = {}
-        # Base classes first, so that a subclass can declare a parameter anew.
-        for owner in reversed(cls.__mro__):
-            hidden = [
-                n
-                for n, value in vars(owner).items()
-                if n in parameters and isinstance(value, (int, float))
-            ]
-            if hidden:
-                raise TypeError(
-                    f"{cls.__name__}.{hidden[0]} is a number where a Parameter was declared: use "
-                    "Parameter(...)."
-                )
-            parameters |= {
-                name: value for name, value in vars(owner).items() if isinstance(value, Parameter)
-            }
-
+        parameters = declared_parameters(cls)
         bases = (base for base in cls.__mro__[1:] if base.__module__.startswith(PACKAGE))
         for base in (Names, *bases):
             require_usable(parameters, cls.__name__, base)

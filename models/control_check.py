@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from greybox.data.record import Record
-from greybox.experiment.controller import Controller, updated
+from greybox.experiment.controller import updated
 from greybox.modeling.one_thread import one_thread_at_a_time
 
 LATEST = 3  # samples by which a logged setpoint may precede the control that it belongs to
@@ -40,11 +39,11 @@ class ControlCheck:
     rate: float
 
     @property
-    def reproduces(self) -> bool:
+    def reproduces(self):
         """Whether the controller computes the logged control to a tenth."""
         return self.residual <= GOOD
 
-    def __str__(self) -> str:
+    def __str__(self):
         is_thinned = self.rate > THINNED * self.log_rate
         log = f"; the log has {self.log_rate:.4g} of {self.rate:g} Hz" if is_thinned else ""
         cure = "log every pass of the loop" if is_thinned else "check gains, filters and scaling"
@@ -52,7 +51,7 @@ class ControlCheck:
         return f"Residual {100 * self.residual:.2g} % of the control{log}: the controller {verdict}"
 
 
-def check_controller(controller: Controller, record: Record) -> ControlCheck:
+def check_controller(controller, record):
     """Simulate a controller on the logged error, and compare its first output with the log.
 
     Parameters
@@ -68,8 +67,6 @@ def check_controller(controller: Controller, record: Record) -> ControlCheck:
     ValueError
         If the control does not change, or if half of it is not reproduced.
     """
-    from scipy.interpolate import CubicSpline  # noqa: PLC0415  (takes a tenth of a second to import)
-
     time, name = record.time, controller.outputs[0]
     logged = record[name]
     grid = time  # a log of every pass has the samples themselves, whatever its time stamps
@@ -77,7 +74,7 @@ def check_controller(controller: Controller, record: Record) -> ControlCheck:
         grid = time[0] + np.arange(math.ceil(record.duration * controller.rate)) / controller.rate
     read = [record[n] for n in controller.inputs]
     read += [record.signals.get(n, np.zeros(len(time))) for n in controller.setpoints]
-    rows = np.array([CubicSpline(time, values)(grid) for values in read])
+    rows = np.array([_spline(time, values, grid) for values in read])
     simulate = _compiled(controller).mapaccum("flown", len(grid))
 
     settled = time > time[0] + min(SETTLED, record.duration / 2)
@@ -106,8 +103,16 @@ def check_controller(controller: Controller, record: Record) -> ControlCheck:
     return ControlCheck(best, late, record.rate, controller.rate)
 
 
+def _spline(time, values, grid):
+    return (
+        values
+        if grid is time
+        else np.asarray(ca.interpolant("s", "bspline", [time], values)(grid)).ravel()
+    )
+
+
 @one_thread_at_a_time
-def _compiled(controller: Controller) -> ca.Function:
+def _compiled(controller):
     names = (*controller.inputs, *controller.setpoints)
     x, u = ca.SX.sym("x", len(controller.states)), ca.SX.sym("u", len(names))
     following, outputs = updated(controller, x, dict(zip(names, ca.vertsplit(u), strict=True)))
