@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.options import add_common_options, positive, seconds
+from greybox.cli.options import add_common_options, positive, positive_number
 from greybox.cli.output import FAILED, INTERRUPTED, USABLE, Answer, attributes
 from greybox.cli.study_file import find_study, read_study_file
 from greybox.cli.workers import add_worker_options, require_folder, stated_executor
@@ -33,16 +33,16 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         type=Path,
         metavar="DIR",
         required=True,
-        help="store every run and the answers in this folder; the same command continues a study "
-        "that was ended in any way",
+        help="store every run and the answers in this folder; after any interruption the same "
+        "command continues the study",
     )
     add(
         "--starts",
         type=positive,
-        help="number of starts of every member (default: the study's, or as of greybox fit); with "
-        "more than before, the stored runs remain",
+        help="number of starts of every member (default: the study's, or that of greybox fit); a "
+        "larger number uses the stored runs again",
     )
-    add("--seconds", type=seconds, metavar="S", help="time limit of the study")
+    add("--seconds", type=positive_number, metavar="S", help="time limit of the study")
     add_worker_options(parser)
     add_common_options(parser)
 
@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> Answer:
     except BatchInterrupted as stopped:
         answer = {**as_json(stopped.study), "error": f"interrupted; {RESUME}."}
         return answer, str(stopped.study), INTERRUPTED
-    except BlockingIOError:  # another process writes to the folder
+    except BlockingIOError:  # another process writes to the folder: this is no failed study
         raise
     except (ExecutorLostError, OSError) as error:
         return {"error": f"{str(error).rstrip('.')}; {RESUME}."}, "", FAILED

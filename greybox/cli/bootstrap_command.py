@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from greybox.cli.options import add_common_options, nonnegative, positive, probability
+from greybox.cli.options import add_common_options, add_level_option, nonnegative, positive
 from greybox.cli.output import FAILED, INTERRUPTED, USABLE, Answer
 from greybox.cli.saved_fits import add_fit_argument, stated_fit
 from greybox.cli.workers import add_worker_options, require_folder, stated_executor
@@ -28,12 +28,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="number of fits (default: 1000)",
     )
     add("--seed", type=nonnegative, default=0, help="seed of the random draws (default: 0)")
-    add(
-        "--level",
-        type=probability,
-        default=0.95,
-        help="confidence level of the intervals (default: 0.95)",
-    )
+    add_level_option(parser)
     add(
         "--out",
         type=Path,
@@ -65,6 +60,6 @@ def run(options: argparse.Namespace) -> Answer:
         return {"error": str(error)}, "", FAILED
 
     answer, status = result.summary(options.level), USABLE
-    if result.failed > len(result.values) - 2:  # no spread of fewer than two values
+    if result.failed > len(result.values) - 2:  # fewer than two values have no spread
         answer["error"], status = result.warnings[0], FAILED
     return answer, result.text(options.level), status

@@ -5,14 +5,13 @@ from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 from greybox.cli.options import (
     UsageError,
     add_common_options,
     nonnegative,
     positive,
-    seconds,
+    positive_number,
 )
 from greybox.cli.output import FAILED, INTERRUPTED, USABLE, Answer, require_figure, save_figure
 from greybox.cli.saved_fits import add_out_option, require_fit_file
@@ -73,14 +72,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="omit the profiles of parameters whose standard error misleads",
     )
-    add("--seconds", type=seconds, metavar="S", help="time limit of the fit")
+    add("--seconds", type=positive_number, metavar="S", help="time limit of the fit")
     add_worker_options(parser)
     add_common_options(parser, "responses, time histories and starts")
 
 
 def run(options: argparse.Namespace) -> Answer:
     """Fit the problem of the options; save and draw the result if asked to."""
-    # A fit that was ended may have saved a result: to continue it needs no --force.
+    # An interrupted fit has saved its best result so far, which the complete one may replace.
     continues = options.out is not None and folder_beside(options.out).is_dir()
     require_fit_file(options.out, options.force or continues)
     require_figure(options.plot, options.force or continues)
@@ -122,10 +121,10 @@ def _fitted(
     except KeptRunsError as error:
         if stored is None or not options.force:
             raise UsageError(
-                f"{folder_beside(options.out)} has runs of another, unfinished fit: repeat its "
-                "command, or give --force to begin anew."
+                f"{folder_beside(options.out)} has the runs of another, unfinished fit: repeat its "
+                "command, or give --force to start over."
             ) from error
-        # --force allows to lose the runs of another problem, as it allows to overwrite a fit.
+        # Whoever allows a fit to be overwritten with --force also allows its runs to be lost.
         stored.remove()
         return _fitted(make, stored, options)
 
@@ -150,7 +149,7 @@ def _answer(
                     stored.remove()
             notes.append(f"saved {options.out}")
         interrupted = take_interrupt() or interrupted
-        notes += save_figure(None if interrupted else options.plot, lambda: _figure(result))
+        notes += save_figure(None if interrupted else options.plot, "plot", result)
     except OSError as error:  # print the answer although the disk is full
         answer["error"] = str(error)
         status = FAILED
@@ -166,9 +165,3 @@ def _answer(
     if stored is not None and stored.count:
         notes.append(f"the same command continues with {counted(stored.count, 'run')}")
     return answer, "\n".join([str(result), *notes]), status
-
-
-def _figure(result: Fit) -> Any:
-    from greybox.plotting import plot  # noqa: PLC0415  (imports matplotlib)
-
-    return plot(result)

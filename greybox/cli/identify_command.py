@@ -22,7 +22,6 @@ from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_w
 from greybox.cli.parameter_options import add_value_options, stated_values
 from greybox.cli.response_command import response_json
 from greybox.data.response_file import write_response
-from greybox.estimate.result import Fit
 from greybox.estimate.storage import save
 from greybox.identification.families import FAMILIES, Structure
 from greybox.identification.identify import STARTS, Identification, identify
@@ -56,15 +55,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add(
         "--all-points",
         action="store_true",
-        help="also fit the frequencies of which the check of the response warns",
+        help="also fit the frequencies about which the check of the response warns",
     )
     add(
         "--through",
         nargs="*",
         metavar="FILTER",
         help="filters between the output and its log, by their names in the log: gyro-filter, "
-        "gyro-notch, d-term-filter, target-filter; without a name, no filter (default: those that "
-        "the output is known to have passed)",
+        "gyro-notch, d-term-filter, target-filter; without a name, no filter (default: the filters "
+        "that the log names for this output)",
     )
     add(
         "--vehicle",
@@ -106,7 +105,7 @@ def run(options: argparse.Namespace) -> Answer:
         require_writable(path, options.force)
     require_figure(figure, options.force)
     if options.vehicle and options.structures:
-        raise UsageError("--vehicle and --structures contradict one another: give one of them.")
+        raise UsageError("--vehicle and --structures exclude each other: give one of them.")
 
     columns = stated_columns(options) or None
     identification = identify(
@@ -121,6 +120,7 @@ def run(options: argparse.Namespace) -> Answer:
         seed=options.seed,
         **stated_choices(options),
     )
+    # Printed even after a refusal: a user can change one step and run the others as they are.
     lines = commands(identification, options, prefix)
     answer = _json(identification, lines)
     text = [str(identification), "", "The same in single commands:", *(f"  {x}" for x in lines)]
@@ -136,7 +136,7 @@ def run(options: argparse.Namespace) -> Answer:
     text += ["", *(f"saved {path}" for path in responses)]
     if fit is not None:
         save(replace(fit, command=options.arguments), result)
-        text += [f"saved {result}", *save_figure(figure, lambda: _figure(fit))]
+        text += [f"saved {result}", *save_figure(figure, "plot", fit)]
         answer["files"] = [*responses, result, figure]
     if fit is None or not selection.explains:
         answer["error"] = selection.verdict
@@ -223,12 +223,6 @@ def _fitting(
         *("--criterion", chosen.fit.criterion, "--starts", str(options.starts)),
         *("--seed", str(options.seed)),
     ]
-
-
-def _figure(fit: Fit) -> Any:
-    from greybox.plotting import plot  # noqa: PLC0415  (imports matplotlib)
-
-    return plot(fit)
 
 
 def _json(result: Identification, lines: list[str]) -> dict[str, Any]:

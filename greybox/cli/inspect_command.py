@@ -35,17 +35,12 @@ def run(options: argparse.Namespace) -> Answer:
     require_figure(options.plot, options.force)
     recording = read_log(options)
     segments = segments_of(recording, options)
-    # A controller that makes tests makes setpoints that are not manoeuvres.
+    # A controller that flies tests moves its own setpoints, which are not manoeuvres of the pilot.
     manoeuvres: Sequence[Segment] = ()
     if options.setpoint or not segments:
         manoeuvres = find_manoeuvres(recording, options.setpoint)
 
-    def draw() -> Any:
-        from greybox.plotting import recording as plot  # noqa: PLC0415  (imports matplotlib)
-
-        return plot(recording, (*segments, *manoeuvres))[0].figure
-
-    notes = save_figure(options.plot, draw)  # before the text, which says whether it was drawn
+    notes = save_figure(options.plot, "recording", recording, (*segments, *manoeuvres))
     command = next_command(recording, segments, manoeuvres, options)
     if command:
         notes.append(f"next: {command}")
@@ -91,6 +86,7 @@ def next_command(
         if not any(map(axis_of, names)):  # the names of a table do not tell input from output
             words = ["greybox", "response", options.log, "--input", "SIGNAL", "--output", "SIGNAL"]
     elif manoeuvres:
+        # Stick inputs of any shape come last: a doublet or a 2-1-1 was flown for identification.
         numbers = [k for k, test in enumerate(manoeuvres, 1) if test.kind != "stick input"] or [1]
         words = ["greybox", "response", options.log, "--manoeuvre", str(numbers[0])]
         words += ["--input", manoeuvres[numbers[0] - 1].axis, "--output", "SIGNAL"]
@@ -128,10 +124,8 @@ def contents(recording: Recording) -> str:
 
 
 def rate(record: Record) -> float:
-    """Return the rate in Hz; for messages that come in bursts, as over a link, the mean rate.
-
-    Bursts are gaps before more than 5 % of the samples: a lossy log loses 1 % or less.
-    """
+    """Return the rate in Hz; for messages that come in bursts, as over a link, the mean rate."""
+    # Bursts have gaps before more than 5 % of the samples, while a lossy log loses 1 % or less.
     in_bursts = len(record) > 2 and len(record.pieces) - 1 > 0.05 * len(record)
     return (len(record) - 1) / record.duration if in_bursts else record.rate
 

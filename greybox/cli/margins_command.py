@@ -7,9 +7,9 @@ from greybox.cli.catalog import find_controller
 from greybox.cli.options import (
     UsageError,
     add_common_options,
+    add_level_option,
     add_words,
     assignments,
-    probability,
     texts,
 )
 from greybox.cli.output import FAILED, USABLE, Answer
@@ -52,12 +52,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="of which setpoint and response to give bandwidth and step (default: the first ones)",
     )
     add_words(parser, "--at", "NAME=VALUE", "operating point of an ODE")
-    parser.add_argument(
-        "--level",
-        type=probability,
-        default=0.95,
-        help="confidence level of the intervals (default: 0.95)",
-    )
+    add_level_option(parser)
     add_common_options(parser)
 
 

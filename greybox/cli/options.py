@@ -23,7 +23,9 @@ class HelpFormatter(argparse.RawDescriptionHelpFormatter):
 
     def format_help(self) -> str:
         """Return the help."""
-        self._action_max_length += 2  # argparse does not count the indentation of commands
+        # argparse does not count the indentation of commands, and breaks the line of the longest
+        # one.
+        self._action_max_length += 2
         return super().format_help()
 
 
@@ -56,9 +58,20 @@ def add_words(parser: argparse.ArgumentParser, flag: str, metavar: str, about: s
     parser.add_argument(flag, nargs="+", default=[], metavar=metavar, help=about)
 
 
+def add_level_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option for the confidence level of intervals."""
+    parser.add_argument(
+        "--level",
+        type=probability,
+        default=0.95,
+        help="confidence level of the intervals (default: 0.95)",
+    )
+
+
 def as_options(text: str, options: argparse.Namespace) -> str:
     """Return a text with arguments as options: ``settle=-1`` becomes ``--settle -1``."""
-    # Only names that are options of this command: x=3 in a formula stays as it is.
+    # The library speaks of arguments. Only names of this command's options are translated: x=3 in a
+    # formula stays as it is.
     names = "|".join(name for name in vars(options) if name.isidentifier())
 
     def option(match: re.Match[str]) -> str:
@@ -88,11 +101,6 @@ def _integer(text: str, least: int) -> int:
 def probability(text: str) -> float:
     """Return a number between 0 and 1."""
     return _between(text, 1.0, "a probability between 0 and 1")
-
-
-def seconds(text: str) -> float:
-    """Return a time above zero, s."""
-    return _between(text, math.inf, "a number of seconds above 0")
 
 
 def positive_number(text: str) -> float:

@@ -3,14 +3,13 @@
 import json
 import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, is_dataclass
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from greybox.cli.options import UsageError
 from greybox.cli.terminal import write
-from greybox.files.json_numbers import finite
+from greybox.files.json_numbers import plain
 from greybox.files.safe_files import replacing
 from greybox.files.text_table import printable
 
@@ -28,7 +27,7 @@ def write_answer(result: dict[str, Any], text: str, status: int, as_json: bool) 
     if "error" in result:
         write(printable(f"greybox: {result['error']}", keep="\n"), sys.stderr)
 
-    # The text contains names from files, which may have control characters.
+    # The text contains names from files. Control characters in them would command the terminal.
     text = printable(text, keep="\n\t")
     if as_json and result:
         text = json.dumps(plain(result), allow_nan=False)
@@ -36,21 +35,6 @@ def write_answer(result: dict[str, Any], text: str, status: int, as_json: bool) 
     if trouble:
         write(f"greybox: cannot write to standard output: {trouble}.", sys.stderr)
     return FAILED if trouble and status == USABLE else status
-
-
-def plain(value: Any) -> Any:
-    """Return a value as JSON has it: dataclasses by field, arrays as lists, None for NaN."""
-    if isinstance(value, float):
-        return finite(value)
-    if is_dataclass(value):
-        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, Mapping):
-        return {str(name): plain(item) for name, item in value.items()}
-    if isinstance(value, Path):
-        return str(value)
-    if hasattr(value, "tolist"):  # numpy, which help and version do not import
-        return plain(value.tolist())
-    return [*map(plain, value)] if isinstance(value, list | tuple) else value
 
 
 def attributes(thing: Any, *names: str) -> dict[str, Any]:
@@ -61,18 +45,18 @@ def attributes(thing: Any, *names: str) -> dict[str, Any]:
 def require_writable(
     path: Path | None, force: bool, endings: Sequence[str] = (), kind: str = ""
 ) -> None:
-    """Check that a file can be written, and has one of these endings; None is no file.
+    """Check that a file can be written and has one of these endings; None is no file.
 
     Raises
     ------
     UsageError
-        If the file exists, without `force`, or cannot be written, or ends otherwise.
+        If the file exists, without `force`, cannot be written, or has another ending.
     """
     if path is None:
         return
     if path.is_dir() or not path.name:
         raise UsageError(f"{path} is a folder: give the name of a file.")
-    # Everything is checked before the run: an hour of fitting must not end here.
+    # Commands call this before they begin: an hour of fitting must not end in "no such folder".
     if path.exists() and not force:
         raise UsageError(f"{path} exists: give another name, or --force to overwrite it.")
     if not path.parent.is_dir():
@@ -88,14 +72,18 @@ def require_figure(path: Path | None, force: bool) -> None:
     require_writable(path, force, (".png", ".pdf", ".svg"), "figure")
 
 
-def save_figure(path: Path | None, draw: Callable[[], Any]) -> list[str]:
-    """Save the figure that `draw` returns, and return a line about it; without a path, nothing.
+def save_figure(path: Path | None, name: str, *items: Any) -> list[str]:
+    """Draw items by this function of `greybox.plotting`, and return a line about the file.
 
-    A function draws the figure, so that matplotlib is imported only if there is a path.
+    Without a path it does nothing.
     """
     if path is None:
         return []
-    # A figure that cannot be drawn must not cost an existing one.
+    from greybox import plotting  # noqa: PLC0415  (imports matplotlib)
+
+    # A figure that cannot be drawn must not destroy an existing one.
     with replacing(path) as temporary:
-        draw().savefig(temporary, format=path.suffix[1:].lower(), dpi=150)
+        drawn = getattr(plotting, name)(*items)  # a figure, axes, or an array of axes
+        figure = getattr(drawn, "figure", None) or drawn[0].figure
+        figure.savefig(temporary, format=path.suffix[1:].lower(), dpi=150)
     return [f"drew {path}"]

@@ -1,13 +1,11 @@
 """The command `greybox profile`: intervals by profile likelihood, and regions of two parameters."""
 
 import argparse
-from typing import Any
 
-from greybox.cli.options import UsageError, add_common_options, probability
+from greybox.cli.options import UsageError, add_common_options, add_level_option
 from greybox.cli.output import USABLE, Answer, attributes, require_figure, save_figure
 from greybox.cli.saved_fits import add_fit_argument, stated_fit
 from greybox.estimate.profile import contour, profile
-from greybox.estimate.profiles import Contour, Profiles
 
 EXAMPLES = (
     "pitch.h5",
@@ -33,12 +31,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="instead of intervals, the confidence region of two parameters",
     )
-    parser.add_argument(
-        "--level",
-        type=probability,
-        default=0.95,
-        help="confidence level of the intervals (default: 0.95)",
-    )
+    add_level_option(parser)
     add_common_options(parser, figure="the profiles")
 
 
@@ -50,18 +43,10 @@ def run(options: argparse.Namespace) -> Answer:
         if options.names:
             raise UsageError("--contour takes two parameters: leave out other names.")
         result = contour(fit, *options.contour, problem=problem, level=options.level)
-        answer = attributes(result, *REGION) | {"text": str(result)}
+        answer, figure = attributes(result, *REGION) | {"text": str(result)}, "contour"
     else:
         result = profile(fit, options.names or None, problem=problem, level=options.level)
-        answer = result.summary()
+        answer, figure = result.summary(), "profiles"
 
-    lines = save_figure(options.plot, lambda: _figure(result))
+    lines = save_figure(options.plot, figure, result)
     return answer, "\n".join([str(result), *lines]), USABLE
-
-
-def _figure(result: Profiles | Contour) -> Any:
-    from greybox.plotting import profile as figures  # noqa: PLC0415  (imports matplotlib)
-
-    if isinstance(result, Contour):
-        return figures.contour(result).figure
-    return figures.profiles(result)[0].figure

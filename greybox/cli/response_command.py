@@ -19,7 +19,6 @@ from greybox.cli.output import (
 from greybox.data.record import Recording
 from greybox.data.response_file import write_response, write_responses
 from greybox.data.transient_file import write_spectrum
-from greybox.files.arrays import Array, ComplexArray
 from greybox.identification.manoeuvre import measure_manoeuvre
 from greybox.identification.matrix import measure_matrix
 from greybox.identification.measurement import INSTRUMENT, Measurement, Settings, measure
@@ -53,7 +52,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add(
         "--drop-warned",
         action="store_true",
-        help="omit the frequencies of which the check of the response warns, as identify does",
+        help="omit the frequencies about which the check of the response warns, as identify does",
     )
     add("--out", type=Path, metavar="FILE", help="save the response to this .csv file")
     add_common_options(parser, "Bode diagram and coherence")
@@ -100,9 +99,12 @@ def _manoeuvre(options: argparse.Namespace) -> Answer:
         **_origin(recording, measured),
         **attributes(measured, "manoeuvre", "manoeuvres"),
         **attributes(spectrum, "omega", "duration", "step", "units"),
-        "inputs": {name: _parts(values) for name, values in spectrum.inputs.items()},
-        "outputs": {name: _parts(values) for name, values in spectrum.outputs.items()},
     }
+    for kind in ("inputs", "outputs"):
+        answer[kind] = {
+            name: {"alpha": values.real, "beta": values.imag}
+            for name, values in getattr(spectrum, kind).items()
+        }
     if options.out is not None:
         write_spectrum(spectrum, options.out)
     return answer, _text(recording, measured, *_notes(options, "spectrum", spectrum)), USABLE
@@ -152,23 +154,13 @@ def _text(recording: Recording, measured: Any, *notes: str) -> str:
 
 
 def _notes(options: argparse.Namespace, figure: str, *items: Any) -> list[str]:
-    """Draw the figure of this name in `greybox.plotting`, and say which files were written."""
-
-    def draw() -> Any:
-        from greybox import plotting  # noqa: PLC0415  (imports matplotlib)
-
-        return getattr(plotting, figure)(*items)[0].figure
-
+    """Draw the figure of this name in `greybox.plotting`, and return lines about written files."""
     saved = [] if options.out is None else [f"saved {options.out}"]
-    return saved + save_figure(options.plot, draw)
-
-
-def _parts(values: ComplexArray) -> dict[str, Array]:
-    return {"alpha": values.real, "beta": values.imag}
+    return saved + save_figure(options.plot, figure, *items)
 
 
 def _origin(recording: Recording, measured: Any) -> dict[str, Any]:
-    """Return what the JSON of every measurement says about its log."""
+    """Return the part about the log in the JSON of every measurement."""
     return {
         "log": recording.source,
         "checksum": recording.checksum,
@@ -178,7 +170,7 @@ def _origin(recording: Recording, measured: Any) -> dict[str, Any]:
 
 
 def response_json(recording: Recording, measured: Measurement) -> dict[str, Any]:
-    """Return the JSON of a measurement; what a response would add is None if there is none."""
+    """Return the JSON of a measurement; without a response its columns are None."""
     response, quality = measured.response, measured.quality
     facts: dict[str, Any] = {"input": None, "output": None, "units": {}, "about": {}}
     if response is not None:

@@ -34,12 +34,12 @@ def at_estimate(fit: Any, model: Model, part: FittedPart, inputs: Inputs | None)
         inputs = record.inputs if record else "record"
 
     names = [*model.parameters, *(f"{b}_bias" for b in biases), *(f"K_{s}_{o}" for s, o in gains)]
-    outside = {name: part.rename.get(name, name) for name in names}
-    # With process noise, the gains are no parameters: they follow from the variances.
+    outside = {name: part.outside(name) for name in names}
+    # With process noise the gains are no parameters: they follow from the variances of the noise.
     driven = record if record is not None and record.driven else None
     estimated = [*outside.values()]
-    if driven is not None:  # gains follow from the variances of the noise
-        estimated = [part.rename.get(name, name) for name in (*model.parameters, *driven.added)]
+    if driven is not None:
+        estimated = [part.outside(name) for name in (*model.parameters, *driven.added)]
 
     for name in estimated:
         if name not in fit.estimate:
@@ -49,8 +49,8 @@ def at_estimate(fit: Any, model: Model, part: FittedPart, inputs: Inputs | None)
                 "give the model that was fitted, or the values as {name: value}."
             )
 
-    # Standard errors treat what ended at its bound as known, and so does everything that follows
-    # from them.
+    # The standard errors of the fit take a parameter at its bound as known. Predictions must do the
+    # same, or their bands would contain an error that no parameter of the fit has.
     free = {q.name: q for q in fit.quantities if q.kind == "free"}
     is_known = np.array([name in free and free[name].at_bound for name in estimated], dtype=bool)
     values = np.array([fit.estimate[name] for name in estimated])
@@ -59,6 +59,7 @@ def at_estimate(fit: Any, model: Model, part: FittedPart, inputs: Inputs | None)
     if driven is not None:
         assert driven.gain is not None
         assert driven.gain_slope is not None
+        # Gains come last in `names`; the fit has their derivatives by what it estimated.
         count = len(names) - len(gains)
         values = np.concatenate([values[:count], driven.gain])
         slope = np.vstack([np.eye(count, len(estimated)), driven.gain_slope])
@@ -84,7 +85,7 @@ def at_estimate(fit: Any, model: Model, part: FittedPart, inputs: Inputs | None)
 
 def propagated(slope: Array, covariance: Array) -> Array:
     """Return the covariance (m, m) of values with the derivatives `slope` (m, k); NaN stays NaN."""
-    # NaN times a slope of zero would be NaN, although nothing depends on that value.
+    # NaN times a slope of zero would be NaN, although the result does not depend on that value.
     unknown = np.isnan(np.diag(covariance))
     result = slope @ np.where(unknown | unknown[:, None], 0.0, covariance) @ slope.T
     lost = (slope[:, unknown] != 0).any(axis=1)
@@ -94,12 +95,12 @@ def propagated(slope: Array, covariance: Array) -> Array:
 def _own_names(
     fit: Any, model: Model, part: FittedRecord, outside: Mapping[str, str]
 ) -> tuple[str, ...]:
-    """Return the names inside of the free values that belong to the record of a part alone.
+    """Return the free values that belong to one record alone, by their names in the model.
 
-    These are biases, unless records share them under one name, and parameters for which other
-    records have their own.
+    These are biases, unless records share them under one name, and parameters that have another
+    name in other records.
     """
-    free = {q.name for q in fit.quantities if q.kind == "free"}
+    # An excerpt of the same record is no second record: it shares the biases of its flight.
     same_model = [
         record
         for record in fit.records
@@ -109,12 +110,12 @@ def _own_names(
     record_names = []
 
     for name, known_as in outside.items():
-        elsewhere = [record.rename.get(name, name) for record in same_model]
+        elsewhere = [record.outside(name) for record in same_model]
         if name in model.parameters:
             is_own = any(name_there != known_as for name_there in elsewhere)
         else:
             is_own = name.endswith("_bias") and known_as not in elsewhere
-        if is_own and known_as in free:
+        if is_own and known_as in fit.free:
             record_names.append(name)
 
     return tuple(record_names)
@@ -141,8 +142,10 @@ def part_index(fit: Any, model: Model | None, part: int | None, record: Record |
 
     def rank(k: int) -> int:
         data = fit.parts[k].data
-        if not isinstance(data, Record) or fit.parts[k].is_prior:
-            return 3 if fit.parts[k].is_prior else 2
+        if fit.parts[k].is_prior:  # its record and its model only state numbers
+            return 3
+        if not isinstance(data, Record):
+            return 2
         return int(record is None or not share_samples(data, record))
 
     # sorted() is stable, so that among equals the first part is chosen.

@@ -5,6 +5,7 @@ import platform
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from importlib.metadata import version
@@ -202,11 +203,25 @@ class SolverChoice:
                 f"search is {self.search!r:.40}: give one of {', '.join(map(repr, SEARCHES))}."
             )
 
-    def solver(self, nlp: CompiledProblem) -> LocalSolver:
-        """Return the solver of a compiled problem."""
-        return solver_for(nlp, self.options, self.search)
+    def compiled(self, problem: AnyProblem) -> tuple[CompiledProblem, LocalSolver]:
+        """Return the compiled problem and its solver."""
+        nlp = compile_problem(with_enough_harmonics(problem), self.method)
+        return nlp, solver_for(nlp, self.options, self.search)
 
 
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """Listen for Ctrl-C; one that leaves no fit becomes `Interrupted` too."""
+    try:
+        with listening():
+            yield
+    except Interrupted:
+        raise
+    except KeyboardInterrupt as pressed:
+        raise Interrupted(None) from pressed
+
+
+@_interruptible()
 def fit_keeping(
     kept: KeptRuns | None,
     problem: AnyProblem,
@@ -225,49 +240,9 @@ def fit_keeping(
         )
 
     require_executor(executor)
-    try:
-        with listening():
-            choice = by or SolverChoice()
-            answer = _fitted_from(
-                problem,
-                starts,
-                seed,
-                choice,
-                profiles=profiles,
-                progress=progress,
-                executor=executor,
-                kept=kept,
-            )
-            if answer is None or take_interrupt():
-                raise Interrupted(answer)
-            return answer
-    except Interrupted:
-        raise
-    except KeyboardInterrupt as pressed:
-        raise Interrupted(None) from pressed
-
-
-def fingerprint(problem: AnyProblem, by: SolverChoice | None = None) -> str:
-    """Return the key of stored runs: of the compiled problem, its data and the solver options."""
-    by = by or SolverChoice()
-    return packed(by.solver(compile_problem(with_enough_harmonics(problem), by.method)))[0]
-
-
-def _fitted_from(
-    problem: AnyProblem,
-    starts: Any,
-    seed: int | None,
-    by: SolverChoice,
-    *,
-    profiles: bool,
-    progress: bool | Callable[[int, int], None],
-    executor: Executor | None,
-    kept: KeptRuns | None,
-) -> Fit | None:
-    """Return the fit, after Ctrl-C from the starts that were done; None without any."""
     began = time.perf_counter()
-    nlp = compile_problem(with_enough_harmonics(problem), by.method)
-    solver = by.solver(nlp)
+    by = by or SolverChoice()
+    nlp, solver = by.compiled(problem)
     rule = _rule(starts, seed, solver)
     points = rule.draw({name: nlp.problem.parameters[name] for name in nlp.free})
     run = partial(
@@ -283,18 +258,19 @@ def _fitted_from(
 
     with responding(Response.STOP):
         search = _with_progress(run, progress, len(points))
-        # Asked now: a later Ctrl-C shall not count as having ended the search.
+        # Ask now: a later Ctrl-C does not end the search, which is complete.
         interrupted = stop_requested()
-        # Reasons belong to the runs before any refinement replaces the compiled problem.
+        # Explain failures before a refinement replaces the compiled problem in which they happened.
         search = explained(nlp, search)
-        # Minima of too coarse an integration may change their order, so this comes before ranking.
+        # Refine before ranking: minima of too coarse an integration may change their order.
         nlp, search, solver, error = refine_discretization(nlp, search, solver)
         # A batch stops at a loose tolerance; IPOPT confirms each minimum once.
         search = solver.polished(search)
 
     if not search.runs:
-        return None
+        raise Interrupted(None)
 
+    # The answer is made whatever key is pressed: the work is done, and losing it helps nobody.
     with responding(Response.FINISH):
         answer = assemble(nlp, search, solver, seed=rule.seed, starts=str(rule), error=error)
         messages = tuple(_cut_short(search, len(points), interrupted=interrupted))
@@ -305,7 +281,15 @@ def _fitted_from(
                 messages = profiled.warnings
                 answer = replace(answer, profiles=profiled)
         seconds = time.perf_counter() - began
-        return replace(answer, warnings=(*messages, *answer.warnings), seconds=seconds)
+        answer = replace(answer, warnings=(*messages, *answer.warnings), seconds=seconds)
+    if take_interrupt():
+        raise Interrupted(answer)
+    return answer
+
+
+def fingerprint(problem: AnyProblem, by: SolverChoice) -> str:
+    """Return the key of stored runs: of the compiled problem, its data and the solver options."""
+    return packed(by.compiled(problem)[1])[0]
 
 
 def _with_progress(
@@ -319,13 +303,13 @@ def _with_progress(
 
 
 def _cut_short(search: Multistart, count: int, *, interrupted: bool) -> Iterator[str]:
-    """Say what Ctrl-C and time limits left out of a search from `count` starts."""
+    """Say which of `count` starts were not run, or cut short, by Ctrl-C and time limits."""
     done, total = len(search.brought), counted(count, "start")
     is_over = bool(np.any(search.runs.status == SEARCH_OVER))
     if (interrupted and done < count) or is_over:
         cause = "the time limit ended the search" if is_search_over() else "interrupted"
         machine = ", and a faster machine may answer otherwise" if is_search_over() else ""
-        yield f"{cause} after {done} of {total}: another one may end at a lower cost{machine}."
+        yield f"{cause} after {done} of {total}: another start may end at a lower cost{machine}."
 
     cut = int(np.count_nonzero(search.runs.status == RUN_OVER))
     if cut:
@@ -349,6 +333,7 @@ def assemble(
 
     `starts` describes their rule, `error` is the error of discretization where it is known.
     """
+    # The end of a run that did not converge is no estimate: the values of a failed fit are NaN.
     best = search.minima[0].estimate if search.minima else np.full(len(nlp.free), np.nan)
     accuracy = Accuracy.unknown(nlp)
     trajectories: tuple[Any, ...] = (None,) * len(nlp.parts)
@@ -358,7 +343,7 @@ def assemble(
 
     estimate = dict(zip(nlp.names, nlp.all_values(best).tolist(), strict=True))
     lines, covariance, slopes = quantities(nlp, accuracy, estimate)
-    # The warnings below read the fitted values from these parts.
+    # The warnings below read the fitted values, so the parts come first.
     parts = _parts(nlp, best, trajectories)
     answer = Fit(
         name=nlp.problem.name,
@@ -381,14 +366,14 @@ def assemble(
     )
 
     if not search.minima:
-        # Its values are NaN: the end of a run that did not converge is no estimate.
         return replace(answer, warnings=warnings_of_failure(nlp, search, solver))
 
     directions = known_directions(
         nlp, accuracy, np.array([answer.estimate[name] for name in answer.names]), slopes
     )
     if directions is not None and directions.unseen.any():
-        # At equal values, a product looks like a sum: another point tells them apart.
+        # Where two values are equal, the data seem to determine their sum and their product alike.
+        # A second point shows which combination is determined everywhere.
         elsewhere = directions_beside(
             nlp, best, accuracy.at_bound, lambda x: solver.profile(x, search.nodes).trajectories
         )
@@ -435,11 +420,12 @@ def _parts(
 
 
 def _rule(starts: Any, seed: int | None, solver: LocalSolver) -> Starts:
-    """Return the rule for starts; for records the declared values are the first of a number."""
+    """Return the rule for starts; by default the first one may be the declared values."""
     number = solver.starts if starts is None else starts
     rule = as_starts(number, seed)
     if isinstance(number, Starts | Sequence) or not solver.declared_first:
         return rule
+    # A run on records takes seconds, and the declared values are usually a good guess.
     declared = Listed(({},))
     return Chained((declared, Sobol(number - 1, rule.seed or 0))) if number > 1 else declared
 

@@ -72,6 +72,10 @@ class FittedPart:
         """Whether it is a-priori knowledge of the parameters, not data."""
         return self.criterion_class == PRIOR
 
+    def outside(self, name: str) -> str:
+        """Return the name in the estimate of a parameter of the model."""
+        return self.rename.get(name, name)
+
     def has_criterion_of(self, other: "FittedPart") -> bool:
         """Tell whether both were fitted by the same criterion: one class with the same settings."""
         return (self.criterion_class, self.settings) == (other.criterion_class, other.settings)

@@ -1,5 +1,6 @@
 """The problem of a fit, from the values of the fit, and compiled again."""
 
+from collections.abc import Mapping
 from typing import Any
 
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
@@ -11,7 +12,6 @@ from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.formulation.time_criteria import TimeCriterion
-from greybox.modeling.model_reference import resolve
 
 
 def compiled_again(
@@ -47,29 +47,29 @@ def problem_of(fit: Fit) -> AnyProblem:
     LookupError
         If a loaded fit does not know its model.
     """
-    held = {q.name: q for q in fit.quantities if q.kind == "fixed"}
-    bounds = {q.name: q.bounds for q in fit.quantities if q.kind == "free"}
-    boxes = {q.name: q.box for q in fit.quantities if q.kind == "free" and q.box != q.bounds}
-    # Their covariance is not stored with the fit, and would be missing in the new one.
-    uncertain = [q.name for q in held.values() if q.standard_error != 0]
+    free = [q for q in fit.quantities if q.kind == "free"]
+    held = {q.name: q.value for q in fit.quantities if q.kind == "fixed"}
+    bounds = {q.name: q.bounds for q in free}
+    boxes = {q.name: q.box for q in free if q.box != q.bounds}
+    # The fit has no covariance of values from an earlier fit, so the new one would ignore them.
+    uncertain = [name for name in held if fit.by_name[name].standard_error != 0]
     problems = []
 
     for k, part in enumerate(fit.parts):
         if part.is_prior:
             raise ValueError(f"the fit {fit.name!r} has a-priori knowledge: give its problem=...")
         if part.tied or part.constraints or uncertain:
-            what = (
-                "ties"
-                if part.tied
-                else "constraints"
-                if part.constraints
-                else f"{uncertain[0]} from an earlier fit"
-            )
+            obstacles = {
+                "ties": part.tied,
+                "constraints": part.constraints,
+                f"{', '.join(uncertain)} from an earlier fit": uncertain,
+            }
+            what = next(text for text, present in obstacles.items() if present)
             raise ValueError(
                 f"the fit {fit.name!r} has {what}, of which only the text is known: give its "
                 "problem=..."
             )
-        model = fit.models[k] if fit.models else resolve(part.model, fit.given)
+        model = fit.model_of(k)
         criterion: Any = _criterion(fit, part)
         declared = dict(model.parameters)
         at: dict[str, Any] = {}
@@ -79,15 +79,20 @@ def problem_of(fit: Fit) -> AnyProblem:
         else:
             assert isinstance(part, FittedResponse)
             at = {"at": part.at, "amplitude": part.sine}
-        outside = {name: part.rename.get(name, name) for name in declared}
+        outside = {name: part.outside(name) for name in declared}
+
+        def inside(
+            values: Mapping[str, Any], outside: Mapping[str, str] = outside
+        ) -> dict[str, Any]:
+            return {name: values[o] for name, o in outside.items() if o in values}
+
         problems.append(
             Problem(
                 model,
                 part.data,
                 criterion,
-                fixed={
-                    name: held[outside[name]].value for name in declared if outside[name] in held
-                },
+                fixed=inside(held),
+                # What the model declares fixed and the fit estimated was freed by its problem.
                 free=[
                     name for name, p in declared.items() if p.fixed and outside[name] not in held
                 ],
@@ -95,10 +100,8 @@ def problem_of(fit: Fit) -> AnyProblem:
                 rename=part.rename,
                 weight=part.weight,
                 name=part.name,
-                bounds={
-                    name: bounds[outside[name]] for name in declared if outside[name] in bounds
-                },
-                starts={name: boxes[outside[name]] for name in declared if outside[name] in boxes},
+                bounds=inside(bounds),
+                starts=inside(boxes),
                 **at,
             )
         )
@@ -107,6 +110,7 @@ def problem_of(fit: Fit) -> AnyProblem:
 
 
 def _criterion(fit: Fit, part: FittedPart) -> Any:
+    # Only classes of greybox are looked up: a file must not name code that is then run.
     for kind in dict.fromkeys(type(criterion) for criterion in (*CRITERIA, *TIME_CRITERIA)):
         if kind().class_path != part.criterion_class:
             continue

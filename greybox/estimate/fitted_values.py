@@ -33,7 +33,7 @@ def fitted_part(
     ----------
     part : Part
     trajectory : Trajectory or None
-        The best one; None where no run converged: what is fitted is then NaN.
+        The best one; None where no run converged: the fitted values are then NaN.
     x : (k,) array
         All values of the problem.
     values : mapping of name to float
@@ -85,7 +85,8 @@ def refined_curve(
     response: Callable[[Array], FrequencyResponse], omega: Array
 ) -> FrequencyResponse:
     """Evaluate a response over the band of `omega` for figures, in finer steps at a resonance."""
-    # 200 points draw any smooth curve; a lightly damped resonance needs more beside its peak.
+    # 200 points draw any smooth curve. Beside a lightly damped peak the grid is refined until a
+    # step is 2 % of the figure or 5 degrees of phase, which look smooth.
     grid = np.geomspace(omega.min(), omega.max(), 200) if omega.size > 1 else omega
     curve = response(grid)
     for _ in range(12):
@@ -108,7 +109,7 @@ def _(
     data = model.record
     used = [*part.system.inputs, *part.outputs]
 
-    # Only signals that the fit used; metadata and findings stay with the record.
+    # Only signals that the fit used: a log may have hundreds, and a saved fit contains its data.
     stored = Record(
         data.time,
         {name: data[name] for name in used},

@@ -5,7 +5,6 @@ parameters, and one program for each other quantity.
 """
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any
 
@@ -32,20 +31,7 @@ Held = list[int] | ca.Function
 """What is held: the parameters at these places, or a quantity (z) -> value."""
 
 
-class HeldSolver(ABC):
-    """A problem of which parameters, or another quantity, are held."""
-
-    @abstractmethod
-    def solve(
-        self, held: Held, starts: Sequence[Array], value: float | Array
-    ) -> list[tuple[Array, float]]:
-        """Return the minimum from each start with what is held at its value: point and cost.
-
-        Several parameters have an array of values. A cost is infinite where the solver failed.
-        """
-
-
-class HeldResponses(HeldSolver):
+class HeldResponses:
     """A problem of frequency responses; a point is the solver's variables z (p,)."""
 
     def __init__(self, nlp: CompiledProblem) -> None:
@@ -81,7 +67,10 @@ class HeldResponses(HeldSolver):
     def solve(
         self, held: Held, starts: Sequence[Array], value: float | Array
     ) -> list[tuple[Array, float]]:
-        """Minimize from each start."""
+        """Return the minimum from each start with a quantity held at a value: point and cost.
+
+        Several parameters have an array of values. A cost is infinite where the solver failed.
+        """
         scaling = self._nlp.scaling
         lower = self._lower.copy()
         upper = self._upper.copy()
@@ -119,7 +108,7 @@ class HeldResponses(HeldSolver):
         return list(zip(ends, np.where(np.isfinite(costs), costs, np.inf).tolist(), strict=True))
 
 
-class HeldRecords(HeldSolver):
+class HeldRecords:
     """A problem with records.
 
     A point is the solver's variables (p,), alone or followed by the states at the nodes of all
@@ -141,7 +130,7 @@ class HeldRecords(HeldSolver):
     def solve(
         self, held: Held, starts: Sequence[Array], value: float | Array
     ) -> list[tuple[Array, float]]:
-        """Minimize from each start."""
+        """Return the minimum from each start, as `HeldResponses.solve` does."""
         return [self._solved(held, start, value) for start in starts]
 
     def _solved(self, held: Held, start: Array, value: float | Array) -> tuple[Array, float]:
@@ -159,6 +148,7 @@ class HeldRecords(HeldSolver):
 
         solver = self._solver.within(scaling.to_solver(lower), scaling.to_solver(upper), equation)
         x = np.clip(x, lower, upper)
+        # From the states of a neighboring point a solution takes a few iterations.
         outcome = None
         if len(start) > p:
             ends = np.cumsum([math.prod(shape) for shape in self._shapes])[:-1]
@@ -168,7 +158,7 @@ class HeldRecords(HeldSolver):
             ]
             outcome = solver.solved_from(x, nodes)
 
-        # From the neighbor's states a run may end elsewhere; a run from the data is the fallback.
+        # States of a distant neighbor may lead nowhere: then begin with the states of the data.
         if outcome is None or not outcome.converged:
             outcome = solver.run(x)
         return _point(self._nlp, outcome), outcome.cost if outcome.converged else math.inf
@@ -177,6 +167,8 @@ class HeldRecords(HeldSolver):
 @one_thread_at_a_time
 def steep_equation(quantity: ca.Function, z: Array, value: float) -> ca.Function:
     """Return (z) -> quantity less value, with slope one at z (p,), like a bound."""
+    # The solver measures violations in absolute terms: without the scaling an equation in small
+    # units would hardly hold, and one in large units would outweigh the cost.
     point = ca.SX.sym("z", len(z))
     size = float(np.linalg.norm(slope_of(quantity, z)))
     return ca.Function("equation", [point], [(quantity(point) - value) / (size or 1.0)])

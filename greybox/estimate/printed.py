@@ -58,7 +58,8 @@ def title(fit: Any) -> str:
 
 
 def facts(fit: Any) -> list[tuple[str, str]]:
-    """Return what was searched, found and fitted, as pairs of a label and a text."""
+    """Return starts, cost, data and residuals as pairs of a label and a text."""
+    # Screened starts were evaluated but not run: they cannot agree on a minimum.
     tried = Multistart(fit.runs, fit.minima, fit.seconds)
     screened = len(fit.runs) - len(tried.brought)
     only_screened = f" ({screened} of {len(fit.runs)} starts were screened out)" if screened else ""
@@ -104,7 +105,7 @@ def parameter_table(fit: Any) -> Table:
         ]
         return ["parameter", "value", *header[3:]], rows, (0, 2, 4, 5)
 
-    # The parameters that each of many records has for itself would fill pages.
+    # Biases and noise that every one of a hundred records has would fill pages.
     rows = [_row(q) for q in fit.quantities if not _is_of_later_record(q.name, len(fit.records))]
     if len(rows) < len(fit.quantities):
         rows.append(
@@ -115,7 +116,7 @@ def parameter_table(fit: Any) -> Table:
 
 
 def data_text(fit: Any) -> str:
-    """Return the numbers of points, lines, samples and rows, and how many were compared."""
+    """Return how many points, lines, samples and rows the data have, and how many were compared."""
     texts = []
     for parts, noun, place in (
         (fit.responses, "point", "frequency response"),
@@ -154,11 +155,8 @@ def error_statement(fit: Any) -> str:
 
 
 def _bias_text(fit: Any) -> str:
-    """Name the quantities whose intervals are corrected for a bias.
-
-    With a bias of 0.3 standard errors, an interval without the correction loses 1 % of its
-    coverage.
-    """
+    """Name the quantities whose intervals are corrected for a bias."""
+    # With a bias of 0.3 standard errors, a 95 % interval without the correction would cover 94 %.
     biased = [q for q in fit.quantities if abs(q.bias) > 0.3 * q.standard_error > 0]
     # The most biased first, in standard errors: only three are named.
     biased.sort(key=lambda q: -abs(q.bias) / q.standard_error)

@@ -1,21 +1,9 @@
 """Profile likelihood: the lowest cost with one quantity held, as a function of its value.
 
 With C the cost and Ĉ its minimum, the signed root of the likelihood ratio is r = ±√(2 c (C - Ĉ)),
-and the interval is where |r| is below Student's t. The factor c turns the ratio of costs into one
-of likelihoods. It is 1 for a likelihood of known errors. For the sums of relative errors it follows
-from errors that are isotropic in the complex plane and of one relative size, which is estimated. It
-is the curvature of the cost over the curvature that the covariance implies, so that profile and
-standard error agree where the cost is quadratic. Sources: Bates and Watts (1988), Nonlinear
+and the interval is where |r| is below Student's t. Sources: Bates and Watts (1988), Nonlinear
 Regression Analysis and Its Applications, section 6.1; Chandler and Bate (2007), Inference for
 clustered data using the independence loglikelihood, Biometrika 94.
-
-For N numbers whose variance is estimated too, as for records, the cost is N/2 log of a sum of
-squares, and r² is the F statistic of this sum, N c (exp(2 (C - Ĉ) / N) - 1). It is exact for a
-linear model, however few the numbers.
-
-A relative criterion biases the estimate by b (`Quantity.bias`), so that at the truth r has the mean
--b over the standard error. The interval is where r plus this ratio is within ± t: like the interval
-of the standard error, about the value less b.
 """
 
 import math
@@ -33,19 +21,21 @@ from greybox.estimate.covariance import Accuracy, assess
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.held_quantity import (
     Held,
+    HeldRecords,
     HeldResponses,
-    HeldSolver,
     NoMinimumError,
     best_of_records,
     slope_of,
 )
 from greybox.estimate.profiles import Contour, End, ProfileOf, Profiles
-from greybox.estimate.quantities import Formula, formulas
+from greybox.estimate.quantities import expressions
+from greybox.estimate.response_band import require_level, t_quantile
 from greybox.estimate.result import Fit, Quantity
 from greybox.files.arrays import Array
 from greybox.files.progress import counted_off
-from greybox.files.text_table import alternatives, number
+from greybox.files.text_table import number
 from greybox.formulation.starts import Sobol
+from greybox.modeling.model import require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.response_solver import ResponseSolver
 
@@ -103,24 +93,19 @@ def profile(
         lines = {name: q for name, q in lines.items() if not q.at_bound}
 
     chosen = list(lines) if names is None else [names] if isinstance(names, str) else list(names)
-    for name in chosen:
-        if name not in lines:
-            raise ValueError(
-                f"there is no {name!r} to profile; there are {alternatives(name, list(lines))}."
-            )
+    require_known(chosen, lines, "quantity to profile", f"the fit {fit.name!r}")
 
-    # Every point of a response is solved from two fresh starts too. The states of a neighbor lead
-    # records to the minimum.
+    # Two fresh starts for every point of a response: another minimum may become the lowest away
+    # from the estimate. Records are led to the minimum by the states of the neighboring point, and
+    # a run from elsewhere takes seconds.
     fresh = 0 if fit.records else 2
     return _profiles(nlp, fit, [lines[name] for name in chosen], level, fresh)
 
 
 def _compiled(fit: Fit, problem: AnyProblem | None, level: float) -> CompiledProblem:
     """Compile the fitted problem, if a likelihood can be profiled."""
-    if not fit.converged:
-        raise ValueError(f"the fit {fit.name!r} has no estimate to profile around: {fit.status}.")
-    if not 0 < level < 1:
-        raise ValueError(f"level {level} must lie between 0 and 1, e.g. 0.95.")
+    fit.require_estimate()
+    require_level(level)
     if fit.priors:
         raise ValueError(
             f"the fit {fit.name!r} has a-priori knowledge, so its cost is no likelihood: use "
@@ -177,6 +162,8 @@ def _misleads(line: Quantity, low: float, high: float) -> bool:
 
 def _ratio_refusal(nlp: CompiledProblem, x: Array) -> str:
     """Return why the costs at the estimate x (p,) admit no likelihood ratio, or an empty text."""
+    # The costs of records are log-likelihoods. That of a response is one, up to a factor, if every
+    # point has the same weight in units of its error: then the curvature gives the factor.
     values = nlp.all_values(x)
     for part in nlp.parts:
         if not isinstance(part, ResponsePart):
@@ -196,16 +183,17 @@ def _ratio_refusal(nlp: CompiledProblem, x: Array) -> str:
 
 
 def likelihood_factor(accuracy: Accuracy, gradient: Array) -> float:
-    """Return c along a gradient (p,): the variance by the curvature over that of the estimate.
-
-    Where the data leave the gradient open, the average over the directions that they determine.
-    """
+    """Return c along a gradient (p,): the variance by the curvature over that of the estimate."""
+    # The factor c turns a difference of costs into one of log-likelihoods (Chandler and Bate). It
+    # is 1 for errors of known size. For sums of relative errors it contains their estimated size.
+    # With it, profile and standard error agree where the cost is quadratic.
     assert accuracy.white is not None
     p = len(accuracy.white)
     covariance = accuracy.covariance[:p, :p]
     by_curvature = gradient @ accuracy.white @ gradient
     variance = gradient @ covariance @ gradient
 
+    # Where the data leave the gradient open: the average over the directions that they determine.
     if not (np.isfinite(variance) and variance > 0 and by_curvature > 0):
         scale = np.outer(accuracy.size[:p], accuracy.size[:p])
         by_curvature = np.trace(accuracy.white / scale)
@@ -243,7 +231,7 @@ class _Search:
 
     Attributes
     ----------
-    solver : HeldSolver
+    solver : HeldResponses or HeldRecords
     held : Held
     best : _Point
         The estimate.
@@ -264,7 +252,7 @@ class _Search:
         Where the values are distances along a ray of two parameters: its origin and direction.
     """
 
-    solver: HeldSolver
+    solver: HeldResponses | HeldRecords
     held: Held
     best: _Point
     factor: float
@@ -281,7 +269,9 @@ class _Search:
         """Return |r|."""
         increase = 2 * max(point.cost - self.best.cost, 0.0)
         if math.isfinite(self.numbers) and math.isfinite(increase):
-            # An exponent of 100 is beyond any limit; larger ones would overflow.
+            # For N numbers of an estimated variance the cost is N/2 log of a sum of squares, and r²
+            # is the F statistic of that sum: exact for a linear model, however few the numbers. An
+            # exponent of 100 is beyond any limit; larger ones would overflow.
             increase = self.numbers * math.expm1(min(increase / self.numbers, 100.0))
         return math.sqrt(self.factor * increase)
 
@@ -311,6 +301,8 @@ class _Search:
                 return points, "bound"
             value = last.value + direction * step if step < room else bound
             ahead = last.z
+            # The other parameters move nearly along a line: extrapolated, a point takes few
+            # iterations.
             if len(points) > 1:
                 previous = points[-2]
                 share = (value - last.value) / (last.value - previous.value)
@@ -351,11 +343,11 @@ class _Search:
 
 
 @one_thread_at_a_time
-def _value_of(nlp: CompiledProblem, formula: Formula) -> ca.Function:
-    """Return the function (z) -> value of a formula."""
+def _value_of(nlp: CompiledProblem, name: str) -> ca.Function:
+    """Return the function (z) -> value of a tied or derived quantity."""
     z = ca.SX.sym("z", len(nlp.free))
     values = dict(zip(nlp.names, [*nlp.scaling.expressions(z), *nlp.constant_values], strict=True))
-    return ca.Function("value", [z], [ca.SX(formula.evaluate(values))])
+    return ca.Function("value", [z], [expressions(nlp.problem, values)[name]])
 
 
 @dataclass(frozen=True, eq=False)
@@ -366,7 +358,7 @@ class _Estimate:
     accuracy: Accuracy
     cost: float
     point: Array
-    solver: HeldSolver
+    solver: HeldResponses | HeldRecords
 
 
 def _estimate(nlp: CompiledProblem, fit: Fit) -> _Estimate:
@@ -393,8 +385,6 @@ def _estimate(nlp: CompiledProblem, fit: Fit) -> _Estimate:
 def _profiles(
     nlp: CompiledProblem, fit: Fit, lines: Sequence[Quantity], level: float, fresh: int
 ) -> Profiles:
-    from scipy.special import stdtrit  # noqa: PLC0415  (takes a tenth of a second to import)
-
     # Records are solved again, and may end slightly lower than the fit: r is zero there.
     estimate = _estimate(nlp, fit)
     parameters = nlp.problem.parameters
@@ -407,7 +397,7 @@ def _profiles(
     limits = {}
     for line in counted_off(lines, "profiles", "profile"):
         dof = line.dof if math.isfinite(line.dof) else estimate.accuracy.dof
-        limits[line.name] = float(stdtrit(min(dof, 1e9), 0.5 + level / 2))
+        limits[line.name] = t_quantile(level, dof)
         search = _search(nlp, estimate, line, limits[line.name], starts)
         profiles.append(_profile_of(nlp, search, line))
 
@@ -436,10 +426,8 @@ def _search(
         value = float(x[place])
         bounds = line.bounds
     else:
-        formula = next(f for f in formulas(nlp.problem) if f.name == line.name)
-        quantity = _value_of(nlp, formula)
-        held = quantity
-        slope = slope_of(quantity, nlp.scaling.to_solver(x)) * slope_of_x
+        held = _value_of(nlp, line.name)
+        slope = slope_of(held, nlp.scaling.to_solver(x)) * slope_of_x
         value = line.value
         bounds = (-math.inf, math.inf)
 
@@ -462,9 +450,13 @@ def _search(
 
 
 def _profile_of(nlp: CompiledProblem, search: _Search, line: Quantity) -> ProfileOf:
+    # A relative criterion biases the estimate by b, so that at the truth r has the mean -b over the
+    # standard error. The interval is where r plus this ratio is within the limit: like the interval
+    # of the standard error, it is about the value less b.
     lowest = -search.limit - search.bias
     highest = search.limit - search.bias
-    # Each side has a limit of its own, since the interval is about the value without its bias.
+    # With a bias beyond the limit one end lies on the other side of the estimate: that walk still
+    # takes a step, which shows the curve.
     walks = [replace(search, limit=max(limit, STEP * search.limit)) for limit in (-lowest, highest)]
     down, low_end = walks[0].side(-1)
     up, high_end = walks[1].side(1)
@@ -557,12 +549,9 @@ def contour(
     """
     nlp = _compiled(fit, problem, level)
     lines = {q.name: q for q in fit.quantities if q.kind == "free" and not q.at_bound}
-    for name in (first, second):
-        if name not in lines:
-            raise ValueError(
-                f"no free {name!r} is within its bounds; there are "
-                f"{alternatives(name, list(lines))}."
-            )
+    require_known(
+        (first, second), lines, "free parameter within its bounds", f"the fit {fit.name!r}"
+    )
     if first == second:
         raise ValueError(
             f"a contour of {first!r} needs another parameter: there are {', '.join(lines)}."
@@ -603,11 +592,13 @@ def _contour(
     origin = x[places]
     bounds = np.array([line.bounds for line in lines])
     bias = np.linalg.solve(axes, [line.bias for line in lines])
-    # The rays begin at the estimate, which must lie within the contour.
+    # The rays begin at the estimate, which must lie within the contour: a larger bias is cut.
     bias *= min(1.0, 0.9 * limit / max(float(np.linalg.norm(bias)), 1e-300))
 
     points = []
     ends = []
+    # In the metric of the covariance the region is nearly a circle, so even angles describe it
+    # well.
     for angle in 2 * math.pi * np.arange(directions) / directions:
         direction = np.array([math.cos(angle), math.sin(angle)])
         ray = axes @ direction

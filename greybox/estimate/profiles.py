@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from greybox.files.arrays import Array
-from greybox.files.json_numbers import all_finite, finite
+from greybox.files.json_numbers import plain
 from greybox.files.text_table import alternatives, number, one_line
 
 End = Literal["crossed", "bound", "flat", "failed"]
@@ -145,36 +145,30 @@ class Profiles:
 
     def intervals_in_words(self) -> dict[str, Any]:
         """Return interval and text of every profile for JSON; None for an open side."""
-        return {
-            p.name: {"low": finite(p.interval[0]), "high": finite(p.interval[1]), "text": str(p)}
+        intervals = {
+            p.name: {"low": p.interval[0], "high": p.interval[1], "text": str(p)}
             for p in self.profiles
         }
+        return plain(intervals)
 
     def summary(self) -> dict[str, Any]:
         """Return everything as plain values, for JSON; None for an open side."""
-        return {
+        fields = ("estimate", "standard_error", "ends", "at_bound", "connected")
+        fields += ("values", "costs", "roots")
+        words = self.intervals_in_words()
+        answer = {
             "problem": self.name,
             "level": self.level,
             "profiles": {
-                p.name: {
-                    "estimate": finite(p.estimate),
-                    "standard_error": finite(p.standard_error),
-                    "low": finite(p.interval[0]),
-                    "high": finite(p.interval[1]),
-                    "ends": list(p.ends),
-                    "at_bound": [list(names) for names in p.at_bound],
-                    "connected": p.connected,
-                    "text": str(p),
-                    "values": p.values.tolist(),
-                    "costs": p.costs.tolist(),
-                    "roots": p.roots.tolist(),
-                    "others": {name: p.others[:, k].tolist() for k, name in enumerate(self.free)},
-                }
+                p.name: {name: getattr(p, name) for name in fields}
+                | words[p.name]
+                | {"others": dict(zip(self.free, p.others.T, strict=True))}
                 for p in self.profiles
             },
-            "limit": all_finite(self.limit),
-            "warnings": list(self.warnings),
+            "limit": self.limit,
+            "warnings": self.warnings,
         }
+        return plain(answer)
 
 
 @dataclass(frozen=True, eq=False)

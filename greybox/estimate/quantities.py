@@ -3,7 +3,6 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import casadi as ca
@@ -44,7 +43,7 @@ def quantities(
         for formula, value in zip(follow, values, strict=True)
     ]
 
-    # Every line by its derivatives with respect to all values.
+    # A parameter is its own derivative, so one propagation of errors serves all lines.
     slopes = np.vstack([np.eye(len(nlp.names)), gradients])
     errors = propagate(accuracy, slopes)
     lines = [
@@ -56,7 +55,7 @@ def quantities(
 
     of_parameters = slopes[[line.kind != "derived" for line in lines]]
     covariance = of_parameters @ accuracy.covariance @ of_parameters.T
-    # Within the determined directions the covariance is finite also for these.
+    # The covariance within the determined directions is finite, and too small, for the others.
     unknown = np.isnan(errors[: len(covariance)])
     covariance[unknown | unknown[:, None]] = np.nan
     return tuple(lines), covariance, of_parameters
@@ -67,8 +66,13 @@ def formulas(problem: AnyProblem) -> list[Formula]:
     return _tied(problem) + _derived(problem)
 
 
+def expressions(problem: AnyProblem, values: Mapping[str, Any]) -> dict[str, ca.SX]:
+    """Return every parameter and formula by name, from symbols or numbers of the parameters."""
+    return {**values, **{f.name: ca.SX(f.evaluate(values)) for f in formulas(problem)}}
+
+
 def _parameter(nlp: CompiledProblem, accuracy: Accuracy, name: str, value: float) -> Quantity:
-    """Return the line of a free or fixed parameter, its error still unknown."""
+    """Return a free or fixed parameter, its error still unknown."""
     declared = nlp.problem.parameters[name]
     return Quantity(
         name,
@@ -84,7 +88,7 @@ def _parameter(nlp: CompiledProblem, accuracy: Accuracy, name: str, value: float
 
 
 def _formula(formula: Formula, value: float, accuracy: Accuracy) -> Quantity:
-    """Return the line of a tied or derived quantity, its error still unknown."""
+    """Return a tied or derived quantity, its error still unknown."""
     bounded = [limit for limit in accuracy.active if limit.endswith(f"of the tied {formula.name}")]
     return Quantity(
         formula.name,
@@ -119,14 +123,13 @@ def _tied(problem: AnyProblem) -> list[Formula]:
     formulas_by_name: dict[str, Formula] = {}
     for part in problem.parts:
         for name in part.tied:
-            outside = part.outside(name)
             declared = part.model.parameters[name]
-            formulas_by_name.setdefault(
-                outside,
-                Formula(
-                    outside, "tied", declared.unit, declared.about, partial(_tied_value, part, name)
-                ),
-            )
+
+            def value(values: Mapping[str, Any], part: Problem = part, name: str = name) -> Any:
+                return part.local_values(values)[name]
+
+            formula = Formula(part.outside(name), "tied", declared.unit, declared.about, value)
+            formulas_by_name.setdefault(formula.name, formula)
 
     return list(formulas_by_name.values())
 
@@ -138,19 +141,19 @@ def _derived(problem: AnyProblem) -> list[Formula]:
     for position, part in enumerate(problem.parts):
         differs = bool(part.rename or part.tied) and len(problem.parts) > 1
         for name, function in part.model.derived.items():
+            # Parts that name or tie parameters alike have the same derived quantity: it is one
+            # line.
             label = f"{name} ({part.name})" if differs or name in used_names else name
             if differs and label in formulas_by_name:  # two parts of one name
                 label = f"{name} (part {position})"
-            formulas_by_name.setdefault(
-                label, Formula(label, "derived", "", "", partial(_derived_value, part, function))
-            )
+
+            def value(
+                values: Mapping[str, Any],
+                part: Problem = part,
+                function: Callable[[Any], Any] = function,
+            ) -> Any:
+                return function(part.local_values(values))
+
+            formulas_by_name.setdefault(label, Formula(label, "derived", "", "", value))
 
     return list(formulas_by_name.values())
-
-
-def _tied_value(part: Problem, name: str, values: Mapping[str, Any]) -> Any:
-    return part.local_values(values)[name]
-
-
-def _derived_value(part: Problem, function: Callable[[Any], Any], values: Mapping[str, Any]) -> Any:
-    return function(part.local_values(values))

@@ -1,6 +1,6 @@
 """The confidence band of a fitted response, to first order in the errors of the parameters."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -140,24 +140,21 @@ def band_of(
     response: FrequencyResponse,
     slope: ComplexArray,
     known: KnownDirections,
-    places: Sequence[int],
     level: float,
     dof: float,
     bias: Array,
 ) -> ResponseBand:
-    """Return the band of a response (n,) from its derivatives `slope` (n, k).
+    """Return the band of a response (n,) from its derivatives `slope` (n, k) by k parameters.
 
-    The k parameters stand at `places` in `known` and have the bias `bias` (k,).
+    `known` is the covariance of these parameters, `bias` (k,) their bias.
     """
-    gradient: ComplexArray = np.zeros((len(response), len(known.at)), dtype=complex)
-    for k, place in enumerate(places):
-        gradient[:, place] += slope[:, k]
+    # An undamped zero of the fitted response has no logarithm: its relative error is infinite.
     with np.errstate(divide="ignore", invalid="ignore"):
-        relative = gradient / response.response[:, None]
+        relative = slope / response.response[:, None]
 
-    components = np.stack([gradient.real, gradient.imag])
+    components = np.stack([slope.real, slope.imag])
     covariance = np.einsum("ink,kl,jnl->nij", components, known.covariance, components)
-    lost = np.isnan(known.errors(gradient.real)) | np.isnan(known.errors(gradient.imag))
+    lost = np.isnan(known.errors(slope.real)) | np.isnan(known.errors(slope.imag))
     return ResponseBand(
         response=response,
         level=level,

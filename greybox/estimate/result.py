@@ -31,11 +31,11 @@ from greybox.estimate.response_band import (
 )
 from greybox.estimate.summary import summary
 from greybox.files.arrays import Array
-from greybox.files.text_table import alternatives, counted, one_line, with_error
+from greybox.files.text_table import counted, one_line, with_error
 from greybox.formulation.frequency_criteria import cost_of_zero
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.input_assumptions import Inputs
-from greybox.modeling.model import Model
+from greybox.modeling.model import Model, require_known
 from greybox.modeling.model_reference import resolve
 from greybox.modeling.periodic_motions import response_of_test
 from greybox.simulation.model_at_estimate import ModelAtEstimate
@@ -59,9 +59,10 @@ class Quantity:
     dof : float
         Degrees of freedom of Student's t for its interval.
     bias : float
-        Bias of the value from noise in what a relative criterion divides by: over the measured
-        magnitude a gain comes out too low, over the model's too high. Of first order in the
-        variance of the errors. The value contains it; intervals are about the value without it.
+        Bias of the value from noise in the magnitude by which a relative criterion divides: with
+        the measured magnitude a gain comes out too low, with that of the model too high. First
+        order in the variance of the errors. The value includes the bias; intervals are centered on
+        the value without it.
     """
 
     name: str
@@ -85,8 +86,9 @@ class Quantity:
 class Fit:
     """The answer to a problem: estimates with their errors, all runs, warnings. It prints itself.
 
-    A fit holds plain values only, so that a saved one loads without the model. `runs` are columns,
-    as in ``fit.runs.cost``; vectors and matrices follow `free` unless stated otherwise.
+    A fit contains plain values only, so that a saved one loads without the model. `runs` are
+    columns, as in ``fit.runs.cost``. Vectors and matrices are in the order of `free` unless stated
+    otherwise.
 
     Attributes
     ----------
@@ -97,11 +99,11 @@ class Fit:
     quantities : tuple of Quantity
         Free, fixed and tied parameters, then derived quantities.
     covariance : (k, k) array
-        Of the free, fixed and tied parameters, `names`.
+        Covariance of the free, fixed and tied parameters, in the order of `names`.
     dof : float
-        Degrees of freedom: numbers in the data less the parameters that they determine. A record
-        counts as its equivalent number of independent residuals, less its unknown initial states.
-        Infinite where all data are frequency responses with given variances
+        Degrees of freedom: the numbers in the data minus the parameters that they determine. A
+        record counts as its equivalent number of independent residuals minus its unknown initial
+        states. Infinite if all data are frequency responses with given variances
         (`MaximumLikelihood`).
     cost : float
         Value of the criterion, without smoothing; NaN when no start converged.
@@ -113,8 +115,8 @@ class Fit:
     white : (p, p) array or None
         Covariance of the free parameters if the cost were the likelihood of white errors.
     independent : (p, p) array and float, or None
-        Covariance and degrees of freedom if the errors of responses were independent along
-        frequency; None where they are.
+        Covariance and degrees of freedom that the fit would have if errors of responses were
+        independent along frequency; None where they are.
     directions : KnownDirections or None
         Covariance of all `names` in the directions that the data determine, and the other
         directions. Parameters at a bound count as known.
@@ -128,14 +130,13 @@ class Fit:
         the data. The other parameters are estimated too, and errors are taken as independent. NaN
         for a parameter without a standard error; empty without a prior.
     warnings, notes : tuple of str
-        Reasons to doubt the estimate; and what may be worth a look.
+        Reasons to doubt the estimate; and remarks.
     seed, starts, seconds, versions
-        How the search began, how long the fit took, and with which versions.
+        Seed and rule of the starts, duration of the fit, versions of the packages.
     command : tuple of str
         Arguments of the ``greybox`` command that made the fit; empty from Python.
     models, given : tuple of Model or None, tuple of Model or class
-        The fitted models; None for a loaded fit, whose models are those of greybox and those given
-        to `load`.
+        The fitted models, None for a loaded fit; and the models that were given to `load`.
     """
 
     name: str
@@ -173,6 +174,11 @@ class Fit:
         """Names of the free, fixed and tied parameters, in this order."""
         return tuple(q.name for q in self.quantities if q.kind != "derived")
 
+    @cached_property
+    def by_name(self) -> dict[str, Quantity]:
+        """Every quantity by its name."""
+        return {q.name: q for q in self.quantities}
+
     @property
     def responses(self) -> tuple[FittedResponse, ...]:
         """The parts whose data are frequency responses."""
@@ -202,12 +208,19 @@ class Fit:
             return "converged"
         return f"no start converged ({Multistart(self.runs, (), 0.0).failures})"
 
+    def require_estimate(self) -> None:
+        """Raise ValueError for a fit of which no start converged."""
+        if not self.converged:
+            raise ValueError(f"the fit {self.name!r} has no estimate: {self.status}.")
+
     @property
     def agreeing(self) -> int:
         """Number of runs whose cost differs from the best by less than 0.1 in log-likelihood.
 
-        For other criteria, by its equivalent. It is 0 if the best response is nearly zero.
+        Other criteria have an equivalent difference. It is 0 if the best response is nearly zero.
         """
+        # A relative error over the measured magnitude is exactly 1 for a model of gain zero: runs
+        # that agree on such a cost agree on nothing.
         criteria = {criterion.name: criterion for criterion in CRITERIA}
         zero = sum(
             part.weight * cost_of_zero(criteria[part.criterion], part.data)
@@ -217,30 +230,28 @@ class Fit:
         )
         numbers = sum(2 * len(part.data) for part in self.responses)
         is_likelihood = any(part.is_likelihood for part in self.parts)
-        return len(
-            agreeing_runs(
-                self.runs,
-                self.minima,
-                numbers=numbers,
-                is_likelihood=is_likelihood,
-                zero=zero,
-            )
+        runs = agreeing_runs(
+            self.runs, self.minima, numbers=numbers, is_likelihood=is_likelihood, zero=zero
         )
+        return len(runs)
 
     @property
     def criterion(self) -> str:
         """Name of the criterion that was minimized, such as ``relative-error``; several by "; "."""
-        return "; ".join(dict.fromkeys(part.criterion for part in self.parts))
+        return self._of_parts("criterion")
 
     @property
     def rule(self) -> str:
         """The criterion that was minimized, in words."""
-        return "; ".join(dict.fromkeys(part.rule for part in self.parts))
+        return self._of_parts("rule")
 
     @property
     def delay(self) -> str:
         """How delays were evaluated."""
-        return "; ".join(dict.fromkeys(part.delay for part in self.parts))
+        return self._of_parts("delay")
+
+    def _of_parts(self, field: str) -> str:
+        return "; ".join(dict.fromkeys(getattr(part, field) for part in self.parts))
 
     @property
     def estimate(self) -> dict[str, float]:
@@ -288,25 +299,30 @@ class Fit:
         return identifiability(
             self.free,
             [q.unit for q in free],
-            self._known_directions().of(range(len(free))),
+            self.known_directions(self.free),
             [q.name for q in free if q.at_bound],
         )
 
     @property
     def correlation(self) -> Array:
         """Correlation matrix (p, p) of the free parameters; NaN without a standard error."""
-        return self._known_directions().of(range(len(self.free))).correlation
+        return self.known_directions(self.free).correlation
 
-    def _known_directions(self) -> KnownDirections:
-        """Return the covariance of all parameters in the directions that the data determine."""
-        if not self.converged:
-            raise ValueError(f"the fit {self.name!r} has no estimate: {self.status}.")
+    def known_directions(self, names: Sequence[str]) -> KnownDirections:
+        """Return the covariance of these parameters in the directions that the data determine.
+
+        Raises
+        ------
+        ValueError
+            If the fit has no estimate or no covariance.
+        """
+        self.require_estimate()
         if self.directions is None:
             raise ValueError(
                 f"the fit {self.name!r} has no covariance: its data leave no degrees of freedom; "
                 "add data or fix parameters."
             )
-        return self.directions
+        return self.directions.of([self.names.index(name) for name in names])
 
     @property
     def checksum(self) -> str:
@@ -330,12 +346,7 @@ class Fit:
 
     def covariance_of(self, names: Sequence[str]) -> Array:
         """Return the covariance matrix of the named parameters."""
-        for name in names:
-            if name not in self.names:
-                raise ValueError(
-                    f"the fit has no parameter {name!r} with a covariance; it has "
-                    f"{alternatives(name, self.names)}"
-                )
+        require_known(names, self.names, "parameter", f"the fit {self.name!r}")
         rows = [self.names.index(name) for name in names]
         return self.covariance[np.ix_(rows, rows)]
 
@@ -368,8 +379,7 @@ class Fit:
         LookupError
             If a loaded fit does not know the model.
         """
-        if not self.converged:
-            raise ValueError(f"the fit {self.name!r} has no estimate: {self.status}.")
+        self.require_estimate()
         k = part_index(self, model, part, record)
         return at_estimate(self, model or self.model_of(k), self.parts[k], inputs)
 
@@ -395,8 +405,7 @@ class Fit:
         LookupError
             If a loaded fit does not know the model.
         """
-        response, model = self._response_part(part, model)
-        values = {name: self.estimate[response.rename.get(name, name)] for name in model.parameters}
+        response, model, values = self._response_part(part, model)
         return response_of_test(
             model, values, omega, response.sine, response.data.omega, **response.signals
         )
@@ -429,7 +438,7 @@ class Fit:
         columns: dict[str, Any] = {
             name: [getattr(q, name) for q in self.quantities] for name in names
         }
-        # Constants have no interval; the frame needs a number in each row.
+        # A constant has no interval, but a column of a frame needs a number in every row.
         intervals = self.interval(level)
         unknown = (math.nan, math.nan)
         columns["low"], columns["high"] = np.reshape(
@@ -445,8 +454,10 @@ class Fit:
     def _repr_html_(self) -> str:
         return html(self)
 
-    def _response_part(self, part: int, model: Model | None) -> tuple[FittedResponse, Model]:
-        """Return a part that is a frequency response, and the given model or its own."""
+    def _response_part(
+        self, part: int, model: Model | None
+    ) -> tuple[FittedResponse, Model, dict[str, float]]:
+        """Return a frequency response, the given model or its own, and the model's parameters."""
         fitted = self.parts[part]
         if not isinstance(fitted, FittedResponse):
             raise ValueError(
@@ -454,7 +465,12 @@ class Fit:
                 "gb.frequency_response(model, fit.estimate, omega), or gb.simulate for time "
                 "histories."
             )
-        return fitted, model or self.model_of(part)
+        model = model or self.model_of(part)
+        return (
+            fitted,
+            model,
+            {name: self.estimate[fitted.outside(name)] for name in model.parameters},
+        )
 
     @property
     def residuals(self) -> tuple[NDArray[Any], ...]:
@@ -489,37 +505,31 @@ class Fit:
         LookupError
             If a loaded fit does not know the model.
         """
-        fitted, model = self._response_part(part, model)
-        directions = self._known_directions()
+        fitted, model, values = self._response_part(part, model)
+        # Renamed parameters stand among those of the fit under their outside names.
+        names = [fitted.outside(name) for name in model.parameters]
+        directions = self.known_directions(names)
         require_level(level)
         if omega is None:
             curve = None if fitted.sine else fitted.curve
             omega = curve.omega if curve is not None else fitted.data.omega
 
-        names = [fitted.rename.get(name, name) for name in model.parameters]
         response, slope = response_and_slope(
             model,
-            dict(zip(model.parameters, (self.estimate[name] for name in names), strict=True)),
+            values,
             np.atleast_1d(np.asarray(omega, dtype=float)),
             fitted.sine,
             fitted.data.omega,
             **fitted.signals,
         )
-        # Renamed parameters stand among those of the fit under their outside names.
-        places = [self.names.index(name) for name in names]
-        biases = {q.name: q.bias for q in self.quantities}
-        bias = np.array([biases[name] for name in names])
+        bias = np.array([self.by_name[name].bias for name in names])
+        return band_of(response, slope, directions, level, self.fewest_degrees(names), bias)
 
-        return band_of(
-            response, slope, directions, places, level, self._fewest_degrees(names), bias
-        )
-
-    def _fewest_degrees(self, names: Sequence[str]) -> float:
+    def fewest_degrees(self, names: Sequence[str]) -> float:
         """Return the fewest degrees of freedom of these parameters, by default that of the fit."""
-        return min(
-            (q.dof for q in self.quantities if q.name in names and q.standard_error > 0),
-            default=self.dof,
-        )
+        # A quantity that follows from several variances has at least those of the worst known one.
+        lines = [self.by_name[name] for name in names]
+        return min((q.dof for q in lines if q.standard_error > 0), default=self.dof)
 
     def __repr__(self) -> str:
         return one_line(

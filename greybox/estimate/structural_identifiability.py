@@ -53,12 +53,12 @@ class StructuralIdentifiability:
     names : tuple of str
         The free parameters.
     groups : tuple of Combination
-        Parameters that move together, with initial states where these take part, without any
-        effect; in each, as many have to be fixed as it has `directions`.
+        Parameters, and initial states, that can move together without any effect. In every group
+        as many must be fixed as it has `directions`.
     combinations : tuple of str
-        What of such parameters is determined, as ``K1 K2``.
+        Combinations of such parameters that are determined, such as ``K1 K2``.
     data : str
-        What was taken as measured, in words.
+        The assumed measurements, in words.
     """
 
     model: str
@@ -111,20 +111,20 @@ def structural_identifiability(
     tied: Mapping[str, Callable[[Any], Any]] | None = None,
     initial: Mapping[str, Any] | None = None,
 ) -> StructuralIdentifiability:
-    """Tell before any data which parameters of a structure its inputs and outputs could determine.
+    """Return which parameters inputs and outputs could determine, before there are any data.
 
-    At random points of the start boxes the sensitivities of what would be measured are computed,
-    with their rank: for a transfer function, or an ODE at an operating point `at`, of the frequency
-    responses of all pairs at 40 frequencies; for any other ODE, of the outputs over a record with
-    random inputs, from unknown initial states. What moves without an effect at the point of the
-    largest rank is not identifiable, whatever is measured. It is local: two lags that can be
-    swapped count as identifiable, since no small change of them goes unseen.
+    The rank of the sensitivities is computed at random points of the start boxes. For a transfer
+    function, or an ODE at an operating point `at`, these are sensitivities of the frequency
+    responses of all pairs at 40 frequencies. For any other ODE they are those of the outputs of a
+    record with random inputs and unknown initial states. A parameter that moves without an effect
+    at the point of the largest rank is not identifiable. The test is local: two lags that can be
+    swapped count as identifiable, because every small change of them has an effect.
 
     Parameters
     ----------
     model : Model
     outputs : sequence of str, optional
-        What is measured; by default all outputs.
+        The measured outputs; by default all.
     at, fixed, free, tied : optional
         As of a `Problem`; `at` asks for the linearized response.
     initial : mapping, optional
@@ -169,7 +169,7 @@ def structural_identifiability(
             continue
         nlp, x, trajectories = compiled
         accuracy = assess(nlp, x, trajectories)
-        lost = sum(c.directions for c in accuracy.combinations if math.isinf(c.index))
+        lost = sum(group.directions for group in _invisible(accuracy))
         # At a special point parameters may cancel by chance: the largest rank counts.
         if best is None or lost < best[0]:
             best = (lost, nlp, x, accuracy)
@@ -184,7 +184,7 @@ def structural_identifiability(
     return StructuralIdentifiability(
         model=model.label,
         names=nlp.free,
-        groups=tuple(c for c in accuracy.combinations if math.isinf(c.index)),
+        groups=_invisible(accuracy),
         combinations=tuple(_determined(nlp, x, accuracy)),
         data=f"the {'response' if in_frequency else 'course'} of {listed(chosen)}",
     )
@@ -202,7 +202,7 @@ def _of_responses(
     problems = []
     for input in model.input_names or ("",):
         for output in outputs or ("",):
-            # Each pair has frequencies of its own, so that no resonance is missed by all.
+            # Every pair has other frequencies, so that not all of them miss a narrow resonance.
             omega = np.sort(
                 np.exp(random.uniform(math.log(BAND[0]), math.log(BAND[1]), FREQUENCIES))
             )
@@ -286,6 +286,12 @@ def _times(
     return step * np.arange(gaps.size), gaps
 
 
+def _invisible(accuracy: Accuracy) -> tuple[Combination, ...]:
+    """Return the groups of parameters that move without any effect."""
+    # Groups with a finite index are merely hard to separate, which more data would cure.
+    return tuple(group for group in accuracy.combinations if math.isinf(group.index))
+
+
 def _without_bounds(nlp: CompiledProblem) -> CompiledProblem:
     """Return the problem without bounds: nothing is estimated, so none may hold a parameter."""
     return replace(nlp, lower=np.full(len(nlp.free), -np.inf), upper=np.full(len(nlp.free), np.inf))
@@ -302,7 +308,7 @@ def _determined(nlp: CompiledProblem, x: Array, accuracy: Accuracy) -> Iterator[
     if directions is None:
         return
 
-    lost = {name for c in accuracy.combinations if math.isinf(c.index) for name in c.names}
+    lost = {name for group in _invisible(accuracy) for name in group.names}
     # Enough data make any error small, so every visible direction counts as determined.
     directions = replace(directions, covariance=1e-12 * directions.covariance)
     units = [nlp.problem.parameters[name].unit for name in nlp.free]

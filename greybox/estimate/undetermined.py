@@ -1,4 +1,4 @@
-"""Combinations of parameters that the data do not determine, or hardly."""
+"""Combinations of parameters that the data do not determine, or determine poorly."""
 
 import math
 from collections.abc import Sequence

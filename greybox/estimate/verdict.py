@@ -21,10 +21,10 @@ class Verdict:
     Attributes
     ----------
     grade : "good", "doubt" or "failed"
-        In doubt if there is a warning, a parameter is not well determined, or only one start found
-        the minimum.
+        In doubt if there is a warning, if a parameter is not well determined, or if only one start
+        reached the minimum.
     sentences : tuple of str
-        Three; for a failed fit, what is known of the failure.
+        Three sentences; for a failed fit, the reasons of the failure.
     """
 
     grade: Grade
@@ -105,7 +105,7 @@ def _determined(fit: Any) -> tuple[str, bool]:
             False,
         )
 
-    # NaN belongs to parameters at a bound, which were named before.
+    # NaN belongs to parameters at a bound, which were named above.
     worst = int(np.nanargmax(judged.error))
     subject = (
         "The free parameter is"

@@ -9,7 +9,7 @@ Begin with `text_table`.
 | `html_text` | the same tables for notebooks |
 | `delimited_text` | tables of numbers in files: separator, decimal mark, comments, facts |
 | `heading` | name and unit of a column |
-| `json_numbers` | numbers in JSON, without NaN and infinity |
+| `json_numbers` | values in JSON, without NaN and infinity |
 | `progress` | progress bars |
 | `optional_package` | imports of optional packages |
 | `safe_files` | atomic writes, and clear errors of reading |

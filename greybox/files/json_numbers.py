@@ -1,7 +1,10 @@
-"""Numbers for JSON, which has neither NaN nor infinity."""
+"""Values for JSON, which has neither NaN nor infinity."""
 
 import math
 from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any
 
 
 def finite(value: float) -> float | None:
@@ -9,6 +12,16 @@ def finite(value: float) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def all_finite(values: Mapping[str, float]) -> dict[str, float | None]:
-    """Return numbers by name for JSON."""
-    return {name: finite(value) for name, value in values.items()}
+def plain(value: Any) -> Any:
+    """Return a value for JSON: dataclasses by field, arrays as lists, None for NaN."""
+    if isinstance(value, float):
+        return finite(value)
+    if is_dataclass(value):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(name): plain(item) for name, item in value.items()}
+    if isinstance(value, Path):
+        return str(value)
+    if hasattr(value, "tolist"):  # numpy, which help and version do not import
+        return plain(value.tolist())
+    return [*map(plain, value)] if isinstance(value, list | tuple) else value

@@ -3,7 +3,7 @@
 Begin with `batch`.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +15,6 @@ from tqdm import tqdm
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.compiled.transcription.method import Transcription
 from greybox.estimate.fit import SolverChoice, fingerprint, fit_keeping
-from greybox.estimate.result import Fit
 from greybox.estimate.storage import save
 from greybox.estimate.summary import summary
 from greybox.files.text_table import counted, printable
@@ -112,8 +111,8 @@ def batch(
     A batch that ended in any way, `kill -9` included, resumes when it is called again with the same
     members and folder. Stored runs are not made again, at most some two seconds of work of each
     worker are lost, and the answer is that of a batch that was never interrupted. Members that
-    failed are tried again. A member with more starts of the same seed keeps its stored runs; new
-    members are added to the folder.
+    failed are tried again. With more starts of the same seed, the stored runs of a member are used
+    again. New members are added to the folder.
 
     Parameters
     ----------
@@ -126,8 +125,8 @@ def batch(
         Time limit of the batch. The current member and those that follow are then unfinished, and
         the same call resumes with them.
     start_seconds : float, optional
-        Time limit of the runs from each start. A run that it cuts counts with the values that it
-        reached, and is made again when the member is fitted with a longer limit.
+        Time limit of the runs from each start. A run that was cut counts with the values that it
+        reached. It is made again when the member is fitted with a longer limit.
     progress : bool
         Show a progress bar on a terminal after two seconds.
 
@@ -195,12 +194,22 @@ def _fit_member(
         text = f"{member.name}: {done} of {counted(count, 'start')}"
         bar.set_description_str(text)
 
-    # Runs are written whatever ends the fit; an answer only if the search was not cut.
+    # Write the runs whatever ends the fit, but an answer only if the search was not cut: the next
+    # call would take it for the answer from all starts.
     result, error = None, ""
     try:
-        result = _fitted(member, runs, executor, report)
+        result = fit_keeping(
+            runs,
+            member.problem,
+            member.starts,
+            member.seed,
+            by=member.by,
+            executor=executor,
+            profiles=False,  # `greybox profile` makes them for the member that matters
+            progress=report,
+        )
         error = "" if result.converged else ": ".join([result.status, *result.warnings[:1]])
-    except (ExecutorLostError, KeptRunsError):
+    except (ExecutorLostError, KeptRunsError):  # of the workers or the folder, not of the member
         raise
     except MEMBER_ERRORS as raised:
         error = " ".join(str(raised).split()) or type(raised).__name__
@@ -219,40 +228,26 @@ def _fit_member(
         write_answer(folder, member.name, {**answer, "error": error} if error else answer)
 
 
-def _fitted(
-    member: Member, runs: StoredRuns, executor: Executor | None, report: Callable[[int, int], None]
-) -> Fit:
-    return fit_keeping(
-        runs,
-        member.problem,
-        member.starts,
-        member.seed,
-        by=member.by,
-        executor=executor,
-        profiles=False,  # of the member that matters, `greybox profile` makes them
-        progress=report,
-    )
-
-
 def _is_done(member: Member, stored: StoredMember) -> bool:
-    """Return whether a member has a usable answer from the starts that are asked for.
+    """Return whether a member has a usable answer from the requested starts.
 
     Raises
     ------
     ValueError
         If it is the answer to another problem.
     """
+    # A failed member is tried again: the cause, such as a missing file, may be gone.
     if not stored.answer or stored.answer.get("error"):
         return False
     if stored.answer.get("fingerprint") != fingerprint(member.problem, member.by):
         raise ValueError(
-            f"the study has the answer to another problem under the name {member.name!r}, or to "
-            "other options, or of another version of greybox or CasADi: give what the study was "
-            "begun with, or begin another one."
+            f"the answer of {member.name!r} in this study belongs to another problem, to other "
+            "options, or to another version of greybox or CasADi: repeat what the study began "
+            "with, or begin another study."
         )
     return stored.answer.get("asked") == _asked(member)
 
 
 def _asked(member: Member) -> str:
-    """Return the starts that are asked for, as text."""
+    """Return the requested starts as text."""
     return f"{member.starts!r}, seed {member.seed!r}"

@@ -22,10 +22,11 @@ from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
 from greybox.compiled.transcription.method import Transcription
 from greybox.estimate.covariance import assess, known_covariances
 from greybox.estimate.fitted_problem import compiled_again
-from greybox.estimate.quantities import Quantity, formulas
+from greybox.estimate.quantities import Quantity, expressions
+from greybox.estimate.response_band import t_quantile
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
-from greybox.files.json_numbers import finite
+from greybox.files.json_numbers import finite, plain
 from greybox.files.text_table import alternatives, counted, number, one_line, some, text_table
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.discretization_error import refine_discretization
@@ -51,7 +52,7 @@ class Bootstrap:
     name : str
         Name of the problem.
     about : str
-        What was drawn, in words.
+        Description of the draws.
     seed : int
     names, units : tuple of str
         Free and tied parameters, then derived quantities.
@@ -60,7 +61,7 @@ class Bootstrap:
     values : (b, q) array
         One row for each replicate; NaN where it failed.
     statuses : tuple of str
-        Why a replicate failed, by number; empty for the others.
+        Why each replicate failed; empty for the others.
     bounds : (q, 2) array
         Bounds of the parameters, infinite where there are none.
     dof : (q,) array
@@ -115,14 +116,12 @@ class Bootstrap:
     def interval(self, level: float = 0.95) -> dict[str, tuple[float, float]]:
         """Return percentile intervals by name: quantiles of the replicates; NaN without replicates.
 
-        A side on which the replicates reach the bound of a parameter is infinite. The quantiles lie
-        as far out as those of Student's t with the degrees of freedom of the fit, since replicates
-        do not show how well the size of the errors is known. Source: Hesterberg (2015), What
-        teachers should know about the bootstrap, The American Statistician 69 (the expanded
-        percentile interval).
+        A side on which the replicates reach the bound of a parameter is infinite. Source:
+        Hesterberg (2015), What teachers should know about the bootstrap, The American Statistician
+        69 (the expanded percentile interval).
         """
-        if not 0 < level < 1:
-            raise ValueError(f"level={level} must lie between 0 and 1, e.g. 0.95.")
+        # Replicates do not show how well the size of the errors is known. The quantiles therefore
+        # lie as far out as those of Student's t with the degrees of freedom of the fit.
         intervals = {}
         for k, name in enumerate(self.names):
             low, high = _percentiles(self._successful[:, k], tail(level, float(self.dof[k])))
@@ -135,9 +134,10 @@ class Bootstrap:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Which parameters the data bound on one side alone."""
-        # Poles far above the band reached 2.5 times as far to one side and more, lags and the tilt
-        # model at most 2.1 times (`benchmarks/bootstrap_coverage.py`).
+        """Remark on the parameters that the data bound on one side only."""
+        # Intervals of poles far above the band reached at least 2.5 times as far to one side as to
+        # the other, those of lags and of the tilt model at most 2.1 times
+        # (`benchmarks/bootstrap_coverage.py`).
         names = []
         for estimate, (name, (low, high)) in zip(
             self.estimate, self.interval().items(), strict=True
@@ -196,7 +196,7 @@ class Bootstrap:
         error = self.standard_error
         bias = self.bias
         intervals = self.interval(level)
-        return {
+        answer = {
             "problem": self.name,
             "about": self.about,
             "seed": self.seed,
@@ -207,25 +207,26 @@ class Bootstrap:
             "quantities": {
                 name: {
                     "unit": self.units[k],
-                    "estimate": finite(float(self.estimate[k])),
-                    "standard_error": finite(error[name]),
-                    "fit_standard_error": finite(float(self.fit_error[k])),
-                    "bias": finite(bias[name]),
+                    "estimate": self.estimate[k],
+                    "standard_error": error[name],
+                    "fit_standard_error": self.fit_error[k],
+                    "bias": bias[name],
                     "interval": _ends(intervals[name]),
                 }
                 for k, name in enumerate(self.names)
             },
-            "warnings": list(self.warnings),
-            "notes": list(self.notes),
+            "warnings": self.warnings,
+            "notes": self.notes,
             "seconds": self.seconds,
         }
+        return plain(answer)
 
 
 def tail(level: float, dof: float = math.inf) -> float:
     """Return the share of normal replicates beyond each end of an interval of Student's t."""
-    from scipy.special import ndtr, stdtrit  # noqa: PLC0415  (takes a tenth of a second to import)
+    from scipy.special import ndtr  # noqa: PLC0415  (takes a tenth of a second to import)
 
-    return float(ndtr(-stdtrit(min(dof, 1e9), 0.5 + level / 2)))
+    return float(ndtr(-t_quantile(level, dof)))
 
 
 def _percentiles(values: Array, share: float) -> tuple[float, float]:
@@ -267,35 +268,33 @@ def bootstrap(
 ) -> Bootstrap:
     """Repeat a fit on data that are drawn anew, and return the spread of its estimates.
 
-    For responses, the data are the fitted response with normal errors of the size, and of the
-    correlation along frequency, of the residuals. For records, they are the fitted outputs with
-    residuals that are whitened by the spectrum that the standard errors use, drawn, and colored
-    again.
+    Data of responses are the fitted response plus normal errors with the size of the residuals and
+    their correlation along frequency. Data of records are the fitted outputs plus drawn residuals:
+    these are whitened by the spectrum that the standard errors use, drawn, and colored again.
 
-    Residuals are enlarged for the degrees of freedom that the fit took from them. Constants that an
-    earlier fit gave with errors are drawn, too. Every replicate is solved from the estimate: it
-    shows the spread of this minimum, not a choice among several.
+    Residuals are enlarged for the degrees of freedom of the fit. Constants from an earlier fit are
+    drawn too, with their covariance. Every replicate is solved from the estimate: the spread is
+    that of one minimum and does not include a choice among several.
 
-    Widened percentile intervals of 5 to 24 points covered 92 to 95 %, those of a pole that the data
-    bound on one side alone 91 to 93 %, and 92 % in time with errors of correlation 0.8 (± 2 %, by
-    ``benchmarks/bootstrap_coverage.py``). Residuals drawn over the frequencies covered 90 to 95 %,
-    and bias-corrected (BCa) intervals up to 6 % less: neither is offered.
+    Percentile intervals from 5 to 24 points covered 92 to 95 %, those of a pole that the data bound
+    on one side only 91 to 93 %. In time, with errors of correlation 0.8, they covered 92 % (± 2 %,
+    by ``benchmarks/bootstrap_coverage.py``).
 
     Parameters
     ----------
     fit : Fit
     replicates : int
-        A thousand give the ends of 95 % intervals to about a tenth of a standard error.
+        With a thousand, the ends of 95 % intervals are known to a tenth of a standard error.
     problem : Problem or Sum, optional
         The fitted problem; needed if it has ties, constraints, or values fixed by an earlier fit.
     seed : int
         The replicates follow from it alone, whatever the number of workers.
     method : Transcription, optional
-        That of the fit, for records.
+        The method of the fit, for records.
     executor : concurrent.futures.Executor, optional
         Makes the replicates, as in `greybox.fit`.
     folder : str or Path, optional
-        Keeps every replicate as it is made: the same call resumes, whatever ended it.
+        Stores every replicate: after an interruption of any kind the same call resumes.
     progress : bool or function
         As in `greybox.fit`.
 
@@ -311,8 +310,7 @@ def bootstrap(
         After Ctrl-C; with a folder the same call resumes.
     """
     began = time.perf_counter()
-    if not fit.converged:
-        raise ValueError(f"the fit {fit.name!r} has no estimate to begin from: {fit.status}.")
+    fit.require_estimate()
     if not isinstance(replicates, int) or replicates < 2:
         raise ValueError(
             f"replicates={replicates!r:.40} must be a whole number of at least 2; 1000 give "
@@ -331,6 +329,7 @@ def bootstrap(
     points = [
         np.append(outcome.estimate, runner.constants_of(k)) for k, outcome in enumerate(outcomes)
     ]
+    # Derived quantities follow from the drawn constants too, so that their errors are included.
     values = np.asarray(function(np.array(points).T)).T.copy()
     # Where a refit failed, its last point says nothing about the estimate.
     values[[not outcome.converged for outcome in outcomes]] = np.nan
@@ -353,26 +352,20 @@ def bootstrap(
 
 
 def _require_drawable(fit: Fit) -> None:
-    if fit.spectra:
-        raise ValueError(
-            f"the fit {fit.name!r} has manoeuvres, which are not drawn yet: use fit.interval()."
-        )
-    if any(part.is_prior for part in fit.parts):
-        raise ValueError(
-            f"the fit {fit.name!r} has a prior, which is not drawn: use fit.interval()."
-        )
-    if fit.records and fit.responses:
-        raise ValueError(
-            f"the fit {fit.name!r} has records and responses, which cannot be drawn together: use "
-            "fit.interval()."
-        )
+    obstacles = {
+        "manoeuvres, which are not drawn yet": fit.spectra,
+        "a prior, which is not drawn": any(part.is_prior for part in fit.parts),
+        "records and responses, which cannot be drawn together": fit.records and fit.responses,
+    }
+    for obstacle, present in obstacles.items():
+        if present:
+            raise ValueError(f"the fit {fit.name!r} has {obstacle}: use fit.interval().")
 
 
 def _response_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> tuple[ResponseReplicates, str]:
-    """Return the refits of responses, and what is drawn, in words."""
+    """Return the refits of responses, and a description of the draws."""
     x = np.array([fit.estimate[name] for name in nlp.free])
-    is_at_bound = {q.name: q.at_bound for q in fit.quantities}
-    at_bound = np.array([is_at_bound[name] for name in nlp.free])
+    at_bound = np.array([fit.by_name[name].at_bound for name in nlp.free])
     nothing = np.zeros((len(nlp.names), len(nlp.names)))
 
     constants = sum((covariance for covariance, _ in known_covariances(nlp)), nothing)
@@ -382,13 +375,12 @@ def _response_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> tuple[Respons
     about = "normal errors of the fitted size"
     if any(neighbors):
         about += " with their correlation along frequency"
-    start = nlp.scaling.to_solver(x)
-    program = open_program(nlp)
-    return ResponseReplicates(draws, program, start, nlp.lower, nlp.upper, nlp.scaling), about
+    # The compiled cost travels, not the problem: workers need not know the model of the user.
+    return ResponseReplicates(draws, open_program(nlp), x, nlp.lower, nlp.upper, nlp.scaling), about
 
 
 def _record_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> tuple[RecordReplicates, str]:
-    """Return the refits of records, and what is drawn, in words."""
+    """Return the refits of records, and a description of the draws."""
     if nlp.problem.held_estimates:
         names = ", ".join(nlp.problem.held_estimates)
         raise ValueError(
@@ -396,10 +388,12 @@ def _record_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> tuple[RecordRep
             "compiled into records as constants: fit them along, or bootstrap that fit."
         )
     x = np.array([fit.estimate[name] for name in nlp.free])
+    # A fit has no states at the nodes: one run from the estimate finds them again.
     solver = solver_for(nlp)
     search = multistart(nlp, solver, x[None], movable=False)
     nlp, search, solver, _ = refine_discretization(nlp, search, solver)
-    # A replicate starts from the estimate, so that must be a minimum with this method.
+    # Replicates start from the estimate: if it were no minimum, all of them would move away from
+    # it, and the spread would show that move.
     highest = fit.cost + same_cost(nlp, fit.cost)
     if not search.minima or search.nodes is None or search.minima[0].cost > highest:
         raise ValueError(
@@ -421,15 +415,13 @@ def _record_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> tuple[RecordRep
 @one_thread_at_a_time
 def _quantities(fit: Fit, nlp: CompiledProblem) -> tuple[list[Quantity], ca.Function]:
     """Return the quantities of a fit and their function of all values."""
-    formula_of = {formula.name: formula for formula in formulas(nlp.problem)}
     symbols = ca.SX.sym("x", len(nlp.names))
     named = dict(zip(nlp.names, ca.vertsplit(symbols), strict=True))
+    formulas = expressions(nlp.problem, named)
+    # Fixed values, and what follows from them alone, are the same in every replicate.
     lines = [q for q in fit.quantities if q.kind != "fixed" and q.standard_error != 0]
-    expressions = [
-        ca.SX(formula_of[q.name].evaluate(named)) if q.name in formula_of else named[q.name]
-        for q in lines
-    ]
-    return lines, ca.Function("quantities", [symbols], [ca.vertcat(*expressions)])
+    stacked = ca.vertcat(*(formulas[q.name] for q in lines))
+    return lines, ca.Function("quantities", [symbols], [stacked])
 
 
 def _made(
@@ -446,7 +438,9 @@ def _made(
     rows = ((k, np.array([float(k)])) for k in range(replicates))
     runs = None if folder is None else StoredRuns(Path(folder), "bootstrap")
     lock = nullcontext() if folder is None else locked(Path(folder))
-    with lock, listening(), _bar(replicates, progress) as bar:
+    hidden = None if progress is True else True  # None: on a terminal only
+    bar = tqdm(total=replicates, disable=hidden, delay=2, unit="replicate", leave=False)
+    with lock, listening(), bar:
         try:
             memory = Memory() if runs is None else Memory(runs, packed(runner)[0])
             with responding(Response.STOP):
@@ -464,19 +458,16 @@ def _made(
     return outcomes
 
 
-def _bar(count: int, progress: bool | Callable[[int, int], None]) -> Any:
-    hidden = None if progress is True else True  # None: on a terminal only
-    return tqdm(total=count, disable=hidden, delay=2, unit="replicate", leave=False)
-
-
 def replicate_warnings(statuses: tuple[str, ...], dof: float) -> Iterator[str]:
     """Warn of many failed replicates, and of too few replicates for an interval."""
+    # Replicates may fail because their estimates lie far out. Beyond 5 %, twice the share of a tail
+    # of a 95 % interval, the tails of the others say little.
     failed = Counter(status for status in statuses if status)
-    if failed.total() > 0.05 * len(statuses):  # twice the size of a tail
+    if failed.total() > 0.05 * len(statuses):
         reasons = ", ".join(f"{count} {status}" for status, count in failed.most_common(3))
         yield (
-            f"{failed.total()} of {len(statuses)} replicates failed ({reasons}): the tails of the "
-            "others are not those of the estimate."
+            f"{failed.total()} of {len(statuses)} replicates failed ({reasons}): the others may "
+            "lack the tails of the distribution."
         )
     # Four replicates beyond an end of an interval leave it uncertain by a quarter of a standard
     # error.

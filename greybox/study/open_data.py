@@ -36,9 +36,11 @@ def open_program(nlp: CompiledProblem) -> ca.Function:
     Raises
     ------
     ValueError
-        If a criterion accepts numbers alone.
+        If a criterion accepts only numbers.
     """
     parts = nlp.problem.parts
+    # SX expressions can be evaluated for many replicates at once; sines of finite amplitude need
+    # MX.
     kind: Any = ca.SX if nlp.responses.is_a("SXFunction") else ca.MX
     z = kind.sym("z", len(nlp.free))
     smoothing = kind.sym("smoothing")
@@ -49,7 +51,10 @@ def open_program(nlp: CompiledProblem) -> ca.Function:
 
     values = [*nlp.scaling.expressions(z), *ca.vertsplit(constants)]
 
-    modeled = ca.vertsplit(nlp.responses(ca.vertcat(*values)), _places(parts))
+    # The real parts of all responses come first, then the imaginary parts.
+    modeled = ca.vertsplit(
+        nlp.responses(ca.vertcat(*values)), np.cumsum([0, *sizes[::2], *sizes[::2]]).tolist()
+    )
     cost = kind(0)
     for k, (part, weight) in enumerate(zip(parts, solver_weights(parts), strict=True)):
         response = Complex(modeled[k], modeled[len(parts) + k])
@@ -58,12 +63,6 @@ def open_program(nlp: CompiledProblem) -> ca.Function:
     named = dict(zip(nlp.names, values, strict=True))
     limits = stacked(limits_of(nlp.problem, kind), named, kind)
     return ca.Function("program", [z, smoothing, data], [cost, limits])
-
-
-def _places(parts: Sequence[Problem]) -> list[int]:
-    """Return where the real parts of all responses begin, then the imaginary ones, and the end."""
-    sizes = [len(part.data) for part in parts]
-    return np.cumsum([0, *sizes, *sizes]).tolist()
 
 
 class _Measured(Complex):
@@ -88,13 +87,14 @@ class _OpenData:
 
 
 def _cost(part: Problem, response: Complex, data: Any, smoothing: Any) -> Any:
+    # A user's criterion may call numpy functions that do not take symbols.
     criterion: Any = part.criterion
     try:
         return criterion.cost(response, data, smoothing)
     except (TypeError, AttributeError, NotImplementedError, RuntimeError) as error:
         reason = " ".join(str(error).split())[:120].rstrip(".")
         raise ValueError(
-            f"{type(criterion).__name__} accepts numbers alone ({reason}), and many data sets are "
-            "fitted at once as symbols: write its cost with data.response, abs and the functions "
-            "of greybox."
+            f"{type(criterion).__name__} accepts only numbers ({reason}), but the bootstrap gives "
+            "it symbols for the data: write its cost with data.response, abs and the functions of "
+            "greybox."
         ) from error

@@ -8,7 +8,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -51,7 +51,8 @@ class DrawnRecord:
             if self.spectrum is None:
                 errors = self._drawn_residuals(random, count)
             else:
-                # Color a circle twice as long, so that no sample is the neighbor of the last one.
+                # The filter acts on a circle: in one twice as long the last sample that is used is
+                # not a neighbor of the first one.
                 white = self._drawn_residuals(random, 2 * count)
                 errors = self.spectrum.colored(white)[:, :count]
             outputs.append(np.where(np.isfinite(measured), fitted + errors, np.nan))
@@ -60,8 +61,8 @@ class DrawnRecord:
     def _drawn_residuals(self, random: np.random.Generator, count: int) -> Array:
         """Draw `count` residuals of all outputs together."""
         drawn = self.residuals[:, random.integers(0, self.residuals.shape[1], count)]
-        # Missing residuals are replaced by others of the same output, so that every error has its
-        # size.
+        # A missing residual is replaced by another one of the same output: outputs have noise of
+        # different sizes.
         for row, residuals in zip(drawn, self.residuals, strict=True):
             missing = np.isnan(row)
             row[missing] = random.choice(residuals[np.isfinite(residuals)], int(missing.sum()))
@@ -114,7 +115,7 @@ def record_draws(
 def _drawn_record(
     part: RecordPart, trajectory: Trajectory, spectrum: ErrorSpectrum | None, parameters: float
 ) -> DrawnRecord:
-    """Return the errors of a part from whose residuals this number of `parameters` was fitted."""
+    """Return the errors of a part whose residuals determined this number of `parameters`."""
     fitted = tuple(part.data.unpadded(part.simulated_outputs(trajectory)))
     measured = tuple(stretch.outputs for stretch in part.data.stretches)
     differences = [y - model for y, model in zip(measured, fitted, strict=True)]
@@ -122,6 +123,8 @@ def _drawn_record(
     if not np.nan_to_num(residuals).any(axis=1).all():
         raise ValueError(f"{part.name!r} is fitted exactly: the size of its errors is not known.")
 
+    # White residuals are too small by the fitted parameters and initial states. The spectrum of
+    # colored ones is corrected for the fit already.
     if spectrum is None:
         numbers = max(part.numbers, 1)
         dof = max(numbers - parameters - part.unknown_initial_states, 1)
@@ -182,11 +185,6 @@ class RecordReplicates(Runner):
         # The states of the fit are a good start only if the drawn errors are small.
         if outcome is None or not outcome.converged:
             outcome = solver.run(self._start)
-        return Outcome(
-            outcome.estimate,
-            outcome.status,
-            outcome.iterations,
-            time.perf_counter() - began,
-            converged=outcome.converged,
-            cost=outcome.cost,
-        )
+        # States and signature would multiply the size of the stored runs: nothing reads them.
+        seconds = time.perf_counter() - began
+        return replace(outcome, seconds=seconds, signature=None, nodes=None)

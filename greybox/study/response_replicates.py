@@ -41,16 +41,16 @@ class DrawnPart:
     response : (n,) complex array
         The fitted response.
     size : (n,) array
-        To which the errors are proportional.
+        Relative sizes of the errors.
     deviation : float
-        Standard deviation of one component of an error over `size`.
+        Standard deviation of one component of an error, in multiples of `size`.
     dof : (n,) array or None
         Degrees of freedom of `size` where it was estimated.
     common : (m, n) complex array or None
         Errors that all points have in common; `size` does not contain them.
     neighbors : (float, float) or None
-        If the errors are correlated along frequency: the correlation of neighbors, and the variance
-        over that of `deviation`.
+        If errors are correlated along frequency: the correlation of neighbors, and the factor on
+        the variance.
     """
 
     omega: Array
@@ -80,6 +80,8 @@ class DrawnPart:
 
     def _correlated(self, normal: ComplexArray, correlation: float, scale: float) -> ComplexArray:
         """Return errors that are correlated between neighbors, along and across the response."""
+        # Noise in magnitude and noise in phase are correlated each along frequency, while real and
+        # imaginary part turn with the response.
         from scipy.signal import lfilter  # noqa: PLC0415 - takes a third of a second to import
 
         order = np.argsort(self.omega, kind="stable")
@@ -132,9 +134,7 @@ def response_draws(
 ) -> ResponseDraws:
     """Return how replicates of a problem of responses are drawn, at the estimate x (p,).
 
-    A residual is enlarged to the size of its error by one over the root of one minus its leverage,
-    the mean of both components. Source: Davison and Hinkley (1997), Bootstrap Methods and their
-    Application, section 6.2.2.
+    Source: Davison and Hinkley (1997), Bootstrap Methods and their Application, section 6.2.2.
 
     Parameters
     ----------
@@ -161,9 +161,11 @@ def response_draws(
         part.sensitivity(values)[:, : len(x)][:, ~at_bound] / (points.size * points.rms)[:, None]
         for part, points in zip(parts, fitted, strict=True)
     ]
-    # A parameter at its bound takes nothing from the residuals.
+    # The fit makes a residual smaller than its error by the root of one minus its leverage. A
+    # parameter at its bound takes nothing from the residuals.
     leverages = _leverages(slopes, nlp.scaling.slope(x)[~at_bound])
     pairs = neighbors or [None] * len(parts)
+    # Cholesky needs a definite matrix, and constants without errors make this one singular.
     eigenvalues, vectors = np.linalg.eigh(covariance)
     root = (vectors * np.sqrt(np.maximum(eigenvalues, 0.0)))[:, eigenvalues > 0]
     return ResponseDraws(
@@ -175,8 +177,6 @@ def response_draws(
 
 
 class _Fitted(NamedTuple):
-    """The fitted response of a part, and its residuals over the `size` of the errors."""
-
     response: ComplexArray
     size: Array
     residuals: ComplexArray
@@ -184,8 +184,10 @@ class _Fitted(NamedTuple):
 
 
 def _fitted(part: ResponsePart, values: Array) -> _Fitted:
+    """Return the fitted response of a part, and its residuals over the size of the errors."""
     response = part.response(values)
     size = part.criterion.error_size(response, part.data)
+    # What all points have in common is drawn once for all of them, not point by point.
     if part.criterion.known_noise:
         size = size * np.sqrt(np.maximum(part.data.independent_share, LEAST_LEFT))
 
@@ -234,7 +236,7 @@ class ResponseReplicates(Runner):
     program : casadi.Function
         (z, smoothing, given) -> cost, limits.
     start : (p,) array
-        The estimate, in the solver's variables.
+        The estimate.
     lower, upper : (p,) arrays
         Bounds of the parameters.
     scaling : Scaling
@@ -259,7 +261,7 @@ class ResponseReplicates(Runner):
         self._limits = lower, upper
         self._scaling = scaling
         self._bounds = scaling.to_solver(lower), scaling.to_solver(upper)
-        self._start = np.clip(start, *self._bounds)
+        self._start = np.clip(scaling.to_solver(start), *self._bounds)
 
     def __reduce__(self) -> tuple[Callable[..., "ResponseReplicates"], tuple[Any, ...]]:
         return ResponseReplicates, self._arguments
@@ -282,11 +284,10 @@ class ResponseReplicates(Runner):
 
     def _solved(self, numbers: Array) -> list[Outcome]:
         """Solve for the data in the columns of `numbers` (g, m)."""
-        count = numbers.shape[1]
         if self._newton is None:
             return [self._by_ipopt(column) for column in numbers.T]
         ends = self._newton.minimize(
-            np.tile(self._start[:, None], count),
+            np.tile(self._start[:, None], numbers.shape[1]),
             max_iterations=ITERATIONS,
             tolerance=TOLERANCE,
             from_near=True,
@@ -302,8 +303,8 @@ class ResponseReplicates(Runner):
                 stage=IMPROVED,
             )
             if ends.at_minimum[k]
-            else self._by_ipopt(numbers[:, k])
-            for k in range(count)
+            else self._by_ipopt(column)
+            for k, column in enumerate(numbers.T)
         ]
 
     @cached_property

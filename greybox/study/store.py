@@ -1,4 +1,4 @@
-"""A study on disk: a folder in which one process writes at a time; all may read.
+"""A study on disk: a folder in which one process writes at a time, and all may read.
 
 ``study.sqlite``  an SQLite database: members and their answers, and every run as it is made.
 ``001-NAME.h5``   the fit of a member, as `greybox.save` writes it.
@@ -30,7 +30,7 @@ from greybox.solve.runs import IMPROVED, POLISHED, SCREENED, Outcome
 
 DATABASE = "study.sqlite"
 LOCK = "lock"
-APPLICATION = 0x67_72_65_79  # "grey", by which SQLite files tell whose they are
+APPLICATION = 0x67_72_65_79  # "grey": SQLite files name the program that wrote them
 LAYOUT = 1
 TABLES = (
     "CREATE TABLE members (id INTEGER PRIMARY KEY, name TEXT UNIQUE, "
@@ -43,7 +43,7 @@ TABLES = (
 
 MEMBER = "(SELECT id FROM members WHERE name = ?)"
 
-# Work that is not on disk yet, at most, and its age, s: a commit takes some milliseconds.
+# Largest amount of work, and largest age, of runs that are not on disk yet, s.
 UNWRITTEN = 2.0
 # Seconds to wait for the lock: a worker that was starting when its parent was killed holds the
 # parent's files until its own program runs.
@@ -52,7 +52,7 @@ PATIENCE = 2.0
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Make the folder if there is none, and keep other processes from writing to it.
+    """Create the folder if necessary, and keep other processes from writing to it.
 
     Raises
     ------
@@ -82,7 +82,7 @@ def locked(folder: Path) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class StoredMember:
-    """A member in the database: `answer` is empty until it is done, `runs` counts those on disk."""
+    """A member in the database: `answer` is empty until it is done, `runs` is a number of runs."""
 
     number: int
     name: str
@@ -91,12 +91,14 @@ class StoredMember:
 
     def fit_file(self, folder: Path) -> Path:
         """Return the file of its fit."""
+        # The number keeps files apart whose names differ only in characters that are left out.
         short = re.sub(r"[^A-Za-z0-9_.-]+", "-", self.name).strip("-.")[:60]
         return folder / f"{self.number:03d}-{short}.h5"
 
 
 def is_study(folder: Path) -> bool:
-    """Return whether the folder has a study; an empty file, left by a full disk, is none."""
+    """Return whether the folder has a study."""
+    # A full disk leaves an empty file, which contains nothing that could be lost.
     path = folder / DATABASE
     return path.is_file() and path.stat().st_size > 0
 
@@ -112,7 +114,7 @@ def read_members(folder: Path) -> list[StoredMember]:
         If its database is damaged, or was written by a later version.
     """
     if not is_study(folder):
-        raise FileNotFoundError(f"{folder} is no study: it has no file {DATABASE}.")
+        raise FileNotFoundError(f"{folder} is not a study: it has no file {DATABASE}.")
     with _database(folder) as database:
         counts = dict(
             database.execute("SELECT member, COUNT(*) FROM runs GROUP BY member").fetchall()
@@ -138,7 +140,7 @@ def add_members(folder: Path, names: Sequence[str]) -> dict[str, StoredMember]:
 
 
 def write_answer(folder: Path, name: str, answer: Mapping[str, Any]) -> None:
-    """Write the answer of a member: from now on it is done."""
+    """Write the answer of a member, which is then done."""
     text = json.dumps(answer, allow_nan=False)
     with _database(folder) as database:
         database.execute(
@@ -153,9 +155,9 @@ class StoredRuns(KeptRuns):
     Attributes
     ----------
     fingerprint : str
-        Of the problem and its solver, once the search has begun.
+        Key of the problem and its solver, once the search has begun.
     trouble : str
-        Why the last runs were not written; empty where they were.
+        Why the last runs were not written; empty if they were.
     """
 
     def __init__(self, folder: Path, name: str) -> None:
@@ -187,8 +189,8 @@ class StoredRuns(KeptRuns):
             raise KeptRunsError(str(error)) from error
         if rows and fingerprints != [(fingerprint,)]:
             raise KeptRunsError(
-                f"the runs in {self._folder} are those of another problem, of other options, or of "
-                "another version of greybox or CasADi: give what they were begun with, or begin "
+                f"the runs in {self._folder} belong to another problem, to other options, or to "
+                "another version of greybox or CasADi: repeat what the study began with, or begin "
                 "another study."
             )
         return _Runs(
@@ -202,8 +204,8 @@ class StoredRuns(KeptRuns):
 
     def look(self) -> None:
         """Write the runs if they are older, or took longer, than `UNWRITTEN`."""
-        # A commit takes milliseconds: runs that took less would spend more time on the disk than on
-        # the solver.
+        # A commit takes some milliseconds. After every run of a response, which takes no longer,
+        # the disk would cost as much time as the solver.
         age = time.monotonic() - self._written_at
         work = sum(outcome.seconds for _, _, outcome in self._unwritten)
         if max(age, work) >= UNWRITTEN:
@@ -216,8 +218,9 @@ class StoredRuns(KeptRuns):
         Raises
         ------
         OSError
-            If they cannot be written; those on disk are as they were.
+            If they cannot be written; those on disk remain.
         """
+        # The time of the attempt: a full disk is not tried again for every run.
         self._written_at = time.monotonic()
         if not self._unwritten:
             return
@@ -242,7 +245,7 @@ class StoredRuns(KeptRuns):
 
     @property
     def count(self) -> int:
-        """How many runs are on disk."""
+        """Number of runs on disk."""
         if not is_study(self._folder):
             return 0
         with _database(self._folder) as database:
@@ -278,7 +281,7 @@ def runs_beside(path: Path) -> Iterator[StoredRuns]:
         finally:
             if not runs.count:
                 (folder / DATABASE).unlink(missing_ok=True)
-    with suppress(OSError):  # it has runs, or another process has begun there
+    with suppress(OSError):  # the folder is not empty if another process has begun there
         if not is_study(folder):
             (folder / LOCK).unlink(missing_ok=True)
             folder.rmdir()
@@ -291,7 +294,7 @@ def folder_beside(path: Path) -> Path:
 
 @dataclass(frozen=True, eq=False)
 class _Runs(Mapping[int, tuple[Array, Outcome]]):
-    """Runs by number, as texts until they are asked for: a hundred thousand take 50 MB."""
+    """Runs by number, decoded when they are used: as texts a hundred thousand take 50 MB."""
 
     folder: Path
     texts: Mapping[int, tuple[str, int]]
@@ -336,13 +339,14 @@ STAGES = (SCREENED, IMPROVED, POLISHED)
 
 
 def _decoded(folder: Path, text: str, checksum: int) -> dict[str, Any]:
-    """Return the object that a stored text is.
+    """Return the object in a stored text.
 
     Raises
     ------
     ValueError
         If it is damaged.
     """
+    # The checksum finds damage by accident; what a stranger wrote is checked where it is used.
     try:
         values = json.loads(text) if zlib.crc32(text.encode()) == checksum else None
     except (TypeError, AttributeError, RecursionError):

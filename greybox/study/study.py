@@ -1,4 +1,4 @@
-"""The results of a study so far: its members, each with its answer or the reason for having none.
+"""The results of a study so far: its members, each with its answer or its failure.
 
 Begin with `read_study`.
 """
@@ -25,9 +25,9 @@ class StudyMember:
     file : Path
         The file of its fit, once it is done.
     status : str
-        "done" with a usable answer; "failed" without one, for the reason in `error`; "unfinished".
+        "done" with a usable answer; "failed", for the reason in `error`; or "unfinished".
     error : str
-        Why it failed.
+        Why the member failed.
     runs : int
         Number of runs on disk, or of the answer.
     answer : mapping
@@ -122,7 +122,7 @@ def _member(stored: StoredMember, folder: Path) -> StudyMember:
         return StudyMember(name, file, "failed", error, stored.runs, answer)
     try:
         member = StudyMember(name, file, "done", "", int(answer["starts"]), answer)
-        # Try what printing will do: a damaged answer is refused here, not at the print.
+        # Do now what printing will do: a damaged answer must be refused when it is read.
         _row(member)
         _cells(answer)
         _require_labels(answer)
@@ -136,6 +136,7 @@ def _member(stored: StoredMember, folder: Path) -> StudyMember:
 
 def _require_labels(answer: Mapping[str, Any]) -> None:
     """Raise TypeError if a label for a report is not a text."""
+    # The database may come from a stranger, and a page joins these texts with others.
     texts = [answer["criterion"], answer["rule"], answer["checksum"], answer["verdict"]["grade"]]
     if not all(isinstance(text, str) for text in (*texts, *answer["model"], *answer["data"])):
         raise TypeError

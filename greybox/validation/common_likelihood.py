@@ -18,14 +18,14 @@ class Likelihoods:
     name : str
         The likelihood, in words.
     fits : tuple of Fit
-        At the maximum of that likelihood next to the estimate; the original fit where its problem
-        cannot be stated again.
+        Fits at the maximum of that likelihood next to the estimate; the original fit where its
+        problem cannot be built again.
     costs : tuple of float
         Negative log-likelihoods, up to a constant of the data.
     nuisances : tuple of int
         Number of noise variances that every fit also estimates.
     at_maximum : tuple of bool
-        False where the cost is that at the original estimate, which is not a maximum.
+        False where the cost belongs to the original estimate, which is not a maximum.
     """
 
     name: str
@@ -36,14 +36,12 @@ class Likelihoods:
 
 
 def common_likelihood(fits: Sequence[Fit]) -> Likelihoods | None:
-    """Return fits of the same responses on one likelihood's scale; None for other data or weights.
-
-    It is that of the given variances where all data have them, otherwise that of errors of one
-    relative variance.
-    """
+    """Return fits of responses on the scale of one likelihood; None for other data or weights."""
     weighted = any(part.weight != 1 for fit in fits for part in fit.parts)
     if weighted or not all(map(has_responses_alone, fits)):
         return None
+    # Measured variances, where all data have them, say more than the assumption that errors are
+    # proportional to the response.
     has_variances = all(part.data.variance is not None for part in fits[0].responses)
     criterion: Criterion = MaximumLikelihood() if has_variances else RelativeLikelihood()
     refits = [_at_maximum(fit, criterion) for fit in fits]
@@ -70,6 +68,7 @@ def _at_maximum(fit: Fit, criterion: Criterion) -> Fit | None:
         problem = problem_of(fit).with_(criterion=criterion)
     except (LookupError, ValueError):
         return None
+    # One start at the estimate: another minimum would be another answer than the one compared.
     start = {name: fit.estimate[name] for name in fit.free}
     refit = fit_problem(problem, [start], profiles=False, progress=False)
     return refit if refit.converged and refit.cost <= fit.costs[criterion.name] else None

@@ -34,22 +34,21 @@ def compare(
     lead: float | None = None,
     labels: Sequence[str] = (),
 ) -> Comparison:
-    """Compare fits of different structures: which describes its data best, which predicts others.
+    """Compare fits of different structures: which one describes the data best, which predicts best.
 
-    The table has cost, number of parameters, AIC, AICc and BIC where the fits have the same data
-    and their costs are likelihoods, as those in time are. Fits of frequency responses may have
-    different criteria: AIC, AICc and BIC are then those of one likelihood, `MaximumLikelihood`
-    where the data have variances and `RelativeLikelihood` otherwise, maximized from every estimate.
-    The first sentence names the smallest structure that the data support: the one with the fewest
-    parameters of those whose BIC is within 2 of the least. In time, models are judged by
+    The table has cost, number of parameters, AIC, AICc and BIC if the fits have the same data and
+    their costs are likelihoods, as those of records are. Fits of frequency responses may have
+    different criteria: AIC, AICc and BIC then belong to one likelihood, maximized from every
+    estimate: `MaximumLikelihood` if the data have variances, otherwise `RelativeLikelihood`. The
+    first sentence names the smallest structure that the data support: the one with the fewest
+    parameters among those whose BIC is within 2 of the least. Models of records are judged by their
     predictions of the same windows, see `predict`, on the data of the fits and on `records`.
-    Windows in which a model has no finite value are left out for all and counted.
+    Windows in which a model has no finite value are left out for all models and counted.
 
-    Where one model is another with terms removed, `nested_test` compares them. Other models of
-    responses are compared by AIC; AIC that differs by less than 2 prefers neither (Burnham and
-    Anderson, section 2.6). Two models predict equally well
-    where their mean squared errors differ by less than 0.1 %, or where no test finds a difference
-    and its 95 % interval is within 10 %.
+    If one model is another one with terms removed, `nested_test` compares them. Other models of
+    responses are compared by AIC; a difference below 2 prefers neither (Burnham and Anderson,
+    section 2.6). Two models predict equally well if their mean squared errors differ by less than
+    0.1 %, or if no test finds a difference and its 95 % interval is within 10 %.
 
     Parameters
     ----------
@@ -57,10 +56,9 @@ def compare(
     records : Record or sequence of them, optional
         Held out from all fits. Without them the fits must have the same data.
     window, lead : float, s
-        Length of the predictions, and of the data before them from which the state is estimated, in
-        whole samples. By default 1 s and 0.5 s, or 10 samples of the slowest record where that is
-        longer; the lead is also at least twice the longest delay. Rows without a time are predicted
-        one by one.
+        Length of the predictions, and of the data before them from which the state is estimated.
+        By default 1 s and 0.5 s, or 10 samples of the slowest record if that is longer; the lead is
+        also at least twice the longest delay. Rows without a time are predicted one by one.
     labels : sequence of str, optional
         One for each fit; by default the names of the models.
 
@@ -114,8 +112,8 @@ def compare(
 
     bic = _known("BIC", rows)
     supported = verdict = ""
-    # The likelihood of records assumes white residuals, which are seldom so white that differences
-    # of BIC could be believed: there the tests, which allow for it, stand alone.
+    # The likelihood of records assumes white residuals. Real ones are correlated, which inflates
+    # differences of BIC: for records only the tests, which allow for it, have a say.
     if bic and not any(part.data.has_time for fit in fits for part in fit.records):
         k, verdict = parsimony(names, bic, [len(fit.free) for fit in fits], tests)
         supported = names[k]
@@ -157,7 +155,7 @@ def _predictions(
 
 
 def _known(measure: str, rows: Sequence[Row]) -> list[float]:
-    """Return a measure of all fits; empty where one of them lacks it."""
+    """Return a measure of all fits; empty if a fit lacks it."""
     values = next(row.values for row in rows if (row.data, row.measure) == ("fit", measure))
     return [] if None in values else [value for value in values if value is not None]
 

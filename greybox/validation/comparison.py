@@ -50,16 +50,16 @@ class Comparison:
     labels : tuple of str
         One for every fit.
     data : str
-        Whether the fits have the same data, and which, in words.
+        The data of the fits, in words.
     rows : tuple of Row
         The measures.
     statements : tuple of str
-        What the measures mean, in sentences.
+        The meaning of the measures.
     predictions : mapping of str to tuple of tuples
         By kind of data, "identification" and "held-out": for every fit the `Prediction` of every
         record.
     supported : str
-        The label of the smallest structure that the data support; empty where none is known.
+        The label of the smallest structure that the data support; empty if BIC is not known.
     verdict : str
         The reason, in one sentence.
     """
@@ -89,7 +89,7 @@ class Comparison:
         Raises
         ------
         ValueError
-            If there is none of that name.
+            If the table does not have it.
         """
         values = {(row.data, row.output, row.measure): row.values for row in self.rows}
         if (data, output, measure) in values and label in self.labels:
@@ -114,7 +114,8 @@ class Comparison:
         return "\n".join([*lines, *(f"  {text}" for text in self.statements)]).rstrip()
 
     def _windows(self, data: str) -> str:
-        """Say how many windows there are and how long, in records that may differ."""
+        """Return number and length of the windows."""
+        # Records with different rates have windows of slightly different length: whole samples.
         predictions = self.predictions[data][0]
         rows = [p for p in predictions if not p.data.has_time]
         in_time = [p for p in predictions if p.data.has_time]

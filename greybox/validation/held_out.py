@@ -28,8 +28,8 @@ def window_lengths(
     if not records:
         return math.nan, math.nan
 
-    # A second is twenty time constants of a rotor, so that the dynamics are seen, and short enough
-    # for an unstable plant; half of that is enough to estimate its state.
+    # In one second, twenty time constants of a rotor, the dynamics show, and the prediction of an
+    # unstable plant does not diverge yet. Half a second is enough to estimate the state.
     if window is None:
         window = default_length(records, 1.0)
     if lead is None:
@@ -50,9 +50,9 @@ def predict_same_windows(
 ) -> tuple[Predictions, list[str]]:
     """Predict the records of `data`, in the same order for every fit, over the same windows.
 
-    With `fitted` they are the records that each fit was made with. On others each fit estimates
-    values of the record's own, see `greybox.predict`. Returns the predictions, and notes on windows
-    left out and values estimated.
+    If they are not the records of the `fitted` data, every fit first estimates the values that
+    belong to one record, see `greybox.predict`. Returns the predictions, and notes on windows that
+    were left out and on these values.
     """
     window, lead = lengths
     by_record: list[list[Prediction]] = []
@@ -69,7 +69,8 @@ def predict_same_windows(
         notes += record_notes
         for label, prediction in zip(labels, predictions, strict=True):
             texts = () if fitted else prediction.notes
-            common = "the standard errors"  # which are the same for all fits
+            # A note on standard errors is about the record, and the same for all fits.
+            common = "the standard errors"
             notes += [text if text.startswith(common) else f"{label}: {text}" for text in texts]
     return tuple(zip(*by_record, strict=True)), notes
 
@@ -84,8 +85,7 @@ def _shared_outputs(models: Sequence[ModelAtEstimate], record: Record) -> tuple[
     if not outputs:
         raise ValueError(
             f"{record.name or 'the record'} has no output that all fits have "
-            f"({', '.join(shared) or 'none'}); "
-            f"it has {', '.join(record.signals)}."
+            f"({', '.join(shared) or 'none'}); it has {', '.join(record.signals)}."
         )
     return outputs
 
@@ -97,6 +97,7 @@ def _where_all_are_finite(
 
     Each result is a prediction, the windows in which it diverged (w,), and the reason.
     """
+    # Left out for all models: otherwise the one that diverges would be judged by easier windows.
     predictions = [prediction for prediction, _, _ in results]
     diverged = np.any([lost for _, lost, _ in results], axis=0)
     if not diverged.any():
@@ -146,7 +147,7 @@ def _with_all_signals(records: Sequence[Record]) -> Record:
 def not_held_out(
     fits: Sequence[Fit], labels: Sequence[str], records: Sequence[Record]
 ) -> list[str]:
-    """Say which of the records given as held out a fit was made with after all."""
+    """Return a warning for every held-out record to which a fit was made after all."""
     return [
         f"warning: {record.name or 'a record'} is not held out: {label} was fitted to samples of "
         "it."

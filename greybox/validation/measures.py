@@ -31,8 +31,8 @@ def fit_rows(
 ) -> list[Row]:
     """Return the rows of the fits as a whole: costs, sizes, AIC, AICc and BIC.
 
-    Costs are given where they are `comparable`; information criteria where they are likelihoods
-    too, or the fits have common `likelihoods`.
+    Costs are in the table if they are `comparable`; information criteria if costs are likelihoods,
+    or if the fits have common `likelihoods`.
     """
     names = list(dict.fromkeys(fit.criterion for fit in fits))
     criterion = names[0] if len(names) == 1 else LIKELIHOOD
@@ -60,7 +60,7 @@ def fit_rows(
         if all(fit.responses for fit in fits):
             sizes = [_relative_rms(fit) for fit in fits]
             rows.append(_row("relative residual (rms)", sizes, "%"))
-    # That costs, AIC and BIC are not known is worth a row.
+    # A reader looks for costs, AIC and BIC: dashes show that they are not known.
     always = ("cost", "AIC", "BIC")
     return [r for r in rows if r.measure in always or any(v is not None for v in r.values)]
 
@@ -70,9 +70,10 @@ def information_rows(
 ) -> Iterator[Row]:
     """Yield AIC, AICc and BIC for k unknowns and n numbers, and their differences from the least.
 
-    AIC = 2 k - 2 ln L and BIC = k ln n - 2 ln L. AICc adds 2 k (k + 1) / (n - k - 1), and does not
-    exist where n is not larger than k + 1. Source: Burnham and Anderson (2002), section 2.4.
+    Source: Burnham and Anderson (2002), section 2.4.
     """
+    # AIC = 2 k - 2 ln L and BIC = k ln n - 2 ln L. AICc adds 2 k (k + 1) / (n - k - 1), which makes
+    # 2 k n / (n - k - 1) of the first term; it does not exist for n <= k + 1.
     sizes = list(zip(unknowns, numbers, strict=True))
     penalties = {
         "AIC": [2.0 * k for k, _ in sizes],
@@ -142,6 +143,7 @@ def _one_step(
     fits: Sequence[Fit],
 ) -> Iterator[Measure]:
     """Yield the size of the errors one step ahead over their noise, and their tests in time."""
+    # Errors further ahead are correlated even for the true model; those one step ahead are white.
     errors = [
         [piece for p in of_fit for piece in _in_time_order(p, output)] for of_fit in predictions
     ]
@@ -150,6 +152,7 @@ def _one_step(
         yield "error over noise", "", sizes
         return
     yield "one step ahead: error over noise", "", sizes
+    # Gains are fitted such that the first correlations vanish: the test must not count these.
     gains = [
         max((part.innovation_parameters(output) for part in fit.records), default=0) for fit in fits
     ]
@@ -163,6 +166,7 @@ def _correlations(
     predictions: Sequence[Sequence[Prediction]],
 ) -> Iterator[Measure]:
     """Yield p-values of no correlation with the inputs: Ljung (1999), section 16.6."""
+    # An input that never changes has no correlation with anything.
     every = [p for of_fit in predictions for p in of_fit]
     for name in dict.fromkeys(name for p in every for name in p.inputs):
         if all(name in p.data.signals and np.nanstd(p.data[name]) > 0 for p in every):

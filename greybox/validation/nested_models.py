@@ -107,8 +107,7 @@ def nested_test(small: Fit, large: Fit) -> NestedTest:
     except NotNestedError as reason:
         raise ValueError(
             f"{labels[0]} is not shown to be {labels[1]} with terms removed: {reason}. Use "
-            "gb.compare, which needs no "
-            "nesting."
+            "gb.compare, which needs no nesting."
         ) from None
     return nested_test_at(values, small, large, labels)
 
@@ -123,13 +122,13 @@ def nested_test_at(
     ValueError
         If the data do not determine the terms, there is no likelihood ratio, or `large` costs more.
     """
-    quantities = {q.name: q for q in large.quantities}
     on_bound = {
         name
         for name, value in values.items()
-        if any(math.isclose(value, bound, rel_tol=1e-9) for bound in quantities[name].bounds)
+        if any(math.isclose(value, bound, rel_tol=1e-9) for bound in large.by_name[name].bounds)
     }
-    stuck = {name for name in values if quantities[name].at_bound}
+    # A term that ended at another bound may explain more beyond it: the ratio would be too small.
+    stuck = {name for name in values if large.by_name[name].at_bound}
     if not stuck <= on_bound:
         raise ValueError(
             f"{listed(sorted(stuck))} of {labels[1]} ended at a bound: widen it before testing."
@@ -171,7 +170,7 @@ def _is_definite(covariance: Array) -> bool:
 def with_independent_errors(fit: Fit) -> Fit:
     """Return a fit whose covariance and degrees of freedom ignore correlation along frequency.
 
-    It serves tests; its quantities keep their errors.
+    It is for tests: its quantities keep their errors.
     """
     if fit.independent is None:
         return fit
@@ -204,16 +203,15 @@ def cost_scale(fit: Fit) -> float:
 
 
 def f_tail(statistic: float, r: int, dof: float, *, on_bound: bool = False) -> float:
-    """Return the probability of a larger statistic, F with r and `dof` degrees of freedom.
-
-    With a term on its bound, half of the distribution has that term at rest.
-    """
+    """Return the probability of a larger statistic, F with r and `dof` degrees of freedom."""
     from scipy.special import fdtrc  # noqa: PLC0415  (takes a tenth of a second to import)
 
     dof = min(dof, 1e9)  # F is then chi-square / r to all digits
     p_value = float(fdtrc(r, dof, statistic))
     if not on_bound:
         return p_value
+    # If a term is truly on its bound, in half of all experiments the estimate stays there, and the
+    # ratio has one degree of freedom less (Self and Liang).
     fewer = float(fdtrc(r - 1, dof, statistic * r / (r - 1))) if r > 1 else float(statistic <= 0)
     return 0.5 * (p_value + fewer)
 
@@ -232,22 +230,21 @@ def _labels(small: Fit, large: Fit) -> tuple[str, str]:
     if model != large.parts[0].label or not held:
         first, second = labels_of((small, large))
         return first, second
-    kinds = {q.name: q.kind for q in small.quantities}
+    kinds = {name: small.by_name[name].kind for name in held}
     texts = [
-        f"{', '.join(n for n in held if kinds[n] == kind)} {kind}"
-        for kind in dict.fromkeys(map(kinds.get, held))
+        f"{', '.join(name for name in held if kinds[name] == kind)} {kind}"
+        for kind in dict.fromkeys(kinds.values())
     ]
     return f"{model} with {' and '.join(texts)}", model
 
 
 def _likelihood_ratio(small: Fit, large: Fit, labels: tuple[str, str]) -> float:
     ratio = 2 * (small.cost - large.cost)
-    # 0.02, where 3.84 is significant: the two may have steps of different length. 1e-9: what
-    # solvers leave of a large cost.
+    # 0.02, while 3.84 is significant: the two fits may have been integrated with different steps.
+    # 1e-9: the tolerance of the solvers relative to a large cost.
     if ratio < -max(0.02, 1e-9 * abs(large.cost)):
         raise ValueError(
-            f"{labels[1]} costs more than {labels[0]}, which it contains: its fit has not found "
-            "the "
-            "minimum; give it more starts."
+            f"{labels[1]} costs more than {labels[0]}, which it contains: its fit has not reached "
+            "the minimum; give it more starts."
         )
     return ratio

@@ -1,8 +1,8 @@
 """Whether one model is another one with parameters removed, fixed or tied.
 
-Parameters of one name are the same in both models. One that only the larger model has must remove
-its term at zero, at one or at a bound. The equations then decide, at random values: formulas that
-differ agree there with probability zero.
+Parameters of one name are the same in both models. A parameter that only the larger model has must
+remove its term at zero, at one or at a bound. The equations of both models are then compared at
+random values.
 """
 
 import itertools
@@ -18,7 +18,6 @@ from greybox.estimate.result import Fit
 from greybox.files.text_table import listed
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model
-from greybox.modeling.model_reference import resolve
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import dynamics
 from greybox.modeling.state_space import StateSpace
@@ -63,7 +62,7 @@ def nested_values(small: Fit, large: Fit, labels: tuple[str, str]) -> dict[str, 
     sources = {name: counterparts[name] for name in terms}
     held = {name: small.estimate[source] for name, source in sources.items() if source}
     # A bias or a gain, which the criterion adds and not the model, is absent at zero.
-    of_model = {pair.outside(name) for pair in pairs for name in pair.large.parameters}
+    of_model = {pair.large_part.outside(name) for pair in pairs for name in pair.large.parameters}
     removed = {n: 0.0 for n in terms if n not in {*of_model, *held}}
     unknown = [name for name in terms if name not in {*held, *removed}]
     if pairs:
@@ -74,9 +73,8 @@ def nested_values(small: Fit, large: Fit, labels: tuple[str, str]) -> dict[str, 
     if count_unknowns(large) <= count_unknowns(small):
         raise NotNestedError(f"{labels[1]} estimates no more numbers than {labels[0]}")
     values = {**held, **removed}
-    bounds = {q.name: q.bounds for q in large.quantities}
     for name, value in values.items():
-        low, high = bounds[name]
+        low, high = large.by_name[name].bounds
         if not low - 1e-9 * abs(value) <= value <= high + 1e-9 * abs(value):
             raise NotNestedError(
                 f"{name} = {value:g}, as in {labels[0]}, is outside the bounds ({low:g}, {high:g}) "
@@ -119,7 +117,7 @@ def _require_same_assumptions(small: FittedPart, large: FittedPart, labels: Sequ
 def _sensor_deviations(small: Fit, large: Fit) -> set[str]:
     """Return the standard deviations of sensors: parameters beside process noise, else implicit."""
     return {
-        b.rename.get(f"v_{output}", f"v_{output}")
+        b.outside(f"v_{output}")
         for a, b in zip(small.parts, large.parts, strict=True)
         if isinstance(a, FittedRecord) and isinstance(b, FittedRecord) and b.driven and not a.driven
         for output in a.outputs
@@ -135,10 +133,6 @@ class _Pair:
     small_part: FittedPart
     large_part: FittedPart
 
-    def outside(self, name: str) -> str:
-        """Return the name in the larger fit of a parameter of its model."""
-        return self.large_part.rename.get(name, name)
-
     @property
     def counterparts(self) -> dict[str, str | None]:
         """Names of the parameters in the larger fit, and in the smaller one if they are there."""
@@ -146,9 +140,10 @@ class _Pair:
             [*model.parameters, *getattr(part, "added", ())]
             for model, part in ((self.large, self.large_part), (self.small, self.small_part))
         )
-        rename = self.small_part.rename
         return {
-            self.outside(name): rename.get(name, name) if name in in_small else None
+            self.large_part.outside(name): self.small_part.outside(name)
+            if name in in_small
+            else None
             for name in in_large
         }
 
@@ -165,7 +160,8 @@ class _Pair:
         names = (*large.states, *large.inputs)
         if not {*small.states, *small.inputs} <= {*names}:
             return np.full(1, np.nan)
-        # Values of either sign whose sizes are spread over decades.
+        # Values of either sign over decades: kinks, saturations and powers all have an effect
+        # there.
         random = np.random.default_rng(0)
         signs = random.choice([-1.0, 1.0], (len(names), 40))
         points = signs * 10 ** random.uniform(-2, 1.5, signs.shape)
@@ -186,10 +182,7 @@ def _pairs(small: Fit, large: Fit) -> list[_Pair]:
     """Return the parts of both fits; empty where the models are not at hand, but the same."""
     parts = list(zip(small.parts, large.parts, strict=True))
     try:
-        models = [
-            fit.models or [resolve(part.model, fit.given) for part in fit.parts]
-            for fit in (small, large)
-        ]
+        models = [[fit.model_of(k) for k in range(len(fit.parts))] for fit in (small, large)]
     except LookupError:
         if all(a.model == b.model and a.rename == b.rename for a, b in parts):
             return []
@@ -218,6 +211,8 @@ def _counterparts(
 
 def _draws(fit: Fit) -> list[dict[str, float]]:
     """Return five sets of values about the estimate, within the bounds; fixed ones as they are."""
+    # Formulas that differ agree at a random point with probability zero. Five points allow for some
+    # at which a formula is not finite.
     random = np.random.default_rng(0)
     sets = []
     for _ in range(5):
@@ -247,10 +242,10 @@ class _Equations:
                     f"the equations of {self.labels[0]} and {self.labels[1]} have different forms",
                     undecided=True,
                 )
-        bounds = {q.name: q.bounds for q in self.large.quantities}
+        # A term vanishes at zero, a factor or an exponent at one, and some models only at a bound.
         choices = [
-            [v for v in dict.fromkeys((0.0, 1.0, *bounds[name])) if math.isfinite(v)]
-            for name in names
+            [v for v in dict.fromkeys((0.0, 1.0, *bounds)) if math.isfinite(v)]
+            for bounds in (self.large.by_name[name].bounds for name in names)
         ]
         combinations: Iterable[tuple[float, ...]] = itertools.product(*choices)
         if len(names) > 3:  # too many combinations: all are zero, or all are one
@@ -265,8 +260,10 @@ class _Equations:
     def require_effects(self, terms: Sequence[str], values: Mapping[str, float]) -> None:
         """Raise where a term has no effect once another one is removed.
 
-        A nested test then does not have its nominal size. Source: Davies (1977), Biometrika 64.
+        Source: Davies (1977), Biometrika 64.
         """
+        # The data cannot determine such a term where the smaller model is true, so that the ratio
+        # does not have the distribution of the test.
         idle = []
         for name in terms if len(terms) > 1 else ():
             moved = values[name] + 0.1 * max(abs(values[name]), 1.0)
@@ -289,8 +286,8 @@ class _Equations:
             for draw in self.draws:
                 rows = pair.equations(pair.large, self._of_large(pair, draw, values))
                 if reference is None:
-                    rename = pair.small_part.rename
-                    p = {name: draw[rename.get(name, name)] for name in pair.small.parameters}
+                    outside = pair.small_part.outside
+                    p = {name: draw[outside(name)] for name in pair.small.parameters}
                     expected = pair.equations(pair.small, p)
                 else:
                     expected = pair.equations(pair.large, self._of_large(pair, draw, reference))
@@ -308,7 +305,7 @@ class _Equations:
         fixed = {q.name for q in self.large.quantities if q.kind == "fixed"}
         drawn = {n: draw[c] for n, c in pair.counterparts.items() if c and n not in fixed}
         p = {**self.large.estimate, **drawn, **values}
-        return {name: p[pair.outside(name)] for name in pair.large.parameters}
+        return {name: p[pair.large_part.outside(name)] for name in pair.large.parameters}
 
 
 def _same(rows: Numbers, expected: Numbers) -> bool:

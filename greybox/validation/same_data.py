@@ -22,8 +22,7 @@ def check_fits(fits: Sequence[Fit]) -> None:
     if len(fits) < 2:
         raise ValueError(f"there is {len(fits) or 'no'} fit to compare: give at least two.")
     for fit in fits:
-        if not fit.converged:
-            raise ValueError(f"the fit {fit.name!r} has no estimate: {fit.status}.")
+        fit.require_estimate()
 
 
 def labels_of(fits: Sequence[Fit]) -> tuple[str, ...]:
@@ -61,7 +60,8 @@ def data_difference(fits: Sequence[Fit], names: Sequence[str]) -> str:
 
 
 def _same(a: FittedPart, b: FittedPart) -> bool:
-    """Tell whether two parts have the same data: a stretch of a log has the checksum of the log."""
+    """Tell whether two parts have the same data."""
+    # The checksum alone does not decide: excerpts of a log have the checksum of the whole log.
     if a.data.checksum != b.data.checksum or type(a) is not type(b):
         return False
     if not (isinstance(a.data, Record) and isinstance(b.data, Record)):
@@ -123,6 +123,7 @@ def why_not_comparable(fits: Sequence[Fit], names: Sequence[str]) -> str:
     samples = other_samples(fits, names)
     if samples:
         return samples
+    # A weight is a factor on the cost: costs in different units have no difference.
     weights = dict.fromkeys(", ".join(number(p.weight, 3) for p in fit.parts) for fit in fits)
     if len(weights) > 1:
         return f"their data are weighted differently ({'; '.join(weights)})"

@@ -1,4 +1,4 @@
-"""What a comparison means: which model is closer to the data, which terms these determine."""
+"""The sentences of a comparison: which model is closer to the data, and which terms are needed."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -6,6 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
+from greybox.estimate.response_band import t_quantile
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
 from greybox.files.text_table import counted, listed, number, with_error
@@ -18,7 +19,7 @@ from greybox.validation.nested_models import NestedTest, nested_test_at
 from greybox.validation.nesting import NotNestedError, nested_values
 from greybox.validation.same_data import other_samples
 
-Pair = tuple[int, int]
+Labels = tuple[str, str]
 
 
 def verdicts(
@@ -33,23 +34,27 @@ def verdicts(
 ) -> tuple[tuple[str, ...], list[NestedTest]]:
     """Return the sentences of a comparison, and the tests of nested models.
 
-    `predictions` are those on the data of the fits and on held-out records; `comparable` says
-    whether the costs are. Fits of responses by different criteria are tested by their common
-    `likelihoods`, and by their `aic` if they are not nested.
+    `predictions` are by kind of data, `comparable` says whether the costs are. Fits of responses by
+    different criteria are tested by their common `likelihoods`, and by their `aic` if they are not
+    nested.
     """
     sentences: list[str] = []
     tests: list[NestedTest] = []
     for a, b in combinations(range(len(fits)), 2):
+        both = (labels[a], labels[b])
         if same_data:
             one_criterion = all(
                 x.has_criterion_of(y) for x, y in zip(fits[a].parts, fits[b].parts, strict=True)
             )
+            # Costs by different criteria have no ratio: both fits move to the common likelihood.
             tested = likelihoods.fits if likelihoods is not None and not one_criterion else fits
-            sentence, test = fit_verdict(tested, labels, (a, b), aic)
+            difference = aic[b] - aic[a] if aic else None
+            sentence, test = fit_verdict((tested[a], tested[b]), both, difference)
             sentences += [sentence] if sentence else []
             tests += [test] if test else []
         sentences += [
-            prediction_verdict(labels, predictions[kind], (a, b), kind) for kind in predictions
+            prediction_verdict(both, (of_fits[a], of_fits[b]), kind)
+            for kind, of_fits in predictions.items()
         ]
 
     if comparable and predictions:
@@ -62,111 +67,107 @@ def verdicts(
 
 
 def fit_verdict(
-    fits: Sequence[Fit],
-    labels: Sequence[str],
-    pair: Pair,
-    aic: Sequence[float],
+    fits: tuple[Fit, Fit], labels: Labels, difference: float | None
 ) -> tuple[str, NestedTest | None]:
-    """Say which of two fits describes the data better that both were made with.
+    """Say which of two fits describes better the data of both.
 
-    Nested models are compared by the ratio of their costs, others of responses by AIC; others of
-    records by their predictions alone.
+    Nested models are compared by the ratio of their costs. Other models of responses are compared
+    by the `difference` of AIC, second less first; other models of records only by their
+    predictions.
     """
-    a, b = pair
     undecided = ""
-    orders = [] if other_samples((fits[a], fits[b]), (labels[a], labels[b])) else [pair, (b, a)]
+    # Either model may contain the other one, but only the one with more free parameters.
+    orders = [] if other_samples(fits, labels) else [(0, 1), (1, 0)]
     for small, large in orders:
+        if len(fits[small].free) > len(fits[large].free):
+            continue
+        names = (labels[small], labels[large])
         try:
-            test = _nested_test(fits, labels, (small, large))
+            values = nested_values(fits[small], fits[large], names)
+            test = nested_test_at(values, fits[small], fits[large], names)
         except NotNestedError as reason:
             undecided = undecided or (str(reason) if reason.undecided else "")
         except ValueError as error:
-            return f"{_cannot_be_told(labels, pair)}: {error}", None
+            return f"{_undecided(labels)}: {error}", None
         else:
-            return f"{labels[large]} contains {labels[small]}, and {test}", test
+            return f"{names[1]} contains {names[0]}, and {test}", test
     if undecided:
-        return f"{_cannot_be_told(labels, pair)}: {undecided}.", None
-    return verdict_by_aic(labels, pair, aic) if aic else "", None
+        return f"{_undecided(labels)}: {undecided}.", None
+    return "" if difference is None else verdict_by_aic(labels, difference), None
 
 
-def _nested_test(fits: Sequence[Fit], labels: Sequence[str], order: Pair) -> NestedTest:
-    small, large = (fits[k] for k in order)
-    names = (labels[order[0]], labels[order[1]])
-    if len(small.free) > len(large.free):
-        raise NotNestedError(f"{names[1]} has fewer free parameters than {names[0]}")
-    return nested_test_at(nested_values(small, large, names), small, large, names)
-
-
-def verdict_by_aic(labels: Sequence[str], pair: Pair, aic: Sequence[float]) -> str:
+def verdict_by_aic(labels: Labels, difference: float) -> str:
     """Compare structures that are not nested by AIC: Burnham and Anderson (2002), section 2.6."""
-    a, b = pair
-    difference = aic[b] - aic[a]
     by = f"AIC differs by {number(abs(difference), 3)}"
     if abs(difference) < EQUAL_AIC:
-        return f"{labels[a]} and {labels[b]} fit the data equally well ({by})."
+        return f"{labels[0]} and {labels[1]} fit the data equally well ({by})."
     if abs(difference) < 10:  # from 10 on, the larger one has essentially no support
-        return f"{_cannot_be_told(labels, pair)} ({by}, which is less than 10)."
-    better, worse = pair if difference > 0 else (b, a)
-    return f"{labels[better]} fits the data better than {labels[worse]} ({by})."
+        return f"{_undecided(labels)} ({by}, which is less than 10)."
+    better, worse = labels if difference > 0 else labels[::-1]
+    return f"{better} fits the data better than {worse} ({by})."
 
 
-def _cannot_be_told(labels: Sequence[str], pair: Pair) -> str:
-    return (
-        f"It cannot be told which of {labels[pair[0]]} and {labels[pair[1]]} fits the data better"
-    )
+def _undecided(labels: Labels) -> str:
+    return f"The data do not show which of {labels[0]} and {labels[1]} fits them better"
 
 
 def prediction_verdict(
-    labels: Sequence[str], predictions: Predictions, pair: Pair, kind: str
+    labels: Labels, predictions: tuple[Sequence[Prediction], Sequence[Prediction]], kind: str
 ) -> str:
-    """Compare mean squared errors of predictions window by window, over the smaller noise.
+    """Compare two models by their mean squared errors of prediction, window by window.
 
-    Mean squared errors that differ by less than 0.1 % (0.05 % in rms), or by less than the accuracy
-    of simulations, are equal for any use, however significant the difference is in a long record.
-    Where no test finds a difference, the models are equally good only if its 95 % interval is
-    within 10 %: absence of evidence is not evidence of absence. Source: Diebold and Mariano (1995),
-    Journal of Business and Economic Statistics 13; for few windows Harvey, Leybourne and Newbold
-    (1997), International Journal of Forecasting 13.
+    Sources: Diebold and Mariano (1995), Journal of Business and Economic Statistics 13; for few
+    windows Harvey, Leybourne and Newbold (1997), International Journal of Forecasting 13.
     """
-    a, b = pair
-    squares = [mean_squares(*both) for both in zip(predictions[a], predictions[b], strict=True)]
+    from scipy.special import stdtr  # noqa: PLC0415  (takes a tenth of a second to import)
+
+    first_predictions = predictions[0]
+    squares = [mean_squares(*both) for both in zip(*predictions, strict=True)]
     differences = [second - first for first, second, _ in squares]
     first, second, rounding = (
         float(np.mean(np.concatenate(values))) for values in zip(*squares, strict=True)
     )
     every = np.concatenate(differences)
-    windows = counted(every.size, predictions[a][0].window)
-    both = f"{labels[a]} and {labels[b]}"
+    windows = counted(every.size, first_predictions[0].window)
+    both = " and ".join(labels)
     data = "their own data" if kind == IDENTIFICATION else "held-out data"
     if every.size < 3:  # with two windows the threshold of Student's t would be 12.7
-        cure = "a shorter window, or longer records"
-        cure = cure if predictions[a][0].data.has_time else "more rows"
+        has_time = first_predictions[0].data.has_time
+        cure = "a shorter window, or longer records" if has_time else "more rows"
         return f"{windows} cannot show which of {both} predicts {data} better: give {cure}."
     equal = f"{both} predict {data} equally well: their mean squared errors differ by"
     percent = f"{number(100 * abs(second - first) / max(first, second, 1e-300), 2)} %"
+    # In a long record any difference is significant. One of 0.1 % (0.05 % in rms), or below the
+    # accuracy of the simulations, makes no difference in use.
     if abs(second - first) <= max(1e-3 * min(first, second), rounding):
         return f"{equal} {percent} ({windows})."
 
+    # Windows of one record follow one another, so that their errors are correlated; rows without a
+    # time are independent.
     independent = [
         part
-        for d, p in zip(differences, predictions[a], strict=True)
+        for d, p in zip(differences, first_predictions, strict=True)
         for part in ([d] if p.data.has_time else [*d[:, None]])
     ]
     mean, error = mean_test(independent)
+    # Harvey, Leybourne and Newbold: with few windows the error is too small, and Student's t holds.
     error *= math.sqrt(every.size / (every.size - 1))
-    p = _two_sided(mean / error if error > 0 else 0.0, every.size - 1)
+    dof = every.size - 1
+    p = float(2 * stdtr(dof, -abs(mean / error))) if error > 0 else 1.0
     if not p < SIGNIFICANT:
-        widest = abs(mean) + _quantile(every.size - 1) * error
+        # Absence of evidence is not evidence of absence: equal are models whose difference is small
+        # even at the end of its interval.
+        widest = abs(mean) + t_quantile(1 - SIGNIFICANT, dof) * error
         if widest <= 0.1 * min(first, second):
             return f"{equal} less than 10 % ({windows}, {p_text(p)})."
         return (
-            f"It cannot be told which of {both} predicts {data} better: their mean squared errors "
-            f"differ by {percent} ({windows}, {p_text(p)})."
+            f"The data do not show which of {both} predicts {data} better: their mean squared "
+            f"errors differ by {percent} ({windows}, {p_text(p)})."
         )
-    better, worse = pair if mean > 0 else (b, a)
+    better, worse = labels if mean > 0 else labels[::-1]
     share = 100 * float(np.mean(np.sign(every) == np.sign(mean)))
     return (
-        f"{labels[better]} predicts {data.replace('their', 'its')} better than {labels[worse]}, in "
+        f"{better} predicts {data.replace('their', 'its')} better than {worse}, in "
         f"{share:.0f} % of {windows} ({p_text(p)})."
     )
 
@@ -174,9 +175,10 @@ def prediction_verdict(
 def mean_squares(first: Prediction, second: Prediction) -> tuple[Array, Array, Array]:
     """Return the mean squared errors of both in every window (w,), and their rounding.
 
-    Values estimated from the record itself make its errors smaller by their share of its numbers,
-    which is undone.
+    Errors are in multiples of the smaller noise of the two models.
     """
+    # Biases and other values that were estimated from this record itself make its errors smaller,
+    # by their share of its numbers. Without the correction a model with more of them would win.
     totals = np.zeros((2, len(first)))
     rounding = np.zeros(len(first))
     numbers = sum(int(np.isfinite(first.measured(output)).sum()) for output in first.outputs)
@@ -213,12 +215,12 @@ def term_sentences(
     fits: Sequence[Fit], labels: Sequence[str], k: int, tests: Sequence[NestedTest]
 ) -> Iterator[str]:
     """Say whether these data determine every parameter that another fit does not have free."""
-    quantities = {quantity.name: quantity for quantity in fits[k].quantities}
     for name in fits[k].free:
         without = [rival for i, rival in enumerate(fits) if i != k and name not in rival.free]
+        # Gains and biases describe the noise and the sensors: no structure is chosen by them.
         if not without or name.startswith("K_") or name.endswith("_bias"):
             continue
-        quantity = quantities[name]
+        quantity = fits[k].by_name[name]
         value, error = with_error(quantity.value, quantity.standard_error)
         estimate = f"{name} = {value} ± {error} {quantity.unit}".rstrip() + f" ({labels[k]})"
         # The value of the other models, where they agree on one.
@@ -244,17 +246,5 @@ def _which_likelihood(labels: Sequence[str], likelihoods: Likelihoods) -> str:
     text = f"AIC, AICc and BIC are those of {likelihoods.name}, maximized from each estimate"
     elsewhere = [label for label, at in zip(labels, likelihoods.at_maximum, strict=True) if not at]
     if elsewhere:
-        text += f"; those of {listed(elsewhere)} are not at the maximum, and too high"
+        text += f"; for {listed(elsewhere)} they are not at the maximum and therefore too high"
     return f"{text}."
-
-
-def _quantile(dof: float) -> float:
-    from scipy.special import stdtrit  # noqa: PLC0415  (takes a tenth of a second to import)
-
-    return float(stdtrit(dof, 1 - SIGNIFICANT / 2))
-
-
-def _two_sided(z: float, dof: float = math.inf) -> float:
-    from scipy.special import ndtr, stdtr  # noqa: PLC0415  (takes a tenth of a second to import)
-
-    return float(2 * (ndtr(-abs(z)) if math.isinf(dof) else stdtr(max(dof, 1), -abs(z))))

@@ -1,13 +1,9 @@
 """Terms of a model chosen from a list of candidates: added and removed one at a time, by a test.
 
-A term is a parameter; the model is without it where that parameter is zero, or has another stated
-value. Each step adds the term with the smallest p-value, if that is below the size of the test over
-the number of terms tried. It then removes terms that are no longer needed. At the end every term
-that was left out takes the place of each chosen one, to find what the data cannot tell apart.
-
-A missing term leaves residuals that look like errors correlated along frequency. The tests
-therefore take errors as independent: otherwise they would find every missing term in the errors.
-The standard errors of the chosen fit do not.
+A term is a parameter. It is absent if the parameter is zero, or has another stated value. Each step
+adds the term with the smallest p-value, if that is below the size of the test divided by the number
+of terms tried. It then removes terms that are no longer needed. Finally every rejected term takes
+the place of each chosen one, to find terms that the data cannot tell apart.
 
 Source: Klein and Morelli (2006), Aircraft System Identification, section 5.4; the size is shared as
 by Bonferroni.
@@ -128,8 +124,8 @@ def stepwise(
 ) -> StepwiseSelection:
     """Choose terms of a model from a list of candidates, by adding and removing them one at a time.
 
-    Of terms that lower the cost alike, the one that is least correlated with the other parameters
-    is added; if these are equal too, the first in the list.
+    If several terms lower the cost equally, the one with the smallest correlation with the other
+    parameters is added; if these are equal too, the first in the list.
 
     Parameters
     ----------
@@ -162,12 +158,13 @@ def stepwise(
         )
 
     trials: list[Trial] = []
-    seen = {current}  # a structure is chosen once only, so that the search ends
+    seen = {current}  # no structure is chosen twice: the search must end
     fit = without
     step = 0
     while len(current) < len(absent):
         step += 1
         left_out = [name for name in absent if name not in current]
+        # Bonferroni: the smallest of many p-values is small by chance.
         tried = [fits.trial(step, "add", n, current, fit, size / len(left_out)) for n in left_out]
         best = fits.best([t for t in tried if t.p_value < t.limit], current)
         trials += [replace(t, done=t is best) for t in tried]
@@ -233,10 +230,12 @@ class _Fits:
         small, large = (fit, changed) if change == "add" else (changed, fit)
         p_value = math.nan
         why_not = ""
+        # A missing term leaves residuals that look like errors correlated along frequency. With
+        # such errors allowed, no test would find the term: here they count as independent.
         try:
             p_value = nested_test(small, with_independent_errors(large)).p_value
         except ValueError:
-            quantity = next(q for q in large.quantities if q.name == term)
+            quantity = large.by_name[term]
             is_determined = math.isfinite(quantity.standard_error)
             why_not = "no test" if is_determined else "not determined"
             why_not = "at its bound" if quantity.at_bound else why_not

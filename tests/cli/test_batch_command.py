@@ -159,7 +159,7 @@ def test_usage(study, tmp_path, capsys):
         (["batch", "none.toml", "--out", "out"], "there is no file none.toml"),
         (["batch", study, "--out", study], "is a file: give a folder"),
         (["batch", tmp_path / "files" / "mine.py", "--out", "out"], "has no function members()"),
-        (["compare", "none"], "none is no study"),
+        (["compare", "none"], "none is not a study"),
     ]:
         status, result, _ = answer(capsys, *words)
         assert status == 2, words

@@ -286,7 +286,7 @@ def test_a_fit_that_is_killed_goes_on(capsys, own, monkeypatch):
     add = StoredRuns.add
     monkeypatch.setattr(StoredRuns, "add", lambda self, *run: (made.append(run), add(self, *run)))
     count = before + 20
-    assert "--force to begin anew" in refused(
+    assert "--force to start over" in refused(
         capsys, *command(name, "--starts", count, "--seed", "1")[3:]
     )
     assert (kept_runs(), made) == (before, [])
@@ -319,7 +319,7 @@ def test_a_fit_that_ends_early_goes_on(capsys, own, monkeypatch, press_ctrl_c):
 
     # Of another problem only with --force, which then begins anew.
     other = command(f"{name}:other", "--starts", 4)[3:]
-    assert "--force to begin anew" in refused(capsys, *other)
+    assert "--force to start over" in refused(capsys, *other)
     assert len(gb.load("own.h5").runs) == kept_runs() == 8
     assert run(capsys, *other, "--force")[0] == 0
     assert len(gb.load("own.h5").runs) == 4
@@ -344,7 +344,7 @@ def test_a_fit_that_its_time_limit_ends_goes_on(capsys, own, clock):
 @pytest.mark.parametrize("text", ["0", "-1", "soon", "nan", "inf"])
 def test_what_is_no_time_is_refused(capsys, text):
     message = refused(capsys, "fit", "pitch_hover", f"--seconds={text}")
-    assert f"argument --seconds: '{text}' is not a number of seconds above 0" in message
+    assert f"argument --seconds: '{text}' is not a number above 0" in message
 
 
 def fit_options(**stated):

@@ -11,8 +11,8 @@ from greybox.cli.options import (
     intervals,
     nonnegative,
     positive,
+    positive_number,
     probability,
-    seconds,
     uncertain_values,
 )
 
@@ -35,15 +35,19 @@ def test_assignments():
 
 
 def test_probabilities_and_times():
-    assert (probability("0.25"), seconds("1e-9"), seconds("90")) == (0.25, 1e-9, 90.0)
+    assert (probability("0.25"), positive_number("1e-9"), positive_number("90")) == (
+        0.25,
+        1e-9,
+        90.0,
+    )
     for text in ("0", "1", "-0.1", "nan", "x"):
         with pytest.raises(
             argparse.ArgumentTypeError, match="is not a probability between 0 and 1"
         ):
             probability(text)
     for text in ("0", "-1", "inf", "nan", "x"):
-        with pytest.raises(argparse.ArgumentTypeError, match="is not a number of seconds above 0"):
-            seconds(text)
+        with pytest.raises(argparse.ArgumentTypeError, match="is not a number above 0"):
+            positive_number(text)
 
 
 def test_intervals_and_uncertain_values():

@@ -5,11 +5,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
+import greybox as gb
 from greybox.cli.options import UsageError
-from greybox.cli.output import plain, require_figure, require_writable, save_figure
+from greybox.cli.output import require_figure, require_writable, save_figure
 from greybox.data.test_segment import Segment
+from greybox.files.json_numbers import plain
 
 
 def test_files_that_exist_are_kept_unless_forced(tmp_path):
@@ -35,15 +36,13 @@ def test_a_figure_has_the_suffix_of_one(tmp_path):
 
 
 def test_a_figure_that_cannot_be_drawn_leaves_no_file(tmp_path):
-    def broken():
-        raise ValueError("nothing to draw")
-
-    with pytest.raises(ValueError, match="nothing to draw"):
-        save_figure(tmp_path / "a.png", broken)
+    data = gb.FrequencyResponse([1.0, 2.0], [1.0, 0.5j])
+    with pytest.raises(TypeError, match="cannot draw 'no fit'"):
+        save_figure(tmp_path / "a.png", "bode", "no fit")
     assert list(tmp_path.iterdir()) == []
-    assert save_figure(tmp_path / "a.png", Figure) == [f"drew {tmp_path / 'a.png'}"]
+    assert save_figure(tmp_path / "a.png", "bode", data) == [f"drew {tmp_path / 'a.png'}"]
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
-    assert save_figure(None, broken) == []
+    assert save_figure(None, "bode", "no fit") == []
 
 
 def test_a_folder_that_cannot_be_written_is_said_before_the_work(tmp_path, monkeypatch):

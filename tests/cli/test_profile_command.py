@@ -16,4 +16,4 @@ def test_a_saved_fit_is_profiled(capsys, tmp_path):
     assert "no upper limit up to the bound 2000" in answer["text"]
     assert answer["high"] is None
     assert 60 < answer["low"] < 100
-    assert "there is no 'a9' to profile" in refused(capsys, "profile", result, "a9")
+    assert "has no quantity to profile 'a9'" in refused(capsys, "profile", result, "a9")

@@ -90,9 +90,7 @@ def test_covariance_of_picks_names_in_their_order():
         np.sqrt(np.diag(full)), [LAGS.standard_error[n] for n in ("K", "T1", "T2", "tau")]
     )
     assert np.linalg.eigvalsh(full).min() > 0
-    with pytest.raises(
-        ValueError, match="no parameter 'gain' with a covariance; it has K, T1, T2, tau"
-    ):
+    with pytest.raises(ValueError, match="no parameter 'gain'; it has K, T1, T2, tau"):
         LAGS.covariance_of(["gain"])
 
 
@@ -336,14 +334,14 @@ def test_what_ctrl_c_and_time_limits_left_out_is_said():
     assert said(["done"] * 3, 5) == []
     assert said(["done"] * 5, 5, interrupted=True) == []
     assert said(["done"] * 3, 5, interrupted=True) == [
-        "interrupted after 3 of 5 starts: another one may end at a lower cost."
+        "interrupted after 3 of 5 starts: another start may end at a lower cost."
     ]
     assert said(["done", SEARCH_OVER], 2) == [
-        "interrupted after 2 of 2 starts: another one may end at a lower cost."
+        "interrupted after 2 of 2 starts: another start may end at a lower cost."
     ]
     with limited(TimeLimits(start=2.5, end=0.0)):
         assert said(["done", SEARCH_OVER], 9) == [
-            "the time limit ended the search after 2 of 9 starts: another one may end at a lower cost, and a faster "
+            "the time limit ended the search after 2 of 9 starts: another start may end at a lower cost, and a faster "
             "machine may answer otherwise."
         ]
     with limited(TimeLimits(start=2.5)):

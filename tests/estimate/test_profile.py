@@ -192,7 +192,7 @@ def test_what_has_no_likelihood_ratio_is_refused():
     with pytest.raises(ValueError, match="give its problem="):
         gb.profile(fit)
     assert np.isfinite(gb.profile(fit, "T1", problem=tied)["T1"].interval).all()
-    with pytest.raises(ValueError, match="there is no 'T' to profile"):
+    with pytest.raises(ValueError, match="has no quantity to profile 'T'"):
         gb.profile(fit, "T", problem=tied)
 
 
@@ -202,7 +202,7 @@ def test_what_follows_from_constants_alone_has_no_profile():
     found = gb.profile(fit)
     assert [profile.name for profile in found.profiles] == ["K", "area"]
     assert_allclose(found["area"].interval, 0.09 * np.array(found["K"].interval), rtol=1e-3)
-    with pytest.raises(ValueError, match="there is no 'bandwidth' to profile"):
+    with pytest.raises(ValueError, match="has no quantity to profile 'bandwidth'"):
         gb.profile(fit, "bandwidth")
 
 
@@ -245,7 +245,7 @@ def test_a_contour_of_a_ratio_that_is_known_is_open_along_it():
     assert np.nanmax(np.abs(ratio / 2 - 1)) < 0.3
     axes = gb.plotting.contour(found)
     assert (axes.get_xlabel()[0], axes.get_ylabel()[0]) == ("b", "a")
-    with pytest.raises(ValueError, match="no free 'ratio'"):
+    with pytest.raises(ValueError, match="no free parameter within its bounds 'ratio'"):
         gb.contour(fit, "b", "ratio")
 
 

@@ -109,7 +109,7 @@ def test_regions_of_two_parameters_are_those_of_refits():
 
 
 def test_a_constant_has_no_profile(windy):
-    with pytest.raises(ValueError, match="there is no 'd' to profile"):
+    with pytest.raises(ValueError, match="has no quantity to profile 'd'"):
         gb.profile(windy[1], "d")
 
 

@@ -257,7 +257,7 @@ def test_errors_of_a_response_are_those_of_its_derivatives():
         covariance, np.array([[0.0], [0.0], [1.0]]), np.ones(3), np.array([1.0, 2.0, 3.0])
     )
     bias = np.array([0.1, -0.2, 0.0])
-    band = band_of(response, slope, known, [1, 1, 2], 0.95, 9.0, bias)
+    band = band_of(response, slope, known.of([1, 1, 2]), 0.95, 9.0, bias)
     total = slope[0, 0] + slope[0, 1]
     assert_allclose(
         band.covariance[0], 0.09 * np.outer([total.real, total.imag], [total.real, total.imag])
@@ -266,7 +266,7 @@ def test_errors_of_a_response_are_those_of_its_derivatives():
     ratio = total / (2 + 1j)
     assert_allclose(band.relative_error[:, 0], 0.3 * np.abs([ratio.real, ratio.imag]))
     assert_allclose(band.bias, slope @ bias)
-    first = band_of(response, slope, known, [0, 1, 1], 0.95, 9.0, bias)
+    first = band_of(response, slope, known.of([0, 1, 1]), 0.95, 9.0, bias)
     gradient = np.array([[0.0, 2 - 1], [0.3, 0.0]])
     assert_allclose(first.covariance[1], gradient @ covariance[:2, :2] @ gradient.T)
 

@@ -16,7 +16,7 @@ from numpy.testing import assert_array_equal
 from sampled_lag import lag_problem
 
 import greybox as gb
-from greybox.estimate.fit import fingerprint, fit_keeping
+from greybox.estimate.fit import SolverChoice, fingerprint, fit_keeping
 from greybox.study.store import StoredRuns, locked, read_members
 
 RESPONSE = gb.Problem(
@@ -127,11 +127,13 @@ def test_a_member_that_fails_does_not_stop_the_rest(tmp_path):
 def test_another_problem_under_the_same_name_is_refused_and_changes_nothing(tmp_path):
     gb.batch(members()[:1], tmp_path, progress=False)
     files = {path: path.read_bytes() for path in tmp_path.rglob("*.*")}
-    with pytest.raises(ValueError, match="answer to another problem under the name 'response'"):
+    with pytest.raises(
+        ValueError, match="the answer of 'response' in this study belongs to another"
+    ):
         gb.batch([gb.study.Member(OTHER, 12, name="response")], tmp_path, progress=False)
     other = StoredRuns(tmp_path, "response")
-    with pytest.raises(ValueError, match="those of another problem"):
-        other.known(fingerprint(OTHER))
+    with pytest.raises(ValueError, match="belong to another problem"):
+        other.known(fingerprint(OTHER, SolverChoice()))
     with pytest.raises(ValueError, match="began at other starts, from number 0 on"):
         gb.batch(
             [gb.study.Member(RESPONSE, 12, seed=5, name="response", search="multistart")],
@@ -142,7 +144,7 @@ def test_another_problem_under_the_same_name_is_refused_and_changes_nothing(tmp_
 
 
 def test_what_is_no_study_is_said(tmp_path):
-    with pytest.raises(FileNotFoundError, match="is no study"):
+    with pytest.raises(FileNotFoundError, match="is not a study"):
         gb.study.read_study(tmp_path)
     with pytest.raises(ValueError, match="2 members have the name"):
         gb.batch([RESPONSE, RESPONSE], tmp_path)
@@ -279,7 +281,7 @@ def test_runs_of_every_kind_come_back_as_they_were(tmp_path, problem):
     kept = Noted(tmp_path, "fit")
     fit = fit_keeping(kept, problem, 4, progress=False)
     kept.write()
-    known = StoredRuns(tmp_path, "fit").known(fingerprint(problem))
+    known = StoredRuns(tmp_path, "fit").known(fingerprint(problem, SolverChoice()))
     assert sorted(known) == sorted(found)
     assert [number for number in sorted(known) if number >= 0] == [0, 1, 2, 3]
     assert (min(known) < 0) == (problem is not RESPONSE)  # the neighborhood of the best

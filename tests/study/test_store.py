@@ -98,7 +98,7 @@ def test_runs_that_are_removed_are_gone(tmp_path):
 
 def test_runs_of_another_problem_are_refused(tmp_path):
     stored(tmp_path, PLAIN)
-    with pytest.raises(KeptRunsError, match="those of another problem"):
+    with pytest.raises(KeptRunsError, match="belong to another problem"):
         StoredRuns(tmp_path, "fit").known("another problem")
 
 

@@ -110,7 +110,9 @@ def test_a_term_that_ended_at_another_bound_or_is_not_determined_is_told(drags):
         gb.validation.nested_test(small, replace(large, dof=0.0))
     # A cost that is larger by what solvers leave is none.
     assert gb.validation.nested_test(small, replace(large, cost=small.cost + 0.009)).p_value == 1.0
-    with pytest.raises(ValueError, match="its fit has not found the minimum; give it more starts"):
+    with pytest.raises(
+        ValueError, match="its fit has not reached the minimum; give it more starts"
+    ):
         gb.validation.nested_test(small, replace(large, cost=small.cost + 0.011))
 
 
@@ -195,7 +197,7 @@ def test_a_worse_fit_of_the_larger_model_is_told():
         gb.validation.nested_test(small, replace(large, cost=small.cost + 1))
     said = gb.compare(small, replace(large, cost=small.cost + 1)).statements[0]
     assert said.startswith(
-        "It cannot be told which of LinearDrag and Drag fits the data better: Drag costs more"
+        "The data do not show which of LinearDrag and Drag fits them better: Drag costs more"
     )
 
 
