@@ -65,7 +65,8 @@ def test_out_and_plot_are_written_and_kept(capsys, tmp_path):
     before = saved.read_bytes()
     assert "--force" in refused(capsys, *command)
     assert saved.read_bytes() == before
-    assert run(capsys, *command, "--force")[0] == 0
+    assert run(capsys, *command[:-2], "--force")[0] == 0
+    assert saved.read_bytes() != before
 
 
 def test_nothing_is_written_when_the_input_is_bad(capsys, tmp_path):

@@ -26,7 +26,7 @@ LOG = str(files("greybox.problems") / "data" / "sitl_pitch.BIN")
 
 def test_the_single_commands_give_the_same(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    status, out, _ = run(capsys, "identify", LOG, "--json")
+    status, out, _ = run(capsys, "identify", LOG, "--starts", "2", "--json")
     answer = json.loads(out)
     assert status == 0
     assert answer["files"] == ["sitl_pitch_response.csv", "sitl_pitch_fit.h5", "sitl_pitch.png"]
@@ -66,7 +66,7 @@ def test_what_does_not_explain_the_data_is_a_failure(capsys, tmp_path, monkeypat
 
 def test_the_single_commands_of_a_family_give_the_same(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    family = ("--vehicle", "multirotor", "--fix", "T_rotor=0.05", "--starts", "4")
+    family = ("--vehicle", "multirotor", "--fix", "T_rotor=0.05", "--starts", "2")
     answer = json.loads(run(capsys, "identify", LOG, *family, "--json")[1])
     fitting = shlex.split(answer["commands"][-1])[1:]
     assert fitting[0] == "fit"
@@ -87,7 +87,7 @@ def test_a_choice_is_an_option(capsys, tmp_path, monkeypatch):
         "1.5",
         "30",
         "--starts",
-        "3",
+        "2",
         "--out",
         "own",
     ]
@@ -117,7 +117,7 @@ def test_a_log_of_px4_from_response_to_model(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "flight.ulg").write_bytes(px4_flight())
     status, out, _ = run(
-        capsys, "identify", "flight.ulg", "--vehicle", "multirotor", "--starts", "4", "--json"
+        capsys, "identify", "flight.ulg", "--vehicle", "multirotor", "--starts", "2", "--json"
     )
     answer = json.loads(out)
     assert status == 0

@@ -104,7 +104,7 @@ def test_standard_errors_of_a_predictor_use_the_residuals_not_the_deviations_tha
 
 def test_a_likelihood_that_grows_toward_the_limit_of_stability_is_no_stall():
     """The velocity is not measured and hardly disturbed: its pole would leave the unit circle."""
-    problem = gb.Problem(BlindTilt(), windy_flight(3, {"q": 0.3}, 60), WIND, fixed=ROTOR)
+    problem = gb.Problem(BlindTilt(), windy_flight(3, {"q": 0.3}, 30), WIND, fixed=ROTOR)
     found = fit(problem, starts=1)
     assert [run.status for run in found.runs] == ["converged"]
     assert_true(found, {name: value for name, value in TILT.items() if name not in ROTOR})
@@ -117,11 +117,11 @@ def test_what_innovations_do_not_drive_need_not_be_forgotten():
 
 
 def test_a_fit_of_prediction_errors_takes_as_few_iterations_as_one_of_output_errors():
-    data = windy_flight(0, {"v": 0.5, "q": 0.5}, 25)
+    data = windy_flight(0, {"v": 0.5, "q": 0.5}, 15)
     output, prediction = (
         sum(
             run.iterations
-            for run in fit(gb.Problem(FullTilt(), data, rule, fixed=ROTOR), starts=2).runs
+            for run in fit(gb.Problem(FullTilt(), data, rule, fixed=ROTOR), starts=1).runs
         )
         for rule in (gb.OutputError(inputs="held"), WIND)
     )

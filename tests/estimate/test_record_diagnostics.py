@@ -311,7 +311,7 @@ def drifting(loop, n=6000, step=0.01, gust=0.07, sensor=0.002, seed=0):
 
 
 def colors(record, criterion):
-    fit = gb.fit(gb.Problem(Drift(), record, criterion), starts=3, progress=False)
+    fit = gb.fit(gb.Problem(Drift(), record, criterion), starts=1, progress=False, profiles=False)
     return fit, [
         text
         for text in fit.warnings
@@ -367,7 +367,7 @@ def test_a_predictor_at_the_limit_of_its_stability_is_told():
     ] + 0.05 * random.normal(size=n)
     rules = (gb.PredictionError(inputs="held"), gb.OutputError(inputs="held"))
     fits = [
-        gb.fit(gb.Problem(Drift(), record.with_signals(x=x), rule), starts=3, progress=False)
+        gb.fit(gb.Problem(Drift(), record.with_signals(x=x), rule), starts=1, progress=False)
         for rule in rules
     ]
     told = [any("reached the stability limit" in text for text in fit.warnings) for fit in fits]

@@ -145,12 +145,12 @@ def test_gains_of_the_closed_loop_are_those_of_a_sampled_lag():
 def test_intervals_cover_the_true_margins_and_are_as_wide_as_the_scatter():
     # A measured response has the delay of the hold of its control.
     truth = gb.margins(RateDynamics(), RateLoop(), {**TRUTH, "tau": TRUTH["tau"] - 0.5 / RATE})
-    answers = [gb.margins(fitted(seed), RateLoop()) for seed in range(12)]
+    answers = [gb.margins(fitted(seed), RateLoop()) for seed in range(8)]
     names = "phase margin, gain margin, delay margin, modulus margin, crossover, bandwidth, "
     names += "disturbance rejection peak, -180 deg frequency, overshoot, rise time, damping ratio"
     for name in names.split(", "):
         low, value, high = np.array([(a[name].low, a[name].value, a[name].high) for a in answers]).T
-        assert np.sum((low <= truth[name].value) & (truth[name].value <= high)) >= 10
+        assert np.sum((low <= truth[name].value) & (truth[name].value <= high)) >= 6
         half_width = np.mean(high - low) / 2
         assert 1.2 < half_width / np.std(value, ddof=1) < 3.4
 

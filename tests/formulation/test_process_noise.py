@@ -80,10 +80,10 @@ def test_the_estimate_is_the_minimum_of_the_likelihood_of_a_kalman_filter(windy)
     # BFGS's approximation is far off: the curvature by differences.
     size = 0.1 * np.array([*error, 0.02, 0.05])
     H = np.zeros((8, 8))
-    for i, j in np.ndindex(8, 8):
+    for i, j in zip(*np.triu_indices(8), strict=True):
         e, f = size * np.eye(8)[i], size * np.eye(8)[j]
         corners = [(e + f, 1), (e - f, -1), (f - e, -1), (-e - f, 1)]
-        H[i, j] = sum(s * negative_log_likelihood(at + d, record) for d, s in corners) / (
+        H[i, j] = H[j, i] = sum(s * negative_log_likelihood(at + d, record) for d, s in corners) / (
             4 * size[i] * size[j]
         )
     assert_allclose(error, np.sqrt(np.diag(np.linalg.inv(H)))[:6], rtol=0.15)

@@ -247,7 +247,7 @@ def test_filters_of_the_log_are_in_series_with_the_model(filtered_rate_log):
         "output": "q=RATE.P",
         "setpoint": "SIDD.Targ",
         "band": (1.5, 60.0),
-        "starts": 5,
+        "starts": 2,
     }
     structures = [DampedRotation()]
     found = gb.identify(filtered_rate_log, structures=structures, **stated)

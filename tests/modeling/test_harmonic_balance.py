@@ -1,8 +1,9 @@
 """Finite amplitudes: describing functions, simulated and periodic solutions, the linear limit, derivatives, fits."""
 
+import math
 import re
 from functools import cache
-from itertools import pairwise
+from itertools import cycle, pairwise
 
 import casadi as ca
 import numpy as np
@@ -67,7 +68,7 @@ def simulated_velocity(omega, swing, middle=0.0, C_x=TRUTH["C_x"]):
     period = 2 * np.pi / omega
 
     def slope(t, v):
-        return PAPER_G * np.tan(middle + swing * np.cos(omega * t)) - C_x * np.abs(v) * v
+        return PAPER_G * math.tan(middle + swing * math.cos(omega * t)) - C_x * abs(v[0]) * v[0]
 
     begin = np.sign(middle) * np.sqrt(PAPER_G * np.tan(abs(middle)) / C_x)
     last = (PERIODS + np.arange(256) / 256) * period
@@ -163,15 +164,14 @@ def test_the_tilt_with_a_sine_for_control_solves_the_periodic_boundary_value_pro
 @pytest.mark.parametrize("model", [LinearTilt(), YawStates()], ids=repr)
 @pytest.mark.parametrize("delay", ["exact", "pade:2"])
 def test_a_linear_model_keeps_its_linear_response_whatever_moves_sinusoidally(model, delay):
-    for signal in (*model.inputs, *model.outputs, *model.states):
-        for output in model.outputs:
-            options = {"output": output, "delay": delay}
-            response = gb.modeling.harmonic_response(
-                model, {}, OMEGA, amplitude={signal: 40.0}, **options
-            ).response
-            assert_allclose(
-                response, gb.frequency_response(model, {}, OMEGA, **options).response, rtol=1e-10
-            )
+    signals = dict.fromkeys((*model.inputs, *model.outputs, *model.states))
+    for signal, output in zip(signals, cycle(model.outputs), strict=False):
+        options = {"output": output, "delay": delay}
+        response = gb.modeling.harmonic_response(
+            model, {}, OMEGA, amplitude={signal: 40.0}, **options
+        ).response
+        linear = gb.frequency_response(model, {}, OMEGA, **options).response
+        assert_allclose(response, linear, rtol=1e-10)
 
 
 @pytest.mark.parametrize("signal", ["theta", "u"])
@@ -335,7 +335,7 @@ def test_a_fit_finds_the_friction_and_a_threshold_inside_a_condition():
     exact = 1 / (2j * omega + 0.3 + 4 * 1.0 / (np.pi * speed))
     data = gb.FrequencyResponse(omega, exact, input="F", output="v")
     sine = gb.modeling.Sine("v", speed, harmonics=1)
-    fit = gb.fit(gb.Problem(Rubbing(), data, amplitude=sine), [{}], progress=False)
+    fit = gb.fit(gb.Problem(Rubbing(), data, amplitude=sine), [{}], progress=False, profiles=False)
     assert fit.estimate["c"] == pytest.approx(1.0, rel=1e-4)
     assert fit.estimate["m"] == pytest.approx(2.0, rel=1e-4)
 
@@ -350,7 +350,7 @@ def test_a_fit_finds_the_friction_and_a_threshold_inside_a_condition():
     gain = 1 - 2 / np.pi * (np.arcsin(0.6) - 0.6 * share)
     data = gb.FrequencyResponse([1.0, 2.0, 3.0], np.full(3, gain), input="u", output="y")
     sine = gb.modeling.Sine("u", 1.0, harmonics=1)
-    fit = gb.fit(gb.Problem(Gap(), data, amplitude=sine), [{}], progress=False)
+    fit = gb.fit(gb.Problem(Gap(), data, amplitude=sine), [{}], progress=False, profiles=False)
     assert fit.estimate["d"] == pytest.approx(0.6, rel=1e-3)
 
 
@@ -462,17 +462,17 @@ def test_small_and_large_sines_and_two_operating_points_are_one_fit():
     parts = [
         gb.Problem(
             NonlinearTilt(),
-            made(SWING / 6, seed=2),
-            amplitude={"theta": np.full(OMEGA.size, SWING / 6)},
+            made(SWING / 6, seed=2, omega=OMEGA[::2]),
+            amplitude={"theta": np.full(3, SWING / 6)},
         ),
         gb.Problem(
             NonlinearTilt(),
-            made(SWING, middle, seed=3),
+            made(SWING, middle, seed=3, omega=OMEGA[::2]),
             amplitude={"theta": SWING},
             at={"theta": middle},
         ),
     ]
-    fit = gb.fit(parts[0] + parts[1], [TRUTH_FREE], progress=False)
+    fit = gb.fit(parts[0] + parts[1], [TRUTH_FREE], progress=False, profiles=False)
     for name in fit.free:
         assert abs(fit.estimate[name] - TRUTH[name]) < 3 * fit.standard_error[name]
 

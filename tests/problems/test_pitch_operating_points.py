@@ -23,7 +23,7 @@ def test_alone_each_table_is_explained_as_by_the_transfer_function(costs):
     """At 5° the drag has the slope a5 of the paper, in hover none: there (4.25) is the same with a5 = 0."""
     hover, moving = (alone for alone, _ in costs.values())
     assert moving == pytest.approx(pitch_5deg.minimum, rel=1e-5)
-    undamped = gb.fit(gb.Problem(Tilt(), pitch_hover.data(), fixed={"a5": 0.0}), 12, progress=False)
+    undamped = gb.fit(gb.Problem(Tilt(), pitch_hover.data(), fixed={"a5": 0.0}), 4, profiles=False)
     assert hover == pytest.approx(undamped.cost, rel=1e-5)
 
 

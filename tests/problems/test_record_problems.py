@@ -46,11 +46,19 @@ def assert_same(a, b, names=NAMES, share=0.01):
 # --- answers that must not depend on the way
 
 
+def late_spring():
+    return gb.Problem(Spring(), spring(values=SPRING | {"d": 0.033}), HELD, free=("d",))
+
+
+@pytest.fixture(scope="module")
+def late_fit():
+    return fit(late_spring())
+
+
 @pytest.mark.parametrize("segment", [1, 2, 7, 64, 500])
-def test_the_answer_does_not_depend_on_the_segments(segment):
-    problem = gb.Problem(Spring(), spring(values=SPRING | {"d": 0.033}), HELD, free=("d",))
-    usual, other = (fit(problem, method=m) for m in (None, gb.MultipleShooting(segment=segment)))
-    assert_same(usual, other, (*NAMES, "d"))
+def test_the_answer_does_not_depend_on_the_segments(segment, late_fit):
+    other = fit(late_spring(), method=gb.MultipleShooting(segment=segment))
+    assert_same(late_fit, other, (*NAMES, "d"))
 
 
 def test_the_answer_does_not_depend_on_the_order_of_the_records():
@@ -379,7 +387,7 @@ def test_a_stiff_model():
         )
 
     found = solve_ivp(
-        slope, (0, 11.9), (0, 0), "Radau", np.arange(120) * 0.1, rtol=1e-8, atol=1e-10, max_step=0.1
+        slope, (0, 11.9), (0, 0), "Radau", np.arange(120) * 0.1, rtol=1e-5, atol=1e-7, max_step=0.1
     )
     noisy = found.y + 0.02 * np.random.default_rng(0).normal(size=found.y.shape)
     # A fast state has its own value right after a step of the input, before which it is sampled.

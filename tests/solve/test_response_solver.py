@@ -29,8 +29,8 @@ def stages(fit):
 
 @pytest.mark.parametrize("module", PAPER, ids=lambda module: module.__name__.rpartition(".")[2])
 def test_the_minima_of_the_paper_are_those_of_ipopt_from_every_start(module):
-    wanted = gb.fit(module.problem(), 30, search="multistart", progress=False)
-    fit = gb.fit(module.problem(), 30, progress=False)
+    wanted = gb.fit(module.problem(), 8, search="multistart", profiles=False)
+    fit = gb.fit(module.problem(), 30, profiles=False)
     assert set(stages(wanted)) == {"polished"}
     assert stages(fit).count("improved") >= 25
     assert fit.agreeing >= 24  # searches with a weak barrier reach that of yaw in 82 of 100 cases
@@ -253,13 +253,13 @@ def test_what_ipopt_does_not_confirm_is_solved_again_from_its_start():
 
 
 def test_by_default_the_promising_starts_are_run_and_the_others_kept_with_their_costs():
-    fit = gb.fit(pitch_hover.problem(), progress=False)
+    fit = gb.fit(pitch_hover.problem(), progress=False, profiles=False)
     counts = {stage: stages(fit).count(stage) for stage in ("screened", "improved", "polished")}
     assert counts["screened"] == 192
     assert counts["improved"] + counts["polished"] == 8
     assert fit.agreeing == 8
     assert fit.cost == pytest.approx(
-        gb.fit(pitch_hover.problem(), 20, search="multistart").cost, rel=1e-7
+        gb.fit(pitch_hover.problem(), 4, search="multistart", profiles=False).cost, rel=1e-7
     )
     assert "8 of 8 converged (192 of 200 starts were screened out); 8 agree" in str(fit)
     screened = [run for run in fit.runs if run.stage == "screened"]
@@ -286,13 +286,13 @@ def test_where_promising_starts_disagree_all_are_run():
     s = 1j * omega
     two = 1 + sum(0.5 * s / (s**2 / w + 2 * 0.01 * s + w) for w in (5.0, 20.0, 100.0))
     fit = gb.fit(
-        gb.Problem(Resonance(), gb.FrequencyResponse(omega, two, "x", "y")), progress=False
+        gb.Problem(Resonance(), gb.FrequencyResponse(omega, two, "x", "y")), profiles=False
     )
     wanted = gb.fit(
         gb.Problem(Resonance(), gb.FrequencyResponse(omega, two, "x", "y")),
         30,
         search="multistart",
-        progress=False,
+        profiles=False,
     )
     assert len(fit.minima) >= 3
     assert fit.cost <= wanted.cost * (1 + 1e-6)
@@ -332,7 +332,7 @@ def test_a_time_limit_cuts_between_batches(clock):
     together = ResponseSolver(compile_problem(problem)).together
     assert together < 512
 
-    fit = gb.fit(problem, 320, seconds=280, progress=False)
+    fit = gb.fit(problem, 320, seconds=280, progress=False, profiles=False)
     assert together <= len(fit.runs) < 320
     assert all(run.status != "time limit of the fit" for run in fit.runs)
     assert fit.warnings[0].startswith(

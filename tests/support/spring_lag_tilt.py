@@ -65,8 +65,8 @@ SPRING = {"k": 9.0, "c": 1.2, "b": 4.0}
 LAG = {"K": 3.0, "T": 0.2}
 
 
-def fit(problem, starts=ONE, **options):
-    return gb.fit(problem, starts=starts, progress=False, **options)
+def fit(problem, starts=ONE, *, profiles=False, **options):
+    return gb.fit(problem, starts=starts, progress=False, profiles=profiles, **options)
 
 
 def deviations(found, truth):
