@@ -21,9 +21,7 @@ sys.dont_write_bytecode = False
 # Of few tests, but slow: they begin first, so that no core waits for them at the end.
 FIRST = ("test_notebooks.py", "test_nested_models.py", "test_hard_models.py", "test_kalman_gain.py")
 
-settings.register_profile(
-    "steady", derandomize=True, deadline=None, database=None, max_examples=40
-)
+settings.register_profile("steady", derandomize=True, deadline=None, database=None, max_examples=40)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "steady"))
 
 

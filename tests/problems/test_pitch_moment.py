@@ -51,7 +51,9 @@ def test_three_terms_are_supported_and_the_fourth_is_not_beyond_chance(selection
     last = {t.term: t for t in selection.trials if t.step == selection.trials[-1].step}
     assert last["b_vq"].cost == pytest.approx(separate.cost, rel=1e-4)
     assert last["b_vq"].p_value > last["b_vq"].limit
-    assert separate.cost == pytest.approx(pitch_hover.minimum + pitch_5deg.minimum, rel=0.01)  # there a5 is 0.16 in hover, here zero
+    assert separate.cost == pytest.approx(
+        pitch_hover.minimum + pitch_5deg.minimum, rel=0.01
+    )  # there a5 is 0.16 in hover, here zero
 
 
 def test_what_two_tables_cannot_tell_apart_another_angle_tells(selection):
