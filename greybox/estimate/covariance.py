@@ -206,7 +206,7 @@ def assess(
     seen, invisible = determined_directions(unit, active * size, bounded)
     idle = [k for k in bounded if not (unit[:, k].any() or active[:, k].any())]
     combinations = invisible_groups(
-        np.hstack([invisible, np.eye(p)[:, idle]]), size, nlp.free, parts
+        np.hstack([invisible, np.eye(p)[:, idle]]), size, nlp.free, [part.initial for part in parts]
     )
 
     numbers = sum(part.numbers for part in parts) - seen.shape[1]

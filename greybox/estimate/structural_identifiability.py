@@ -11,11 +11,12 @@ import numpy as np
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
+from greybox.compiled.segmented_part import Placed
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
-from greybox.estimate.covariance import Accuracy, assess, known_directions
-from greybox.estimate.identifiability import identifiability
-from greybox.estimate.undetermined import Combination
+from greybox.estimate.covariance import informations
+from greybox.estimate.identifiability import KnownDirections, identifiability
+from greybox.estimate.undetermined import Combination, invisible_groups
 from greybox.files.arrays import Array, BoolArray
 from greybox.files.text_table import counted, listed, one_line
 from greybox.formulation.frequency_criteria import SquaredRelativeError
@@ -41,6 +42,9 @@ GROWTH = (
 # made for.
 SIZES = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3)
 LARGEST = 30.0  # state, in sizes that are plausible for SI units
+# Singular value of the Jacobian with columns of unit length. In 23 structures of the literature at
+# four points each, directions without an effect have at most 6e-15, all others at least 1e-5.
+SEEN = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +60,7 @@ class StructuralIdentifiability:
         Parameters, and initial states, that can move together without any effect. In every group
         as many must be fixed as it has `directions`.
     combinations : tuple of str
-        Combinations of such parameters that are determined, such as ``K1 K2``.
+        Combinations of such parameters that are determined, products and sums, such as ``K1 K2``.
     data : str
         The assumed measurements, in words.
     """
@@ -95,8 +99,13 @@ class StructuralIdentifiability:
                 cure = "one" if group.directions == 1 else str(group.directions)
                 yield f"  {listed(members)} cannot be separated: fix {cure} of them."
 
-        if self.combinations:
-            yield f"  determined are {listed(self.combinations)}."
+        lost = len(self.names) - len(self.identifiable)
+        more = lost - sum(group.directions for group in self.groups) - len(self.combinations)
+        formulas = [*self.combinations]
+        if more > 0:
+            formulas.append(f"{counted(more, 'combination')} that is neither product nor sum")
+        if formulas:
+            yield f"  determined are {listed(formulas)}."
         if self.identifiable:
             yield f"  {listed(self.identifiable)} can be determined."
 
@@ -158,36 +167,79 @@ def structural_identifiability(
 
     # The same points at every call: an answer must not change from run to run.
     random = np.random.default_rng(0)
-    best: tuple[int, CompiledProblem, Array, Accuracy] | None = None
+    points: list[_Sensitivity] = []
     for _ in range(POINTS):
         values = {name: p.draw(random) for name, p in model.parameters.items()} | dict(fixed or {})
         if in_frequency:
-            compiled = _of_responses(model, chosen, values, at or {}, options, random)
+            point = _of_responses(model, chosen, values, at or {}, options, random)
         else:
-            compiled = _of_record(model, chosen, values, initial or {}, options, random)
-        if compiled is None:
-            continue
-        nlp, x, trajectories = compiled
-        accuracy = assess(nlp, x, trajectories)
-        lost = sum(group.directions for group in _invisible(accuracy))
-        # At a special point parameters may cancel by chance: the largest rank counts.
-        if best is None or lost < best[0]:
-            best = (lost, nlp, x, accuracy)
+            point = _of_record(model, chosen, values, initial or {}, options, random)
+        if point is not None:
+            points.append(point)
 
-    if best is None:
+    if not points:
         raise ValueError(
             f"{model.label} is finite at none of {POINTS} points of its start boxes: "
             "narrow `starts`."
         )
 
-    _, nlp, x, accuracy = best
+    # At a special point parameters may cancel by chance: the largest rank counts.
+    rank = max(point.rank for point in points)
+    best, *others = [point for point in points if point.rank == rank]
+    names = best.nlp.free
+    groups = invisible_groups(best.directions[rank:].T, best.size, names, [best.initial])
+    elsewhere = others[0].seen if others else None
     return StructuralIdentifiability(
         model=model.label,
-        names=nlp.free,
-        groups=_invisible(accuracy),
-        combinations=tuple(_determined(nlp, x, accuracy)),
+        names=names,
+        groups=groups,
+        combinations=tuple(_determined(best, replace(best.seen, elsewhere=elsewhere), groups)),
         data=f"the {'response' if in_frequency else 'course'} of {listed(chosen)}",
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Sensitivity:
+    """How what is measured follows the free parameters x (p,) at one point.
+
+    Attributes
+    ----------
+    size : (p,) array
+        The change of each parameter that would be noticed if initial states were known.
+    singular, directions : (p,) and (p, p) arrays
+        Singular values of the Jacobian by multiples of `size`, and its right singular vectors.
+    initial : mapping of state to (stretches, p) array
+        How initial states follow the parameters, in changes that would be noticed.
+    """
+
+    nlp: CompiledProblem
+    x: Array
+    size: Array
+    singular: Array
+    directions: Array
+    initial: Mapping[str, Array]
+
+    @classmethod
+    def of(
+        cls, nlp: CompiledProblem, x: Array, jacobian: Array, reach: Array, initial: Any = None
+    ) -> "_Sensitivity":
+        """Take the Jacobian (rows, p), and the length of its columns at known initial states."""
+        size = 1 / np.where(reach > 0, reach, 1.0)
+        _, singular, directions = np.linalg.svd(jacobian * size)
+        singular = np.concatenate([singular, np.zeros(len(x) - len(singular))])
+        return cls(nlp, x, size, singular, directions, initial or {})
+
+    @property
+    def rank(self) -> int:
+        return int(np.sum(self.singular > SEEN))
+
+    @property
+    def seen(self) -> KnownDirections:
+        """The directions that data would determine, as exactly as one likes."""
+        scaled = self.directions[: self.rank] * self.size
+        weight = (1e-12 / self.singular[: self.rank, None]) ** 2
+        unseen = self.directions[self.rank :].T
+        return KnownDirections(scaled.T @ (weight * scaled), unseen, self.size, self.x)
 
 
 def _of_responses(
@@ -197,8 +249,8 @@ def _of_responses(
     at: Mapping[str, float],
     options: Mapping[str, Any],
     random: np.random.Generator,
-) -> tuple[CompiledProblem, Array, tuple[None, ...]] | None:
-    """Return the compiled responses of all pairs, and the point; None if not finite."""
+) -> _Sensitivity | None:
+    """Return the sensitivity of the responses of all pairs; None if not finite."""
     problems = []
     for input in model.input_names or ("",):
         for output in outputs or ("",):
@@ -218,7 +270,10 @@ def _of_responses(
     x = _point(nlp, values)
     # A response of zero at all frequencies would count every parameter as lost.
     seen = np.asarray(nlp.responses(nlp.all_values(x)))
-    return (nlp, x, (None,) * len(problems)) if np.all(np.isfinite(seen)) and np.any(seen) else None
+    if not (np.all(np.isfinite(seen)) and np.any(seen)):
+        return None
+    jacobian = np.vstack([part.jacobian for part in informations(nlp, x)])[:, : len(x)]
+    return _Sensitivity.of(nlp, x, jacobian, np.linalg.norm(jacobian, axis=0))
 
 
 def _of_record(
@@ -228,8 +283,8 @@ def _of_record(
     initial: Mapping[str, Any],
     options: Mapping[str, Any],
     random: np.random.Generator,
-) -> tuple[CompiledProblem, Array, tuple[Trajectory, ...]] | None:
-    """Return a record with random inputs, the point and the trajectory; None if not finite."""
+) -> _Sensitivity | None:
+    """Return the sensitivity of a record with random inputs; None if not finite."""
     time, gaps = _times(model, values, random)
     shape = random.normal(size=(len(model.input_names), len(time)))
     measured = random.normal(size=(len(outputs), len(time)))
@@ -254,9 +309,53 @@ def _of_record(
                 and np.all(np.isfinite(states))
                 and np.all(np.abs(states) < LARGEST)
             ):
-                return nlp, x, (trajectory,)
+                return _of_trajectory(nlp, x, part, trajectory)
 
     return None
+
+
+def _of_trajectory(
+    nlp: CompiledProblem, x: Array, part: RecordPart, trajectory: Trajectory
+) -> _Sensitivity:
+    """Return the sensitivity along a simulated trajectory, with unknown initial states.
+
+    An orthogonal basis takes their effect out. By the normal equations of a fit, directions with
+    1e-5 of the effect of the others could not be told from rounding.
+    """
+    data, n, p = part.data, part.states, len(x)
+    placed: Placed = trajectory.detail
+    slope = placed.slope * nlp.scaling.slope(x)
+    S, J, _ = part.segments.sensitivities(trajectory.states, placed.q, placed.data, slice(None))
+    first = np.cumsum(data.begins_stretch) - 1
+    known = part.model.known_states
+    rows = []
+    follow = np.zeros((n, 0))
+    for k in range(data.segments):
+        if data.begins_stretch[k]:
+            follow = np.zeros((n, n * (first[-1] + 1) + p))
+            follow[:, n * first[k] : n * (first[k] + 1)] = np.eye(n)
+        if data.begins_record[k]:
+            follow[known] = 0
+            follow[known, -p:] = placed.initial_slope[known] @ slope
+        row = J[:, :, :n, k] @ follow
+        row[..., -p:] += J[:, :, n:, k] @ slope
+        rows.append(row.reshape(-1, follow.shape[1]))
+        follow = S[:, :n, k] @ follow
+        follow[:, -p:] += S[:, n:, k] @ slope
+
+    whole = np.vstack(rows)
+    by_states, jacobian = whole[:, :-p], whole[:, -p:]
+    by_states = by_states / np.maximum(np.linalg.norm(by_states, axis=0), 1e-300)
+    initial = np.linalg.lstsq(by_states, jacobian)[0].reshape(-1, n, p)
+    basis = np.linalg.qr(by_states)[0]
+    reach = np.linalg.norm(jacobian, axis=0)
+    # The second time takes out what rounding left the first time.
+    for _ in range(2):
+        jacobian = jacobian - basis @ (basis.T @ jacobian)
+    states = part.system.states
+    return _Sensitivity.of(
+        nlp, x, jacobian, reach, {name: initial[:, i] for i, name in enumerate(states)}
+    )
 
 
 @one_thread_at_a_time
@@ -286,12 +385,6 @@ def _times(
     return step * np.arange(gaps.size), gaps
 
 
-def _invisible(accuracy: Accuracy) -> tuple[Combination, ...]:
-    """Return the groups of parameters that move without any effect."""
-    # Groups with a finite index are merely hard to separate, which more data would cure.
-    return tuple(group for group in accuracy.combinations if math.isinf(group.index))
-
-
 def _without_bounds(nlp: CompiledProblem) -> CompiledProblem:
     """Return the problem without bounds: nothing is estimated, so none may hold a parameter."""
     return replace(nlp, lower=np.full(len(nlp.free), -np.inf), upper=np.full(len(nlp.free), np.inf))
@@ -302,17 +395,12 @@ def _point(nlp: CompiledProblem, values: Mapping[str, float]) -> Array:
     return np.array([values.get(name, declared[name].start) for name in nlp.free])
 
 
-def _determined(nlp: CompiledProblem, x: Array, accuracy: Accuracy) -> Iterator[str]:
+def _determined(
+    point: _Sensitivity, directions: KnownDirections, groups: Sequence[Combination]
+) -> Iterator[str]:
     """Yield the combinations of what is not identifiable that are."""
-    directions = known_directions(nlp, accuracy, x, np.eye(len(x), len(nlp.names)))
-    if directions is None:
-        return
-
-    lost = {name for group in _invisible(accuracy) for name in group.names}
-    # Enough data make any error small, so every visible direction counts as determined.
-    directions = replace(directions, covariance=1e-12 * directions.covariance)
-    units = [nlp.problem.parameters[name].unit for name in nlp.free]
-
-    for combination in identifiability(nlp.free, units, directions, accuracy.at_bound).combinations:
+    lost = {name for group in groups for name in group.names}
+    units = [point.nlp.problem.parameters[name].unit for name in point.nlp.free]
+    for combination in identifiability(point.nlp.free, units, directions, ()).combinations:
         if set(combination.names) <= lost:
             yield combination.formula

@@ -1,12 +1,11 @@
 """Combinations of parameters that the data do not determine, or determine poorly."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.compiled.part import Information
 from greybox.files.arrays import Array
 
 BLIND = 1e-5  # share of an invisible direction above which a quantity has no standard error
@@ -38,7 +37,7 @@ class Combination:
 
 
 def invisible_groups(
-    invisible: Array, size: Array, names: tuple[str, ...], parts: Sequence[Information]
+    invisible: Array, size: Array, names: tuple[str, ...], initial: Sequence[Mapping[str, Array]]
 ) -> tuple[Combination, ...]:
     """Return the groups of parameters that move without effect in `invisible` directions (p, b).
 
@@ -62,8 +61,8 @@ def invisible_groups(
         moves[members] = block * size[members, None]
         states = {
             state: None
-            for part in parts
-            for state, follow in part.initial.items()
+            for of_part in initial
+            for state, follow in of_part.items()
             # Initial states that change by less than this share take no part.
             if np.any(np.abs(follow[:, : len(names)] @ moves) > 1e-3)
         }

@@ -779,11 +779,8 @@ def test_invisible_directions_that_share_no_parameter_are_groups_of_their_own():
     mixed = np.array([[0.6, 0, 0.8, 0], [0, 1.0, 0, 0]]).T @ [[0.8, -0.6], [0.6, 0.8]]
     size = np.array([1.0, 10.0, 0.1, 1.0])
     follow = {"x": np.array([[0.0, 0.0, 1.0, 0.0]]), "v": np.array([[0.0, 1e-5, 0.0, 5.0]])}
-    parts = [
-        SimpleNamespace(initial=follow),
-        SimpleNamespace(initial={"z": np.array([[0.1, 0.0, 0.0, 0.0]])}),
-    ]
-    second, first = invisible_groups(mixed, size, ("a", "b", "c", "d"), parts)
+    initial = [follow, {"z": np.array([[0.1, 0.0, 0.0, 0.0]])}]
+    second, first = invisible_groups(mixed, size, ("a", "b", "c", "d"), initial)
     assert (first.names, first.index, first.directions, first.states) == (
         ("c", "a"),
         math.inf,

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from classic_structures import STRUCTURES
 
 import greybox as gb
 from greybox.estimate.structural_identifiability import StructuralIdentifiability, _times
@@ -180,7 +181,7 @@ def test_what_cannot_be_told_apart_in_words():
         "  k and m cannot be separated: fix one of them.\n"
         "  idle has no effect: fix it or remove it.\n"
         "  a, b, c and the initial state of x cannot be separated: fix 2 of them.\n"
-        "  determined are k m.\n"
+        "  determined are k m and 1 combination that is neither product nor sum.\n"
         "  T can be determined."
     )
     assert repr(found) == "<StructuralIdentifiability Plant, 1 of 7 parameters>"
@@ -223,3 +224,16 @@ def test_of_two_outputs_both_responses_tell():
     found = gb.structural_identifiability(TwoOutputs(), at={"x": 0.0})
     assert not found.groups
     assert found.data == "the response of y and z"
+
+
+@pytest.mark.parametrize("structure", STRUCTURES, ids=lambda s: s.model.label)
+def test_structures_of_the_literature_are_judged_rightly(structure):
+    answer = gb.structural_identifiability(structure.model)
+    groups = {(frozenset(group.names), group.directions) for group in answer.groups}
+    assert groups == {(frozenset(names.split()), count) for names, count in structure.groups}
+
+
+def test_what_a_motor_determines_beside_a_product_is_counted():
+    motor = next(s.model for s in STRUCTURES if s.model.label == "Motor")
+    # The response has three coefficients; only that of s², L J/Km, is a product.
+    assert "L J/Km and 2 combinations" in str(gb.structural_identifiability(motor))
