@@ -252,3 +252,15 @@ def test_an_answer_is_knowledge_of_the_parameters_that_it_shares():
         [0.6],
         [[0.25]],
     )
+
+
+def test_data_that_contradict_a_prior_are_named():
+    data = responses(3, np.geomspace(0.5, 5, 8))  # T is 0.5
+    warned = [
+        any("contradict the prior of T" in warning for warning in fit.warnings)
+        for fit in (
+            gb.fit(gb.Problem(Lag(), data, prior={"T": (mean, 0.02)}), **ONE)
+            for mean in (0.4, 0.48, 0.53, 0.65)
+        )
+    ]
+    assert warned == [True, False, False, True]

@@ -8,6 +8,7 @@ Begin with `general`.
 | `identifiability` | Which parameters do the data determine, alone or in combination? |
 | `global_minimum` | Is this the global minimum, and the only one? |
 | `noise_level` | Is the noise as large as stated, and does the criterion use that? |
+| `prior_conflict` | Do the data contradict the a-priori knowledge? |
 | `frequency_correlation` | Are the errors of neighboring frequencies independent? |
 | `outlying_points` | Which point of a response is an outlier? |
 | `records` | Do the residuals in time look like noise, and were all samples compared? |

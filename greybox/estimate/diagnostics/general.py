@@ -27,6 +27,7 @@ from greybox.estimate.diagnostics.noise_level import unlikely_noise, unused_nois
 from greybox.estimate.diagnostics.not_finite import not_finite_warnings
 from greybox.estimate.diagnostics.outlying_points import outlying_points
 from greybox.estimate.diagnostics.records import finding_warnings, record_warnings
+from greybox.estimate.diagnostics.prior_conflict import prior_conflicts
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.result import Fit
 from greybox.solve.discretization_error import DiscretizationError
@@ -67,6 +68,7 @@ def warnings(
         *not_determined(nlp, accuracy),
         *held_without_error(nlp, accuracy),
         *no_degrees_of_freedom(nlp),
+        *prior_conflicts(answer),
         *at_bounds(nlp, best, accuracy),
         *few_agreeing_starts(nlp, search, answer.agreeing),
         *unfinished_runs(search),
