@@ -26,8 +26,8 @@ from greybox.estimate.diagnostics.identifiability import (
 from greybox.estimate.diagnostics.noise_level import unlikely_noise, unused_noise
 from greybox.estimate.diagnostics.not_finite import not_finite_warnings
 from greybox.estimate.diagnostics.outlying_points import outlying_points
-from greybox.estimate.diagnostics.records import finding_warnings, record_warnings
 from greybox.estimate.diagnostics.prior_conflict import prior_conflicts
+from greybox.estimate.diagnostics.records import finding_warnings, record_warnings
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.result import Fit
 from greybox.solve.discretization_error import DiscretizationError
