@@ -10,9 +10,10 @@ import greybox as gb
 from greybox.logs.ardupilot import SYSTEMID_AXES
 from greybox.logs.flight_controllers import AXES, named_filters
 from greybox.logs.named_columns import in_si
-from greybox.models import ardupilot
+from greybox.logs.px4 import AXES as PX4_AXES
+from greybox.models import ardupilot, betaflight, px4
 from greybox.models.control_check import check_controller
-from greybox.models.digital_filters import SampledLowPass, SampledNotch
+from greybox.models.digital_filters import SampledLag, SampledLowPass, SampledNotch
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,7 +27,10 @@ class FlownController:
     axis : str
     signals : mapping of str to str
         Own inputs, setpoints and output of the last controller to signals of the log, such as
-        ``{"q": "RATE.P", "u": "RATE.POut"}``. The first setpoint must be there.
+        ``{"q": "RATE.P", "u": "RATE.POut"}``; a plus adds several. The first setpoint must be
+        there.
+    factors : mapping of str to float
+        Of signals whose unit is not that of the controller.
     start, end : float, s
         Of the test.
     notes : tuple of str
@@ -36,6 +40,7 @@ class FlownController:
     controllers: tuple
     axis: str
     signals: Mapping[str, str]
+    factors: Mapping[str, float]
     start: float = -math.inf
     end: float = math.inf
     notes: tuple = ()
@@ -53,22 +58,23 @@ class FlownController:
     def record(self, recording):
         """Return the signals of the last controller in SI, at the times of its control."""
         law = self.controllers[-1]
-        record, name = self._located(recording, law.outputs[0])
-        record = max(record.between(self.start, self.end).pieces, key=len)
-        columns = {law.outputs[0]: record[name]}
-        for own in (*law.inputs, *law.setpoints):
-            if own in self.signals:
-                other, name = self._located(recording, own)
-                present = np.isfinite(other[name])
-                columns[own] = np.interp(record.time, other.time[present], other[name][present])
-        return gb.Record(record.time, columns)
+        records = {own: self._located(recording, own) for own in self.signals}
+        base = max(records[law.outputs[0]][0][0].between(self.start, self.end).pieces, key=len)
+        columns = {}
+        for own, terms in records.items():
+            columns[own] = np.zeros(len(base))
+            for record, name in terms:
+                present = np.isfinite(record[name])
+                values = np.interp(base.time, record.time[present], record[name][present])
+                columns[own] += values * self.factors.get(own, 1.0)
+        return gb.Record(base.time, columns)
 
     def _located(self, recording, own):
         try:
-            record, name = recording.locate(self.signals[own])
+            places = [recording.locate(name) for name in self.signals[own].split("+")]
         except KeyError as error:
             raise ValueError(f"the log does not show its control law: {error.args[0]}") from None
-        return in_si(record, [name]), name
+        return [(in_si(record, [name]), name) for record, name in places]
 
     def __str__(self):
         laws = [
@@ -87,7 +93,8 @@ def from_log(
     Parameters
     ----------
     recording : Recording
-        ArduPilot (PARM) of Copter or Plane.
+        Of ArduPilot (Copter or Plane; PARM), PX4 (ULog), or of Betaflight, a table with the
+        settings before the header, as Blackbox Explorer exports it.
     axis : "roll", "pitch" or "yaw"
     start, end : float, s
         Of the test, on the log's clock.
@@ -105,39 +112,80 @@ def from_log(
     """
     if axis not in AXES:
         raise ValueError(f"the axis {axis!r} is not one of {', '.join(AXES)}.")
-    about = recording.metadata
-    vehicle = about.get("vehicle", "")
-    begin = [
-        f"ATC_RAT_{ardupilot.COPTER[axis]}_",
-        f"ATC_ANG_{ardupilot.COPTER[axis]}_",
-        "INS_GYRO_F",
-    ]
-    if vehicle == "ArduPlane":
-        begin = [f"{name}_" for name in ardupilot.PLANE.get(axis, ())]
-    parameters = parameters_during(recording, start, end, begin)
-    rate = parameters.get("SCHED_LOOP_RATE", 400.0)
+    known = recording.metadata.get("parameters", {})
+    firmware = _plane if recording.metadata.get("vehicle") == "ArduPlane" else _copter
+    if "looptime" in known:
+        firmware = _betaflight
+    elif "MC_PITCHRATE_P" in known:
+        firmware = _px4
+    parameters = parameters_during(recording, start, end, PREFIXES[firmware](axis))
     try:
-        if vehicle == "ArduPlane":
-            laws, notes = ardupilot.plane(parameters, axis, rate, _scaler(recording, start, end))
-        else:
-            laws, notes = ardupilot.copter(parameters, axis, rate)
+        laws, notes, logged = firmware(recording, parameters, axis, start, end)
     except KeyError as error:
         raise ValueError(
             f"{recording.source or 'the recording'} has no parameter {error.args[0]}, so the gains "
             f"of {axis} are not known: log the parameters of the controller."
         ) from None
-    names = AXES[axis]
-    logged = {"u": names.controls[0], "q": names.rates[0], "q_reference": names.setpoints[2]}
-    if _injected(recording, start, end) == f"mixer {axis}":
-        logged["mixer"] = "SIDD.Targ"
 
     outside = dict(signals or {})
     filters = []
     if outside.get("q", "").endswith("_dot") if raw_rate is None else raw_rate:
-        filters = _gyro_filters(recording, axis, rate, outside.get("q", "q"))
-        outside["q"] = filters[-1].outside("filtered") if filters else outside.get("q", "q")
+        raw = outside.get("q", "q")
+        filters = _in_series(_gyro_filters(recording, parameters), laws[-1].rate, raw)
+        outside["q"] = filters[-1].outside("filtered") if filters else raw
     laws = [_renamed(law, outside) for law in laws]
-    return FlownController((*filters, *laws), axis, logged, start, end, tuple(notes))
+    return FlownController((*filters, *laws), axis, *logged, start, end, tuple(notes))
+
+
+def _copter(recording, parameters, axis, start, end):
+    laws, notes = ardupilot.copter(parameters, axis, parameters["SCHED_LOOP_RATE"])
+    signals = {"u": f"RATE.{axis[0].upper()}Out", "q": f"RATE.{axis[0].upper()}"}
+    signals["q_reference"] = f"{signals['q']}Des"
+    if _injected(recording, end) == f"mixer {axis}":
+        signals["mixer"] = "SIDD.Targ"
+    return laws, notes, (signals, {})
+
+
+def _plane(recording, parameters, axis, start, end):
+    scaler = _scaler(recording, start, end)
+    laws, notes = ardupilot.plane(parameters, axis, parameters["SCHED_LOOP_RATE"], scaler)
+    message = f"PID{axis[0].upper()}"
+    terms = "+".join(f"{message}.{term}" for term in ("P", "I", "D", "FF"))
+    signals = {"u": terms, "q": f"{message}.Act", "q_reference": f"{message}.Tar"}
+    # This message is in degrees; 45 degrees of a surface are a control of one.
+    return (
+        laws,
+        notes,
+        (signals, {"u": 1 / 45, "q": math.radians(1), "q_reference": math.radians(1)}),
+    )
+
+
+def _px4(recording, parameters, axis, start, end):
+    # An integral-only rate of the gyro would be 400 Hz by default.
+    laws, notes = px4.controllers(parameters, axis, parameters.get("IMU_GYRO_RATEMAX", 400.0))
+    controls = [c for c in PX4_AXES[axis].controls if c.partition(".")[0] in recording]
+    if not controls:
+        raise ValueError(f"the log has no control of {axis}: log vehicle_torque_setpoint.")
+    signals = {"u": controls[0], "q": PX4_AXES[axis].rates[0]}
+    return laws, notes, ({**signals, "q_reference": f"vehicle_rates_setpoint.{axis}"}, {})
+
+
+def _betaflight(recording, parameters, axis, start, end):
+    laws, notes = betaflight.controllers(parameters, axis)
+    k = ("roll", "pitch", "yaw").index(axis)
+    held = {name for record in recording.values() for name in record.signals}
+    # Terms without a gain are not logged; feed-forward is left out on both sides.
+    terms = "+".join(name for t in "PID" if (name := f"axis{t}[{k}]") in held)
+    signals = {"u": terms or f"axisP[{k}]", "q": f"gyroADC[{k}]", "q_reference": f"setpoint[{k}]"}
+    return laws, notes, (signals, {"u": 1 / betaflight.MIXER})
+
+
+PREFIXES = {
+    _copter: lambda axis: [f"ATC_{kind}_{ardupilot.COPTER[axis]}_" for kind in ("RAT", "ANG")],
+    _plane: lambda axis: [f"{name}_" for name in ardupilot.PLANE.get(axis, ())],
+    _px4: lambda axis: [f"MC_{axis.upper()}RATE_", f"MC_{axis.upper()}_P"],
+    _betaflight: lambda axis: [f"{axis}PID", "dterm_"],
+}
 
 
 def parameters_during(recording, start, end, begin):
@@ -175,33 +223,40 @@ def _renamed(controller, outside):
     return type(controller)(dict(controller.values), rate=controller.rate, signals=signals)
 
 
-def _injected(recording, start, end):
+def _injected(recording, end):
     """Return the axis of System Identification mode in a test, such as "mixer pitch"."""
     if "SIDS" not in recording:
         return ""
     record = recording["SIDS"]
     numbers = [int(n) for t, n in zip(record.time, record["Ax"], strict=True) if t <= end]
-    return (
-        SYSTEMID_AXES[numbers[-1] - 1] if numbers and 0 < numbers[-1] <= len(SYSTEMID_AXES) else ""
-    )
+    return dict(enumerate(SYSTEMID_AXES, 1)).get(numbers[-1], "") if numbers else ""
 
 
-def _gyro_filters(recording, axis, rate, raw):
-    """Return the filters of the gyro as controllers in series, from `raw` to ``q_filtered``."""
-    known = named_filters(recording, axis)
-    kinds = []
-    for notch in known.get("gyro-notch", ()):
-        values = {
-            "center": notch.center,
-            "quality": notch.quality,
-            "attenuation": notch.attenuation,
-        }
-        kinds.append((SampledNotch, values))
-    kinds += [(SampledLowPass, {"cutoff": f.cutoff}) for f in known.get("gyro-filter", ())]
-    between = [raw, *(f"filtered_{k}" for k in range(1, len(kinds))), "q_filtered"]
+def _gyro_filters(recording, parameters):
+    """Return the filters between the gyro and the rate controller: (class, values)."""
+    known = named_filters(recording)
+    filters = [
+        (SampledNotch, {"center": f.center, "quality": f.quality, "attenuation": f.attenuation})
+        for f in known.get("gyro-notch", ())
+    ]
+    filters += [(SampledLowPass, {"cutoff": f.cutoff}) for f in known.get("gyro-filter", ())]
+    for n in (1, 2):  # Betaflight's
+        cutoff = parameters.get(f"gyro_lpf{n}_static_hz", 0)
+        kind = int(parameters.get(f"gyro_lpf{n}_type", betaflight.PT1))
+        if cutoff > 0 and kind == betaflight.BIQUAD:
+            filters.append((SampledLowPass, {"cutoff": cutoff}))
+        elif cutoff > 0:
+            count, correction = betaflight.SERIES[kind]
+            filters += count * [(SampledLag, {"cutoff": cutoff * correction})]
+    return filters
+
+
+def _in_series(filters, rate, raw):
+    """Return filters as controllers in series, from the signal `raw` to ``q_filtered``."""
+    between = [raw, *(f"filtered_{k}" for k in range(1, len(filters))), "q_filtered"]
     return [
         kind(values, rate=rate, signals={"raw": between[k], "filtered": between[k + 1]})
-        for k, (kind, values) in enumerate(kinds)
+        for k, (kind, values) in enumerate(filters)
     ]
 
 

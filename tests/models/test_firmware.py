@@ -8,6 +8,7 @@ import pytest
 
 import greybox as gb
 from greybox.data.record import Recording
+from greybox.models import betaflight, px4
 from greybox.models.ardupilot import AngleController, RateController
 from greybox.models.firmware import from_log
 
@@ -158,3 +159,88 @@ def test_a_plane_has_the_speed_scaler_of_its_log(flight):
     assert (angle.values["tau"], rate.values["scaler"], rate.rate) == (0.4, 0.9, 50)
     with pytest.raises(ValueError, match=r"AETR\.SS"):
         from_log(replace(plane, records={}))
+
+
+def px4_log(parameters=None):
+    """A flight with PX4's controllers, by its topics, and what reads them."""
+    gains = {"K": 1.2, "P": 0.15, "I": 0.3, "D": 0.003, "FF": 0.0, "i_max": 0.3, "cutoff": 30.0}
+    laws = [
+        px4.AngleController(rate=250),
+        px4.RateController(gains, rate=250, signals={"q": "theta_dot"}),
+    ]
+    t = np.arange(1000) / 250
+    excitation = {"reference": 0.1 * np.sin(2 * np.pi * (0.5 * t + 0.4 * t**2))}
+    flown = gb.virtual_flight(Plant(), None, excitation, controller=laws)
+    written = {f"MC_PITCHRATE_{n}": gains[n] for n in ("K", "P", "I", "D", "FF")}
+    written |= {"MC_PR_INT_LIM": 0.3, "MC_PITCH_P": 6.5, "MC_PITCHRATE_MAX": 220.0}
+    written |= {"IMU_GYRO_RATEMAX": 250.0, "IMU_DGYRO_CUTOFF": 30.0, "IMU_GYRO_CUTOFF": 40.0}
+    topics = {
+        "vehicle_torque_setpoint": gb.Record(flown.time, {"xyz[1]": flown["u"]}),
+        "vehicle_angular_velocity": gb.Record(flown.time, {"xyz[1]": flown["theta_dot"]}),
+        "vehicle_rates_setpoint": gb.Record(flown.time, {"pitch": flown["q_reference"]}),
+    }
+    return Recording(
+        topics, metadata={"vehicle": "PX4", "parameters": written | (parameters or {})}
+    )
+
+
+def test_a_log_of_px4():
+    flown = from_log(px4_log(), "pitch", signals={"q": "theta_dot"})
+    assert [type(c).__name__ for c in flown.controllers] == [
+        "SampledLowPass",
+        "AngleController",
+        "RateController",
+    ]
+    assert flown.controllers[-1].rate == 250
+    assert flown.check(px4_log()).residual < 1e-9
+    assert "MC_BAT_SCALE_EN" in str(from_log(px4_log({"MC_BAT_SCALE_EN": 1.0})))
+
+
+HEADER = """"looptime","125"
+"pid_process_denom","4"
+"rollPID","45,80,40"
+"d_min","30,34,0"
+"dterm_lpf1_static_hz","75"
+"dterm_lpf1_type","2"
+"dterm_lpf2_static_hz","150"
+"gyro_lpf1_static_hz","250"
+"tpa_rate","65"
+"""
+
+
+def test_a_table_of_betaflight(tmp_path):
+    class Roll(gb.TransferFunction):
+        input, output = "u", "p"
+        K = gb.Parameter(600.0)
+
+        def response(self, s, p):
+            return p.K / (s * (0.03 * s + 1))
+
+    values = {"D": 30.0, "lpf1": 75.0, "lpf1_type": 2, "lpf2": 150.0}
+    law = betaflight.RateController(values, rate=2000, signals={"q": "p"})
+    t = np.arange(6000) / 2000
+    excitation = {"q_reference": np.sin(2 * np.pi * (t + 2 * t**2))}
+    flight = gb.virtual_flight(Roll(), None, excitation, controller=law)
+    columns = {
+        "loopIteration": np.arange(t.size),
+        "time": 1e6 + 500 * np.arange(t.size),
+        "axisP[0]": 1000 * flight["u"],  # in truth the sum of three
+        "setpoint[0]": np.degrees(flight["q_reference"]),
+        "gyroADC[0]": np.degrees(flight["p"]),
+    }
+    names = ",".join(f'"{name}"' for name in columns)
+    rows = "\n".join(
+        ",".join(f"{v:.9g}" for v in row) for row in zip(*columns.values(), strict=True)
+    )
+    path = tmp_path / "flight.csv"
+    path.write_text(f"{HEADER}{names}\n{rows}\n")
+    log = gb.read(path)
+    flown = from_log(log, "roll", signals={"q": "p"}, raw_rate=True)
+    lag, read = flown.controllers
+    assert (lag.values["cutoff"], lag.rate) == (250.0, 2000)
+    assert read.values["D"] == 30  # d_min, in quiet flight
+    assert dict(read.values) == dict(law.values)
+    assert flown.check(log).residual < 1e-6
+    assert any("tpa_rate" in note for note in flown.notes)
+    with pytest.raises(ValueError, match="no parameter pitchPID"):
+        from_log(log, "pitch")

@@ -7,6 +7,7 @@ from scipy.signal import butter, iirnotch, lfilter
 
 import greybox as gb
 from greybox.modeling.model import Names
+from greybox.models import betaflight, px4
 from greybox.models.ardupilot import (
     AngleController,
     PlaneAngleController,
@@ -124,6 +125,63 @@ def test_sensor_filters_are_those_of_scipy():
     spectrum = np.fft.rfft(run(notch, raw=np.eye(1, 4000)[0]))
     assert np.abs(spectrum[500]) < 1e-9
     assert np.abs(spectrum[[0, -1]]) == pytest.approx([1, 1], abs=1e-6)
+
+
+def test_px4_is_its_rate_control():
+    targets, q = walks(2, size=0.05)
+    g = {"K": 1.5, "P": 0.2, "I": 2.0, "D": 0.01, "FF": 0.1, "i_max": 0.2, "cutoff": 25.0}
+    h, integral, acceleration, before, expected = 1 / 250, 0.0, 0.0, 0.0, []
+    share = h / (h + 1 / (2 * np.pi * 25.0))
+    limited = 0
+    for wanted, rate in zip(targets, q, strict=True):
+        acceleration = (1 - share) * acceleration + share * (rate - before) / h
+        before, error = rate, wanted - rate
+        expected.append(
+            g["K"] * g["P"] * error + integral - g["K"] * g["D"] * acceleration + g["FF"] * wanted
+        )
+        factor = max(0.0, 1 - (np.degrees(error) / 400) ** 2)
+        integral += factor * g["K"] * g["I"] * error * h
+        limited += abs(integral) > 0.2
+        integral = np.clip(integral, -0.2, 0.2)
+    assert limited
+    assert_allclose(
+        run(px4.RateController(g, rate=250), q=q, q_reference=targets), expected, atol=1e-12
+    )
+    yaw = px4.RateController({**g, "torque_cutoff": 2.0}, rate=250)
+    smooth = lfilter(*_lag(2.0, 250), expected)
+    assert_allclose(run(yaw, q=q, q_reference=targets), smooth, atol=1e-12)
+    turned = run(px4.AngleController({"P": 2.0}), theta=0.1, reference=0.4)
+    assert turned == pytest.approx([4 * np.sin(0.15)])
+
+
+@pytest.mark.parametrize("kinds", [(0, 1), (2, 3), (1, 0)])
+def test_betaflight_is_its_pid_with_its_scales(kinds):
+    targets, q = np.radians(walks(2, size=0.1))
+    low_pass = {
+        0: [_lag(90.0, 2000)],
+        1: [butter(2, 90.0, fs=2000)],
+        2: 2 * [_lag(90.0 * 1.553773974, 2000)],
+        3: 3 * [_lag(90.0 * 1.961459177, 2000)],
+    }
+    filtered = np.degrees(q)
+    for b, a in (*low_pass[kinds[0]], *low_pass[kinds[1]]):
+        filtered = lfilter(b, a, filtered)
+    error = np.degrees(targets - q)
+    delta = 2000 * np.diff(filtered, prepend=0)
+    integral = 2.5 * 0.244381 * 80 / 2000 * np.cumsum(error)
+    assert np.abs(integral).max() < 400
+    total = 0.8 * (0.032029 * 45 * error - 0.000529 * 30 * delta) + integral
+    values = {"I_factor": 2.5, "TPA": 0.8, "lpf1": 90.0, "lpf2": 90.0, "u_max": 500.0}
+    values |= dict(zip(("lpf1_type", "lpf2_type"), kinds, strict=True))
+    controller = betaflight.RateController(values, rate=2000)
+    given = run(controller, q=q, q_reference=targets)
+    assert_allclose(given, np.clip(total, -500, 500) / 1000, atol=1e-10)
+
+
+def test_filters_of_order_two_and_three_have_the_cutoff_that_they_name():
+    for kind, (count, correction) in betaflight.SERIES.items():
+        gain = (1 + 1j / correction) ** -count
+        assert abs(gain) == pytest.approx(0.5**0.5), kind
 
 
 def test_a_filter_before_a_controller_is_in_the_loop():

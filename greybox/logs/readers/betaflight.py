@@ -17,6 +17,7 @@ import numpy as np
 from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.data.record import Record
 from greybox.files.arrays import Array
+from greybox.files.delimited_text import are_numbers
 from greybox.files.heading import Heading
 
 HEADER = re.compile(rb'^"?loopIteration"?\s*,', re.MULTILINE)
@@ -42,6 +43,19 @@ def without_settings(raw: bytes) -> bytes:
         return raw
     settings = raw[: header.start()].split(b"\n")
     return b"\n".join(b"#" + line for line in settings[:-1]) + b"\n" + raw[header.start() :]
+
+
+def metadata_of(raw: bytes) -> dict[str, dict[str, float]]:
+    """Return the numbers before the header as parameters; of several, ``rollPID[0]`` and so on."""
+    header = HEADER.search(raw)
+    lines = raw[: header.start()].decode(errors="replace").splitlines() if header else []
+    settings = {}
+    for line in lines:
+        name, *values = line.replace('"', "").split(",")
+        if values and are_numbers(values):
+            settings[name] = float(values[0])
+            settings |= {f"{name}[{k}]": float(value) for k, value in enumerate(values)}
+    return {"parameters": settings} if settings else {}
 
 
 def with_units(headings: Sequence[Heading]) -> list[Heading]:

@@ -24,7 +24,7 @@ from greybox.files.heading import Heading, heading
 from greybox.files.progress import counted_off
 from greybox.files.text_table import counted, printable
 from greybox.logs.named_columns import renamed
-from greybox.logs.readers.betaflight import completed, with_units, without_settings
+from greybox.logs.readers.betaflight import completed, metadata_of, with_units, without_settings
 from greybox.logs.readers.messages import on_one_clock, records
 from greybox.logs.readers.table_columns import name_list, of_rows, table
 
@@ -119,7 +119,7 @@ def read(
     ((name, record),) = by_name.items()
     record = completed(replace(record, findings=findings), raw)
 
-    return Recording({name: record}, path.name, checksum, {}, record.findings)
+    return Recording({name: record}, path.name, checksum, metadata_of(raw), record.findings)
 
 
 def _headings(text: DelimitedText) -> list[Heading]:
