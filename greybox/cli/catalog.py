@@ -77,6 +77,7 @@ def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
             "sum of them."
         )
 
+    # The stem names files and figures, whatever the problem calls itself.
     label = Path(place).stem + (f":{name}" if name else "")
     settings = getattr(module, "settings", {})
     for name in settings:
@@ -137,7 +138,8 @@ def _named(name: str, classes: Mapping[str, type[Named]], refusal: str) -> type[
 
 
 def _locate(kind: str, text: str) -> tuple[ModuleType, str]:
-    """Split ``file:name`` and import the file; on Windows a drive letter has a colon too."""
+    """Split ``file:name`` and import the file."""
+    # Not simply at the first colon: on Windows a drive letter has one too.
     match = re.fullmatch(r"(.+\.py)(?::(\w+))?", text)
     if match:
         return module_from_file(Path(match[1])), match[2] or ""
@@ -147,6 +149,7 @@ def _locate(kind: str, text: str) -> tuple[ModuleType, str]:
 
 def _arguments(text: str, whole: str) -> list[Any]:
     try:
+        # The arguments are literals: nothing of what a user pastes here is executed.
         call = ast.parse(f"model{text}", mode="eval").body
         if not isinstance(call, ast.Call) or call.keywords:
             raise ValueError("keywords")

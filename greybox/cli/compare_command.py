@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> Answer:
     if len(options.results) > 1:
         comparison = _comparison(options)
         return attributes(comparison, *SUMMARY), str(comparison), USABLE
-    if options.results[0].is_file():
+    if options.results[0].is_file():  # a study is a folder
         raise UsageError(f"there is one fit, {options.results[0]}: give at least two to compare.")
     study = read_study(options.results[0])
     return as_json(study), str(study), USABLE
@@ -45,6 +45,7 @@ def run(options: argparse.Namespace) -> Answer:
 
 def _comparison(options: argparse.Namespace) -> Comparison:
     paths: Sequence[Path] = options.results
+    # Stems are short; files of one name in several folders need their paths.
     names = [path.stem for path in paths]
     labels = names if len(set(names)) == len(names) else list(map(str, paths))
     if len(set(labels)) < len(labels):

@@ -44,7 +44,7 @@ def read_data(
     """
     path = Path(path)
     require_file(path)
-    # Files that say what they are go first: names of columns may mean several things.
+    # A spectrum states its kind in the file. Names of columns alone may mean several things.
     if not columns and claims_spectrum(path):
         return read_spectrum(path)
     if {"frequency", "magnitude"} & columns.keys() if columns else _is_response(path):
@@ -58,6 +58,7 @@ def read_data(
     try:
         log = read(path, columns=columns or None, rate=rate)
     except ValueError as error:
+        # Options for a record: the user knows what the file is, and the first error says enough.
         if columns or rate:
             raise
         raise ValueError(
@@ -90,7 +91,7 @@ def _is_response(path: Path) -> bool:
     if OMEGA in names or not names:
         return True
     has_time = any(seconds(*heading(name)) for name in names)
-    # Alpha and beta are also angles of a flight.
+    # Alpha and beta are also the angles of attack and sideslip of a flight, which has a time.
     return not has_time and any(
         name.endswith(column) for name in names for column in (OMEGA, *RECTANGULAR)
     )
@@ -105,6 +106,8 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
         for record in log.values()
         if set(inputs) <= set(record.signals) and set(outputs) & set(record.signals)
     ]
+    # A table can be described by options. A log has several messages with clocks of their own, for
+    # which a record must be prepared.
     is_table = len(log) == 1
     if len(records) != 1:
         signals = f"{model.label} ({', '.join((*inputs, ' or '.join(outputs)))})"

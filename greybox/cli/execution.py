@@ -39,13 +39,15 @@ def _answer(options: argparse.Namespace, arguments: Sequence[str]) -> Answer:
             streams.enter_context(contextlib.redirect_stdout(sys.stderr))
         try:
             result, text, status = options.command(options)
-            if "announced" in options:  # measurements name the arguments that choose otherwise
+            # Texts about measurements name the arguments that would choose otherwise.
+            if "announced" in options:
                 text = as_options(text, options)
             return result, "" if options.quiet else text, status
-        except SystemExit:
+        except SystemExit:  # argparse has done its work before: only a user's file calls it here
             return {"error": "a file of your own called sys.exit: remove that call."}, "", BAD_INPUT
         except Exception as error:
-            if take_interrupt():  # Ctrl-C caused the error
+            # Libraries turn Ctrl-C into errors of their own.
+            if take_interrupt():
                 raise KeyboardInterrupt from error
             if options.debug:
                 traceback.print_exc()
@@ -68,7 +70,7 @@ def _explain(error: Exception, arguments: Sequence[str]) -> tuple[str, int]:
     if isinstance(error, UsageError):
         return sentence, BAD_INPUT
 
-    # The user's files by their full path, as they were written on the command line.
+    # Python reports full paths; a user recognizes the file as it was written on the command line.
     files = {
         _full_path(m[1]): m[1] for word in arguments if (m := re.match(r"(.+\.py)(?:$|[:(])", word))
     }

@@ -39,8 +39,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     add_words(parser, "--outputs", "NAME", "measured outputs of a structure (default: all)")
     add_words(parser, "--at", "NAME=VALUE", "operating point at which an ODE is linearized")
-    add_words(parser, "--fix", "NAME=VALUE", "known parameters")
-    add_words(parser, "--free", "NAME", "parameters that the model declares fixed")
+    add_words(parser, "--fix", "NAME=VALUE", "parameters with known values")
+    add_words(parser, "--free", "NAME", "unknown parameters that the model declares fixed")
     add_model_option(parser)
     add_common_options(parser)
 
@@ -58,6 +58,7 @@ def run(options: argparse.Namespace) -> Answer:
         structure = structural_identifiability(find_model(options.subject), **settings)
         return attributes(structure, *STRUCTURE), str(structure), USABLE
     if settings:
+        # The option has another name than the argument of the library.
         flag = {"fixed": "fix"}.get(min(settings), min(settings))
         raise UsageError(
             f"--{flag} is for a structure, and {options.subject} is a fit: leave it out."

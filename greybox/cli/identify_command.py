@@ -125,6 +125,7 @@ def run(options: argparse.Namespace) -> Answer:
     answer = _json(identification, lines)
     text = [str(identification), "", "The same in single commands:", *(f"  {x}" for x in lines)]
     selection, fit = identification.selection, identification.fit
+    # Nothing is written for data that cannot be trusted: the next command would take the files.
     if identification.refusals or selection is None:
         answer["error"] = " ".join(identification.refusals)
         return answer, "\n".join(text), FAILED
@@ -185,6 +186,7 @@ def commands(result: Identification, options: argparse.Namespace, prefix: str) -
 
 def _words(settings: Settings, *names: str) -> list[str]:
     """Return the options for settings that differ from their defaults."""
+    # A command with every default written out would hide what was chosen.
     usual = Settings(settings.input, settings.output)
     values = ((name, getattr(settings, name)) for name in names)
     stated = ((name, value) for name, value in values if value != getattr(usual, name))
@@ -205,6 +207,7 @@ def _fitting(
 
     chosen = result.selection.chosen
     declared = find_model(chosen.label).parameters
+    # Filters in front of the model have parameters that `--through` states, not these options.
     free = [q for q in chosen.fit.quantities if q.kind == "free" and q.name in declared]
     freed = [q.name for q in free if declared[q.name].fixed]
     moved = [

@@ -116,6 +116,7 @@ def contents(recording: Recording) -> str:
     """Return the table of the messages."""
     rows = []
     for name, record in recording.items():
+        # Rows without a time have neither a rate nor a beginning.
         times = ["-", "-", "-"]
         if record.has_time:
             times = [number(rate(record), 4), f"{record.time[0]:.1f}", f"{record.time[-1]:.1f}"]
@@ -132,6 +133,7 @@ def rate(record: Record) -> float:
 
 def _fields(record: Record) -> str:
     names = [f"{n} ({record.units[n]})" if record.units.get(n) else n for n in record.signals]
+    # Some messages have thirty fields, which would break every line of the table.
     return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
 
 

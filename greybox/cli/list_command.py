@@ -62,7 +62,7 @@ def _show(name: str) -> Answer:
 
     doc = _doc(shipped_module("problems", name))
     problem, _ = find_problem(name)
-    # Parts of a joint problem may share a model, which is shown once.
+    # Parts of a joint problem may share a model: its table is printed once.
     models = [part.model for part in problem.parts]
     answer = {
         "name": name,

@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not isinstance(parsed, argparse.Namespace):
             return write_answer(*parsed, as_json)
 
-        # Imports the solvers, which takes half a second.
+        # Importing the solvers takes half a second, which help and mistakes need not wait for.
         from greybox.cli.execution import execute  # noqa: PLC0415
 
         return execute(parsed, arguments)
@@ -93,7 +93,7 @@ def parser_of(commands: Collection[str] = tuple(COMMANDS)) -> argparse.ArgumentP
         formatter_class=HelpFormatter,
         allow_abbrev=False,
     )
-    # Abbreviations are refused: a new option could change what a script means.
+    # No abbreviations: a new option could make one in a script ambiguous.
     parser.add_argument("--version", action="version", version=f"greybox {version('greybox-id')}")
 
     subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
@@ -118,7 +118,7 @@ def parser_of(commands: Collection[str] = tuple(COMMANDS)) -> argparse.ArgumentP
 
 def _parse(arguments: Sequence[str]) -> argparse.Namespace | Answer:
     """Return the options, or what --help, --version or a mistake in the arguments answers."""
-    # The first word that is no option is the command, wherever --json stands.
+    # The first word that is not an option is the command, wherever --json stands.
     first = [word for word in arguments if not word.startswith("-")][:1]
     help_or_version = io.StringIO()
     try:

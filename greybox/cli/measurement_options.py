@@ -78,6 +78,7 @@ def stated_choices(options: argparse.Namespace) -> dict[str, Any]:
             "give one for each input."
         )
 
+    # Options and settings have the same names, so that a new setting needs only its option.
     names = {field.name for field in fields(Settings)}
     values = {name: value for name, value in vars(options).items() if name in names}
     parsed = {"fields": stated_fields(options), "band": stated_band(options.band)}
@@ -88,6 +89,7 @@ def stated_band(words: list[str]) -> tuple[float, float] | None:
     """Return the band in rad/s from ``1 80``, ``0.2 12 Hz`` or ``0.2Hz 12Hz``."""
     if not words:
         return None
+    # People write the unit with a space, without one, or behind both numbers.
     text = " ".join(words)
     in_hz = text.lower().endswith("hz")
     plain = text.lower().replace("rad/s", " ").replace("hz", " ").split()

@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> Answer:
             f"{path.stem!r} cannot be the name of a Python file: use letters, digits and "
             "underscores."
         )
-    # Python looks for modules in the folder of the file first.
+    # Python looks for modules in the folder of the script first: numpy.py would replace numpy.
     if path.stem in PACKAGES | sys.stdlib_module_names:
         raise UsageError(
             f"{path.stem} is the name of a Python package, which {path} would hide: choose another "

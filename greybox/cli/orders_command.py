@@ -63,6 +63,7 @@ def run(options: argparse.Namespace) -> Answer:
     require_fit_file(options.out, options.force)
     columns = stated_columns(options) or None
     data = [read_response(path, columns=columns) for path in options.responses]
+    # The filters are those of the log; all responses of one plant have passed the same ones.
     filters: list[Any] = [f for word in options.through for f in filters_of(word, data[0])]
     selection = select_orders(
         data,

@@ -19,7 +19,7 @@ Answer = tuple[dict[str, Any], str, int]
 USABLE = 0  # a usable answer
 FAILED = 1  # a run that failed
 BAD_INPUT = 2  # bad usage or bad input
-INTERRUPTED = 130  # as of a program that a shell saw end by Ctrl-C
+INTERRUPTED = 130  # what a shell reports of a program that Ctrl-C ended
 
 
 def write_answer(result: dict[str, Any], text: str, status: int, as_json: bool) -> int:

@@ -67,6 +67,7 @@ def with_parameter_options(problem: AnyProblem, options: argparse.Namespace) -> 
 
 def _restated(part: Problem, changes: Mapping[str, Mapping[str, Any]]) -> Problem:
     """Return a part with the changes of its parameters, which it may name differently."""
+    # Options speak of names in the answer. A tied parameter has no value of its own to change.
     inside = {part.outside(name): name for name in part.declared if name not in part.tied}
     changed = {
         what: {inside[name]: value for name, value in values.items() if name in inside}
@@ -78,6 +79,7 @@ def _restated(part: Problem, changes: Mapping[str, Mapping[str, Any]]) -> Proble
             "leave it out."
         )
 
+    # A parameter is either fixed or free: each option undoes what the problem says.
     fixed = {name: x for name, x in part.fixed_values.items() if name not in changed["free"]}
     free = [name for name in part.free if name not in changed["fixed"]]
     return part.with_(

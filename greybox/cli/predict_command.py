@@ -64,6 +64,7 @@ def _signals_of(fit: Fit) -> dict[str, str]:
     """Return the signals of the log from which a fit was made; those of a record have its names."""
     if fit.records:
         return {name: name for name in fit.records[0].data.signals}
+    # `greybox response` notes in the file which signals of the log it has used.
     texts = [part.data.about.get("signals", "") for part in fit.responses]
     pairs = dict(pair.split(" = ") for pair in texts[0].split(", ")) if texts and texts[0] else {}
     model = fit.model_of(0) if pairs else None

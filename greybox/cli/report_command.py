@@ -65,6 +65,7 @@ def run(options: argparse.Namespace) -> Answer:
 def _entries(options: argparse.Namespace) -> list[Any]:
     from greybox.html_report.report import Entry, study_entries  # noqa: PLC0415  (as above)
 
+    # Labels of fits are chosen together, so that they differ; members of a study have names.
     fits = {path: saved_fit(path, options) for path in options.results if not path.is_dir()}
     labels = dict(zip(fits, labels_of(list(fits.values())), strict=True))
     entries: list[Any] = []
@@ -88,6 +89,7 @@ def _held_out(options: argparse.Namespace, entries: Sequence[Any]) -> Comparison
     fitted = [entry for entry in entries if entry.fit is not None]
     if len(fitted) < 2:
         raise UsageError("--held-out compares fits by what they predict: give two or more results.")
+    # All models must have the outputs that are compared, so the first one names the signals.
     model = fitted[0].fit.model_of()
     data = [read_data(path, model, columns=columns, rate=options.rate) for path in options.held_out]
     records = [record for record in data if isinstance(record, Record)]

@@ -148,6 +148,7 @@ def _matrix(options: argparse.Namespace) -> Answer:
 
 
 def _text(recording: Recording, measured: Any, *notes: str) -> str:
+    # What the reader of the log has left out concerns every measurement.
     findings = "\n".join(recording.findings)
     text = "\n\n".join(part for part in (str(measured), findings) if part)
     return "\n".join([text, *notes])

@@ -48,6 +48,7 @@ def stated_fit(options: argparse.Namespace) -> tuple[Fit, AnyProblem | None]:
     ValueError, OSError
         If they do not exist or are something else.
     """
+    # A file contains ties and constraints as texts only, and nothing in a file is executed.
     problem = None if options.problem is None else find_problem(options.problem)[0]
     return saved_fit(options.result, options), problem
 

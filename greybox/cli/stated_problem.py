@@ -96,7 +96,7 @@ def stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, A
     Raises
     ------
     UsageError, ValueError, FileNotFoundError
-        For options that contradict one another, and for unknown names and files.
+        For options that exclude each other, and for unknown names and files.
     """
     if (options.problem is None) == (options.model is None):
         raise UsageError(
@@ -106,6 +106,7 @@ def stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, A
 
     settings: dict[str, Any] = {}
     if options.problem is not None:
+        # A problem has its data: these options would be ignored without a word.
         for name in ("data", "columns", "rate", "through", "input", "output", "at"):
             if getattr(options, name):
                 raise UsageError(f"--{name} goes with --model, not with a PROBLEM.")
@@ -133,6 +134,7 @@ def _problem_of_model(options: argparse.Namespace) -> AnyProblem:
     columns = stated_columns(options)
     names = options.input, options.output
     data = [read_data(path, model, *names, columns, options.rate) for path in options.data]
+    # All responses of one plant have passed the filters that the first one names.
     for word in options.through:
         for known_filter in filters_of(word, data[0]):
             model = through(model, known_filter)
@@ -156,6 +158,7 @@ def filters_of(
     word: str, data: FrequencyResponse | Record | TransientSpectrum
 ) -> list[TransferFunction]:
     """Return the filters that a word of --through names: a model, or filters in the response."""
+    # Names in a response have hyphens, gyro-filter; files and classes cannot have them.
     if not re.fullmatch(r"\w+(-\w+)+", word):
         model = find_model(word)
         if not isinstance(model, TransferFunction):
@@ -203,10 +206,10 @@ def _require_problem(name: str) -> None:
 
 
 def _with_criterion(problem: AnyProblem, name: str) -> AnyProblem:
-    """Give a criterion to the parts with its kind of data; for records, biases and such remain."""
+    """Give a criterion to the parts with its kind of data."""
     if name not in CRITERIA_BY_NAME:
         names = alternatives(name, CRITERIA_BY_NAME)
-        raise UsageError(f"criterion {name!r} is not known; use {names}")
+        raise UsageError(f"there is no criterion {name!r}; there are {names}")
 
     criterion = CRITERIA_BY_NAME[name]
     served = {noun: kind for noun, (kind, criteria) in KINDS.items() if criterion in criteria}
@@ -235,6 +238,7 @@ def _with_criterion(problem: AnyProblem, name: str) -> AnyProblem:
 
 def _like(criterion: Criterion | TimeCriterion, previous: Any) -> Criterion | TimeCriterion:
     """Return a criterion with the settings that all criteria for records have."""
+    # Biases, noise and known initial states describe the data, whatever the criterion.
     if not (isinstance(criterion, TimeCriterion) and isinstance(previous, TimeCriterion)):
         return criterion
     shared = {field.name: getattr(previous, field.name) for field in fields(TimeCriterion)}

@@ -130,6 +130,7 @@ def _members(entry: Mapping[str, Any], path: Path) -> list[Member]:
             )
 
     grid = {name: entry[name] for name in GRID if isinstance(entry.get(name), list)}
+    # Members have unique names: each contains the values in which it differs from the others.
     varied = [name for name, values in grid.items() if len(values) > 1 and name != "problem"]
     members = []
     for values in itertools.product(*grid.values()):
@@ -145,7 +146,8 @@ def _members(entry: Mapping[str, Any], path: Path) -> list[Member]:
 def _member(entry: Mapping[str, Any], path: Path) -> Member:
     """Return a member, whose keys are read as the options of ``greybox fit``."""
     words = []
-    # The parser of `greybox fit` checks the values, so that both have the same rules.
+    # Written as words for the parser of `greybox fit`, values obey the same rules and have the same
+    # messages.
     for key, value in entry.items():
         if key == "name":
             continue
@@ -175,6 +177,7 @@ def _words(key: str, value: Any) -> list[str]:
         return [word for item in value for word in _words(key, item)]
     if not isinstance(value, dict):
         return [str(value)]
+    # An interval is a list of two numbers in TOML and LOW:HIGH on the command line.
     between = "+-" if key == "prior" else ":"
     ends = {n: v if isinstance(v, list) else [v] for n, v in value.items()}
     return [f"{name}={between.join(map(str, numbers))}" for name, numbers in ends.items()]
@@ -188,5 +191,6 @@ def _difference(key: str, value: Any) -> str:
 
 def _beside(word: str, folder: Path) -> str:
     """Return the name of a file as a path from the study file, and any other word as it is."""
+    # A study must not depend on the folder in which the command runs.
     is_file = re.match(r".+\.py(?:$|:)", word) or (folder / word).is_file()
     return str(folder / word) if is_file else word

@@ -11,7 +11,7 @@ def make_writable() -> None:
     for stream in (sys.stdout, sys.stderr):
         reconfigure = getattr(stream, "reconfigure", None)
         if reconfigure is not None:
-            # A terminal without ± must not cost the answer.
+            # A terminal that has no ± must still show the answer.
             reconfigure(errors="backslashreplace")
 
 
@@ -35,6 +35,7 @@ def write(text: str, stream: TextIO | None) -> str:
 
 
 def _discard(stream: TextIO) -> None:
-    """Discard what is still to be written: Python would complain about it again when it ends."""
+    """Discard the rest of the output."""
+    # Python flushes the stream once more when it ends, and would print a traceback about it.
     with contextlib.suppress(OSError, ValueError), open(os.devnull, "wb") as nowhere:
         os.dup2(nowhere.fileno(), stream.fileno())

@@ -32,7 +32,7 @@ def stated_executor(options: argparse.Namespace) -> Iterator[Executor | None]:
     UsageError
         When Dask is not installed, or no scheduler answers.
     """
-    # One worker would be this process with the cost of another.
+    # One worker would do the work of this process and cost the start of another one.
     if options.workers is not None and options.workers > 1:
         with WorkerPool(options.workers) as pool:
             yield pool

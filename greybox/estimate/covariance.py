@@ -48,17 +48,17 @@ class Accuracy:
         Numbers in the data less the directions they choose; infinite where all have given
         variances, records never. Fewer where errors are correlated.
     shares : tuple of (k, k) array and float
-        What each part, and each earlier fit, contributes to the covariance, and the degrees of
-        freedom it has.
+        Contribution of each part and of each earlier fit to the covariance, with its degrees of
+        freedom.
     combinations : tuple of Combination
-        What the data do not, or hardly, determine.
+        Combinations that the data do not determine, or determine poorly.
     at_bound : tuple of str
         Free parameters that ended at a bound.
     active : tuple of str
         Constraints, and bounds of tied parameters, that hold with equality.
     bias : (k,) array
-        Of the estimate, by what the criteria normalize with: see `AnyCriterion.gain_bias`. What an
-        earlier fit has is not in it.
+        Bias of the estimate from the magnitude by which a criterion divides, see
+        `AnyCriterion.gain_bias`; without that of an earlier fit.
     white : (p, p) array or None
         The covariance of the free parameters if the cost were the likelihood of white errors: the
         inverse bread.
@@ -66,13 +66,13 @@ class Accuracy:
         Covariance of the free parameters, and degrees of freedom, if the errors of responses were
         independent along frequency; None where they are.
     correlation : (parts,) tuple of ColoredErrors or None
-        What correlation in time makes of each record; None for responses, and where errors are
+        Effect of correlation in time on each record; None for responses, and where errors are
         taken as white.
     neighbors : (parts,) tuple of CorrelatedPoints or None
-        What correlation along frequency makes of each response; None for others, and where nothing
-        is known of it.
+        Effect of correlation along frequency on each response; None for others, and where it is
+        not known.
     informations : (parts,) tuple of Information
-        What every part says, for what else follows from the covariance.
+        Information of every part.
     """
 
     names: tuple[str, ...]
@@ -80,11 +80,11 @@ class Accuracy:
     blind: Array
     size: Array
     dof: float
-    shares: tuple[tuple[Array, float], ...]
-    combinations: tuple[Combination, ...]
-    at_bound: tuple[str, ...]
-    active: tuple[str, ...]
     bias: Array
+    shares: tuple[tuple[Array, float], ...] = ()
+    combinations: tuple[Combination, ...] = ()
+    at_bound: tuple[str, ...] = ()
+    active: tuple[str, ...] = ()
     white: Array | None = None
     independent: tuple[Array, float] | None = None
     correlation: tuple[ColoredErrors | None, ...] = ()
@@ -93,7 +93,7 @@ class Accuracy:
 
     @classmethod
     def unknown(cls, nlp: CompiledProblem) -> "Accuracy":
-        """Return an accuracy of which nothing is known."""
+        """Return the accuracy of a fit without an estimate: NaN everywhere."""
         k = len(nlp.names)
         return cls(
             names=nlp.names,
@@ -101,10 +101,6 @@ class Accuracy:
             blind=np.zeros((k, 0)),
             size=np.ones(k),
             dof=0.0,
-            shares=(),
-            combinations=(),
-            at_bound=(),
-            active=(),
             bias=np.zeros(k),
             correlation=(None,) * len(nlp.parts),
             neighbors=(None,) * len(nlp.parts),
@@ -134,7 +130,7 @@ class _Corrected:
     """The information of a part, its noise larger for the parameters that the noise pays for.
 
     `independent` is the same for errors that are independent along frequency, with `numbers`
-    degrees of freedom; `colored` and `neighbors` tell how the errors are correlated.
+    degrees of freedom; `colored` and `neighbors` describe how the errors are correlated.
     """
 
     share: _Share
@@ -317,6 +313,7 @@ def known_directions(
     """
     if not np.all(np.isfinite(accuracy.covariance)) or not accuracy.shares:
         return None
+    # Directions of parameters at their bounds are among the blind ones only because these are held.
     scaled = slopes * accuracy.size
     inside = np.array([name not in accuracy.at_bound for name in nlp.names], dtype=bool)
     unseen = accuracy.blind[:, np.any(np.abs(accuracy.blind[inside]) > 0, axis=0)]
@@ -395,12 +392,9 @@ def propagate(accuracy: Accuracy, gradient: Array) -> Array:
 
 
 def _corrected(part: Information, share: _Share, root: Array) -> _Corrected:
-    """Scale the noise of a part for its share pᵢ = tr(B⁻¹ Bᵢ) of the p parameters.
-
-    2nᵢ residuals then have 2nᵢ - pᵢ degrees of freedom, as if the part had been fitted alone with
-    pᵢ parameters. Correlated errors have degrees of freedom of their own. `root` (p, r) is one of
-    B⁻¹.
-    """
+    """Scale the noise of a part for its share of the parameters; `root` (p, r) is one of B⁻¹."""
+    # The share is pᵢ = tr(B⁻¹ Bᵢ): 2nᵢ residuals then have 2nᵢ - pᵢ degrees of freedom, as if the
+    # part had been fitted alone with pᵢ parameters. Correlated errors have their own.
     p = len(root)
     problem = part.part.problem
     paid = round(float(np.sum((share.root @ root) ** 2)), 9)  # of a fit alone a whole number
@@ -490,7 +484,8 @@ def determined_directions(
 
 
 def _share(part: Information, *, p: int, correction: float = 1.0, dof: float = math.inf) -> _Share:
-    """Return what a part tells of the `p` unknowns, its noise scaled by `correction`."""
+    """Return the information of a part on `p` unknowns, its noise scaled by `correction`."""
+    # Exact data would have infinite weight, and rounding in them would hide all other parts.
     scale, meat = part.spread(correction)
     free, weight = part.jacobian[:, :p], part.part.weight
     pull = np.zeros(p) if part.offset is None else weight * scale * free.T @ part.offset(correction)
@@ -511,13 +506,10 @@ def _at_bound(
     shares: Sequence[_Share],
     trajectories: Sequence[Trajectory | None],
 ) -> tuple[str, ...]:
-    """Name the parameters that a bound holds.
-
-    How close a solver comes to a bound depends on its tolerances. A parameter is held where it is
-    closer than the data can tell, by the standard error that it would have with all others known,
-    and where its multiplier says that the cost would fall beyond. Within rounding it is held in any
-    case.
-    """
+    """Name the parameters that a bound holds."""
+    # How close a solver comes to a bound depends on its tolerances, not on the data. A parameter is
+    # held if it is closer than the data can resolve (by the standard error that it would have with
+    # all others known) and if its multiplier says that the cost would decrease beyond the bound.
     distance = np.minimum(np.abs(x - nlp.lower), np.abs(x - nlp.upper))
     bound = np.where(np.abs(x - nlp.lower) <= np.abs(x - nlp.upper), nlp.lower, nlp.upper)
     size = np.maximum(np.abs(x), np.where(np.isfinite(bound), np.abs(bound), 0.0))

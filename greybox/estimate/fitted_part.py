@@ -22,7 +22,7 @@ PRIOR = Prior(noise={}).class_path
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FittedPart:
-    """One problem of the sum with its data, in plain values.
+    """One problem of the sum with its data, as plain values.
 
     Attributes
     ----------
@@ -177,6 +177,7 @@ class FittedRecord(FittedPart):
     @property
     def added(self) -> tuple[str, ...]:
         """Names inside of the parameters that the criterion added to those of the model."""
+        # With process noise the gains follow from the variances, which are estimated instead.
         biases = tuple(f"{name}_bias" for name in self.biases)
         if self.driven:
             return (
@@ -239,7 +240,8 @@ class FittedSpectrum(FittedPart):
         return self.data.outputs[output] - self.fitted[output]
 
     def fit_percent(self, output: str) -> float:
-        """Return 100 (1 - |residual| / |measured|) over the band, which has no mean value."""
+        """Return 100 (1 - |residual| / |measured|) over the band."""
+        # Not less the mean as in time: a band above zero frequency has none.
         size = float(np.linalg.norm(self.data.outputs[output]))
         return 100 * (1 - float(np.linalg.norm(self.residual(output))) / size) if size else math.nan
 

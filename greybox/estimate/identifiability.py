@@ -36,7 +36,7 @@ CANDIDATES = 8
 
 @dataclass(frozen=True, eq=False)
 class KnownDirections:
-    """What the data tell of the free parameters, also where they leave directions open.
+    """The information of the data on parameters, also where they leave directions open.
 
     Attributes
     ----------
@@ -135,7 +135,7 @@ class DeterminedCombination:
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """How well the data determine each parameter. Printing it gives the table of CIFER.
+    """How well the data determine each parameter; printed, it is CIFER's table.
 
     Attributes
     ----------
@@ -145,19 +145,19 @@ class Identifiability:
         Cramér-Rao bound, the standard error of the fit, as a share of the absolute value; NaN where
         there is none. Guideline: at most 0.2.
     insensitivity : (p,) array
-        The standard error that it would have if all others were known, as a share of the absolute
-        value; infinite where the parameter has no effect. Guideline: at most 0.1. A large error
-        with a small insensitivity means correlation, a large insensitivity means that the data
-        hardly tell of the parameter.
+        The standard error that the parameter would have if all others were known, as a share of the
+        absolute value; infinite without any effect. Guideline: at most 0.1. A large error with a
+        small insensitivity means correlation. A large insensitivity means that the data contain
+        little information on the parameter.
     at_bound : tuple of str
-        What ended at a bound, and is taken as known.
+        Parameters that ended at a bound, and are taken as known.
     correlated : tuple of (str, str, float)
         Pairs with a correlation above 0.9, largest first.
     condition : float
         Condition number of the Jacobian with columns of unit length; infinite where a direction is
         not determined.
     combinations : tuple of DeterminedCombination
-        What is determined although its members are not, the simplest that say all.
+        Combinations that are determined although their members are not: the simplest ones.
 
     Source: Tischler and Remple (2012), Aircraft and Rotorcraft System Identification, 2nd ed.,
     chapter 12.
@@ -260,15 +260,16 @@ def _combinations(
             continue
         gradients = directions.gradients(rows, is_product=is_product)
         error = directions.errors(gradients)
-        # Of each member, as it enters: NaN, where it is not determined at all, counts as infinite.
+        # The contribution of each member alone. One that is not determined at all, NaN, is
+        # infinite.
         single = np.where(rows != 0, np.abs(gradients) * np.nan_to_num(errors, nan=0.0), np.inf)
         smallest = np.where((rows != 0) & np.isnan(errors), np.inf, single).min(axis=1)
         good = (error * GAIN < smallest) & directions.hold_elsewhere(rows, is_product=is_product)
         if is_product:
             good &= error < ERROR_GUIDELINE
         else:
-            # A sum is as good as the data: within what they would tell of its members if the others
-            # were known.
+            # A sum of values of opposite sign may be nearly zero: measure its error by the larger
+            # of the members then.
             good &= error < ERROR_GUIDELINE * np.maximum(
                 np.abs(rows @ value), np.abs(rows * value).max(axis=1)
             )
@@ -284,7 +285,8 @@ def _combinations(
             for k in np.flatnonzero(good)
         ]
 
-    # The simplest first: fewest factors, products before sums, few divisors, then the best known.
+    # The simplest first: fewest factors, products before sums, few divisors, smallest error. Others
+    # follow from the chosen ones.
     chosen: list[DeterminedCombination] = []
     spanned = np.zeros((0, len(value)))
     for _, _, _, is_product, row, error in sorted(
@@ -303,6 +305,7 @@ def _combinations(
 def _products(members: Sequence[int], p: int) -> Array:
     """Return candidate powers (m, p): of two members, and first powers of more."""
     rows = []
+    # Powers without a common divisor and with a positive first one: others are powers of these.
     for count in range(2, MEMBERS + 1):
         if count > 2 and len(members) > CANDIDATES:
             break
@@ -321,6 +324,7 @@ def _products(members: Sequence[int], p: int) -> Array:
 
 def _sums(members: Sequence[int], units: Sequence[str], p: int) -> Array:
     """Return sums and differences (m, p) of two members of one unit."""
+    # A sum of a length and a time has no meaning, whatever the data determine.
     rows = []
     for i, j in combinations(members, 2):
         if units[i] == units[j]:

@@ -23,6 +23,7 @@ Table = tuple[list[str], list[list[str]], tuple[int, ...]]
 
 def text(fit: Any) -> str:
     """Return a `Fit` as text."""
+    # In the order of a reader's questions: did it converge, to what, how precise, what is doubtful.
     table = ["  " + line for line in text_table(*parameter_table(fit)).splitlines()]
     remarks = ["  " + line for line in _remarks(fit)]
     if not fit.converged:
@@ -158,7 +159,7 @@ def _bias_text(fit: Any) -> str:
     """Name the quantities whose intervals are corrected for a bias."""
     # With a bias of 0.3 standard errors, a 95 % interval without the correction would cover 94 %.
     biased = [q for q in fit.quantities if abs(q.bias) > 0.3 * q.standard_error > 0]
-    # The most biased first, in standard errors: only three are named.
+    # The largest biases in standard errors first, since only three are named.
     biased.sort(key=lambda q: -abs(q.bias) / q.standard_error)
     if not biased:
         return ""
@@ -186,7 +187,7 @@ def _profile_lines(fit: Any) -> list[str]:
 
 
 def _prior_texts(fit: Any) -> list[str]:
-    """Return the a-priori knowledge with its share in the information on each parameter."""
+    """Return the priors with their shares in the information on each parameter."""
     if not fit.priors:
         return []
     share = fit.prior_share

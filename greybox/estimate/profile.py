@@ -120,12 +120,9 @@ def _compiled(fit: Fit, problem: AnyProblem | None, level: float) -> CompiledPro
 
 
 def profiled_where_misleading(nlp: CompiledProblem, fit: Fit) -> Profiles | None:
-    """Profile the parameters whose standard error says little; None where there are none.
-
-    Their interval by the standard error leaves the bounds, or their error exceeds half the value. A
-    profile takes some forty solves, so problems too large for the batched search, records with
-    states and long tables are not profiled unless the user asks.
-    """
+    """Profile the parameters whose standard error misleads; None if there are none."""
+    # A profile takes some forty solves. Problems too large for the batched search, records with
+    # states and long tables would take minutes: only the user can ask for these.
     if fit.white is None or nlp.limits or nlp.programs[-1].roots or fit.priors:
         return None
     static = all(isinstance(part, RecordPart) and part.is_static for part in nlp.parts)
@@ -153,6 +150,8 @@ def profiled_where_misleading(nlp: CompiledProblem, fit: Fit) -> Profiles | None
 
 
 def _misleads(line: Quantity, low: float, high: float) -> bool:
+    # With an error of half the value, the interval contains zero: a pole or a lag then has a
+    # likelihood that is far from symmetric.
     leaves_bounds = low < line.bounds[0] or high > line.bounds[1]
     return leaves_bounds or line.standard_error > 0.5 * abs(line.value)
 
@@ -293,7 +292,7 @@ class _Search:
         points = [self.best]
         step = self.first
         bound = self.bounds[direction > 0]
-        # A step may triple, so that the 40th point lies beyond any crossing.
+        # A step may triple each time, so that the 40th point lies beyond any crossing.
         while len(points) < 40:
             last = points[-1]
             room = abs(bound - last.value)

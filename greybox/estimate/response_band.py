@@ -131,6 +131,7 @@ def require_level(level: float) -> None:
 
 def radius(level: float, dof: float) -> float:
     """Return √(2 F), the radius for two components; F has (2, dof) degrees of freedom."""
+    # With two numerator degrees of freedom the quantile of F has this closed form.
     outside = 1 - level
     squared = -2 * np.log(outside) if np.isinf(dof) else dof * (outside ** (-2 / dof) - 1)
     return float(np.sqrt(squared))

@@ -174,7 +174,7 @@ def _read_minima(group: Stored) -> tuple[Minimum, ...]:
 
 
 def _read_part(group: Stored) -> AnyFittedPart:
-    # The kind follows from a field, not from a class name that the file could invent.
+    # The kind follows from a field: a class name in a file of a stranger could be anything.
     kind = next(kind for name, kind in PARTS.items() if name in group)
     part = kind(**read_fields(group, fields_of(kind)))
     model = part.model
@@ -241,6 +241,7 @@ def _require_consistent_directions(directions: KnownDirections | None, size: int
 
 
 def _require_consistent_part(part: AnyFittedPart) -> None:
+    # Arrays of other shapes would be broadcast silently, and printed as if they belonged together.
     sizes = {"n": len(part.data)}
     if isinstance(part, FittedResponse):
         _require_shapes(part, {"response": "n"}, sizes)

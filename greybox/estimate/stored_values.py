@@ -126,6 +126,7 @@ def write_table(group: Node, rows: Any, kinds: Mapping[str, Any]) -> None:
 
 def read_table(group: Stored, kinds: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the rows of a table as mappings by column."""
+    # Whole columns at once: HDF5 reads single numbers slowly.
     columns = [group[name][()] for name in kinds]
     return [
         {
@@ -146,7 +147,7 @@ def as_kind(value: Any, kind: Any) -> Any:
     ValueError, TypeError
         If it is something else.
     """
-    # Settings of criteria are plain values already; their classes check them.
+    # Settings of criteria are plain values; the classes of the criteria check them.
     if kind is Any:
         return value
     if _is_scalar(kind):
@@ -195,6 +196,7 @@ def _members(kind: Any, value: Any) -> list[tuple[str, Any, Any]] | None:
 
 def _without_none(kind: Any) -> Any:
     """Return X of the annotation `X | None`."""
+    # None is left out of the file: HDF5 has no such value.
     if get_origin(kind) in (Union, types.UnionType) and type(None) in get_args(kind):
         return next(member for member in get_args(kind) if member is not type(None))
     return kind

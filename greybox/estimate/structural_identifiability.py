@@ -285,6 +285,7 @@ def _of_record(
     random: np.random.Generator,
 ) -> _Sensitivity | None:
     """Return the sensitivity of a record with random inputs; None if not finite."""
+    # Random inputs excite everything. Gaps make stretches, each from unknown initial states.
     time, gaps = _times(model, values, random)
     shape = random.normal(size=(len(model.input_names), len(time)))
     measured = random.normal(size=(len(outputs), len(time)))

@@ -71,7 +71,7 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
 
 def _output(part: Any, name: str) -> dict[str, Any]:
     """Return how well an output of a record or a manoeuvre is fitted."""
-    # The standard deviation of the residuals, given or estimated.
+    # Diagonal of the covariance of the residuals, given or estimated.
     noise = float(part.noise[part.outputs.index(name), part.outputs.index(name)])
     return {
         "part": part.name,

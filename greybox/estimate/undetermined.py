@@ -87,6 +87,7 @@ def collinear_groups(
     """
     rows = np.vstack([jacobian, active])
     inside = [k for k, name in enumerate(names) if name not in at_bound and rows[:, k].any()]
+    # Columns of unit length: the index measures how parallel effects are, not how large.
     length = np.linalg.norm(jacobian[:, inside], axis=0)
     limits = active[:, inside]
     limit_length = np.linalg.norm(limits, axis=1, keepdims=True)

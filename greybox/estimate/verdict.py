@@ -42,6 +42,8 @@ def verdict(fit: Any) -> Verdict:
         sentences = ("There is no estimate: " + fit.status + ".", *fit.warnings[:1], ended)
         return Verdict("failed", tuple(text for text in sentences if text))
 
+    # First whether this is the minimum, then how close, then how certain: each needs the one
+    # before.
     minimum, found_again = _minimum(fit)
     determined, well = _determined(fit)
     grade = "good" if found_again and well and not fit.warnings else "doubt"
@@ -53,6 +55,7 @@ def verdict(fit: Any) -> Verdict:
 
 def _minimum(fit: Any) -> tuple[str, bool]:
     """Say how many starts agree on the best minimum, and tell whether more than one does."""
+    # Screened starts were not run, and can neither agree nor disagree.
     brought = [run for run in fit.runs if run.stage != SCREENED]
     count = counted(len(brought), "start")
     if len(brought) == 1:

@@ -27,12 +27,13 @@ def comparison_section(entries: Sequence[Entry], comparison: Comparison | None) 
     converged = [e for e in entries if e.fit is not None and e.fit.converged]
     labels = [entry.label for entry in converged]
     fits = [entry.fit for entry in converged if entry.fit is not None]
+    # More curves than colors cannot be told apart.
     few = 2 <= len(fits) <= OVERLAID
     content = list(_estimates(entries))
     if comparison is None and few:
         try:
             comparison = compare(*fits, labels=labels)
-        except (ValueError, LookupError) as error:
+        except (ValueError, LookupError) as error:  # a page about other data is still a page
             content.append(tag("p", f"They are not compared by a test: {error.args[0]}"))
     if comparison is not None:
         content += _comparison(comparison)
@@ -47,6 +48,7 @@ def overview(entries: Sequence[Entry]) -> Element:
 
 
 def _overview_row(entry: Entry) -> list[Cell]:
+    # Members of a study whose fits are not loaded have no section to which a link could lead.
     name = Cell(tag("a", entry.label, href=f"#{entry.anchor}") if entry.anchor else entry.label)
     answer = entry.answer
     if entry.error or not answer:
@@ -112,7 +114,7 @@ def _figures(
     for k in range(min(len(fit.records) for fit in fits)):
         try:
             yield history_figure(fits, k, labels, COLUMNS)
-        except ValueError:  # the fits have different records
+        except ValueError:  # the fits have different records, which no figure can show together
             break
 
     if comparison is not None:

@@ -16,6 +16,8 @@ def tag(name: str, *children: Child, **attributes: Any) -> Element:
     In names of attributes hyphens replace underscores; one at the end, as in ``class_``, is left
     out.
     """
+    # Texts come from files of strangers. The tree escapes markup, and `printable` the control
+    # characters that HTML does not allow.
     element = Element(name)
     for key, value in attributes.items():
         if value is not None and value is not False:

@@ -29,13 +29,14 @@ def equations(model: Model, values: Mapping[str, float] | None = None) -> list[E
     ValueError
         If its formula cannot be written, or is too long.
     """
+    # Beyond ten lines nobody reads a formula; the author's docstring describes such a model.
     lines = list(_lines(model))
     longest = max(size(right) for _, right in lines)
     if longest > LONGEST:
         raise ValueError(
             f"{model.label} has an equation of {longest} symbols and operations, too long to read."
         )
-    # Numbers are inserted after the formula was traced with symbols, so that it keeps its form.
+    # Insert numbers after tracing: traced with numbers, products would be multiplied out.
     if values:
         lines = [(variable, with_values(right, values)) for variable, right in lines]
     return [formula(variable, right) for variable, right in lines]

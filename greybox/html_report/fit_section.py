@@ -27,6 +27,7 @@ MOST = 6  # parts of a fit that are drawn; of records those with the worst fit
 
 def fit_section(entry: Entry) -> Iterator[tuple[str, list[Element]]]:
     """Yield title and content of the sections of one result."""
+    # The verdict first: a colleague may read no further.
     fit = entry.fit
     assert fit is not None
     yield "Verdict", [tag("p", data_summary(fit)), _verdict_box(fit), *_warnings(fit)]
@@ -65,7 +66,7 @@ def remarks(fit: Fit) -> list[Element]:
         return []
     try:
         judged = fit.identifiability
-    except ValueError:  # the fit has no standard errors
+    except ValueError:  # without a covariance there is nothing to remark
         return []
 
     texts = [
@@ -95,24 +96,25 @@ def _profiles(profiles: Profiles) -> Iterator[Element]:
         yield tag("p", warning)
     yield figure_grid(profile_figures(profiles))
     explanation = (
-        "r is the signed root of the likelihood ratio; all other parameters are fitted again at "
-        "every point. The interval is where |r| stays below the limit. Where the curve leaves the "
-        "dashed cone, the standard error misleads."
+        "r is the signed root of the likelihood ratio. At every point all other parameters are "
+        "fitted again. The interval contains the values for which |r| is below the limit. Where "
+        "the curve leaves the dashed cone, the standard error misleads."
     )
     yield tag("p", explanation, class_="soft")
 
 
 def _equations(fit: Fit) -> Iterator[Element]:
     """Yield the equation of every model, or why it cannot be written, and its author's words."""
+    # Several records of one model have one equation: that of the first part.
     first = {part.label: k for k, part in reversed([*enumerate(fit.parts)])}
-    for k in sorted(first.values()):  # one part of each model
+    for k in sorted(first.values()):
         part = fit.parts[k]
         yield tag("h4", part.label)
         is_written = True
         try:
             model = fit.model_of(k)
             yield tag("div", equations(model), class_="equations")
-            if fit.converged:
+            if fit.converged:  # the values of a failed fit are NaN
                 yield tag("p", "With the estimate:", class_="soft")
                 yield tag("div", equations(model, _values(fit, k, model)), class_="equations")
         except (LookupError, ValueError, TypeError, ArithmeticError) as error:
@@ -124,14 +126,16 @@ def _equations(fit: Fit) -> Iterator[Element]:
 
 
 def _values(fit: Fit, k: int, model: Model) -> Mapping[str, float]:
-    rename = fit.parts[k].rename
-    values = {name: fit.estimate.get(rename.get(name, name)) for name in model.parameters}
+    # Four digits: an equation is for reading, the table above has the estimates.
+    outside = fit.parts[k].outside
+    values = {name: fit.estimate.get(outside(name)) for name in model.parameters}
     return {name: float(f"{value:.4g}") for name, value in values.items() if value is not None}
 
 
 def _histories(fit: Fit) -> Iterator[Element]:
     """Yield time histories and residuals, of many records those with the worst fit."""
 
+    # The worst records show what the model misses; a page with a hundred records loads slowly.
     def fit_percent(k: int) -> float:
         part = fit.records[k]
         return min(part.fit_percent(name) for name in part.outputs)

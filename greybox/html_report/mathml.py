@@ -36,7 +36,7 @@ def symbol(name: str) -> Element:
         indices = [number, *indices]
     if not indices:
         return tag("mi", greek(base))
-    # Upright, because an index such as that of K_max is a word.
+    # Upright: an index such as max in K_max is a word and not a product of variables.
     return tag(
         "msub",
         tag("mi", greek(base)),
@@ -96,7 +96,7 @@ def _sum(terms: Sequence[tuple[int, Expression]]) -> Element:
 def _product(over: Sequence[Expression], under: Sequence[Expression]) -> Element:
     if not under:
         return _factors(over)
-    # Exponentials, which are delays most often, stand beside the fraction.
+    # Exponentials are mostly delays: beside the fraction they are read as such.
     beside = [factor for factor in over if isinstance(factor, Power) and factor.base == Symbol("e")]
     above = [factor for factor in over if factor not in beside] or [Number(1.0)]
     fraction = tag("mfrac", _factors(above), _factors(under))
@@ -146,6 +146,7 @@ def _in_parentheses(expression: Expression) -> Element:
 
 def parenthesized(*children: Element) -> Element:
     """Return elements in parentheses, which are as tall as a fraction in them."""
+    # Browsers stretch parentheses around a single letter too, which looks wrong.
     is_tall = any(child.tag == "mfrac" or child.find(".//mfrac") is not None for child in children)
     stretchy = "true" if is_tall else "false"
     return tag(

@@ -23,6 +23,7 @@ HERE = Path(__file__).parent
 def page(entries: Sequence[Entry], comparison: Comparison | None, title: str) -> str:
     """Return the page of these results as HTML."""
     fits = [entry.fit for entry in entries if entry.fit is not None]
+    # A single result needs no comparison, and its sections are those of the page.
     if len(entries) == 1 and fits and comparison is None:
         sections = [_section(name, content) for name, content in fit_section(entries[0])]
         return _document(title, sections)
@@ -56,7 +57,8 @@ def _section(title: str, content: Child) -> Element:
 
 def _document(title: str, sections: Sequence[Element]) -> str:
     script, style = ((HERE / name).read_text(encoding="utf-8") for name in ("page.js", "page.css"))
-    # Names from files of strangers are on the page: only the page's own script may run.
+    # The page contains names from files of strangers. Should one slip through as markup, the
+    # browser still runs only the script and the style with these hashes, and loads nothing.
     policy = (
         f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; "
         "base-uri 'none'; form-action 'none'"

@@ -26,6 +26,7 @@ def provenance(fit: Fit, file: str = "") -> list[Element]:
     """Return how a fit was made, and where its data come from."""
     converged = sum(run.converged for run in fit.runs)
     versions = (f"{name} {version}" for name, version in fit.versions.items())
+    # A publication may state the cost of another criterion than the one that was minimized.
     other_costs = [
         f"{name} {number(cost)}"
         for name, cost in fit.costs.items()

@@ -58,7 +58,7 @@ def report(
     if comparison is not None and not isinstance(comparison, Comparison):
         raise TypeError(f"comparison is {comparison!r:.80}: give what gb.compare returns.")
 
-    # Labels must differ among the fits; members of a study have names.
+    # Labels of fits must differ, since links lead to them; members of a study have unique names.
     labels = iter(labels_of([result for result in results if isinstance(result, Fit)]))
     entries: list[Entry] = []
     for result in results:
@@ -85,7 +85,8 @@ def write_page(
     default = f"{counted(len(entries), 'result')} side by side"
     if len(entries) == 1:
         default = entries[0].answer.get("problem", entries[0].label)
-    with np.errstate(all="ignore"):  # a loaded file may contain any numbers
+    # A file of a stranger may contain any numbers, and warnings about them help nobody.
+    with np.errstate(all="ignore"):
         text = page(entries, comparison, title or default)
     write_text(path, text)
 

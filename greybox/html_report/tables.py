@@ -24,6 +24,7 @@ class Cell:
 
 def table(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> Element:
     """Return a table; columns of numbers are flush right."""
+    # One number makes a column of numbers: dashes stand for those that are not known.
     is_number = [any(row[k].value is not None for row in rows) for k in range(len(header))]
     head = [
         tag("th", text, scope="col", class_="number" if right else None)
@@ -42,6 +43,7 @@ def parameter_table(fit: Fit) -> Element:
 
     intervals = fit.interval(0.95)
     errors, insensitivities = _shares(fit)
+    # Every number with its text: the script sorts a column by the numbers.
     rows = []
     for q in fit.quantities:
         value, error = with_error(q.value, q.standard_error)
@@ -94,6 +96,7 @@ def _share(share: float, guideline: float) -> Cell:
 def _interval(low: float, high: float) -> str:
     if not (math.isfinite(low) and math.isfinite(high)):
         return "–"
+    # A quarter of a 95 % interval is about one standard error, which decides the digits.
     ends = (with_error(end, (high - low) / 4)[0] for end in (low, high))
     return _minus(" to ".join(ends))
 
@@ -111,5 +114,6 @@ def _cell(cell: Cell, is_number: bool) -> Element:
         if is_number:
             text = _minus(text)
 
+    # The script sorts by this number, not by the rounded text.
     value = f"{cell.value:.12g}" if cell.value is not None and math.isfinite(cell.value) else None
     return tag("td", text, class_=" ".join(filter(None, classes)) or None, data_value=value)

@@ -135,7 +135,8 @@ def _discretized(system: Dynamics, p: Array, step: float) -> tuple[ca.Function, 
     linearized = ca.Function("linearized", [z], [f, ca.jacobian(f, z)])
     at_zero, jacobian = (np.asarray(value) for value in linearized(np.zeros(n + m)))
 
-    # A sign or a limiter has a constant derivative and is not linear: values at random points tell.
+    # Derivatives do not show whether a model is linear: a sign or a limiter has constant ones
+    # almost everywhere. Values at random points do.
     points = np.random.default_rng(0).uniform(-3, 3, (n + m, 20))
     moved = np.asarray(linearized(points)[0]) - at_zero
     expected = jacobian @ points
@@ -153,7 +154,7 @@ def _discretized(system: Dynamics, p: Array, step: float) -> tuple[ca.Function, 
             f"{1 / fastest:.2g} s: give a shorter step, or a model without that mode."
         )
 
-    # Half the reach of the method, as modes become faster away from rest.
+    # Half the stability limit of the method: away from rest modes may be faster than at rest.
     substeps = max(math.ceil(2 * step * fastest / RungeKutta.reach), 1)
     held = ca.SX.zeros(m)
     later = RungeKutta().advance(system, x, u, held, p, step / substeps)
@@ -188,7 +189,8 @@ def _header(source: GivenModel, system: Dynamics, p: Array, texts: Mapping[str, 
 
 
 def _comment(text: str) -> str:
-    """Return a text that does not end the comment in which it stands: names come from files."""
+    """Return a text that does not end the comment in which it stands."""
+    # Names come from files of strangers: one with */ would put its rest into the source as code.
     return printable(text).replace("*/", "* /").replace("/*", "/ *")
 
 
@@ -201,17 +203,16 @@ def _source(
         "output": ("y", system.output(x, u, p)),
         "step": ("x", step(x, u)),
     }
-    # CasADi writes the formulas; its calling convention stays inside the file.
+    # CasADi's calling convention, with work arrays, stays inside the file: users call the wrappers.
     generator = ca.CodeGenerator(f"{name}_formulas", {"with_header": False})
     wrappers = []
     for what, (result, formula) in formulas.items():
         function = ca.Function(f"{name}_formula_{what}", [x, u], [formula])
         generator.add(function)
         arguments = "const double *x, const double *u, double *" + result
-        count = 1
         if what == "step":
             arguments = "double *x, const double *u"
-            count = substeps
+        count = substeps if what == "step" else 1
         wrappers.append(_wrapper(function, f"{name}_{what}({arguments})", result, count))
 
     return "\n".join([f'#include "{file}.h"\n', generator.dump(), *wrappers])
@@ -222,6 +223,7 @@ def _wrapper(function: ca.Function, signature: str, result: str, count: int) -> 
     sizes = (function.sz_arg(), function.sz_res(), function.sz_iw(), function.sz_w())
     arg, res, iw, w = (max(size, 1) for size in sizes)
     call = f"{function.name()}(arg, res, iw, w, 0);"
+    # A step is in place: the result of each substep is the state of the next one.
     if count > 1:
         call = f"for (int k = 0; k < {count}; k++) {{ arg[0] = x; arg[1] = u; res[0] = x; {call} }}"
 

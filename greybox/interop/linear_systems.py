@@ -53,7 +53,7 @@ class GivenModel:
         """Return numerator and denominator, highest power of s first."""
         input, output = pick_signals(self.model, input, output)
         at = self.at if isinstance(self.model, StateSpace) else None
-        # 0 leaves the delay out, which is an exact reading without the delay.
+        # Order 0 leaves the delay out: the ratio is then exact for the model without delay.
         order = pade or None
         ratio: Rational = rational(
             self.model, self.values, input=input, output=output, at=at, pade=order
@@ -73,8 +73,8 @@ class GivenModel:
 
         for name in system.inputs:
             if f"{name}_delay_0" in system.states:
-                # At rest the delayed input must equal the input, or the Jacobians are those of
-                # another operating point.
+                # At rest the delayed input equals the input. Other states of the delay would make
+                # this another operating point, with other Jacobians.
                 for k, value in enumerate(pade_steady(point[name], pade or 0)):
                     point[f"{name}_delay_{k}"] = value
 

@@ -73,6 +73,7 @@ def _fit(fit: Fit) -> dict[str, Any]:
 
 
 def _record(record: Record) -> dict[str, Any]:
+    # "time" and "units" first: a signal of that name gets a number, and not the variable itself.
     names = {
         name: plain[:LONGEST_NAME]
         for name, plain in identifiers(["time", "units", *record.signals]).items()
@@ -106,7 +107,8 @@ def _value(value: Any) -> Any:
     if isinstance(value, list):
         texts = [item for item in value if isinstance(item, str)]
         if texts or any(isinstance(item, Mapping) for item in value):
-            # The extra element keeps numpy from stacking equal lists into a matrix.
+            # Of items of one length numpy would make a matrix: an extra None keeps a list, a cell
+            # array in MATLAB.
             return np.array([*map(_value, value), None], dtype=object)[:-1]
         return np.array(value, dtype=float)  # None is NaN
 

@@ -61,7 +61,7 @@ def to_control(
     """
     control = required("control", "control", "to_control()")
     if isinstance(thing, FrequencyResponse):
-        # python-control interpolates, for which frequencies must increase.
+        # python-control interpolates between frequencies, which must increase for that.
         order = np.argsort(thing.omega)
         names = {"inputs": [thing.input or "u"], "outputs": [thing.output or "y"]}
         response = thing.response[order].reshape(1, 1, -1)
@@ -145,13 +145,15 @@ def from_control(
 
 
 def _named(name: str) -> dict[str, str]:
-    """Return the name of a system without the characters that python-control's own naming uses."""
+    """Return the name of a system as python-control accepts it."""
+    # It refuses dots, and brackets mark the names that it generates.
     plain = re.sub(r"\W+", "_", name).strip("_")
     return {"name": plain} if plain else {}
 
 
 def _signal_names(given: Sequence[str], labels: Sequence[str]) -> tuple[str, ...]:
     """Return the given names, else the labels with ``u[0]`` as ``u`` or ``u1``."""
+    # Names of signals become attributes in formulas, x.u1, where brackets cannot stand.
     if given:
         return (given,) if isinstance(given, str) else tuple(given)
 

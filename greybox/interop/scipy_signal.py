@@ -77,7 +77,7 @@ def from_scipy(
         ]
         return KnownStateSpace(linear.A, linear.B, linear.C, linear.D, inputs=u, outputs=y)
 
-    # ZerosPolesGain has no polynomials of its own.
+    # ZerosPolesGain has zeros and poles instead of polynomials.
     rational = linear.to_tf()
     if rational.num.ndim > 1:
         raise ValueError(

@@ -23,7 +23,7 @@ def identifiers(names: Iterable[str]) -> dict[str, str]:
     names_in_use: dict[str, str] = {}
     for name in names:
         plain, k = identifier(name), 1
-        # Two signals may differ only in characters that are left out.
+        # Two signals may differ only in characters that are left out, as a.b and a_b.
         while plain in names_in_use.values():
             k += 1
             plain = f"{identifier(name)}_{k}"

@@ -69,7 +69,8 @@ def bode(
         For items that cannot be drawn, or a wrong number of labels or axes.
     """
     figure = bode_figure(fits, labels, level)
-    if axes is not None:  # the first panels
+    # With two axes a user wants magnitude and phase, whatever else there is to draw.
+    if axes is not None:
         figure = replace(figure, panels=figure.panels[: flat_axes(axes).size])
     return draw(figure, axes, legend=legend)
 
@@ -87,6 +88,7 @@ def bode_figure(
         values = np.array([_decibel(drawn.response.response), degrees])
         bars = _error_bars(drawn.response)
         for k in (0, 1):
+            # Bands first: they are drawn below all curves and points.
             if drawn.band is not None:
                 curves[k].insert(0, _band(drawn, k, values[k]))
             curves[k].append(drawn.series(omega, values[k], *_ends(values[k], bars, k)))
@@ -124,10 +126,10 @@ def _error_panels(
         for part in fit.responses:
             with np.errstate(divide="ignore", invalid="ignore"):
                 error = part.data.response / part.response
-            if not np.any(np.isfinite(error)):
+            if not np.any(np.isfinite(error)):  # no start converged
                 continue
 
-            # Curves that lie on another one are not drawn: then any curve of the fit serves.
+            # A curve that lies on another one is not drawn: then take any curve of the fit.
             same_data = [drawn for drawn in responses if drawn.checksum == part.data.checksum]
             data = next(drawn for drawn in same_data if drawn.is_measured)
             curves = [drawn for drawn in (*same_data, *responses) if drawn.fit is fit]
@@ -182,14 +184,12 @@ def _band(drawn: DrawnResponse, k: int, curve: Array | None = None) -> Series:
 
 
 def _error_bars(data: FrequencyResponse) -> Array | None:
-    """Return the bars (2, 2, n) down and up of magnitude in dB and of phase in degrees.
-
-    They show one standard deviation of one component of the response.
-    """
+    """Return the error bars (2, 2, n), down and up, of magnitude in dB and of phase in degrees."""
     if data.variance is None:
         return None
+    # The variance is that of the complex response; one component has half of it.
     relative = np.sqrt(data.variance / 2) / np.maximum(np.abs(data.response), 1e-300)
-    # At most 20 dB to either side: below, the logarithm has no end.
+    # A bar that reaches zero would be infinite in dB: 20 dB to either side at most.
     down = -20 * np.log10(1 - np.minimum(relative, 0.9))
     up = 20 * np.log10(1 + np.minimum(relative, 9.0))
     turn = np.degrees(np.minimum(relative, np.pi))
@@ -208,9 +208,10 @@ def _ends(values: Array, bars: Array | None, k: int) -> tuple[Array | None, Arra
 def phases(responses: Sequence[DrawnResponse]) -> list[Array]:
     """Return the phase (n,) of each response in degrees; those of one pair lie next to each other.
 
-    Curves must come before measured responses, each point of which is shown within half a turn of
-    its curve: unwrapped along frequency, one noisy point would turn all that follow.
+    Curves must come before measured responses.
     """
+    # Measured points are not unwrapped along frequency, where one noisy point would turn all that
+    # follow: each is shown within half a turn of its curve.
     first: dict[Pair, _Phase] = {}
     curves: dict[str | Pair, _Phase] = {}
     shown = []
@@ -238,7 +239,8 @@ def _moved(phase: _Phase, guide: _Phase) -> _Phase:
     """Move a phase by multiples of 360° next to a guide, over their common frequencies."""
     low = max(phase[0][0], guide[0][0])
     high = max(low, min(phase[0][-1], guide[0][-1]))
-    common = np.geomspace(low, high, 100)  # dense parts of a grid must not count more
+    # An even grid: the dense points beside a resonance would otherwise decide alone.
+    common = np.geomspace(low, high, 100)
     distance = np.mean(interpolated(common, *guide) - interpolated(common, *phase))
     return phase[0], phase[1] + 360 * np.round(distance / 360)
 

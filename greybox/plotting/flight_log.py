@@ -54,10 +54,12 @@ def traces(
     TypeError, ValueError
         If the record has no sample in the segment, or for a wrong number of axes.
     """
+    # The last periods: transients have decayed, and the controller has reached the amplitude.
     if segment is not None:
         span = min(segment.duration, periods * 2 * math.pi / segment.band[0])
         record = record.between(segment.end - span, segment.end)
 
+    # One color for each signal: a panel may contain several.
     colors = {name: k for k, name in enumerate(record.signals)}
     panels = []
     for unit in dict.fromkeys(record.units.get(name, "") for name in record.signals):
@@ -124,10 +126,8 @@ def recording(
 
 
 def signal_line(name: str, time: Array, values: Array, color: int, width: float = 1.0) -> Series:
-    """Return a signal over time; gaps of more than ten median steps interrupt the line.
-
-    Raw logs drop single messages: a shorter gap would leave dots instead of lines.
-    """
+    """Return a signal over time; gaps of more than ten median steps interrupt the line."""
+    # Raw logs drop single messages: with a smaller limit a lossy log would be dots, not lines.
     gap = 10.0 * float(np.median(np.diff(time))) if time.size > 2 else math.inf
     x, y = drawn_line(time, values, pieces(time, gap))
     return Series(name, "line", x, y, color, width=width)
@@ -139,6 +139,7 @@ def _panel(recording: Recording, signals: Sequence[str], color: int) -> Panel:
     for k, signal in enumerate(signals, color):
         record, name = recording.locate(signal)
         unit = record.units.get(name, "")
+        # A yaw that passes north would otherwise draw a vertical line from 360 to 0 degrees.
         values = np.unwrap(record[name], period=360) if unit == "deg" else record[name]
         series.append(signal_line(signal, record.time, values, k))
     return Panel(f"{signals[-1]}, {unit or '-'}", series)

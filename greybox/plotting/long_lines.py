@@ -21,10 +21,8 @@ def drawn_line(
     rows: Sequence[IntArray],
     columns: int = COLUMNS,
 ) -> tuple[Array, Array]:
-    """Return the pieces of a line with NaN between them.
-
-    A long line keeps only the extremes within each of so many columns.
-    """
+    """Return the pieces of a line with NaN between them; long ones keep the extremes of columns."""
+    # Every n-th sample would hide spikes; the smallest and the largest of each column show them.
     size = -(-sum(map(len, rows)) // columns)
     times: list[Array] = []
     heights: list[Array] = []

@@ -191,6 +191,7 @@ def _draw_panels(axes: AxesArray, figure: Figure) -> None:
 
 
 def _draw_side_by_side(axes: AxesArray, figures: Sequence[Figure]) -> None:
+    # Panels of one figure side by side have an axis of frequency or time each.
     single = [replace(figure, panels=[panel]) for figure in figures for panel in figure.panels]
     for k, figure in enumerate(single):
         _draw_panels(axes[k : k + 1], figure)
@@ -225,7 +226,7 @@ def _draw_panel(ax: Axes, figure: Figure, panel: Panel) -> None:
 def _draw_line(ax: Axes, series: Series) -> None:
     look = _look(series)
     if len(series.x) == 1:
-        look["marker"] = "+"  # a line of one point is invisible
+        look["marker"] = "+"  # matplotlib draws no line through one point
     ax.plot(series.x, _finite(series.y), **look)
 
 
@@ -237,7 +238,7 @@ def _draw_points(ax: Axes, series: Series) -> None:
         look = {"ecolor": color_of(series.color), "elinewidth": 1.0, "alpha": 0.2 * layer}
         ax.errorbar(series.x, y, ends, fmt="none", zorder=layer - 0.3, **look)
 
-    # The ink of all points together remains the same.
+    # The ink of all points together stays the same: a thousand points must not hide the curve.
     size = MARKER_SIZE * min(1.0, (CROWD / max(len(y), 1)) ** 0.5)
     ax.plot(series.x, y, **{**_look(series), "markersize": max(2.0, size)}, zorder=layer)
 
@@ -259,7 +260,7 @@ def _draw_regions(ax: Axes, series: Series) -> None:
     look: dict[str, Any] = {"facecolors": "none", "edgecolors": color, "linewidths": 0.8}
     look |= {"alpha": 0.6, "zorder": 2}
     if not series.is_hollow:
-        # Opaque and of a pale color: where transparent regions overlap they would add up.
+        # A pale opaque color: transparent ellipses would become dark where they overlap.
         pale = tuple(1 - BAND_ALPHA * (1 - part) for part in to_rgb(color))
         look = {"facecolors": [pale], "linewidths": 0, "zorder": 0.5}
     ax.add_collection(PolyCollection(_polygons(series), **look), autolim=False)
@@ -283,12 +284,14 @@ def _polygons(series: Series) -> list[Array]:
 
 def _draw_plane(ax: Axes, figure: Figure, panel: Panel) -> None:
     """Give both axes one scale and their lines through zero, and number the points."""
+    # One scale, or distances and angles in the complex plane would mislead.
     ax.axhline(0, color="0.6", linewidth=0.8, zorder=1)
     ax.axvline(0, color="0.6", linewidth=0.8, zorder=1)
     ax.margins(0.12)
     ax.set_aspect("equal", adjustable="datalim")
 
-    # Regions may be many times as wide as the data: the limits grow by half at most.
+    # Confidence regions may be many times as wide as the data, which would then be a dot: they
+    # widen the limits by half at most.
     reach = ax.dataLim.expanded(1.5, 1.5)
     for series in panel.series:
         if series.kind == "regions" and not series.is_hollow:
@@ -304,6 +307,7 @@ def _draw_plane(ax: Axes, figure: Figure, panel: Panel) -> None:
 
 def _write_labels(ax: Axes, panel: Panel) -> None:
     """Write labels beside the points, on the outer side of their curve, where there is room."""
+    # On the inner side of a bend labels would lie on the curve.
     room = max(ax.dataLim.width, ax.dataLim.height) / 14
     look = {"fontsize": 8.5, "color": "0.25", "ha": "center", "va": "center"}
     outline = [withStroke(linewidth=2, foreground="white")]
@@ -364,7 +368,8 @@ def color_of(number: int) -> str:
 
 
 def plain(text: str) -> str:
-    """Return text that matplotlib shows as it is: no mathematics, not hidden from a legend."""
+    """Return text that matplotlib shows as it is."""
+    # Dollar signs begin mathematics, and a label with a leading underscore is left out of a legend.
     return text.lstrip("_").replace("$", r"\$")
 
 
@@ -378,6 +383,7 @@ def _vertical_axis(ax: Axes, panel: Panel) -> None:
         low, high = (limit if np.isfinite(limit) else None for limit in panel.limits)
         ax.set_ylim(low, high)
 
+    # Below 60 degrees the steps 1, 2, 5 read well for angles too.
     span = float(np.ptp(ax.get_ylim()))
     if panel.steps and span > 60:
         large = [step for step in panel.steps if step >= 15 and span <= 7 * step]
@@ -405,7 +411,7 @@ def _horizontal_axis(axes: AxesArray, figure: Figure) -> None:
 
 def _make_logarithmic(axes: AxesArray) -> None:
     """Make horizontal axes logarithmic, with 1, 2 and 5 of every decade where there is room."""
-    # Everything in the panels, including what a user drew before.
+    # From everything in the axes, including what a user drew into them before.
     low = min(ax.dataLim.minposx for ax in axes)
     high = max(ax.dataLim.xmax for ax in axes)
     ratio = high / low
@@ -422,7 +428,7 @@ def _make_logarithmic(axes: AxesArray) -> None:
 
 
 def _legend_below(place: MatplotlibFigure | SubFigure, figures: Sequence[Figure]) -> None:
-    """Draw the legend below everything, where it covers no data."""
+    """Draw the legend below all panels, where it covers no data."""
     entries = _legend_entries(figures)
     if not entries:
         return
@@ -446,6 +452,7 @@ def _legend_inside(ax: Axes, figure: Figure) -> None:
 
 def _legend_entries(figures: Sequence[Figure]) -> dict[str, tuple[Artist, ...]]:
     """Return the keys by label: points, lines, then bands; a label has a key for every color."""
+    # One entry "measured" with the markers of six data sets is read faster than six entries.
     keys: dict[tuple[int, str], dict[tuple[int, int], Artist]] = {}
     for figure in figures:
         for panel in figure.panels:

@@ -97,7 +97,7 @@ def nyquist_figures(
 
 
 def columns_of(count: int) -> int:
-    """Return the columns of a grid of `count` panels that is about as wide as high."""
+    """Return the number of columns of a grid of `count` panels that is about as wide as high."""
     return int(np.ceil(np.sqrt(count)))
 
 
@@ -106,6 +106,7 @@ def _figure(responses: Sequence[DrawnResponse], level: float | None) -> Figure:
     series = _regions(responses, level)
     for drawn in responses:
         response = drawn.response
+        # A curve runs along frequency, and the numbers of points stand beside their neighbors.
         order = np.argsort(response.omega)
         labels = [_brief(omega) for omega in response.omega[order]] if drawn.is_measured else ()
         notes = [_note(response, k) for k in order] if drawn.is_measured else ()
@@ -143,6 +144,7 @@ def _brief(omega: float) -> str:
 
 
 def _by_pair(responses: Sequence[DrawnResponse]) -> list[list[DrawnResponse]]:
+    # Panels are in the order of the data, which is the one that a user knows.
     measured_first = sorted(responses, key=lambda drawn: not drawn.is_measured)
     pairs = dict.fromkeys(drawn.pair for drawn in measured_first)
     return [[drawn for drawn in responses if drawn.pair == pair] for pair in pairs]
@@ -158,10 +160,12 @@ def _regions(responses: Sequence[DrawnResponse], level: float | None) -> list[Se
             outlines = drawn.band.ellipses()
         elif level is not None and drawn.is_measured and response.variance is not None:
             dof = np.full(len(response), np.inf) if response.dof is None else response.dof
+            # Errors of real and imaginary part are alike, so the region is a circle.
             radii = np.sqrt(response.variance / 2) * [radius(level, value) for value in dof]
             circle = np.exp(1j * np.linspace(0, 2 * np.pi, 49))
             outlines, is_hollow = response.response[:, None] + radii[:, None] * circle, True
         outlines = outlines[np.isfinite(outlines).all(axis=1)]
+        # NaN ends one outline, so that one series contains all of them.
         if len(outlines):
             vertices = np.insert(outlines, 0, np.nan, axis=1).ravel()
             series = Series(
@@ -192,6 +196,7 @@ def _limits(responses: Sequence[DrawnResponse]) -> tuple[tuple[Limits, Limits] |
     if not measured or not 0 < UNLIKE * size < reach:
         return None, reach
 
+    # The origin is always visible: stability is read from where the curve passes it.
     points = np.concatenate([np.zeros(1, dtype=complex), *measured])
 
     def around(part: Array) -> Limits:

@@ -26,6 +26,7 @@ def plot(fit: Fit) -> MatplotlibFigure:
         Not axes, as from the other functions, since it arranges several diagrams. pyplot does not
         know it: show it as the last line of a notebook cell, or save it with ``savefig``.
     """
+    # The complex plane needs a square. Beside time histories there is no room for it.
     nyquist = [] if fit.records or fit.spectra else nyquist_figures((fit,))
     histories = [history_figure((fit,), k) for k in range(len(fit.records))]
     # A single record needs no name: the title of the page names the fit.
@@ -36,6 +37,7 @@ def plot(fit: Fit) -> MatplotlibFigure:
 
     columns = columns_of(len(nyquist))
     width = 2.8 + 3.4 * columns if nyquist else 9.5
+    # The Bode diagram has two to five stacked panels, as high as all others together.
     widths = (width, 6.2) if fit.responses else (width,)  # inches
     heights = [height_of(figure, 2.0) for figure in diagrams]
     if nyquist:

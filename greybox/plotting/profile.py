@@ -57,7 +57,7 @@ def contour(contour: Contour, axes: Axes | None = None) -> Axes:
         series.append(Series("open end", "points", *hollow, is_hollow=True))
     limits = [_around(values) for values in (x, y)]
     if np.all(np.isfinite(contour.covariance)):
-        # The limits are those of the region: the ellipse may be many times as long.
+        # The limits come from the region alone: the ellipse may be many times as long.
         series.append(Series("standard errors", "line", *contour.ellipse().T, color=GRAY, style=1))
 
     estimate = contour.estimate[:, None]
@@ -78,9 +78,12 @@ def _label(name: str, unit: str) -> str:
 
 def _figure(profile: ProfileOf, limit: float) -> Figure:
     ends = profile.values[[0, -1]]
+    # An open interval is shaded as far as the profile goes.
     interval = np.where(np.isfinite(profile.interval), profile.interval, ends)
+    # With a bias the limit of |r| differs on the two sides of the estimate.
     sides = np.array([ends[0], profile.estimate, profile.estimate, ends[1]])
     limits = limit + profile.bias * np.array([1, 1, -1, -1])
+    # A profile that never crosses the limit rises without end: cut it above the crossing.
     top = 1.6 * limit
     series = [
         band("interval", interval, np.zeros(2), np.full(2, limit)),

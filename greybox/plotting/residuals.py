@@ -95,12 +95,14 @@ def residual_figures(part: FittedRecord) -> list[Figure]:
 
 def _tests(part: FittedRecord, output: str) -> list[tuple[str, CorrelationTest]]:
     """Return the correlations with the residuals themselves, of the name "", and with inputs."""
+    # Without a time, neighboring rows have no order, and a lag means nothing.
     if not part.data.has_time:
         return []
     pieces = _pieces(part.data, part.residual(output))
     inputs = {}
     for name in part.data.signals:
         values = part.data[name]
+        # A constant input has no correlation with anything.
         if name not in part.outputs and np.unique(values[np.isfinite(values)]).size > 1:
             test = input_correlation(pieces, _pieces(part.data, values))
             if not math.isnan(test.p_value):
@@ -119,7 +121,8 @@ def _histogram(part: FittedRecord, output: str) -> Figure:
     factor, unit = shown_unit(part.data.units.get(output, ""))
     e = factor * part.residual(output)
     e = e[np.isfinite(e)]
-    # At most 40 bins: narrower ones show chance.
+    # The square root of the count is the usual number of bins. Of more than 40 the heights are
+    # mostly chance.
     density, edges = np.histogram(e, bins=min(40, max(5, math.ceil(math.sqrt(e.size)))))
     density = density / max(e.size * (edges[1] - edges[0]), 1e-300)
     steps = np.repeat(density, 2)
@@ -142,6 +145,7 @@ def _correlations(output: str, name: str, test: CorrelationTest) -> Panel:
     values = test.correlations
     lags = np.arange(1.0, len(values) + 1)
     bound = np.full(lags.size, test.bound)
+    # The band is always visible, however small the correlations are.
     most = 1.25 * max(float(np.nanmax(np.abs(values), initial=0.0)), test.bound)
     series = [
         Series("99 % band", "band", lags, -bound, GRAY, low=-bound, high=bound),

@@ -82,6 +82,7 @@ def drawn_responses(
             "there is no frequency response to draw: gb.plotting.time_history draws fitted records."
         )
 
+    # By checksum: data that several fits share are drawn once.
     data: dict[str, tuple[FrequencyResponse, str]] = {}
     for item, name in zip(items, names, strict=True):
         if isinstance(item, Fit):
@@ -140,7 +141,7 @@ def _curves(
 ) -> list[DrawnResponse]:
     """Return the curves, in the color of their data where the data differ in color."""
     curves = [_distinct(_curves_of(item)) for item in items]
-    # A curve that stands for several data sets has the color of none of them.
+    # One curve for several data sets must not have the color of one of them.
     is_shared = any(
         isinstance(item, Fit) and 0 < len(distinct) < len(item.responses)
         for item, distinct in zip(items, curves, strict=True)
@@ -196,10 +197,8 @@ def _pairs(items: Sequence[Fit | FrequencyResponse]) -> dict[str, Pair]:
 
 
 def _pair(response: FrequencyResponse, pairs: Mapping[str, Pair]) -> Pair:
-    """Return the names of input and output; missing ones come from the curve of these data.
-
-    Data without a curve of their own have the names of the only pair, if there is one.
-    """
+    """Return the names of input and output; missing ones come from the curve of these data."""
+    # Data without names and without a curve belong to the only pair, if there is just one.
     pair = response.input, response.output
     if all(pair):
         return pair
@@ -222,6 +221,7 @@ def _sorted(curve: FrequencyResponse) -> FrequencyResponse:
 
 def _distinct(curves: list[tuple[str, FrequencyResponse]]) -> list[tuple[str, FrequencyResponse]]:
     """Leave out curves that lie on a longer one, as those of several rotors with one model do."""
+    # Four rotors with one model would draw one line four times, in four colors.
     longest_first = sorted(curves, key=lambda pair: pair[1].omega.min() / pair[1].omega.max())
     distinct: list[tuple[str, FrequencyResponse]] = []
     for checksum, curve in longest_first:
@@ -233,7 +233,8 @@ def _distinct(curves: list[tuple[str, FrequencyResponse]]) -> list[tuple[str, Fr
 def _lies_on(curve: FrequencyResponse, longer: FrequencyResponse) -> bool:
     if (curve.input, curve.output) != (longer.input, longer.output):
         return False
-    low, high = 0.999 * longer.omega.min(), 1.001 * longer.omega.max()  # rounding
+    # Ends of grids over the same band differ by rounding.
+    low, high = 0.999 * longer.omega.min(), 1.001 * longer.omega.max()
     reference = interpolated(curve.omega, longer.omega, longer.response)
     # Curves that differ by less than 1 % look like one line.
     is_near = np.abs(curve.response - reference) <= 0.01 * np.abs(reference)

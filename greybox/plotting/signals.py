@@ -15,6 +15,7 @@ ORANGE = 1  # color of tests that are not usable, and of samples at a limit
 
 def shown_unit(unit: str) -> tuple[float, str]:
     """Return the factor to the unit that a person reads, degrees for radians, and that unit."""
+    # Pilots and logs speak of degrees; models compute in radians.
     degrees = {"rad": "°", "rad/s": "°/s"}.get(unit)
     return (1.0, unit) if degrees is None else (180 / math.pi, degrees)
 

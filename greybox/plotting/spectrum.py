@@ -94,11 +94,12 @@ def _output_panels(
         magnitude.append(Series(label, "line", omega, factor * _size(values)))
         residual = factor * _size(measured - values)
         magnitude.append(Series("residual", "points", omega, residual, GRAY, CROSS))
-        # Next to the measured phase, wherever that was unwrapped to.
+        # Relative to the measured phase: both unwrapped separately could differ by whole turns.
         phase.append(Series(label, "line", omega, angle + np.degrees(np.angle(values / measured))))
-        # Only the output error estimates the noise of the outputs.
+        # Only output error estimates the noise of the outputs; equation error that of equations.
         if fitted.criterion == "output-error" and np.all(np.isfinite(fitted.noise)):
             k = fitted.outputs.index(name)
+            # The root mean square of the integral of white noise over the manoeuvre.
             level = math.sqrt(float(fitted.noise[k, k]) * data.step * data.duration)
             magnitude.append(rule(factor * level, "size of the noise", style=1))
 

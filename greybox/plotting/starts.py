@@ -43,13 +43,14 @@ def starts_figure(fit: Fit) -> Figure:
     converged = sorted((r for r in completed if r.converged), key=lambda r: (r.cost, r.index))
     failed = [run for run in completed if not run.converged]
     costs = [run.cost for run in converged]
-    # Rounding must not look like different minima, and one high cost must not hide the others.
+    # A linear scale shows how close costs are; over decades it would hide all but the highest.
     is_logarithmic = bool(costs) and costs[0] > 0 and costs[-1] > 30 * costs[0]
     limits = _limits(costs, is_logarithmic)
 
     series = list(_minima(fit, converged))
     if failed:
         low, high = limits
+        # Failed runs have no cost that could be compared: they are drawn near the top.
         top = high / 1.2 if is_logarithmic else high - 0.07 * (high - low)
         places = np.arange(len(converged) + 1.0, len(completed) + 1.0)
         notes = [f"start {run.index}, {run.status}" for run in failed]
@@ -120,5 +121,6 @@ def _limits(costs: Sequence[float], is_logarithmic: bool) -> Limits:
         return 0.0, 1.0
     if is_logarithmic:
         return costs[0] / 1.5, costs[-1] * 1.5
+    # Relative to the cost too: equal costs differ by rounding, which must not fill the panel.
     room = 0.1 * max(costs[-1] - costs[0], abs(costs[0]), 1e-12)
     return costs[0] - room, costs[-1] + 2 * room

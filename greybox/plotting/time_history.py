@@ -28,7 +28,7 @@ class History:
     outputs, inputs : tuple of str
     values : mapping of output to (n,) array
     half_width : mapping of output to (n,) array
-        Half the width of the 95 % band, where there is one.
+        Half the width of the 95 % band; empty without one.
     pieces : list of index arrays
         Samples that one line joins.
     """
@@ -99,7 +99,7 @@ def history_figure(
                 "draw each alone."
             )
 
-    # Items may have different outputs and inputs: each signal has one panel.
+    # Models may have different outputs and inputs: every signal has one panel for all of them.
     outputs = dict.fromkeys(name for history in drawn for name in history.outputs)
     inputs = dict.fromkeys(name for history in drawn for name in history.inputs)
     panels = []
@@ -146,6 +146,7 @@ def _output_panels(drawn: Mapping[str, History], name: str, columns: int) -> lis
     factor, unit = shown_unit(data.units.get(name, ""))
     measured = factor * data[name]
     is_finite = np.isfinite(measured)
+    # Dots show which samples there are; many of them look like a line, and take longer to draw.
     if is_finite.sum() <= DOTS:
         dots = _along(data)[is_finite], measured[is_finite]
         outputs = [Series("measured", "points", *dots, GRAY)]
@@ -238,7 +239,8 @@ def _band(label: str, history: History, middle: Array, half: Array, color: int) 
         ends = np.column_stack([middle - half, middle + half, np.full(len(half), np.nan)])
         return Series("", "line", np.repeat(time, 3), ends.ravel(), color, width=0.8)
 
-    every = -(-len(history.data) // 400)  # bands are smooth
+    # Bands follow from sensitivities and are smooth: 400 points draw them.
+    every = -(-len(history.data) // 400)
     rows = [piece[::every] for piece in history.pieces]
     x, low = drawn_line(time, middle - half, rows)
     _, high = drawn_line(time, middle + half, rows)
