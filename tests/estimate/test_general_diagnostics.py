@@ -218,6 +218,24 @@ def test_variances_that_do_not_match_the_residuals_are_told(factor, words):
     assert all(words in text for text in texts)
 
 
+def test_responses_share_the_unknowns_of_their_sum():
+    """Of 12 unknowns in 6 responses, each takes 2 of its 12 numbers."""
+    omega = np.geomspace(0.5, 5, 6)
+    exact = 2 / (0.5j * omega + 1)
+    random = np.random.default_rng(0)
+    problems = []
+    for k in range(6):
+        errors = 0.05 * (random.normal(size=6) + 1j * random.normal(size=6))
+        variance = 2 * (0.05 * np.abs(exact)) ** 2
+        data = gb.FrequencyResponse(
+            omega, exact + np.abs(exact) * errors, variance=variance, name=f"flight {k}"
+        )
+        names = {name: f"{name}_{k}" for name in ("K", "T")}
+        problems.append(gb.Problem(Lag(), data, gb.MaximumLikelihood(), rename=names))
+    fit = gb.fit(sum(problems[1:], problems[0]), starts=4)
+    assert not [text for text in fit.warnings if "variances" in text]
+
+
 def test_one_of_a_thing_is_singular():
     record = gb.Record(
         np.arange(6) * 0.1,

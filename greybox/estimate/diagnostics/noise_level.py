@@ -15,23 +15,30 @@ from greybox.formulation.frequency_criteria import Criterion
 def unlikely_noise(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> Iterator[str]:
     """Warn where the residuals are far from the noise that was given with the data."""
     findings: list[Finding] = []
+    parts = [part for part in nlp.parts if not part.problem.criterion.is_prior]
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
         if isinstance(part, ResponsePart):
-            findings += _of_response(part, trajectory, len(nlp.free))
+            # The unknowns take up numbers of all parts, not as many of each.
+            unknowns = len(nlp.free) * part.numbers / sum(p.numbers for p in parts)
+            findings += _of_response(part, trajectory, unknowns, 0.01 / len(parts))
         elif isinstance(part, RecordPart):
             findings += _of_record(part, trajectory)
     return once(findings)
 
 
-def _of_response(part: ResponsePart, trajectory: Trajectory, unknowns: int) -> Iterator[Finding]:
+def _of_response(
+    part: ResponsePart, trajectory: Trajectory, unknowns: float, level: float
+) -> Iterator[Finding]:
     if not part.criterion.known_noise:
         return
-    points = part.numbers / 2
-    ratio = part.noise_ratio(trajectory) * points / max(points - unknowns / 2, 0.5)
+    from scipy.special import chdtr, chdtrc  # noqa: PLC0415  (takes a tenth of a second to import)
 
-    # With 10 degrees of freedom, chi-square over its degrees of freedom lies between 0.4 and 2.5 in
-    # 94 % of all cases, with more of them far more often.
-    if 0.4 <= ratio <= 2.5:
+    dof = max(part.numbers - unknowns, 1.0)
+    squares = part.noise_ratio(trajectory) * part.numbers
+    ratio = squares / dof
+    is_likely = min(chdtr(dof, squares), chdtrc(dof, squares)) > level
+    # Variances are hardly known better than to a factor of two.
+    if is_likely or 0.4 <= ratio <= 2.5:
         return
 
     meaning = "the variances are too large"
