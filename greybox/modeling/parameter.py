@@ -121,7 +121,7 @@ class Parameter:
 
 def is_finite_number(value: Any) -> bool:
     """Return whether a value is a finite real number, of Python or of numpy."""
-    return isinstance(value, (int, float, np.number)) and math.isfinite(value)
+    return isinstance(value, (int, float, np.integer, np.floating)) and math.isfinite(value)
 
 
 def number_pair(value: object, what: str) -> tuple[float, float]:

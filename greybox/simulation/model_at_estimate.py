@@ -1,4 +1,4 @@
-"""A model at one estimate: values, their covariance, and what the fit assumed."""
+"""A model at one estimate: values, their covariance, and the assumptions of the fit."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -11,12 +11,12 @@ from greybox.files.arrays import Array, IntArray
 from greybox.formulation.input_assumptions import Inputs, between_samples, require_inputs
 from greybox.formulation.time_criteria import OutputError, PredictionError, TimeCriterion
 from greybox.modeling.model import Model, require_known
-from greybox.modeling.parameter import Parameter
+from greybox.modeling.parameter import Parameter, is_finite_number
 from greybox.modeling.realization import Dynamics, dynamics
 
 
 class FittedTo(Protocol):
-    """A record that values were fitted to, see `greybox.estimate.fitted_part.FittedRecord`."""
+    """The record of a fit, see `greybox.estimate.fitted_part.FittedRecord`."""
 
     @property
     def data(self) -> Record:
@@ -39,24 +39,24 @@ class FittedTo(Protocol):
         ...
 
     def residual(self, output: str) -> Array:
-        """Return measured less simulated, NaN where nothing was compared."""
+        """Return measured less simulated, NaN for samples that were not compared."""
         ...
 
 
 @runtime_checkable
 class Estimate(Protocol):
-    """An answer that knows its model, as `greybox.Fit` does."""
+    """The result of a fit, which has its model, as `greybox.Fit`."""
 
     def at_estimate(
         self, model: Model | None, *, inputs: Inputs | None, part: int | None, record: Record | None
     ) -> "ModelAtEstimate":
-        """Return a model, by default the one that was fitted, at the estimate of a part."""
+        """Return a model, by default the fitted one, at the estimate of a part."""
         ...
 
 
 @dataclass(frozen=True, eq=False)
 class ModelAtEstimate:
-    """What is simulated.
+    """A model with values, ready to be simulated.
 
     Attributes
     ----------
@@ -67,18 +67,18 @@ class ModelAtEstimate:
         The model's parameters, then biases of sensors and gains of the innovations, and their
         values.
     covariance : (declared, declared) array or None
-        Of these values; None where they came as plain numbers. A value at its bound is treated as
-        known (zero), and one that the data do not determine has NaN.
+        Covariance of these values; None for plain numbers. It is zero for a value at its bound,
+        which counts as exact, and NaN for a value that the data do not determine.
     criterion : TimeCriterion
         How inputs run between samples, which signals are biased, and whether innovations correct
         the states.
     part : FittedTo or None
-        The record that the values were fitted to.
+        The record to which the values were fitted.
     declared : mapping of name to Parameter
         The model's parameters.
     own : tuple of str
-        Names of values that belong to that record alone, not to the model: biases of its sensors,
-        and parameters that each record of the fit has for itself.
+        Names of values that belong to that record, not to the model: biases of its sensors, and
+        parameters that each record of the fit has for itself.
     held : tuple of bool
         Which inputs are held between samples, see `driven_by`.
     """
@@ -106,7 +106,7 @@ class ModelAtEstimate:
 
     @property
     def uncertain(self) -> IntArray:
-        """Indices of the values that have a standard error, or one that is not known."""
+        """Indices of the values with a standard error, also an unknown one."""
         if self.covariance is None:
             return np.zeros(0, dtype=int)
         variance = np.diag(self.covariance)
@@ -115,7 +115,7 @@ class ModelAtEstimate:
     def driven_by(self, record: Record) -> "ModelAtEstimate":
         """Return the model with the inputs of a record, as they run between its samples.
 
-        What neither the criterion nor the record says of an input, the record of the fit does.
+        If neither the criterion nor the record states how an input runs, it runs as in the fit.
 
         Raises
         ------
@@ -132,7 +132,7 @@ class ModelAtEstimate:
         return replace(self, system=system, held=tuple(assumption.held for assumption in between))
 
     def noise(self, outputs: tuple[str, ...]) -> Array | None:
-        """Return the covariance (k, k) of the errors of these outputs, where the fit knows it."""
+        """Return the covariance (k, k) of the errors of these outputs; None if unknown."""
         if self.part is None or not set(outputs) <= set(self.part.outputs):
             return None
         places = [self.part.outputs.index(name) for name in outputs]
@@ -152,7 +152,7 @@ def model_at(
     part: int | None = None,
     record: Record | None = None,
 ) -> ModelAtEstimate:
-    """Return a model at its values; a `Fit` may stand for both, with its part of this `record`.
+    """Return a model at its values; a `Fit` may replace both, with its part for this `record`.
 
     Raises
     ------
@@ -191,10 +191,9 @@ def _of_values(model: Model, given: Mapping[str, float], inputs: Inputs) -> Mode
     added = [name for name in added if name not in model.parameters]
     require_known(given, (*model.parameters, *added), "parameter", model.label)
     for name, value in given.items():
-        real = isinstance(value, (int, float, np.number, np.ndarray)) and not (
-            np.ndim(value) or np.iscomplexobj(value)
-        )
-        if not (real and np.isfinite(value)):
+        # A result of numpy may be an array without dimensions.
+        plain = value[()] if isinstance(value, np.ndarray) and not value.ndim else value
+        if not is_finite_number(plain):
             raise ValueError(
                 f"values gives {name!r} the value {value!r:.60}: give a finite number."
             )

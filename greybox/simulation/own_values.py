@@ -1,9 +1,9 @@
-"""Biases and trims of a record to which the model was not fitted, estimated from that record.
+"""Estimates biases and trims of a record to which the model was not fitted.
 
 The bias of a sensor and a trim parameter belong to a record, not to the model. On another record
-they have other values: those that predict its windows best. They are found by Gauss-Newton steps on
-the samples of all windows at once. The model's parameters are held, and the first state of every
-window is an unknown about a mean that the windows share.
+they have other values: those that predict its windows best. Gauss-Newton steps on the samples of
+all windows find them. The model's parameters are held, and the first state of every window is an
+unknown about a mean that the windows share.
 Source: Tischler and Remple (2012), Aircraft and Rotorcraft System Identification, 2nd ed., section
 14.4: verification with biases and reference shifts estimated anew.
 """
@@ -23,6 +23,7 @@ from greybox.modeling.integrators import Integrator
 from greybox.modeling.model import require_known
 from greybox.simulation.model_at_estimate import ModelAtEstimate
 from greybox.simulation.simulator import Simulator
+from greybox.simulation.state_estimation import whitening
 from greybox.simulation.windows import Windows, cut
 
 BLIND = 1e-9  # relative eigenvalue of the information below which a direction is not determined
@@ -30,19 +31,19 @@ BLIND = 1e-9  # relative eigenvalue of the information below which a direction i
 
 @dataclass(frozen=True, eq=False)
 class OwnValues:
-    """Values of a record's own, estimated from it.
+    """Values that belong to a record, estimated from it.
 
     Attributes
     ----------
     names : tuple of str
-        Of the values that were estimated.
+        Names of the estimated values.
     values, errors : (a,) arrays
         Their standard errors include those of the model's parameters.
     units : tuple of str
     undetermined : tuple of str
         Names of values that the record does not determine.
     numbers : int
-        How many measured numbers they were estimated from.
+        Number of measurements from which they were estimated.
     """
 
     names: tuple[str, ...]
@@ -59,15 +60,13 @@ class OwnValues:
         return dict(zip(self.names, pairs, strict=True))
 
     def notes(self, record: str) -> tuple[str, ...]:
-        """Return sentences on what was estimated from the record, and what was not."""
+        """Return sentences on the values that were estimated from the record, and on the others."""
         notes = []
-        if self.names:
-            texts = []
-            for (name, pair), unit in zip(self.by_name.items(), self.units, strict=True):
-                number, deviation = with_error(*pair)
-                texts.append(
-                    f"{name} = {number} ± {deviation} {'' if unit == '1' else unit}".rstrip()
-                )
+        texts = []
+        for (name, pair), unit in zip(self.by_name.items(), self.units, strict=True):
+            number, deviation = with_error(*pair)
+            texts.append(f"{name} = {number} ± {deviation} {'' if unit == '1' else unit}".rstrip())
+        if texts:
             notes.append(
                 f"{listed(texts)} {'was' if len(texts) == 1 else 'were'} estimated from {record} "
                 f"itself: {counted(len(texts), 'value')} from {counted(self.numbers, 'number')}, "
@@ -101,12 +100,12 @@ def with_own_values(
     names = tuple(dict.fromkeys(own))
     simulator = Simulator(biased, biased.criterion, outputs, integrator)
 
-    # Short windows follow the record however wrong the values are: they come first.
+    # Short windows come first: they follow the record even with wrong values.
     solution = _determined(simulator, biased, windows, names)
     for longer in _longer(biased, windows, outputs):
         candidate = _determined(simulator, solution.model, longer, names)
-        # A tenth more in rms is due to slow errors of the model; beyond, the free simulation no
-        # longer follows the record.
+        # Up to a tenth more in rms is due to slow errors of the model. With more, the free
+        # simulation no longer follows the record.
         reference = solution.information.mean_square if solution.names else math.inf
         follows = candidate.information.mean_square <= 1.2 * max(reference, 1.0)
         if not candidate.names or not follows:
@@ -145,7 +144,7 @@ class _Solution:
 
     @property
     def certainty(self) -> tuple[float, float]:
-        """How many values are determined, and how well."""
+        """Number of determined values, and minus the sum of the logarithms of their variances."""
         variances = np.diag(self.information.covariance)
         return len(self.names), -float(np.sum(np.log(variances[: len(self.names)])))
 
@@ -155,20 +154,20 @@ def _longer(
 ) -> Iterator[Windows]:
     """Yield windows of the record four times as long, and so on to the longest stretch.
 
-    The longer a simulation runs free, the better it shows what is constant.
+    The longer a free simulation is, the better it shows constant errors.
     """
     record = windows.record
     if not record.has_time:
         return
 
-    # A window ends at a gap, where nothing tells the next state.
+    # No window reaches across a gap, behind which the state is unknown.
     stretches = gapless(record, model.system.inputs, outputs)
     most = max(len(stretch) for stretch in stretches) - windows.lead
     lead = windows.lead * record.step
     horizon = windows.horizon
     while horizon < most:
         horizon = min(4 * horizon, most)
-        with contextlib.suppress(ValueError):  # nothing was measured in them
+        with contextlib.suppress(ValueError):  # no outputs were measured in them
             duration = horizon * record.step
             yield cut(record, model.system.inputs, outputs, lead=lead, horizon=duration)
 
@@ -182,7 +181,7 @@ def _determined(
         places = np.array([model.names.index(name) for name in limits], dtype=int)
         solved, information = _minimized(simulator, model, windows, places, limits)
 
-        # One at a time: without it the record may determine the others.
+        # One at a time: without that value, the record may determine the others.
         lost = _not_determined(information, limits) if limits and information.numbers else ""
         if not lost:
             names = tuple(limits) if information.numbers else ()
@@ -200,7 +199,7 @@ def _with_biases(model: ModelAtEstimate, own: Sequence[str]) -> ModelAtEstimate:
     biases = (*model.criterion.biases, *(name.removesuffix("_bias") for name in new))
     covariance = model.covariance
 
-    # A bias of zero has no error: the record alone is to estimate it.
+    # The fit had no such bias, hence no error of it: only the record estimates it.
     if covariance is not None:
         covariance = np.pad(covariance, ((0, len(new)), (0, len(new))))
     return replace(
@@ -233,8 +232,8 @@ def _unit(model: ModelAtEstimate, windows: Windows, name: str) -> str:
 class _Information:
     """Normal equations of the active values, with the states and their mean eliminated.
 
-    `matrix` (a, a) and `gradient` (a,); `squares` of the remaining weighted residuals, which are so
-    many `numbers`; `overlap` tells how often a number is used on average.
+    `matrix` (a, a) and `gradient` (a,); `squares` is the sum of the remaining weighted residuals,
+    `numbers` their count, `overlap` how often a measurement is used on average.
     """
 
     matrix: Array
@@ -265,7 +264,7 @@ def _minimized(
     q = model.q.copy()
     q[places] = np.clip(q[places], low, high)
     information = _information(simulator.at(q), windows, places)
-    # Biases and trims are nearly linear, and settle in two or three iterations.
+    # Biases and trims are nearly linear: two or three iterations are enough.
     for _ in range(15):
         inverse = pseudo_inverse(information.matrix)
         step = inverse @ information.gradient
@@ -291,8 +290,8 @@ def _minimized(
 def _information(simulator: Simulator, windows: Windows, places: IntArray) -> _Information:
     """Return the normal equations at the simulator's values.
 
-    The first state of a window is a mean of all windows, which is not known, and a deviation with
-    the prior's spread.
+    The first state of a window is an unknown mean of all windows plus a deviation with the spread
+    of the prior.
     """
     simulated = simulator.windows(windows, places)
     initial, slopes = simulated.initial, simulated.slopes
@@ -302,13 +301,12 @@ def _information(simulator: Simulator, windows: Windows, places: IntArray) -> _I
     used = present & finite[:, None, None]
 
     n = initial.states.shape[1]
-    weight = np.linalg.inv(np.linalg.cholesky(initial.noise))
+    weight = whitening(initial.noise)
     w = len(residuals)
-    r = np.einsum("ij,wtj->wti", weight, np.where(used, residuals, 0.0)).reshape(w, -1)
-    J = np.einsum("ij,wtjv->wtiv", weight, np.where(used[..., None], slopes, 0.0))
-    J = J.reshape(w, r.shape[1], -1)
+    r = (np.where(used, residuals, 0.0) @ weight.T).reshape(w, -1)
+    J = (weight @ np.where(used[..., None], slopes, 0.0)).reshape(w, r.shape[1], -1)
     by_state = J[..., :n]
-    # Values, and the mean of the states.
+    # A change of the mean moves the first states of all windows: it has the same derivatives.
     columns = np.concatenate([J[..., n:], by_state], axis=2)
     matrix = np.einsum("wma,wmb->ab", columns, columns)
     gradient = np.einsum("wma,wm->a", columns, r)
@@ -326,7 +324,7 @@ def _information(simulator: Simulator, windows: Windows, places: IntArray) -> _I
         gradient = gradient - np.einsum("wna,wn->a", cross, step)
         squares += float(np.sum(precision * deviation**2) - np.sum(slope * step))
 
-    # The states of single windows are eliminated; now their mean is.
+    # The deviations of single windows were eliminated above; now the mean is.
     a = len(places)
     mean = pseudo_inverse(matrix[a:, a:])
     gain = matrix[:a, a:] @ mean
@@ -358,10 +356,8 @@ def pseudo_inverse(matrix: Array) -> Array:
 
 
 def _not_determined(information: _Information, limits: Mapping[str, tuple[float, float]]) -> str:
-    """Return the name of the least determined value if it is not determined, else "".
-
-    The samples do not change with such a value, or its error exceeds half of its bounds.
-    """
+    """Return the name of the least determined value if it is undetermined, else ""."""
+    # The samples do not change with such a value, or its error exceeds half of its bounds.
     names = list(limits)
     values, vectors, scale = _eigen(information.matrix)
     blind = np.flatnonzero(values <= BLIND * max(float(values[-1]), 0.0))
@@ -375,7 +371,7 @@ def _not_determined(information: _Information, limits: Mapping[str, tuple[float,
 
 
 def _covariance(simulator: Simulator, solution: _Solution) -> Array:
-    """Return the covariance of all values; the own ones follow the model's parameters."""
+    """Return the covariance of all values, with those that were estimated from the record."""
     model = solution.model
     places = solution.places
     information = solution.information
@@ -383,7 +379,7 @@ def _covariance(simulator: Simulator, solution: _Solution) -> Array:
     if model.covariance is not None:
         covariance = model.covariance.copy()
 
-    # Estimates follow the model's parameters, and share their errors.
+    # The estimates follow the model's parameters, and share their errors.
     covariance[places] = 0.0
     covariance[:, places] = 0.0
     model_places = np.flatnonzero(np.isfinite(np.diag(covariance)) & (np.diag(covariance) > 0))

@@ -1,4 +1,4 @@
-"""What a model predicts over windows of a record, with what was measured there."""
+"""Predictions of a model over windows of a record, with the measurements there."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -17,12 +17,13 @@ AHEAD = (0.1, 0.25, 0.5, 1.0)  # shares of the horizon at which the growth of th
 
 def samples_ahead(share: float, samples: int) -> int:
     """Return how many samples ahead a share (0 to 1] of a horizon is, at least one."""
-    # Rounding of the product must not add a sample.
+    # Without the small number, rounding of the product could add a sample.
     return max(1, math.ceil(share * samples - 1e-9))
 
 
 def reported_shares(horizons: Sequence[int]) -> list[float]:
-    """Return the shares of horizons of so many samples to report, each sample once."""
+    """Return the shares of horizons (in samples) to report."""
+    # Short horizons have several shares at one sample, of which the largest is reported.
     places = {share: tuple(samples_ahead(share, h) for h in horizons) for share in AHEAD}
     return [
         share
@@ -33,38 +34,37 @@ def reported_shares(horizons: Sequence[int]) -> list[float]:
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """Predictions of k outputs over w windows of h samples. Printing it says how good they are.
+    """Predictions of k outputs over w windows of h samples; printing it shows their quality.
 
     Attributes
     ----------
     label : str
         Name of the model.
     data : Record
-        What was measured.
+        The measured record.
     inputs, outputs, states : tuple of str
     lead, horizon : float
-        Lengths in s, as used: whole samples.
+        Lengths in s, whole samples.
     rows : (w, h) int array
-        Indices in `data` of the predicted samples; sample j is j + 1 steps after the last one that
-        informed it.
+        Indices in `data` of the predicted samples; sample j is j + 1 steps after the last
+        measurement that was used for it.
     predicted, error : (k, w, h) arrays
-        Of the outputs as their sensors show them, and their standard errors, from those of the
-        parameters (with the states and gains that they imply, to first order) and of the state at
-        the beginning; the noise of the outputs is not included. A parameter at its bound is treated
-        as known; NaN where an output depends on one that the data of the fit do not determine.
+        The outputs as their sensors show them, and their standard errors, from those of the
+        parameters (with the states and gains that they imply, to first order) and of the first
+        state; the noise of the outputs is not included. A parameter at its bound counts as exact;
+        NaN if an output depends on a parameter that the data of the fit do not determine.
     noise : (k, k) array
-        Covariance of the outputs' errors, that of the fit or else estimated from the lead-ins.
+        Covariance of the outputs' errors, from the fit or else estimated from the lead-ins.
     trajectory : (n, w, h) array
         The states.
     one_step : (k, w, h) array
-        Errors of predictions one sample ahead, from everything measured before in the window, in
+        Errors of predictions one sample ahead, from all earlier measurements in the window, in
         units of their theoretical standard deviations: white with unit variance for the right
-        model. NaN where nothing was measured.
+        model. NaN if nothing was measured.
     notes : tuple of str
-        Why an error is not known, and what was estimated from the record, in sentences.
+        Sentences on unknown errors, and on values that were estimated from the record.
     own : mapping of name to (value, standard error)
-        What was estimated from the record besides the states, since it belongs to the record:
-        biases, trims.
+        Values that belong to the record and were estimated from it: biases, trims.
     """
 
     label: str
@@ -120,11 +120,11 @@ class Prediction:
 
     @property
     def window(self) -> str:
-        """What a window is called: of rows without a time each is one."""
+        """The noun for a window: each row without a time is one."""
         return "window" if self.data.has_time else "row"
 
     def kept(self, windows: BoolArray) -> "Prediction":
-        """Return the prediction of some of the windows, (w,)."""
+        """Return the predictions of selected windows, (w,)."""
         named = {
             name: getattr(self, name)[:, windows]
             for name in ("predicted", "error", "trajectory", "one_step")
@@ -132,7 +132,7 @@ class Prediction:
         return replace(self, rows=self.rows[windows], **named)
 
     def measured(self, output: str) -> Array:
-        """Return what was measured in the windows, (w, h), NaN where nothing was."""
+        """Return the measurements in the windows, (w, h), NaN if missing."""
         self._place(output)  # raises for an output that was not predicted
         return self.data[output][self.rows]
 
@@ -143,8 +143,8 @@ class Prediction:
     def band(self, output: str, level: float = 0.95, noise: bool = False) -> tuple[Array, Array]:
         """Return the limits (w, h) within which an output, or with `noise` its measurement, lies.
 
-        They assume the right model structure and normal errors. Process noise (wind) and sensor
-        errors that are correlated in time are not included: with these, fewer outputs lie within
+        They assume the right model structure and normal errors. They do not include process noise
+        (wind) and sensor errors that are correlated in time, with which fewer outputs lie within
         the limits.
         """
         if not 0 < level < 1:

@@ -17,10 +17,16 @@ from greybox.simulation.model_at_estimate import Estimate, ModelAtEstimate, mode
 from greybox.simulation.own_values import with_own_values
 from greybox.simulation.prediction import Prediction
 from greybox.simulation.simulator import DIVERGED, ERROR, Simulator, WindowSimulations, diverged
-from greybox.simulation.windows import Windows, cut, default_length, require_lengths
+from greybox.simulation.windows import (
+    Windows,
+    cut,
+    default_length,
+    require_lengths,
+    require_signals,
+)
 
-# s: shortest default of a horizon and of a lead-in. The roll axis of the paper, whose unstable
-# poles in (3.18) have the real part 1.7 1/s, doubles in 0.4 s.
+# s: shortest default horizon and lead-in. The roll axis of the paper, whose unstable poles in
+# (3.18) have the real part 1.7 1/s, doubles in 0.4 s.
 SHORTEST = 0.5
 
 
@@ -52,22 +58,22 @@ def simulate(
         How inputs run between samples; by default as in the fit, else as the record says, see
         `OutputError`.
     integrator : Integrator, optional
-        `RungeKutta()` or, for stiff models, `Rosenbrock()`; unless it says how many substeps, they
-        are halved until that changes no state by more than 1e-7 of its size in a sample.
+        `RungeKutta()` or, for stiff models, `Rosenbrock()`. Unless it has a number of substeps,
+        they are halved until this changes no state by more than 1e-7 of its size in a sample.
     part : int, optional
-        Which part of the fit is meant; by default that of `record`, else its first record.
+        Part of the fit; by default that of `record`, else its first record.
 
     Returns
     -------
     Record
-        At the times of `record`: the outputs as their sensors show them (biases included, those of
-        the fit), then the states that do not have the name of an output; NaN where an input is
-        missing. A gap begins a new simulation. With a `Fit` also ``<output>_error``: the standard
-        error of an output, from those of the parameters (to first order) and, where they are those
-        of the fit, of the initial states; NaN where an unstable model runs too long for that. A
-        parameter at its bound is treated as known, as in the standard errors of the fit; an output
-        that depends on a parameter which the data of the fit do not determine has NaN, and the name
-        of the record says which. The noise of the sensors is not included.
+        At the times of `record`: the outputs as their sensors show them (with the biases of the
+        fit), then the states that do not have the name of an output; NaN where an input is missing.
+        A new simulation begins behind a gap. With a `Fit` also ``<output>_error``, the standard
+        error of an output, from those of the parameters (to first order) and of the initial states,
+        if these are from the fit. It is NaN where an unstable model runs too long for that, and for
+        an output that depends on a parameter which the data of the fit do not determine; the name
+        of the record states which. A parameter at its bound counts as exact, as in the standard
+        errors of the fit. The noise of the sensors is not included.
 
     Raises
     ------
@@ -128,28 +134,28 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
 ) -> Prediction:
     """Predict the outputs over windows of a record, each from the state that its lead-in gives.
 
-    The windows follow one another through every stretch without a gap; of rows without a time, each
-    is one. A free simulation of an unstable plant diverges however good the model; over windows of
-    about its time to double the prediction errors do show the quality of the model. The state is
+    The windows follow one another through every stretch without a gap; each row without a time is a
+    window. A free simulation of an unstable plant diverges however good the model is. Over windows
+    of about its time to double, prediction errors show the quality of the model. The first state is
     the maximum a posteriori one (see `greybox.simulation.state_estimation`), with the noise of the
-    fit, or, where that is not known, of the residuals in the lead-ins; with innovations
-    (`PredictionError`) the lead-in corrects the states and the horizon does not.
+    fit or, if unknown, of the residuals in the lead-ins. With innovations (`PredictionError`), the
+    states are corrected in the lead-in but not in the horizon.
 
-    On a record that the model was not fitted to, values that belong to a record and not to the
-    model are estimated from it (see `greybox.simulation.own_values`), and `Prediction.notes` say
-    so: biases of sensors, parameters that each record of the fit has for itself (`several`), and
-    those that `own` names, such as trims.
+    If the model was not fitted to the record, values that belong to a record are estimated from it
+    (see `greybox.simulation.own_values`), as `Prediction.notes` states: biases of sensors,
+    parameters that each record of the fit has for itself (`several`), and those in `own`, such as
+    trims.
 
     Parameters
     ----------
     horizon, lead : float, s
-        Lengths of what is predicted and of what is measured before it, rounded to whole samples. By
-        default 0.5 s or 10 samples, whichever is longer, for the lead-in also at least twice the
+        Lengths of the predicted part and of the measured part before it, rounded to whole samples.
+        By default 0.5 s or 10 samples, whichever is longer, for the lead-in also at least twice the
         longest delay. Rows have neither.
     own : sequence of str, optional
-        Names of parameters, and of biases (``<signal>_bias``), to be estimated from the record; by
-        default those named above, on a record that the fit does not have; ``()`` for none, which
-        keeps the values of the fit.
+        Names of parameters, and of biases (``<signal>_bias``), to be estimated from the record. By
+        default those named above, on a record that the fit does not have; with ``()``, the values
+        of the fit are used.
 
     The other parameters are those of `simulate`.
 
@@ -189,9 +195,8 @@ def predict_windows(
 ) -> tuple[Prediction, BoolArray, str]:
     """Predict `outputs`, which the record has, over given windows.
 
-    Values `own` of the record are estimated first, by default those that the model has where the
-    record is a new one. Returns also which windows (w,) are not finite, and what is not finite
-    there, in words without an end.
+    The values `own` are estimated first, on a new record by default those of the model. Also
+    returned are the windows (w,) that are not finite, and the first reason, without a full stop.
     """
     model = model.driven_by(windows.record)
     lead = windows.lead * windows.record.step
@@ -244,7 +249,7 @@ def predict_windows(
 def _not_finite(
     simulated: WindowSimulations, windows: Windows, outputs: tuple[str, ...], model: ModelAtEstimate
 ) -> str:
-    """Return in how many windows something is not finite, and which signal is the first, when."""
+    """Return the number of windows that are not finite, and the first such signal with its time."""
     if not simulated.not_finite.any():
         return ""
 
@@ -264,7 +269,7 @@ def _not_finite(
 
 
 def cure(called: str) -> str:
-    """Say what helps where a model is not finite; the user knows the horizon as `called`."""
+    """Return the cure for a model that is not finite; the user's horizon is `called` so."""
     return (
         f"give a shorter {called} where the model is unstable, or keep its formulas within what "
         "they are defined for, e.g. gb.sqrt(gb.maximum(x.level, 0))"
@@ -272,19 +277,18 @@ def cure(called: str) -> str:
 
 
 def _not_known(unknown: tuple[str, ...], model: ModelAtEstimate) -> str:
-    """Say why an error is not known."""
     return (
-        f"the standard errors of {model.label} are not known where they depend on "
-        f"{', '.join(unknown)}, which the data of the fit do not determine"
+        f"the standard errors of {model.label} are unknown if they depend on {', '.join(unknown)}, "
+        "which the data of the fit do not determine"
     )
 
 
 def _model_and_record(
     model: Any, values: Any, record: Any, inputs: Inputs | None, part: int | None
 ) -> tuple[ModelAtEstimate, Record]:
-    """Bring model, values and record together; the record is by default that of the fit."""
-    stated = record if isinstance(record, Record) else None
-    estimated = model_at(model, values, inputs=inputs, part=part, record=stated)
+    """Return the model at its values, and the record, by default that of the fit."""
+    given = record if isinstance(record, Record) else None
+    estimated = model_at(model, values, inputs=inputs, part=part, record=given)
     if record is None and estimated.part is None:
         raise TypeError("record is missing: give the Record whose inputs are to drive the model.")
     if record is None and estimated.part is not None:
@@ -293,12 +297,7 @@ def _model_and_record(
         raise TypeError(
             f"record is {record!r:.80}: give one Record; for several, call it for each."
         )
-    missing = [name for name in estimated.system.inputs if name not in record.signals]
-    if missing:
-        raise ValueError(
-            f"{estimated.label} needs the input {missing[0]!r}, which the record does not have; it "
-            f"has {', '.join(record.signals) or 'none'}."
-        )
+    require_signals(record, estimated.system.inputs, estimated.label)
     return estimated, record
 
 
@@ -309,8 +308,8 @@ def _require_bounded(simulated: Mapping[str, Array], time: Array, model: ModelAt
         return
     when = int(np.argmax(bad))
     name = next(name for name, values in signals.items() if not abs(values[when]) < DIVERGED)
-    # In SI units: what was larger than 1e6 before diverged; what was smaller met a formula outside
-    # its domain.
+    # In SI units. A signal above 1e6 diverged before it overflowed; a smaller one left the domain
+    # of a formula.
     if abs(signals[name][max(when - 1, 0)]) > 1e6 or np.isfinite(signals[name][when]):
         raise ValueError(
             f"the simulation of {model.label} diverges at {time[when]:.6g} s: the model is "
@@ -325,7 +324,6 @@ def _require_bounded(simulated: Mapping[str, Array], time: Array, model: ModelAt
 
 
 def _is_fitted_record(record: Record, model: ModelAtEstimate) -> bool:
-    """Tell whether the record is the one that the values were fitted to."""
     return (
         model.part is not None
         and record.checksum == model.part.data.checksum

@@ -1,4 +1,4 @@
-"""A model run over stretches or windows: outputs and states, accurate in time, and their errors."""
+"""Runs a model over stretches or windows: outputs, states and their standard errors."""
 
 from collections.abc import Callable, Mapping
 from copy import copy
@@ -27,22 +27,22 @@ from greybox.simulation.state_estimation import (
     StateEstimates,
     estimate_states,
     one_step_errors,
+    whitening,
     without_states,
 )
 from greybox.simulation.windows import Windows, sample_data
 
-# Of a state's size: what halving the substeps may change in one sample. A thousand such errors in
-# one direction add up to 1e-4 of the state, below the noise of any sensor.
+# Largest change of a state in one sample by halved substeps, relative to its size. A thousand such
+# errors in one direction add up to 1e-4 of the state, below the noise of any sensor.
 TOLERANCE = 1e-7
-# |pole| · substep to begin with: a Runge-Kutta step of z = 0.1 errs by z⁵ / 120 = 8e-8 of the
+# First |pole| · substep: a Runge-Kutta step of z = 0.1 has an error of z⁵ / 120 = 8e-8 of the
 # state, just within TOLERANCE.
 FIRST_REACH = 0.1
-# Substeps to begin with, at most: the fastest mode at rest may have decayed where the model is
-# simulated.
+# Most substeps to begin with: the fastest mode at rest may not occur in the simulation.
 MOST_AT_FIRST = 8
 DIVERGED = 1e9  # no state of a vehicle in SI units is that large
-# Times the size of the outputs: initial states to try where the model is not finite at zero (roots,
-# logarithms).
+# Initial states to try if the model is not finite at zero (roots, logarithms), in units of the size
+# of the outputs.
 SIZES = (1.0, 0.1, 10.0, -1.0)
 ERROR = "_error"
 
@@ -58,7 +58,7 @@ class WindowSimulations:
         NaN where nothing was measured.
     states : (w, samples, n) array
     in_lead : (w, samples, k) bool array
-        What was measured within the lead-ins.
+        Marks the measurements within the lead-ins.
     slopes : (w, samples, k, n + a) array
         Derivatives of the outputs by the window's first state and by the active values.
     segments : Segments
@@ -83,7 +83,7 @@ class WindowSimulations:
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """What one pass with a number of substeps gave, and the data (width, columns) that drove it.
+    """A run with one number of substeps, and the data (width, columns) that drove it.
 
     States (n, columns) and outputs (k, columns) are those of all samples.
     """
@@ -128,7 +128,8 @@ class Simulator:
         self._segments: dict[tuple[int, int, int, bytes], Segments] = {}
 
     def at(self, q: Array) -> "Simulator":
-        """Return the same simulator at other values (declared,); what is compiled serves both."""
+        """Return the same simulator at other values (declared,)."""
+        # A shallow copy: both share the compiled functions.
         simulator = copy(self)
         simulator._model = replace(self._model, q=q)
         return simulator
@@ -138,14 +139,14 @@ class Simulator:
     ) -> tuple[dict[str, Array], tuple[str, ...]]:
         """Simulate one stretch from the states `initial` (n,), which the fit may have estimated.
 
-        Returns outputs, errors and states by name, and the parameters without an error on which an
-        output depends.
+        Returns outputs, standard errors and states by name, and the parameters without a standard
+        error on which an output depends.
         """
         model = self._model
         count = len(stretch)
         delayed, around = SampledData((stretch,), (), 1).delayed_inputs(model.delays)
 
-        # A free run has neither measurements nor corrections.
+        # A free run has no measurements that could correct its states.
         nothing_measured = np.zeros((2 * len(self._outputs), count))
         data = np.vstack([delayed, around, nothing_measured, np.full((1, count), stretch.step)])
 
@@ -166,9 +167,9 @@ class Simulator:
         return signals, unknown
 
     def windows(self, windows: Windows, active: IntArray | None = None) -> WindowSimulations:
-        """Estimate the state of every window from its lead-in, and run on from it.
+        """Estimate the state of every window from its lead-in, and simulate the window from there.
 
-        Derivatives are by the `active` values, by default by those that are uncertain.
+        Derivatives are by the `active` values, by default the uncertain ones.
         """
         active = self._model.uncertain if active is None else active
         data, in_lead, result = self._from_lead_ins(windows, active)
@@ -186,19 +187,15 @@ class Simulator:
         )
 
     def standard_errors(self, simulated: WindowSimulations) -> tuple[Array, tuple[str, ...]]:
-        """Return the standard errors (w, samples, k) of the outputs, and values without an error.
-
-        The states follow the parameters by the lead-in.
-        """
+        """Return standard errors (w, samples, k) of the outputs, and values without such errors."""
         n = len(self._model.system.states)
         covariance = simulated.initial.covariance
         by_state, by_value = simulated.slopes[..., :n], simulated.slopes[..., n:]
-        weight = np.linalg.inv(np.linalg.cholesky(simulated.initial.noise))
         masked = np.where(simulated.in_lead[..., None], simulated.slopes, 0.0)
-        J = np.einsum("ij,wtjv->wtiv", weight, masked)
+        J = whitening(simulated.initial.noise) @ masked
         mixed = np.einsum("wtin,wtia->wna", J[..., :n], J[..., n:])
 
-        # Another value changes the state that the lead-in implies, and so the prediction.
+        # A change of a value changes the state that the lead-in implies, and so the prediction.
         state_by_value = -np.einsum("wij,wja->wia", covariance, mixed)
         variance = np.einsum("wtkn,wnm,wtkm->wtk", by_state, covariance, by_state, optimize=True)
         by_value = by_value + np.einsum("wtkn,wna->wtka", by_state, state_by_value)
@@ -281,7 +278,7 @@ class Simulator:
         return data, in_lead, self._accurate(windows.record.step, run if lead else of_rows)
 
     def _accurate(self, step: float, run: Callable[[SampleStep], _Run]) -> _Run:
-        """Run with more and more substeps until halving them changes no sample noticeably."""
+        """Run with more and more substeps until halved ones change no sample noticeably."""
         chosen = self._integrator.substeps is not None
         self._substeps = self._substeps or _first_substeps(self._model, step)
         while True:
@@ -291,16 +288,16 @@ class Simulator:
             error = self._local_error(result)
             if error <= TOLERANCE and np.all(np.isfinite(result.states)):
                 return result
-            # What is not finite may be so because the steps are too long.
+            # Steps that are too long may be the reason why states are not finite.
             error = error if error > TOLERANCE else np.inf
             factor = substep_growth(error, TOLERANCE, self._integrator.order)
             self._substeps = min(MOST_SUBSTEPS, self._substeps * factor)
 
     def _local_error(self, result: _Run) -> float:
-        """Return the largest change of a state in one sample by halved substeps, in its size."""
+        """Return the largest change of a state in one sample by halved substeps, over its size."""
         states = result.states
         usable = np.flatnonzero(np.all(np.abs(states) < DIVERGED, axis=0))
-        # At 400 samples, spread over all: each is one more evaluation of the model.
+        # At 400 samples of all, since each costs two evaluations of the model.
         places = np.linspace(0, usable.size - 1, min(usable.size, 400)).astype(int)
         checked = usable[np.unique(places)].tolist()
         if not checked:
@@ -342,7 +339,7 @@ def diverged(signals: Mapping[str, Array]) -> BoolArray:
 
 @one_thread_at_a_time
 def _first_substeps(model: ModelAtEstimate, step: float) -> int:
-    """Return the substeps of a sample that the poles near rest ask for."""
+    """Return the substeps of a sample by the poles near rest."""
     n = len(model.system.states)
     m = len(model.system.inputs)
     if not n:
@@ -352,8 +349,7 @@ def _first_substeps(model: ModelAtEstimate, step: float) -> int:
     jacobian = ca.Function(
         "A", [x, u], [ca.densify(ca.jacobian(model.system.derivative(x, u, model.p), x))]
     )
-    # Not at zero itself, where the slope of a kink such as |v| v vanishes and that of a root is
-    # infinite.
+    # Not at zero itself, where the slope of |v| v vanishes and that of a root is infinite.
     matrix = jacobian(np.full(n, 1e-3), np.zeros(m)).full()
     if not np.all(np.isfinite(matrix)):
         return 1
@@ -361,7 +357,7 @@ def _first_substeps(model: ModelAtEstimate, step: float) -> int:
 
 
 def _columns(segments: Segments, data: Mapping[str, Array], present: BoolArray) -> Array:
-    """Return the data of all windows as far as the segments reach; `present` are measured."""
+    """Return the data of all windows, up to the length of the segments; `present` are measured."""
     rows = [
         data["whole"],
         data["around"],
@@ -370,7 +366,7 @@ def _columns(segments: Segments, data: Mapping[str, Array], present: BoolArray) 
         data["step"],
     ]
     cut = [row[:, :, : segments.length] for row in rows]
-    # A model without inputs has no row of them, of which a reshape cannot tell the length.
+    # Without inputs there are no rows, from which `reshape` with -1 could not infer the length.
     joined = [row.reshape(len(row), row.shape[1] * row.shape[2]) for row in cut]
     return segments.columns(np.concatenate(joined))
 
@@ -384,15 +380,14 @@ def _free_run_sensitivities(
 ) -> tuple[Array, Array]:
     """Return derivatives (samples, k, a) of the outputs by the uncertain values, and variances.
 
-    Initial states that were fitted to the record follow the parameters and have an error of their
-    own.
+    The variances are those due to fitted initial states, which also follow the parameters.
     """
     n = len(model.system.states)
     part = model.part
     by_state = slopes[..., :n]
     by_value = slopes[..., n:]
     no_variance = np.zeros(slopes.shape[:2])
-    # Products of three larger ones would overflow.
+    # Products of three larger slopes would overflow.
     if not np.all(np.abs(slopes) < 1e100):
         return np.full_like(by_value, np.nan), no_variance
     if not fitted_initial or part is None or not n:
@@ -401,17 +396,14 @@ def _free_run_sensitivities(
     rows = stretch.rows
     compared = np.array([np.isfinite(part.residual(name)[rows]) for name in part.outputs]).T
     places = [outputs.index(name) for name in part.outputs]
-    weight = np.linalg.inv(np.linalg.cholesky(part.noise))
-
-    # Whitened, so that least squares weigh every output by its noise.
-    x = np.einsum(
-        "ij,tjn->tin", weight, np.where(compared[..., None], by_state[:, places], 0.0)
-    ).reshape(-1, n)
-    q = np.einsum("ij,tja->tia", weight, np.where(compared[..., None], by_value[:, places], 0.0))
+    # Whitened, so that least squares weight every output by its noise.
+    weight = whitening(part.noise)
+    x = (weight @ np.where(compared[..., None], by_state[:, places], 0.0)).reshape(-1, n)
+    q = weight @ np.where(compared[..., None], by_value[:, places], 0.0)
     size = np.maximum(np.linalg.norm(x, axis=0), 1e-300)
     _, singular, directions = np.linalg.svd(x / size, full_matrices=False)
 
-    # Too few samples do not determine all initial states.
+    # Too few samples do not determine all initial states: no variance would be right.
     if len(x) < n or singular[-1] < 1e-10 * singular[0]:
         return by_value, no_variance * np.nan
 
@@ -427,8 +419,8 @@ def _standard_errors(
 ) -> tuple[Array, tuple[str, ...]]:
     """Return the standard errors (..., k) of outputs with the variance (..., k) of the states.
 
-    Samples that depend on a value without an error have none either; the names of such values are
-    returned too.
+    A sample that depends on a value without a standard error has none either; the names of these
+    values are returned, too.
     """
     unknown: tuple[str, ...] = ()
     if model.covariance is not None and len(model.uncertain):
@@ -443,7 +435,7 @@ def _standard_errors(
             involved = depends.reshape(-1, undetermined.size).any(axis=0)
             unknown = tuple(model.names[i] for i in model.uncertain[involved])
 
-    # A variance may be negative by rounding.
+    # Rounding may make a variance negative.
     return np.sqrt(np.maximum(variance, 0.0)), unknown
 
 
@@ -451,15 +443,15 @@ def _depends(by_value: Array, q: Array) -> BoolArray:
     """Return which samples of an output depend on which values (..., k, a), beyond rounding."""
     effect = np.abs(by_value) * np.where(q != 0, np.abs(q), 1.0)
     largest = np.nanmax(effect, axis=(*range(effect.ndim - 2), -1), initial=0.0)  # of every output
-    # a smaller effect is rounding.
+    # Smaller effects are rounding errors.
     return ~(effect <= 1e-9 * largest[:, None])
 
 
 def _initial_guesses(model: ModelAtEstimate, outputs: tuple[str, ...], past: Array) -> list[Array]:
-    """Return states (w, n) to begin with, and others for windows in which they are not finite.
+    """Return first states (w, n), and alternatives for windows in which they are not finite.
 
-    States of an output's name are what was first measured; others zero, as the fit found them, or
-    of the outputs' size.
+    States with the name of an output begin at its first measurement; others at zero, at the values
+    of the fit, or at the size of the outputs.
     """
     n = len(model.system.states)
     fitted = {} if model.part is None else model.part.initial
@@ -470,7 +462,7 @@ def _initial_guesses(model: ModelAtEstimate, outputs: tuple[str, ...], past: Arr
 
     guesses = [np.tile(values, (len(past), 1)) for values in levels]
 
-    # A state that an output shows need not be guessed.
+    # A measured state need not be guessed.
     for i, name in enumerate(model.system.states):
         if name in outputs:
             values = past[:, :, outputs.index(name)]

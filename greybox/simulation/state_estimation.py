@@ -1,11 +1,11 @@
-"""The state at the beginning of every window, estimated from its lead-in, all at once.
+"""Estimates the state at the beginning of every window from its lead-in, for all windows at once.
 
-Each is the maximum a posteriori estimate, by Gauss-Newton steps, under the noise of the outputs and
-a prior that the windows share. The prior's mean and spread of each state are those of all windows
-(empirical Bayes by expectation and maximization), so that a state on which a short lead-in carries
-little information stays near its mean over the record. Formulas need not be finite everywhere (a
-root of a level): a window begins with the first of several guesses from which its lead-in is
-finite, or else where the others are on average, and no step leaves the values with finite outputs.
+Gauss-Newton steps lead to the maximum a posteriori estimate, under the noise of the outputs and a
+prior that the windows share. Mean and spread of this prior are those of all windows (empirical
+Bayes by expectation and maximization), so that a state on which a short lead-in has little
+information stays near its mean over the record. A formula need not be finite everywhere (a root of
+a level): a window begins with the first of several guesses from which its lead-in is finite, or at
+the mean of the others, and no step leads to outputs that are not finite.
 Source: Jazwinski (1970), Stochastic Processes and Filtering Theory, section 5.3; Dempster, Laird
 and Rubin (1977), Maximum likelihood from incomplete data via the EM algorithm, Journal of the Royal
 Statistical Society B 39.
@@ -28,19 +28,19 @@ TINY = 1e-300  # instead of a division by zero
 
 @dataclass(frozen=True, eq=False)
 class StateEstimates:
-    """States of all windows at the first sample of their lead-ins, and what is known of them.
+    """States of all windows at the first sample of their lead-ins, with covariance and prior.
 
     Attributes
     ----------
     states : (w, n) array
     covariance : (w, n, n) array
-        Of their errors, given the parameters.
+        Covariance of their errors, given the parameters.
     noise : (k, k) array
         Covariance of the outputs' errors, given or estimated from the lead-ins.
     mean, precision : (n,) arrays
-        Of the prior.
+        Mean and inverse variances of the prior.
     not_finite : (w,) bool array
-        Windows for which no states with finite outputs were found; their states mean nothing.
+        Windows without states that give finite outputs; their states are meaningless.
     """
 
     states: Array
@@ -63,8 +63,8 @@ def estimate_states(
 
     Every window begins with the first of the `guesses` from which its lead-in is finite.
 
-    `noise` (k, k) is None where it is to be estimated; `spread` (k,) is that of the outputs over
-    the record.
+    `noise` (k, k) is None if it is to be estimated; `spread` (k,) is the standard deviation of the
+    outputs over the record.
     """
     w, n = guesses[0].shape
     lead_ins = _LeadIns(outputs, sensitivities, measured)
@@ -90,8 +90,8 @@ def estimate_states(
     posterior = np.zeros((w, n, n))
     # Most settle in 5 or 6 iterations; tanks that drain within a lead-in took 23.
     for iteration in range(30):
-        # The prior, and a noise that is not known, are estimated again at first, then held: the
-        # iterations minimize one function and settle.
+        # The prior, and an unknown noise, are updated at first and then held: the iterations then
+        # minimize one function, and settle.
         adapting = iteration < 4
         if noise is None and adapting and iteration:
             present = np.isfinite(measured) & finite[:, None, None]
@@ -120,11 +120,11 @@ def _halved(
     step: Array, x: Array, e: Array, lead_ins: "_LeadIns", R: Array, mean: Array, precision: Array
 ) -> Array:
     """Halve the step (w, n) of every window until it does not cost more, by more than rounding."""
-    weight = np.linalg.inv(np.linalg.cholesky(R))
+    weight = whitening(R)
 
     def cost(e: Array, x: Array) -> Array:
         with np.errstate(invalid="ignore", over="ignore"):
-            squares = (np.einsum("ij,wtj->wti", weight, e) ** 2).sum(axis=(1, 2))
+            squares = ((e @ weight.T) ** 2).sum(axis=(1, 2))
         squares = np.where(np.isfinite(squares), squares, np.inf)
         return squares + (precision * (x - mean) ** 2).sum(axis=1)
 
@@ -155,12 +155,12 @@ def one_step_errors(
 ) -> Array:
     """Return the errors one sample ahead in standard deviations, (w, samples, k), NaN if missing.
 
-    Each output is predicted from all that was measured before it in the window, and the prior: a
-    Kalman filter of the initial state, linear about a trajectory with residuals `e` (w, samples, k)
-    and `sensitivities` (w, samples, k, n), from which the prior's mean is `offset` (w, n). For the
-    right model they are white with unit variance. Source: Brown, Durbin and Evans (1975),
-    Techniques for testing the constancy of regression relationships over time, Journal of the Royal
-    Statistical Society B 37 (recursive residuals).
+    Each output is predicted from the prior and all that was measured before it in the window, by a
+    Kalman filter of the initial state. It is linear about a trajectory with residuals `e` (w,
+    samples, k) and `sensitivities` (w, samples, k, n); `offset` (w, n) leads from its initial state
+    to the mean of the prior. For the right model, the errors are white with unit variance. Source:
+    Brown, Durbin and Evans (1975), Techniques for testing the constancy of regression relationships
+    over time, Journal of the Royal Statistical Society B 37 (recursive residuals).
     """
     w, samples, k = e.shape
     variance = np.diag(noise)
@@ -210,11 +210,16 @@ class _LeadIns:
 
 def information_of(e: Array, S: Array, R: Array) -> tuple[Array, Array]:
     """Return SᵀR⁻¹S (w, n, n) and SᵀR⁻¹e (w, n); S must be zero where nothing was measured."""
-    weight = np.linalg.inv(np.linalg.cholesky(R))
+    weight = whitening(R)
     w, samples, k, n = S.shape
-    J = np.einsum("ij,wtjn->wtin", weight, S).reshape(w, samples * k, n)
-    r = np.einsum("ij,wtj->wti", weight, e).reshape(w, -1)
-    return np.matmul(J.transpose(0, 2, 1), J), np.einsum("wmn,wm->wn", J, r)
+    J = (weight @ S).reshape(w, samples * k, n)
+    r = (e @ weight.T).reshape(w, -1)
+    return J.transpose(0, 2, 1) @ J, np.einsum("wmn,wm->wn", J, r)
+
+
+def whitening(covariance: Array) -> Array:
+    """Return W (k, k) such that the elements of W e are independent and of variance one."""
+    return np.linalg.inv(np.linalg.cholesky(covariance))
 
 
 def _inverse(H: Array, precision: Array) -> Array:
@@ -226,10 +231,10 @@ def shared_prior(
 ) -> tuple[Array, Array]:
     """Return the prior's mean and precision (n,) from H (w, n, n) and H x̂ (w, n) of every window.
 
-    It begins so weak that a state must change the outputs by their spread. Fewer than ten windows
-    do not determine the spread of their states.
+    Fewer than ten windows do not determine the spread of their states: the prior then stays weak.
     """
     w = len(H)
+    # So weak at first that one standard deviation of a state changes the outputs by their spread.
     counts = np.isfinite(measured).sum(axis=(0, 1)) / w
     signal = max(float(counts @ (spread**2 / np.diag(R))), TINY)
     seen = np.mean(np.diagonal(H, axis1=1, axis2=2), axis=0)
@@ -243,7 +248,7 @@ def shared_prior(
         mean = x.mean(axis=0)
         variance = np.diagonal(covariance, axis1=1, axis2=2).sum(axis=0)
         variance = variance + ((x - mean) ** 2).sum(axis=0)
-        # A least precision keeps states that no output shows in place.
+        # States that no output shows need some precision, or they would drift.
         precision = np.maximum((w - 1) / variance, 1e-12 * seen + TINY)
     return mean, precision
 
@@ -251,8 +256,9 @@ def shared_prior(
 def residual_noise(e: Array, S: Array, present: BoolArray, posterior: Array, R: Array) -> Array:
     """Return the variances of the residuals as a diagonal (k, k), corrected for the fitted states.
 
-    `present` (w, samples, k) tells which residuals there are.
+    `present` (w, samples, k) marks the measured residuals.
     """
+    # The trace counts the numbers that the fitted states used.
     H, _ = information_of(e, S, R)
     count = np.maximum(present.sum(axis=(0, 1)), 1)
     fitted = float(np.einsum("wij,wji->", H, posterior)) / count.sum()

@@ -1,4 +1,4 @@
-"""Windows of equal length in a record: a lead-in to estimate a state, then what is predicted."""
+"""Windows of equal length in a record: a lead-in to estimate a state, then a part to predict."""
 
 import math
 from collections.abc import Sequence
@@ -10,24 +10,26 @@ import numpy as np
 from greybox.compiled.sampled_data import SampledData, gapless
 from greybox.data.record import Record
 from greybox.files.arrays import Array, IntArray
+from greybox.modeling.parameter import is_finite_number
 
 # Samples of a default length: two or more for each state of the models here, which have 2 to 5.
 FEWEST = 10
-# Longest delays that a default lead-in lasts: in the first, outputs answer to earlier inputs.
+# Length of a default lead-in in longest delays: within the first, outputs respond to earlier
+# inputs.
 DELAYS = 2.0
-ROUNDING = 1e-6  # of a sample, by which a length may fall short of it: times are rounded
+ROUNDING = 1e-6  # of a sample, by which a length may be shorter: times are rounded
 
 
 @dataclass(frozen=True, eq=False)
 class Windows:
-    """Which samples of a record every window has; the predicted parts follow one another.
+    """The samples of a record in every window; the predicted parts follow one another.
 
     Attributes
     ----------
     rows : (w, lead + horizon) int array
         Indices in the record.
     lead, horizon : int
-        Samples; 0 and 1 of rows without a time, each of which is a window.
+        Numbers of samples; 0 and 1 for rows without a time, each of which is a window.
     """
 
     record: Record
@@ -40,12 +42,9 @@ class Windows:
 
 
 def require_lengths(**lengths: Any) -> None:
-    """Raise ValueError, naming it, for what is no length in s."""
+    """Raise ValueError for anything but a length in s."""
     for name, value in lengths.items():
-        real = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(
-            value, bool
-        )
-        if not real or not (np.isfinite(value) and value > 0):
+        if isinstance(value, bool) or not is_finite_number(value) or value <= 0:
             raise ValueError(f"{name} is {value!r}: give a length above 0, in s.")
 
 
@@ -56,7 +55,7 @@ def default_length(records: Sequence[Record], at_least: float, delay: float = 0.
 
 
 def seconds(length: float) -> str:
-    """Say how long something lasts, in s with three digits or more."""
+    """Return a time in s as text, with three digits or more."""
     return f"{length:.0f}" if 1000 <= length < 1e6 else f"{length:.3g}"
 
 
@@ -71,8 +70,8 @@ def cut(
 ) -> Windows:
     """Cut windows with a lead-in and a horizon in s, within stretches in which no input is missing.
 
-    Lengths are rounded to whole samples. Windows in whose lead-in or horizon no output was measured
-    are left out. The horizon is what the user calls `called`.
+    Lengths are rounded to whole samples. Windows are left out if no output was measured in the
+    lead-in or in the horizon. `called` is the user's name of the horizon.
 
     Raises
     ------
@@ -82,7 +81,7 @@ def cut(
     if not record.has_time:
         return _rows(record, inputs, outputs)
     require_lengths(**{"lead": lead, called: horizon})
-    _require_signals(record, inputs)
+    require_signals(record, inputs)
     stretches = gapless(record, tuple(inputs), tuple(outputs))
     for name, length in (("lead", lead), (called, horizon)):
         if length < (1 - ROUNDING) * record.step:
@@ -119,7 +118,7 @@ def cut(
 
 def _rows(record: Record, inputs: Sequence[str], outputs: Sequence[str]) -> Windows:
     """Return a window for every row that has its inputs and some output."""
-    _require_signals(record, inputs)
+    require_signals(record, inputs)
     row_lists = [
         s.rows[np.any(np.isfinite(s.outputs), axis=0)]
         for s in gapless(record, tuple(inputs), tuple(outputs))
@@ -135,8 +134,8 @@ def sample_data(
 ) -> dict[str, Array]:
     """Return ``whole, around, measured, step`` of all samples in the windows, (rows, w, samples).
 
-    Inputs before a window are those of its stretch. Outputs measured before the delayed inputs are
-    known are left out, see `gapless`.
+    The inputs before a window are those of its stretch. Outputs are left out as long as the delayed
+    inputs are unknown, see `gapless`.
     """
     record = windows.record
     stretches = gapless(record, inputs, outputs, lead=np.maximum(delays, 0.0))
@@ -152,11 +151,12 @@ def sample_data(
     return {name: values[:, places] for name, values in named.items()}
 
 
-def _require_signals(record: Record, inputs: Sequence[str]) -> None:
+def require_signals(record: Record, inputs: Sequence[str], label: str = "the model") -> None:
+    """Raise ValueError if an input of a model is missing."""
     missing = [name for name in inputs if name not in record.signals]
     if missing:
         raise ValueError(
-            f"the record has no signal {missing[0]!r}, an input of the model; it has "
+            f"the record has no signal {missing[0]!r}, an input of {label}; it has "
             f"{', '.join(record.signals) or 'none'}: name it so in gb.prepare(..., "
             f"signals={{{missing[0]!r}: ...}})."
         )

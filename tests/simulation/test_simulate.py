@@ -301,7 +301,7 @@ def test_what_the_data_do_not_determine_is_told_where_it_matters():
     found = gb.simulate(fit)
     assert np.all(found["position_error"] > 0)
     assert np.isnan(found["warmth_error"]).mean() > 0.9
-    sentence = "the standard errors of Heated are not known where they depend on heating, which the data of the fit do not"
+    sentence = "the standard errors of Heated are unknown if they depend on heating, which the data of the fit do not"
     assert sentence in found.name
     both = driven(8.0, noise=0.05).with_signals(warmth=found["warmth"])
     predicted = gb.predict(fit, record=both, horizon=1.0)
@@ -330,7 +330,7 @@ def test_answers_print_themselves():
         (lambda r: gb.simulate(Spring(), {"mass": 1.0}, r), "'mass'"),
         (
             lambda r: gb.simulate(Spring(), {}, gb.Record(r.time, {"u": r["force"]})),
-            "needs the input 'force'",
+            "has no signal 'force', an input of Spring",
         ),
         (lambda r: gb.simulate(Spring(), {}, r, initial={"place": 1.0}), "'place'"),
         (
