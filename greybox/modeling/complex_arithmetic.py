@@ -26,6 +26,7 @@ class Complex(FunctionOfS):
         operand = _complex(operand)
         if operand is None:
             return NotImplemented
+        # The order of s reaches every intermediate result; parameters have none.
         return Complex(
             *combine(self.re, self.im, operand.re, operand.im), self.pade or operand.pade
         )

@@ -4,7 +4,7 @@ Expressions cannot be pivoted as they go. A pivot is zero not only at a pole but
 sub-block of A has an eigenvalue at s, as the undamped position and velocity inside a damped system
 do. So the order of elimination is chosen beforehand: the first one that agrees with a pivoted
 solution in numbers, at sample values of the parameters. The characteristic polynomial would need no
-pivots, but loses all digits when eigenvalues differ by a few decades.
+pivots, but loses all digits if eigenvalues differ by a few decades.
 """
 
 from collections.abc import Iterator, Sequence
@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from greybox.files.arrays import Array, BoolArray
 
-# Relative error of the solution at which an order is good enough: it loses six digits.
+# Relative error of the solution up to which an order is good enough: six of sixteen digits are
+# lost.
 ACCURATE = 1e-10
 ORDERS = 200  # random orders to try: of many states, many orders are good
 
@@ -23,6 +24,7 @@ ORDERS = 200  # random orders to try: of many states, many orders are good
 def solve(A: Sequence[Sequence[Any]], b: Sequence[Any], s: Any, order: Sequence[int]) -> list[Any]:
     """Solve (s I - A) x = b; None in A stands for an entry that is always zero."""
     n = len(b)
+    # Entries that are always zero are not stored, which keeps the expressions short.
     rows: list[dict[int, Any]] = [{k: -a for k, a in enumerate(row) if a is not None} for row in A]
     for i in range(n):
         rows[i][i] = s + rows[i][i] if i in rows[i] else s
@@ -75,7 +77,7 @@ def elimination_order(
     entries = [[None if zero[i, k] else samples[:, i, k, None] for k in range(n)] for i in range(n)]
     right = [np.broadcast_to(b[:, i, None], (m, omega.size)).astype(complex) for i in range(n)]
     pencil = s[..., None, None] * np.eye(n) - samples[:, None]
-    # Orders with a pivot of zero divide by it here; they are the ones to be found out.
+    # An order with a zero pivot divides by it here, and is thereby found out.
     with np.errstate(all="ignore"):
         exact = solve_pencils(pencil, np.stack(right, axis=-1))
         size = np.abs(exact).max(axis=-1, keepdims=True)
@@ -112,6 +114,7 @@ def solve_pencils(pencil: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
     try:
         return np.linalg.solve(pencil, right[..., None])[..., 0]
     except np.linalg.LinAlgError:
+        # One singular matrix fails the whole stack: solve the others one by one.
         exact = np.full(right.shape, np.nan, dtype=complex)
         for index in np.ndindex(right.shape[:-1]):
             if np.linalg.matrix_rank(pencil[index]) == right.shape[-1]:

@@ -124,7 +124,8 @@ def expressions(
 
 def size(expression: Expression) -> int:
     """Return the number of written symbols, numbers and operations."""
-    sizes: dict[int, int] = {}  # a repeated expression is one object
+    # Repeated expressions are one object: without this table, time would grow exponentially.
+    sizes: dict[int, int] = {}
 
     def count(part: Expression) -> int:
         if id(part) not in sizes:
@@ -187,6 +188,7 @@ def _operate(operation: int, terms: list[Expression]) -> Expression:
 
 
 def _number(value: float) -> Expression:
+    # The sign belongs to a sum, so that a - 2 is not written a + (-2).
     return Sum(((-1, Number(-value)),)) if value < 0 and not math.isnan(value) else Number(value)
 
 
@@ -215,6 +217,7 @@ def _product(over: Sequence[Expression], under: Sequence[Expression]) -> Express
         above.extend(parts[not is_over])
         below.extend(parts[is_over])
 
+    # As in CasADi, a division by zero gives infinity or NaN, not an exception.
     with np.errstate(divide="ignore", invalid="ignore"):
         number = float(np.divide(number * _numbers(above), _numbers(below)))
     if number == 0:

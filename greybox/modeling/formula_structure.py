@@ -23,8 +23,9 @@ def walk(
 ) -> list[Any]:
     """Evaluate `formula` (k, 1) operation by operation.
 
-    `symbols` replace the entries of z, `constant` is applied to numbers and to all other symbols.
+    `symbols` replace the entries of z; `constant` is applied to numbers and to all other symbols.
     """
+    # A CasADi function has no free symbols: the others are its second input.
     constants = [s for s in ca.symvar(formula) if not ca.depends_on(s, z)]
     program = ca.Function("formula", [z, ca.vertcat(*constants)], [ca.densify(formula)])
     registers: dict[int, Any] = {}
@@ -49,7 +50,7 @@ def walk(
 
 
 def has_switches(formula: ca.SX) -> bool:
-    """Tell whether `formula` has a sign, a comparison, a minimum or a maximum."""
+    """Return whether `formula` has a sign, a comparison, a minimum or a maximum."""
     program = ca.Function("formula", [*ca.symvar(formula)], [formula])
     return any(program.instruction_id(k) in SWITCHES for k in range(program.n_instructions()))
 
@@ -58,8 +59,8 @@ def interval_means(formula: ca.SX, z: ca.SX, slopes: ca.SX, sizes: ca.SX, interv
     """Return `formula` (k, 1) with the mean over a sampling interval in place of every switch.
 
     In the middle of the interval the signals are `z`, with `slopes`. A switch whose argument rests,
-    as the speed in stiction, turns as slowly as if its signals had a twentieth of the slopes
-    `sizes`: otherwise it would turn at once, without a derivative.
+    as the speed in stiction, switches as slowly as if its signals had a twentieth of the slopes
+    `sizes`: otherwise it would switch at once, without a derivative.
 
     Raises
     ------
@@ -77,6 +78,7 @@ def interval_means(formula: ca.SX, z: ca.SX, slopes: ca.SX, sizes: ca.SX, interv
         return ca.fmax(ca.fmin(a / reach(a), 1), -1)
 
     def magnitude(a: ca.SX) -> ca.SX:
+        # The mean of |a| over a ramp that crosses zero is a parabola.
         width = reach(a)
         return ca.if_else(ca.fabs(a) < width, (a**2 / width + width) / 2, ca.fabs(a))
 

@@ -48,12 +48,12 @@ class FunctionOfS(ABC):
 
 
 def is_casadi(value: Any) -> bool:
-    """Tell whether `value` is a CasADi expression or matrix."""
+    """Return whether `value` is a CasADi expression or matrix."""
     return isinstance(value, CASADI_TYPES)
 
 
 def is_whole(power: Any) -> bool:
-    """Tell whether a power is a whole number, of whatever type."""
+    """Return whether a power is a whole number of any type."""
     return isinstance(power, (int, float, np.integer, np.floating)) and float(power).is_integer()
 
 

@@ -1,4 +1,4 @@
-"""The functions that formulas are written with, of numbers, CasADi expressions and functions of s.
+"""Functions for formulas, of numbers, CasADi expressions and functions of s.
 
 A model writes ``gb.exp(-s * p.T)`` once. Read with numpy arrays it gives numbers; with `Complex`,
 CasADi expressions of real and imaginary part; with `Rational`, numerator, denominator and delay.
@@ -19,6 +19,7 @@ def _function(
     name: str, casadi: Callable[..., Any], numpy: Callable[..., Any], doc: str
 ) -> Callable[..., Any]:
     def apply(x: Any) -> Any:
+        # A function of s has its own method; those without a rational form lack it.
         if isinstance(x, FunctionOfS):
             method = getattr(x, name, None)
             if method is None:

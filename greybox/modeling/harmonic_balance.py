@@ -3,14 +3,14 @@
 Begin with `harmonic_function`. Every signal is a truncated Fourier series, and the residual of the
 ODE, sampled along one period, must have no harmonics (alternating frequency-time method: Cameron
 and Griffin 1989, Journal of Applied Mechanics 56). Newton's method solves for the harmonics, and
-the implicit function theorem differentiates them, so that a solver sees the parameters alone. As
-unknowns of the solver, the harmonics took five times as many iterations and a fifth of the starts
-failed. Terms that are linear in the signals are balanced exactly and never sampled: a linear model
-keeps its linear response.
+the implicit function theorem differentiates them, so that a solver sees only the parameters. With
+the harmonics as unknowns of the solver, a fit took five times as many iterations, and a fifth of
+the starts failed. Terms that are linear in the signals are balanced exactly and never sampled: a
+linear model has its linear response.
 
-Where a formula switches, its samples are means over the sampling interval (`formula_structure`).
-Where a state decides a jump, as the speed in dry friction, its harmonics fall slowly: the response
-with nine of them is exact to half a percent, with 50 to a tenth of a percent.
+If a formula switches, its samples are means over the sampling interval (`formula_structure`). If a
+state decides a jump, as the speed does in dry friction, its harmonics fall slowly: the response
+with nine of them is exact to half a per cent, with 50 to a tenth of a per cent.
 """
 
 from collections.abc import Mapping, Sequence
@@ -31,9 +31,9 @@ from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import traced_derivative, traced_output
 from greybox.modeling.trim import trim_of
 
-# Numbers of harmonics that are tried in turn: each about doubles the previous one.
+# Numbers of harmonics to try in turn: each about doubles the previous one.
 HARMONICS = (1, 3, 7, 15, 31, MOST_HARMONICS)
-# Relative change of the response by the next number of harmonics that does not matter.
+# Relative change of the response by the next number of harmonics, below which the number suffices.
 ENOUGH = 3e-4
 # Up to this number of harmonics the balance is a graph of scalars: three times as fast, but its
 # size grows with the cube of the number.
@@ -73,6 +73,7 @@ def enough_harmonics(
     """
     if sine.harmonics is not None:
         return sine
+    # Three at least: one harmonic has the folds of a spring at other amplitudes.
     _, harmonics = directly_found(
         model, values, omega, sine, least=HARMONICS[1], most=MOST_SCALARS, **signals
     )
@@ -103,6 +104,7 @@ def directly_found(
         function = harmonic_function(model, omega, replace(sine, harmonics=number), **signals)
         real, imaginary = (np.asarray(part).ravel() for part in function(vector))
         is_finite = np.isfinite(real) & np.isfinite(imaginary)
+        # Infinite parts would make NaN as a product, and NaN alone marks a missing motion.
         response = np.full(omega.size, np.nan + 0j)
         response[is_finite] = real[is_finite] + 1j * imaginary[is_finite]
         responses.append(response)
@@ -140,12 +142,12 @@ def check_sine(model: Model, sine: Sine, input: str, omega: Array) -> None:
 class Balance:
     """The balance at one frequency, in unknown harmonics per amplitude.
 
-    `unknown` (k,) are mean, cosine and sine coefficients of the states and the driven input and the
-    means of the other inputs, about the operating point, divided by the amplitude. `settings` holds
-    parameters, operating point, omega and amplitude. `balance` must vanish;
-    so must as many of the conditions `means` on the means as the ODE leaves open. `response` is
-    real and imaginary part, `slopes` the function from unknown and settings to the derivatives
-    of `balance` and `means` by the unknown.
+    `unknown` (k,) are mean, cosine and sine coefficients of the states and the driven input, and
+    the means of the other inputs, about the operating point, divided by the amplitude. `settings`
+    are parameters, operating point, omega and amplitude. `balance` must vanish, and so must as many
+    of the conditions `means` on the means as the ODE leaves open. `response` is real and imaginary
+    part, `slopes` the function from unknown and settings to the derivatives of `balance` and
+    `means` by the unknown.
     """
 
     unknown: Any
@@ -167,7 +169,7 @@ class Balance:
         output: str,
         pade: int | None,
     ) -> "Balance":
-        """Write down the balance."""
+        """Return the balance of a model with so many harmonics."""
         kind: Any = ca.SX if harmonics <= MOST_SCALARS else ca.MX
         n = len(model.states)
         names = (*model.states, *model.inputs)
@@ -183,6 +185,7 @@ class Balance:
         omega = kind.sym("omega")
         amplitude = kind.sym("amplitude")
 
+        # A signal that is a state or an input itself has no unknown coefficients but its mean.
         driven = names.index(input)
         held = names.index(signal) if signal in names else None
         if signal in model.outputs:  # perhaps a state under the name of an output
@@ -199,6 +202,8 @@ class Balance:
         derivative = phase_derivative(harmonics)
         balance = [ca.vec((omega * series[:n, :] @ derivative - balanced[:n, :]).T)]
         means = [per_amplitude[k, 0] for k in (*range(n, len(names)), *range(n))]
+        # An output that is computed gets equations instead: its first cosine is the amplitude, all
+        # other harmonics vanish.
         if held is None:
             moving = balanced[-1, :] - (at_point(point, p) @ first_column)
             balance.append(moving[1:].T - amplitude * ca.DM([1, *[0] * (2 * harmonics - 1)]))
@@ -312,6 +317,7 @@ def transforms(harmonics: int, points: int) -> tuple[ca.DM, ca.DM]:
 
     Four samples a harmonic allow products of three signals without aliasing.
     """
+    # The samples cover one period evenly, so that the waves are orthogonal and need no inverse.
     phase = 2 * np.pi * np.arange(points) / points
     waves = [wave(k * phase) for k in range(1, harmonics + 1) for wave in (np.cos, np.sin)]
     to_samples = np.array([np.ones(points), *waves])
@@ -323,10 +329,11 @@ def transforms(harmonics: int, points: int) -> tuple[ca.DM, ca.DM]:
 def _mean_conditions(balance: Balance, settings: Array) -> tuple[int, ...] | None:
     """Return the first conditions on the means that the balance leaves open at a random orbit.
 
-    The mean of the sine's own signal comes first. It determines nothing where an integrator follows
-    it, as the angle follows the rate: then that of a state does. None where the balance leaves more
-    open.
+    The mean of the sine's own signal comes first. It determines nothing if an integrator follows
+    it, as the angle follows the rate; the mean of a state then does. None if the balance leaves
+    more open.
     """
+    # A random orbit has no symmetry that would make the rank too low.
     generic = np.random.default_rng(0).normal(size=balance.unknown.numel())
     slopes = [
         np.nan_to_num(np.asarray(ca.DM(block))) for block in balance.slopes(generic, settings)
@@ -375,7 +382,8 @@ class Newton:
             "max_iter": 30,
             "show_eval_warnings": False,
         }
-        without_line_search = {**options, "line_search": False}  # twice as fast
+        # Twice as fast; `careful` is for guesses far from the solution.
+        without_line_search = {**options, "line_search": False}
         newton = ca.rootfinder("newton", "newton", statement, without_line_search)
         careful = ca.rootfinder("careful", "newton", statement, options)
 
@@ -388,12 +396,12 @@ class Newton:
 def _guess(newton: ca.Function, careful: ca.Function, finish: ca.Function) -> ca.Function:
     """Return the function from settings to harmonics: at once, or with a rising amplitude."""
     settings: Any = ca.MX.sym("settings", newton.numel_in("p"))
-    # Small, so that the first step goes to the linear response; not zero, where a kink has no
+    # So small that the first step leads to the linear response, but not zero, where a kink has no
     # slope.
     small = ca.DM(np.full(newton.numel_in("x0"), 1e-6))
 
-    # Where Newton's method fails, the amplitude is doubled from 1/128 of it, where a smooth model
-    # is nearly linear.
+    # If Newton's method fails, the amplitude is doubled step by step from a 128th, where a smooth
+    # model is nearly linear.
     followed = ca.MX(small)
     for k in range(7, -1, -1):
         step = ca.vertcat(settings[:-1], settings[-1] / 2**k)
@@ -462,8 +470,7 @@ class CompiledBalance:
         harmonics = self.solver.newton.map(n)(x0=guesses, p=settings)["x"]
         response, converged = self.solver.finish.map(n)(harmonics, settings)
 
-        # A motion that was not found becomes infinite, so that the run that met it fails instead of
-        # using it.
+        # A missing motion becomes infinite, so that the run fails instead of using it.
         response = response / ca.repmat(converged, 2, 1)
         return ca.Function("response", [p], [response[0, :].T, response[1, :].T])
 

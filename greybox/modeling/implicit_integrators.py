@@ -84,7 +84,7 @@ class Radau(ImplicitIntegrator):
 
     @property
     def name(self) -> str:
-        """What users call it."""
+        """Name for users."""
         return f"Radau IIA of order {self.order}"
 
     @property

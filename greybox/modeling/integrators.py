@@ -29,11 +29,10 @@ class Integrator(ABC):
         Largest |pole| · step for which a step is stable.
     wave : float
         Largest |imaginary part of a pole| · step at which an oscillation is followed closely enough
-        to begin with: at
-        0.7 a Runge-Kutta step changes the amplitude by 0.7⁶ / 144 and the phase by 0.7⁵ / 120,
-        which is 0.7 % and 0.013 rad in a period; whether that matters is judged by the data.
+        at first. At 0.7, a Runge-Kutta step changes the amplitude by 0.7⁶ / 144 and the phase by
+        0.7⁵ / 120, 0.7 % and 0.013 rad in a period; the data then decide whether this matters.
     implicit : bool
-        True where a step solves equations by iteration, which CasADi expresses by MX alone.
+        True if a step solves equations by iteration, which CasADi expresses in MX only.
     """
 
     substeps: int | None = None
@@ -52,7 +51,7 @@ class Integrator(ABC):
 
     @property
     def name(self) -> str:
-        """What users call it."""
+        """Name for users."""
         return type(self).__name__
 
     @abstractmethod
@@ -65,9 +64,8 @@ class RungeKutta(Integrator):
     """The classical explicit method of order four (Hairer, Nørsett, Wanner, volume I, II.1)."""
 
     order: ClassVar[int] = 4
-    reach: ClassVar[float] = (
-        2.7  # its stability region ends at -2.785 on the real and 2.828 j on the imaginary axis
-    )
+    # The stability region ends at -2.785 on the real and 2.828 j on the imaginary axis.
+    reach: ClassVar[float] = 2.7
     name: ClassVar[str] = "RK4"  # type: ignore[misc]
 
     def advance(self, system: Dynamics, x: Any, u: Any, slope: Any, p: Any, h: Any) -> Any:
@@ -90,9 +88,8 @@ class Rosenbrock(Integrator):
     """
 
     order: ClassVar[int] = 3
-    reach: ClassVar[float] = (
-        50.0  # stable beyond too, but a mode that fast is then no longer followed at all
-    )
+    # Stable beyond, too, but a faster mode would not be followed at all.
+    reach: ClassVar[float] = 50.0
 
     def advance(self, system: Dynamics, x: Any, u: Any, slope: Any, p: Any, h: Any) -> Any:
         """Return x one step later."""
@@ -133,6 +130,7 @@ def step_function(system: Dynamics, integrator: Integrator, substeps: int) -> ca
 
     result: Any = x
     for k in range(substeps if system.states else 0):
+        # The input at the beginning of the substep; `change` is that over the whole step.
         u = mean + change * (k / substeps - 0.5)
         result = integrator.advance(system, result, u, change / h, p, h / substeps)
 

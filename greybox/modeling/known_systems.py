@@ -51,7 +51,7 @@ class KnownTransferFunction(TransferFunction):
         if a == [0.0]:
             raise ValueError("the denominator is zero: give one with a coefficient that is not.")
 
-        # Plain lists, which a stored result can hold.
+        # Plain lists, which a stored result can contain.
         self.arguments = ((b, a, input, output, prefix), {})
         self.input = input
         self.output = output
@@ -132,6 +132,7 @@ class KnownStateSpace(StateSpace):
     def _products(self, by_state: Any, by_input: Any, x: Any, u: Any) -> list[Any]:
         signals = [*(x[name] for name in self.states), *(u[name] for name in self.inputs)]
         rows = [[*a, *b] for a, b in zip(by_state, by_input, strict=True)]
+        # Zeros are left out: the graph of a large system stays as sparse as its matrices.
         return [sum((c * v for c, v in zip(row, signals, strict=True) if c), 0.0) for row in rows]
 
 

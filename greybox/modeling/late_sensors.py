@@ -22,7 +22,7 @@ class LateSensors(StateSpace):
     ----------
     model : StateSpace
     sensors : (output, "delay" or "lag", (low, high))
-        One for each late output, with the bounds of the parameter ``<output>_delay`` or
+        A tuple for each late output, with the bounds of the parameter ``<output>_delay`` or
         ``<output>_lag`` in s.
     """
 
@@ -61,7 +61,7 @@ class LateSensors(StateSpace):
 
     @property
     def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
-        """Those of the model."""
+        """Derived quantities of the model."""
         return self.model.derived
 
     @property
@@ -80,10 +80,11 @@ class LateSensors(StateSpace):
 
     @property
     def trim(self) -> Any:  # type: ignore[override]
-        """That of the model, where it has one, with sensors at rest."""
+        """The trim of the model, if it has one, with sensors at rest."""
         return None if self.model.trim is None else self._trim
 
     def _trim(self, at: Any, p: Any) -> Mapping[str, Any]:
+        # At rest, every sensor shows the true output.
         assert self.model.trim is not None
         point = {**dict.fromkeys((*self.states, *self.inputs), 0.0), **self.model.trim(at, p), **at}
         true = as_list(self.model.output(Names(point), Names(point), p))

@@ -17,7 +17,7 @@ from greybox.modeling.model import Model, Names, pick_signals
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.state_space import StateSpace
-from greybox.modeling.symbolic_reading import parameter_names, require_no_nan, traced
+from greybox.modeling.symbolic_reading import parameter_names, require_no_nan, symbols, traced
 from greybox.modeling.transfer_function import TransferFunction, require_no_operating_point
 from greybox.modeling.trim import Trimmed, trim_of
 
@@ -40,12 +40,12 @@ def frequency_response(
     Raises
     ------
     ValueError
-        For an unknown name, or where the response is not finite, as at a pole on the imaginary
-        axis.
+        For an unknown name, or a response that is not finite, as at a pole on the imaginary axis.
     """
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
     input, output = pick_signals(model, input, output)
     pade = delay_order(delay)
+    # At a pole the response is infinite, which is refused below with its frequency.
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         if isinstance(model, TransferFunction):
             require_no_operating_point(model, at)
@@ -68,8 +68,7 @@ def frequency_response(
 def _transfer_function_values(
     model: TransferFunction, omega: Array, p: Names, pade: int | None
 ) -> ComplexArray:
-    # Plain complex numbers where possible: they do not depend on the arithmetic of `Complex`,
-    # against which tests compare them.
+    # Plain complex numbers if possible: tests compare them with the arithmetic of `Complex`.
     s: Any = 1j * omega if pade is None else Complex(np.zeros_like(omega), omega, pade)
     result = model.response(s, p)
     if isinstance(result, Complex):
@@ -119,20 +118,19 @@ def response_formula(
     With a `symbol`, the function takes one frequency as its last input; `omega` are the values that
     will occur.
     """
-    symbols = [] if symbol is None else [symbol]
+    frequency = [] if symbol is None else [symbol]
     frequencies = ca.SX(ca.DM(omega)) if symbol is None else symbol
     s = Complex(ca.SX.zeros(frequencies.numel()), frequencies, pade)
     input, output = pick_signals(model, input, output)
-    p = ca.SX.sym("p", len(model.parameters))
+    z, p = symbols(model)
     if isinstance(model, TransferFunction):
         require_no_operating_point(model, at)
         result = traced(f"{model.label}.response", model.response, s, parameter_names(model, p))
         parts = _parts(result, s, model.label)
-        return Trimmed(None, ca.Function("response", [p, ca.SX(0, 1), *symbols], parts))
+        return Trimmed(None, ca.Function("response", [p, ca.SX(0, 1), *frequency], parts))
 
     assert isinstance(model, StateSpace)
-    x = ca.SX.sym("x", len(model.states))
-    u = ca.SX.sym("u", len(model.inputs))
+    x, u = z[: len(model.states)], z[len(model.states) :]
     i = model.input_names.index(input)
     k = model.output_names.index(output)
     matrices = jacobians(model)
@@ -150,16 +148,16 @@ def response_formula(
     if input in model.delays:
         result = result * exp(-s * p[list(model.parameters).index(model.delays[input])])
 
-    at_point = ca.Function("response", [p, x, u, *symbols], _parts(result, s, model.label))
+    at_point = ca.Function("response", [p, x, u, *frequency], _parts(result, s, model.label))
     w = ca.SX.sym("w", trim.function.numel_in(1))
-    parts: Any = at_point(p, *trim.function(p, w), *symbols)
-    return Trimmed(trim.root, ca.Function("response", [p, w, *symbols], parts))
+    parts: Any = at_point(p, *trim.function(p, w), *frequency)
+    return Trimmed(trim.root, ca.Function("response", [p, w, *frequency], parts))
 
 
 def formula_at_one_frequency(model: Model, omega: Array, **options: Any) -> ca.Function | None:
     """Return the function (parameters, frequency) -> real and imaginary part of the response.
 
-    The arguments are those of `response_formula`. None if the formula has other numbers at each
+    The arguments are those of `response_formula`. None if the formula has different numbers at each
     frequency, or if Newton's method finds the operating point.
     """
     try:
@@ -173,7 +171,7 @@ def _elimination_order(
     model: StateSpace, matrices: ca.Function, trim: Trimmed, input: int, omega: Array
 ) -> tuple[int, ...]:
     """Choose the order of elimination from matrices at the start values and at random starts."""
-    # A pivot that vanishes for all parameters vanishes at any few of them, and at any frequencies.
+    # A pivot that vanishes for all parameters does so at any few values, and at any frequencies.
     random = np.random.default_rng(0)
     points = [[q.start for q in model.parameters.values()]]
     points += [[q.draw(random) for q in model.parameters.values()] for _ in range(3)]

@@ -10,7 +10,7 @@ from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import one_line
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.state_space import StateSpace
-from greybox.modeling.symbolic_reading import traced_derivative, traced_output
+from greybox.modeling.symbolic_reading import symbols, traced_derivative, traced_output
 from greybox.modeling.trim import trim_of
 
 
@@ -59,10 +59,8 @@ class LinearSystem:
 def jacobians(model: StateSpace) -> ca.Function:
     """Return the CasADi function (parameters, states, inputs) -> A, B, C, D."""
     n = len(model.states)
-    p = ca.SX.sym("p", len(model.parameters))
-    z = ca.SX.sym("z", n + len(model.inputs))
-    x = z[:n]
-    u = z[n:]
+    z, p = symbols(model)
+    x, u = z[:n], z[n:]
     f = traced_derivative(model, z, p)
     h = traced_output(model, z, p)
     blocks = [ca.jacobian(f, x), ca.jacobian(f, u), ca.jacobian(h, x), ca.jacobian(h, u)]
@@ -80,13 +78,13 @@ def linearize(
     Raises
     ------
     ValueError
-        If a name is not known or there is no operating point.
+        For an unknown name, or if there is no operating point.
     """
     p = model.values(values)
     vector = list(p.values())
     x, u = trim_of(model, at or {}).closed()(vector)
     point = np.concatenate([np.asarray(x).ravel(), np.asarray(u).ravel()])
-    # `trim_of` returns an infinite point where there is none, so that a search can go on.
+    # Without an operating point, `trim_of` returns an infinite one, so that a search can continue.
     if not np.all(np.isfinite(point)):
         raise ValueError(
             f"{model.label} has no operating point with {dict(at or {})} at {dict(p)}: check `at` "

@@ -22,6 +22,7 @@ class Names(Mapping[str, Any]):
         self.__dict__["_what"] = what
 
     def __getattr__(self, name: str) -> Any:
+        # `copy` and `pickle` look for special methods before there are any values.
         if name.startswith("__"):
             raise AttributeError(name)
         raise AttributeError(
@@ -30,6 +31,7 @@ class Names(Mapping[str, Any]):
         )
 
     def __getitem__(self, name: str) -> Any:
+        # A mapping raises KeyError, an attribute the sentence above.
         return getattr(self, name) if name in self.__dict__ else self.__dict__[name]
 
     def __setattr__(self, name: str, value: Any) -> None:
@@ -46,7 +48,7 @@ class Names(Mapping[str, Any]):
 
 
 def require_usable(names: Iterable[str], owner: str, base: type = Names) -> None:
-    """Raise ValueError for a name that would hide what the framework calls on `base`."""
+    """Raise ValueError for a name that would hide an attribute of `base`."""
     for name in names:
         if hasattr(base, name):
             raise ValueError(
@@ -83,8 +85,8 @@ class Model(ABC):
     parameters : mapping of name to `Parameter`
         Collected from the class body, in the order of declaration.
     derived : mapping of name to function
-        Quantities computed from the parameters, ``{"a3_tilde": lambda p: gb.g * p.a3}``; each gets
-        its own standard error.
+        Quantities computed from the parameters, ``{"a3_tilde": lambda p: gb.g * p.a3}``; a fit
+        gives their standard errors.
     units : mapping of signal name to str
         Declared units of inputs and outputs, ``{"theta": "rad"}``: records in other units are
         refused.
@@ -106,7 +108,7 @@ class Model(ABC):
 
     def __new__(cls, *args: Any, **kwargs: Any) -> Self:
         """Remember the arguments, so that a stored result can name its model."""
-        # Tilt(a1=3) looks like giving a value, and Python would accept it in silence.
+        # Tilt(a1=3) looks like a value of a parameter, and Python would accept it silently.
         if (args or kwargs) and cls.__init__ is object.__init__:
             raise TypeError(
                 f"{cls.__name__}() takes no arguments: give values to a problem, e.g. "
@@ -128,7 +130,7 @@ class Model(ABC):
 
     @property
     def is_static(self) -> bool:
-        """True if the model has neither states nor delays: outputs follow the inputs at once."""
+        """True if the model has neither states nor delays."""
         return False
 
     @property
@@ -208,7 +210,7 @@ def merge(name: str, a: Parameter, b: Parameter) -> Parameter:
     Raises
     ------
     ValueError
-        When the units differ, one is fixed and the other free, or the bounds do not overlap.
+        If the units differ, one is fixed and the other free, or the bounds do not overlap.
     """
     if a == b:
         return a

@@ -42,6 +42,7 @@ def module_from_file(path: Path) -> ModuleType:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    # Dataclasses look up their module by name while it runs, so it is registered before.
     sys.modules[path.stem] = module
     try:
         spec.loader.exec_module(module)

@@ -15,12 +15,12 @@ from greybox.modeling.transfer_function import FeedbackLoop, RenamedParameters, 
 
 
 class UnknownModelError(LookupError):
-    """A model that a stored result names, and that is neither included nor given.
+    """The model of a stored result, which is neither included nor given.
 
     Attributes
     ----------
     missing : str
-        What is missing, without the cure, which is another one on the command line.
+        The message without the cure, which differs on the command line.
     """
 
     def __init__(self, missing: str, cure: str) -> None:
@@ -47,7 +47,7 @@ def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()
     Raises
     ------
     UnknownModelError, LookupError
-        When it is neither, or does not take the stored arguments.
+        If it is neither, or does not take the stored arguments.
     """
     module_name, _, class_name = stored["class"].partition(":")
     name = f"{printable(class_name)} of the module {module_name!r}"
@@ -65,6 +65,7 @@ def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()
         arguments = [_alive(value, given) for value in stored["arguments"]]
         keywords = {name: _alive(value, given) for name, value in stored["keywords"].items()}
         return model(*arguments, **keywords)
+    # A crafted file may nest models without end, or give them any arguments.
     except (TypeError, ValueError, ArithmeticError, RecursionError) as error:
         raise LookupError(
             f"{missing} as it was: {error}; give the model itself, model=..."
@@ -72,10 +73,8 @@ def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()
 
 
 def _given(name: str, given: Sequence[Model | type[Model]]) -> Model | type[Model] | None:
-    """Return the given model of this class, if possible of the same module.
-
-    A file that is run has the module ``__main__``.
-    """
+    """Return the given model of this class, if possible of the same module."""
+    # The same file has the module ``__main__`` when it is run.
     classes = [model if isinstance(model, type) else type(model) for model in given]
     modules = [f"{kind.__module__}:{kind.__qualname__}" for kind in classes]
     if name in modules:

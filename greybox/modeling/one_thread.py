@@ -30,7 +30,7 @@ def one_thread_at_a_time(function: Callable[Arguments, Result]) -> Callable[Argu
 class cached_property(functools.cached_property[Result]):  # noqa: N801
     """A property whose value is built once, without the lock that Python 3.11 holds meanwhile.
 
-    Two threads that took that lock and the one above in opposite order would wait for ever.
+    Two threads that take that lock and the one above in opposite order would wait forever.
     """
 
     def __get__(self, instance: Any, owner: type[Any] | None = None) -> Any:

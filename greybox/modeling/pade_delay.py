@@ -32,6 +32,7 @@ def pade_coefficients(order: int) -> list[float]:
     Source: Golub and Van Loan, Matrix Computations, section 9.3.1.
     """
     n = order
+    # Factorials of integers are exact, whatever the order.
     return [
         math.factorial(2 * n - k)
         * math.factorial(n)

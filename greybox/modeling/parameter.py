@@ -14,22 +14,22 @@ class Parameter:
     Parameters
     ----------
     start : float
-        The value a single run begins at, and the value kept while the parameter is fixed.
+        Start of a single run, and the value of a fixed parameter.
     bounds : (float, float)
-        The interval in which the estimate must lie; infinite ends are allowed.
+        Interval of the estimate; infinite ends are allowed.
     unit : str
         SI unit as text, e.g. ``"1/s²"``; dimensionless is ``"1"``.
     about : str
-        What the parameter means, in words.
+        The meaning of the parameter.
     fixed : bool
-        True for a constant; `Problem(..., free=("name",))` sets it free.
+        True for a constant; `Problem(..., free=("name",))` frees it.
     starts : (float, float), optional
         The box in which random starts are drawn; by default the bounds.
     scale : "linear" or "log"
         "log" optimizes the logarithm and draws starts evenly in it, for positive parameters that
         span decades.
     prior : (float, float), optional
-        Mean and standard deviation of what is known before the data, see `Problem`.
+        Mean and standard deviation of a-priori knowledge, see `Problem`.
 
     Raises
     ------
@@ -116,6 +116,7 @@ class Parameter:
             values = np.exp(np.log(low) + share * (np.log(high) - np.log(low)))
         else:
             values = low + share * (high - low)
+        # Rounding may lead beyond the ends.
         return np.clip(values, low, high)
 
 

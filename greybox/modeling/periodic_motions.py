@@ -23,8 +23,8 @@ from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.sine import Sine, as_sine
 
-# Difference of two responses, relative, above which they belong to different motions: three times
-# what a larger number of harmonics may change.
+# Relative difference of two responses above which they belong to different motions: three times the
+# change that a larger number of harmonics may cause.
 DISTINCT = 1e-3
 
 
@@ -42,9 +42,9 @@ def harmonic_response(
     """Evaluate the response of an ODE to a sine of finite amplitude, at `omega` (n,) in rad/s.
 
     The response is the first harmonic of the output over that of the input: the describing function
-    of a nonlinear model, the frequency response of a linear one. Where several periodic motions
-    exist, the response is that of a test which raises the amplitude slowly, and a UserWarning names
-    the different.
+    of a nonlinear model, the frequency response of a linear one. If several periodic motions exist,
+    the response is that of a test which raises the amplitude slowly, and a UserWarning reports the
+    others.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def harmonic_response(
     Raises
     ------
     ValueError
-        For an unknown name, for a transfer function, and where no periodic motion is found.
+        For an unknown name or a transfer function, or if no periodic motion is found.
     """
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
     input, output = pick_signals(model, input, output)
@@ -125,7 +125,7 @@ def periodic_motions(
     options = _with_order(signals)
     direct, number = directly_found(model, values, omega, sine, **options)
     if not np.isfinite(direct).all():
-        # The search for harmonics has gone to its limit in vain.
+        # The search for harmonics went to its limit in vain.
         number = min(number, 7)
     elif sine.harmonics is None:
         # One harmonic has the folds of a spring at other amplitudes.
@@ -139,8 +139,9 @@ def periodic_motions(
     settings = np.asarray(ca.DM(balance.settings(vector, omega)))
     response, messages = direct.copy(), []
     for k, column in enumerate(settings.T):
-        # Forty steps over three decades: from where a model is nearly linear. Twenty from ten times
-        # the amplitude: a resonance jumps and falls back at amplitudes less than that apart.
+        # Raised in forty steps over three decades, from where a model is nearly linear. Lowered in
+        # twenty steps from ten times the amplitude: the amplitudes at which a resonance jumps up
+        # and falls back differ by less than that.
         raised = _followed(balance, column, np.geomspace(1e-3, 1, 40))
         lowered = _followed(balance, column, np.geomspace(10, 1, 20))
         motions = [m for m in (raised, direct[k], lowered) if np.isfinite(m)]
@@ -159,10 +160,7 @@ def periodic_motions(
 
 
 def _followed(balance: CompiledBalance, settings: Array, shares: Array) -> complex:
-    """Return the response at the given amplitude, approached in `shares` of it.
-
-    It is NaN where the motion is lost.
-    """
+    """Return the response at the given amplitude, approached in `shares` of it; NaN if lost."""
     x = np.zeros(0)
     for share in shares:
         step = settings.copy()

@@ -45,6 +45,7 @@ class Rational(FunctionOfS):
         self.pade = pade
 
     def _same_delay(self, operand: "Rational") -> Any:
+        # Zero has any delay.
         if _is_zero_polynomial(self.numerator):
             return operand.delay
         if _is_zero_polynomial(operand.numerator) or _equal(self.delay, operand.delay):
@@ -60,7 +61,7 @@ class Rational(FunctionOfS):
             return NotImplemented
         delay = self._same_delay(operand)
         pade = self.pade or operand.pade
-        # A common denominator is kept once, for the same reason.
+        # A product of equal denominators would double the order of the sum.
         if _equal_polynomials(self.denominator, operand.denominator):
             return Rational(_sum(self.numerator, operand.numerator), self.denominator, delay, pade)
 
@@ -74,8 +75,8 @@ class Rational(FunctionOfS):
         operand = _rational(operand)
         if operand is None:
             return NotImplemented
-        # Equal factors cancel: without this the order grows with every product of a formula, and
-        # the realization gets states that cannot be observed.
+        # Equal factors cancel. Otherwise the order would grow with every product of a formula, and
+        # the realization would have unobservable states.
         n1, d2 = _cancel(self.numerator, operand.denominator)
         n2, d1 = _cancel(operand.numerator, self.denominator)
         return Rational(
@@ -108,7 +109,7 @@ class Rational(FunctionOfS):
 
     def exp(self) -> "Rational":
         """exp(-s T) as a delay, or as a rational function where a Padé order is set."""
-        # The order travels with s through the formula, so that a model needs no word about delays.
+        # Every result of a formula in s has the order of s, so that a model need not know of it.
         if self.pade is not None:
             return pade_exponential(self, self.pade)
         constant = len(self.denominator) == 1 and not is_casadi(self.delay) and self.delay == 0
@@ -182,7 +183,8 @@ def rational(
     c = system.C[k]
     d = system.D[k, i]
 
-    # The numerator is the product of the denominator and the Markov parameters d, c b, c A b, ...
+    # The response is a power series in 1/s with the Markov parameters d, c b, c A b, ... Its
+    # product with the denominator is the numerator, whose terms beyond the order vanish.
     denominator = np.atleast_1d(np.poly(np.linalg.eigvals(system.A))).real
     markov = [d, *(c @ np.linalg.matrix_power(system.A, j) @ b for j in range(len(b)))]
     numerator = np.convolve(denominator, markov)[: len(denominator)]
@@ -257,6 +259,7 @@ def _sum(a: list[Any], b: list[Any]) -> list[Any]:
 
 
 def _convolve(a: list[Any], b: list[Any]) -> list[Any]:
+    # `np.convolve` does not take CasADi expressions.
     result: list[Any] = [0.0] * (len(a) + len(b) - 1)
     for i, x in enumerate(a):
         for k, y in enumerate(b):

@@ -16,13 +16,14 @@ from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import (
     parameter_names,
     require_no_nan,
+    symbols,
     traced,
     traced_derivative,
     traced_output,
 )
 from greybox.modeling.transfer_function import TransferFunction
 
-NO_POLE = 1e-9  # rad/s: a pole below is an integrator's, as far as rounding lets the roots be known
+NO_POLE = 1e-9  # rad/s: within rounding errors of the roots, a slower pole is an integrator
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +51,7 @@ class Dynamics:
 
     @property
     def delayed(self) -> bool:
-        """True when some input has a delay."""
+        """True if some input has a delay."""
         return not self.delay(ca.SX.sym("p", len(self.parameters))).is_zero()
 
     def later(self, seconds: Sequence[float]) -> "Dynamics":
@@ -76,17 +77,15 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
     ValueError
         If a transfer function has no rational form (a loop around an exact delay), or is improper.
     """
-    p = ca.SX.sym("p", len(model.parameters))
+    z, p = symbols(model)
     if isinstance(model, TransferFunction):
         return _realized(model, p, pade)
     assert isinstance(model, StateSpace)
-    x = ca.SX.sym("x", len(model.states))
-    u = ca.SX.sym("u", len(model.inputs))
+    x, u = z[: len(model.states)], z[len(model.states) :]
     names = list(model.parameters)
     delays = [
         p[names.index(model.delays[i])] if i in model.delays else ca.SX(0) for i in model.inputs
     ]
-    z = ca.vertcat(x, u)
     f = traced_derivative(model, z, p) if model.states else ca.SX(0, 1)
 
     return _with_pade_states(
@@ -104,11 +103,10 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
 
 
 def has_branches(model: Model) -> bool:
-    """Tell whether the equations of a `StateSpace` contain comparisons or limits."""
+    """Return whether the equations of a `StateSpace` contain comparisons or limits."""
     if not isinstance(model, StateSpace):
         return False
-    z = ca.SX.sym("z", len(model.states) + len(model.inputs))
-    p = ca.SX.sym("p", len(model.parameters))
+    z, p = symbols(model)
     return has_switches(ca.vertcat(traced_derivative(model, z, p), traced_output(model, z, p)))
 
 
@@ -128,11 +126,11 @@ def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
 
     numerator = [ca.SX(0)] * (n + 1 - len(numerator)) + numerator
     a = [c / denominator[0] for c in denominator]
-    # What passes at once is split off: the rest is strictly proper.
+    # Without the direct feedthrough, the rest is strictly proper.
     feedthrough = numerator[0] / denominator[0]
     b = [c / denominator[0] - feedthrough * a[k] for k, c in enumerate(numerator)]
-    # In units of the poles all states are of one size; in seconds the coefficients of a fast
-    # system of order n differ by its n-th power.
+    # With time in units of the poles, all states have one size; in seconds, the coefficients of a
+    # fast system of order n would differ by the n-th power of its poles.
     scale = _time_scale(a, p, model)
 
     x = ca.SX.sym("x", n)
@@ -174,7 +172,7 @@ def _time_scale(a: list[Any], p: ca.SX, model: Model) -> float:
 
 
 def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
-    """Replace every delay by the states of its Padé approximation, where an order is given."""
+    """Replace every delay by the states of its Padé approximation if an order is given."""
     if pade is None or not exact.delayed:
         return exact
     m = len(exact.inputs)

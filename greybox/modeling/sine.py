@@ -20,14 +20,14 @@ class Sine:
     Parameters
     ----------
     signal : str
-        The input of the data, if it was the sine; or a state or an output that a loop held to a
+        The sinusoidal signal: the input of the data, or a state or an output that a loop held to a
         sine, as the setpoint sines (3.14) do with the angle. All other signals then have harmonics.
     amplitude : float or (n,) array, in the unit of the signal
-        Half the distance from peak to peak; one for all frequencies or one for each.
+        Half of the peak-to-peak value; a number for all frequencies, or one for each.
     harmonics : int, optional
         Number of harmonics of the other signals. By default as many as change the response by more
-        than 0.03 %, at most 50; in a fit, at the start values and at most 9. A fit warns if more
-        would change its estimate.
+        than 0.03 %, at most 50; in a fit, as many as matter at the start values, at most 9. A fit
+        warns if more harmonics would change its estimate.
 
     Raises
     ------
@@ -112,7 +112,7 @@ class Sine:
 
 
 def as_sine(given: Any) -> Sine:
-    """Read what a user gives: a `Sine`, or ``{signal: amplitude}``.
+    """Return a `Sine` from a `Sine` or ``{signal: amplitude}``.
 
     Raises
     ------

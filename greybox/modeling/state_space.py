@@ -19,9 +19,9 @@ class StateSpace(Model):
     It may declare ``trim(self, at, p)``, which returns the remaining states and inputs at the
     operating point `at` by name; without it they follow from ``derivative = 0``.
 
-    What a delayed input did before a record is known only if it rests at the beginning: if it
-    moves, a fit leaves out as many seconds there as the upper bound of its delay, so give delays
-    tight upper bounds (see `TimeCriterion`).
+    A delayed input is known before the record only if it rests at the beginning. If it moves, a fit
+    leaves out as many seconds there as the upper bound of its delay, so give delays tight upper
+    bounds (see `TimeCriterion`).
     """
 
     states: Sequence[str] = ()

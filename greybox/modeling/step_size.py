@@ -1,13 +1,13 @@
 """How many equal substeps a fixed-step integrator takes: the one rule.
 
-Stability asks for steps within the scheme's region: |λ| h ≤ reach for every pole λ, and |Im λ| h ≤
+Stable steps lie within the region of the scheme: |λ| h ≤ reach for every pole λ, and |Im λ| h ≤
 wave, so that an oscillation is followed (`stable_substeps`). Accuracy is judged by repeating the
-steps with half their length (Richardson): for a scheme of order q the error of n substeps falls as
-n^-q, so the difference between n and 2n of them is the error of n but for a factor 1 - 2^-q, and
+steps with half their length (Richardson): for a scheme of order q, the error of n substeps falls as
+n^-q, so the difference between n and 2n substeps is the error of n but for a factor 1 - 2^-q, and
 gives the number that meets a tolerance. Because the model is then run again, the growth per run is
 limited (`substep_growth`).
 
-The tolerance, what it is relative to, and the most substeps differ from place to place: they are
+Callers differ in the tolerance, its reference, and the largest number of substeps, which are
 arguments.
 
 Source: Hairer, Nørsett, Wanner, Solving Ordinary Differential Equations I, 2nd ed., section II.4:
@@ -24,11 +24,11 @@ from greybox.files.arrays import Array, ComplexArray
 # Substeps a sample. An explicit step follows poles up to `reach` per step, RK4 to 64 · 2.7 = 170
 # per sample; a model with faster ones is stiff, and the implicit `Rosenbrock` takes fewer steps.
 MOST_SUBSTEPS = 64
-# A repetition builds and runs everything anew, so it shall bring at least a halving of the steps.
+# A repetition builds and runs everything anew, so it should at least halve the steps.
 LEAST_GROWTH = 2
-# Steps far outside the range in which the error falls with the order hide how many are needed.
-# (4.13) limits the change of a step by facmax, 1.5 to 5 for steps that are merely repeated; with a
-# dearer repetition it is three halvings.
+# From steps that are far too long, the error does not show how many are needed. (4.13) limits the
+# change of a step by facmax, 1.5 to 5 for steps that are merely repeated; a repetition costs more
+# here, so three halvings are allowed.
 MOST_GROWTH = 8
 # A state this much smaller than the largest one may be rounding alone: changes of 1e-16 of the
 # largest state are then 1e-10 of it, far below all tolerances here.
@@ -50,13 +50,14 @@ def stable_substeps(
     if not poles.size:
         return 1
     fastest = np.maximum(np.abs(poles) / reach, np.abs(poles.imag) / wave).max()
-    return _whole(fastest * step, most)
+    # The limit comes first, since infinity has no whole number.
+    return max(math.ceil(min(fastest * step, most)), 1)
 
 
 def substep_growth(error: float, tolerance: float, order: int) -> int:
     """Return the factor on the substeps where the error, perhaps infinite, is too large."""
-    factor = _factor(error, tolerance, order) if math.isfinite(error) else MOST_GROWTH
-    return int(np.clip(math.ceil(min(factor, MOST_GROWTH)), LEAST_GROWTH, MOST_GROWTH))
+    factor = (error / tolerance) ** (1 / order) if math.isfinite(error) else MOST_GROWTH
+    return max(math.ceil(min(factor, MOST_GROWTH)), LEAST_GROWTH)
 
 
 def relative_change(change: Array, size: Array) -> float:
@@ -70,11 +71,3 @@ def state_sizes(*states: Array) -> Array:
     """Return the largest absolute value of every state, (n,), but no less than rounding may be."""
     size = np.max([np.abs(x).max(axis=1, initial=0.0) for x in states], axis=0)
     return np.maximum(size, NEGLIGIBLE * size.max(initial=0.0))
-
-
-def _factor(error: float, tolerance: float, order: int) -> float:
-    return (error / tolerance) ** (1 / order)
-
-
-def _whole(count: float, most: int) -> int:
-    return int(np.clip(math.ceil(min(count, most)), 1, most))

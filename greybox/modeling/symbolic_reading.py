@@ -1,4 +1,4 @@
-"""Read a user's formula with CasADi expressions; say in a sentence why that fails."""
+"""Evaluates a user's formula with CasADi expressions, with a clear message if that fails."""
 
 import re
 import threading
@@ -18,7 +18,7 @@ CURE = (
     "if, max or and."
 )
 
-# The filters of warnings are those of all threads: two that change them at once could leave them
+# All threads share the filters of warnings: two threads that change them at once could leave them
 # changed.
 _FILTERS = threading.RLock()
 
@@ -26,6 +26,13 @@ _FILTERS = threading.RLock()
 def parameter_names(model: Model, p: Any) -> Names:
     """Name the entries of a parameter vector."""
     return Names({name: p[k] for k, name in enumerate(model.parameters)}, model.label)
+
+
+def symbols(model: Model) -> tuple[ca.SX, ca.SX]:
+    """Return symbols of states and inputs (n + m,), and of parameters."""
+    states = model.states if isinstance(model, StateSpace) else ()
+    z = ca.SX.sym("z", len(states) + len(model.input_names))
+    return z, ca.SX.sym("p", len(model.parameters))
 
 
 def split(model: StateSpace, z: Any) -> tuple[Names, Names]:
@@ -42,7 +49,7 @@ def traced(owner: str, formula: Callable[..., Any], *arguments: Any) -> Any:
     Raises
     ------
     ValueError
-        With the cure, where CasADi or Python refuses the formula.
+        If CasADi or Python refuses the formula.
     """
     try:
         with _FILTERS, warnings.catch_warnings():
@@ -50,6 +57,7 @@ def traced(owner: str, formula: Callable[..., Any], *arguments: Any) -> Any:
             warnings.simplefilter("ignore", FutureWarning)
             return formula(*arguments)
     except (RuntimeError, NotImplementedError, TypeError) as error:
+        # The first line has the reason, behind a path in CasADi's own sources.
         reason = re.sub(r"^\.\.\./casadi\S+ ", "", str(error).strip().partition("\n")[0])
         raise ValueError(f"{owner} cannot be compiled ({reason.rstrip('.')}): {CURE}") from error
 
@@ -67,18 +75,17 @@ def traced_output(model: StateSpace, z: ca.SX, p: ca.SX) -> ca.SX:
 @one_thread_at_a_time
 def derivative_function(model: StateSpace) -> ca.Function:
     """Return the CasADi function (states and inputs, parameters) -> derivative."""
-    z = ca.SX.sym("z", len(model.states) + len(model.inputs))
-    p = ca.SX.sym("p", len(model.parameters))
+    z, p = symbols(model)
     return ca.Function("derivative", [z, p], [traced_derivative(model, z, p)])
 
 
 def as_list(result: Any) -> list[Any]:
-    """Return what a derivative or an output returns as a list: a single one needs no tuple."""
+    """Return the values of a derivative or an output as a list; a single value needs no tuple."""
     return list(result) if isinstance(result, (tuple, list)) else [result]
 
 
 def column(owner: str, values: Sequence[Any]) -> ca.SX:
-    """Stack scalar expressions, saying which one is not an expression."""
+    """Stack scalar expressions; ValueError names a value that is not an expression."""
     for k, value in enumerate(values):
         if not isinstance(value, (int, float, np.number, ca.SX, ca.DM)):
             raise ValueError(

@@ -22,8 +22,8 @@ class TransferFunction(Model):
     def response(self, s: Any, p: Any) -> Any:
         """Return the value at `s` for the parameter values `p`.
 
-        `s` is a complex array, a `Complex` or a `Rational`; write the formula with ``+ - * / **``
-        and functions such as `gb.exp`, and every reading works.
+        `s` is a complex array, a `Complex` or a `Rational`: write the formula with ``+ - * / **``
+        and functions such as `gb.exp`, which work for all of these.
         """
 
     @property
@@ -95,6 +95,7 @@ class RenamedParameters(TransferFunction):
     def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
         """Derived quantities of the model, under their own names."""
         quantities = self.model.derived.items()
+        # The default binds each function now; the loop variable would be the last one.
         return {name: lambda p, f=f: f(self._inside(p)) for name, f in quantities}
 
     def response(self, s: Any, p: Any) -> Any:
@@ -121,7 +122,7 @@ class SeriesConnection(TransferFunction):
         shared: Sequence[str] = (),
     ) -> None:
         _require_transfer_functions(first, second)
-        # Silently shared, the delay of a rotor would act once more as the delay of the airframe.
+        # If shared silently, the delay of a rotor would act once more as the delay of the airframe.
         for name in first.parameters:
             if name in second.parameters and name not in shared:
                 raise ValueError(

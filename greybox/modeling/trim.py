@@ -16,6 +16,7 @@ from greybox.modeling.symbolic_reading import (
     column,
     derivative_function,
     parameter_names,
+    symbols,
     traced,
     traced_derivative,
 )
@@ -30,8 +31,8 @@ class Trimmed:
     Attributes
     ----------
     root : casadi.Function or None
-        (p) -> the unknowns w of ``derivative = 0``, by Newton's method; None where there are none,
-        and w is empty.
+        (p) -> the unknowns w of ``derivative = 0``, by Newton's method; None without unknowns, when
+        w is empty.
     function : casadi.Function
         (p, w, ...) -> the result, an SX function. Its first and second derivatives by p, with w
         held, are those at the operating point: from a root, one step of Newton's method has the
@@ -56,16 +57,16 @@ class Trimmed:
 def trim_of(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
     """Return states and inputs at the operating point `at` as functions of the parameters.
 
-    The point is, in this order: the result of the model's own `trim`; the origin, if that is an
-    equilibrium for every parameter value (so a hover, where ``C_x |v| v = 0`` has a double root,
-    has finite derivatives); otherwise the solution of ``derivative = 0``, differentiated by the
+    The point is the first of these: the result of the model's own `trim`; the origin, if it is an
+    equilibrium for all parameter values (so that a hover, where ``C_x |v| v = 0`` has a double
+    root, has finite derivatives); the solution of ``derivative = 0``, differentiated by the
     implicit function theorem.
 
     Raises
     ------
     ValueError
-        For a name in `at` that is neither state nor input, or if the given values do not fix an
-        operating point.
+        For a name in `at` that is neither a state nor an input, or if these values do not determine
+        an operating point.
     """
     require_known(at, (*model.states, *model.inputs), "state or input", model.label)
     for name, value in at.items():
@@ -107,7 +108,7 @@ def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> Trimmed:
     start = [q.start for q in model.parameters.values()]
     point = ca.vertcat(*trim.function(start, []))
     derivative = np.asarray(derivative_function(model)(point, start)).ravel()
-    # Constants in a formula of the user's may be rounded.
+    # Constants in the user's formula may be rounded.
     tolerance = 1e-6 * (1 + np.abs(np.asarray(point)).max(initial=0))
     if not np.all(np.abs(derivative) < tolerance):
         worst = int(np.argmax(np.abs(np.nan_to_num(derivative, nan=np.inf))))
@@ -120,7 +121,7 @@ def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> Trimmed:
 
 
 def _is_always_equilibrium(model: StateSpace, point: Sequence[float]) -> bool:
-    """Tell whether `point` is an equilibrium for all parameters, by trying eight draws of them."""
+    """Return whether `point` is an equilibrium for all parameters, by eight random draws."""
     derivative = derivative_function(model)
     random = np.random.default_rng(0)
     for _ in range(8):
@@ -132,9 +133,9 @@ def _is_always_equilibrium(model: StateSpace, point: Sequence[float]) -> bool:
 
 def _implicit_trim(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
     names = (*model.states, *model.inputs)
-    z = ca.SX.sym("z", len(names))
-    p = ca.SX.sym("p", len(model.parameters))
+    z, p = symbols(model)
     derivative = traced_derivative(model, z, p)
+    # A signal on which no derivative depends cannot be solved for; it rests at zero.
     used = (
         ca.sum1(ca.DM(ca.jacobian_sparsity(derivative, z), 1.0))
         if len(model.states)
@@ -169,6 +170,7 @@ def _presolve(
 ) -> tuple[Array, list[int]]:
     """Solve the trim at the start values; return it and as many independent equations."""
     random = np.random.default_rng(0)
+    # Zero itself is left out: kinks and roots have no slope there.
     guesses = [np.full(size, c) for c in (0.1, 1.0, -0.1, -1.0, 10.0)]
     guesses += list(random.normal(0, 3, (15, size)))
     for guess in guesses:
@@ -183,8 +185,8 @@ def _presolve(
         if not np.abs(derivative).max(initial=0) <= TOLERANCE * (1 + np.abs(root).max(initial=0)):
             continue
 
-        # A pivot is zero if it is rounding beside the largest one, or vanishes beside its value a
-        # tenth of the point away, as at a double root.
+        # A pivot is zero if it is a rounding error of the largest one, or vanishes relative to its
+        # value a tenth of the point away, as at a double root.
         pivots, order = _pivots(residual(root, start)[1])
         nearby, _ = _pivots(residual(root + 0.1 * (1 + np.abs(root)), start)[1])
         if pivots.size and pivots.min() < max(
@@ -204,7 +206,7 @@ def _presolve(
 
 
 def _pivots(jacobian: ca.DM) -> tuple[Array, IntArray]:
-    """Pivots of a Jacobian, largest first, and the order in which its rows were taken."""
+    """Return the pivots of a Jacobian, largest first, and the order of its rows."""
     from scipy.linalg import qr  # noqa: PLC0415  (see `_presolve`)
 
     result: Any = qr(np.nan_to_num(np.asarray(jacobian)).T, pivoting=True, mode="economic")
@@ -230,7 +232,7 @@ def _rootfinder(
     parameters = ca.MX.sym("p", p.numel())
     direct = newton(x0=guess, p=parameters)["x"]
     start = ca.DM([q.start for q in model.parameters.values()])
-    # If that does not converge: from the start values in ten steps.
+    # If this does not converge, the parameters move from their start values in ten steps.
     root = ca.MX(ca.DM(guess))
     for step in range(1, 11):
         root = newton(x0=root, p=start + (parameters - start) * step / 10)["x"]

@@ -56,7 +56,7 @@ def test_a_parameter_is_frozen_and_compares_by_value():
             r"bounds \(5, 0\) are reversed or empty: give \(low, high\) with low < high",
         ),
         ({"bounds": (2, 2)}, r"bounds \(2, 2\) are reversed or empty"),
-        ({"bounds": (math.nan, 5)}, r"bounds \(nan, 5\) hold a NaN"),
+        ({"bounds": (math.nan, 5)}, r"bounds \(nan, 5\) contain a NaN"),
         ({"bounds": 5}, r"bounds 5 must be a pair of numbers"),
         ({"bounds": (0, 1, 5)}, r"bounds \(0, 1, 5\) must be a pair"),
         ({"bounds": ("a", "b")}, r"bounds \('a', 'b'\) must be a pair"),
