@@ -13,7 +13,6 @@ from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transient_part import Along, TransientPart
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.record import Record
 from greybox.estimate.diagnostics.delay_approximation import pade_error
 from greybox.estimate.fitted_part import AnyFittedPart, FittedRecord, FittedResponse, FittedSpectrum
 from greybox.files.arrays import Array
@@ -110,15 +109,9 @@ def _(
     used = [*part.system.inputs, *part.outputs]
 
     # Only signals that the fit used: a log may have hundreds, and a saved fit contains its data.
-    stored = Record(
-        data.time,
-        {name: data[name] for name in used},
-        units={name: data.units[name] for name in used if name in data.units},
-        name=data.name,
-        source=data.source,
-        checksum=data.checksum,
-        hold=data.hold,
-        has_time=data.has_time,
+    units = {name: data.units[name] for name in used if name in data.units}
+    stored = replace(
+        data, signals={n: data[n] for n in used}, units=units, metadata={}, filters={}, findings=()
     )
     count = len(part.outputs)
     noise = np.full((count, count), np.nan)

@@ -10,7 +10,7 @@ import numpy as np
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.response_band import t_quantile
 from greybox.files.html_text import html_list, html_table, html_text
-from greybox.files.text_table import counted, number, some, text_table, with_error
+from greybox.files.text_table import counted, number, percent, some, text_table, with_error
 from greybox.formulation.spectrum_criteria import EquationError
 from greybox.solve.minima import Multistart
 from greybox.statistics.metrics import rms
@@ -231,8 +231,9 @@ def _output_texts(records: Sequence[FittedRecord]) -> list[str]:
 def _output_text(part: FittedRecord, output: str) -> str:
     place = f" ({part.name})" if part.name else ""
     residual = f"{number(rms(part.residual(output)))} {part.data.units.get(output, '')}".rstrip()
-    percent = part.fit_percent(output)
-    fit_text = "" if math.isnan(percent) else f", fit {percent:.1f} %"  # NaN if it never changes
+    # NaN for an output that never changes.
+    share = part.fit_percent(output)
+    fit_text = "" if math.isnan(share) else f", fit {share:.1f} %"
     return f"{output}{place}: residual {residual} rms{fit_text}"
 
 
@@ -240,19 +241,19 @@ def _response_texts(responses: Sequence[FittedResponse]) -> list[str]:
     """Say how far the points are from the model, of many responses for the worst three."""
     lines = []
     for part in responses:
-        with np.errstate(divide="ignore", invalid="ignore"):  # zeros, which are left out
+        # A response that contains a zero has no relative residual: it has no line.
+        with np.errstate(divide="ignore", invalid="ignore"):
             error = np.abs(part.data.response - part.response) / np.abs(part.data.response)
         if np.all(np.isfinite(error)):
             worst = int(np.argmax(error))
             place = f" ({part.name})" if part.name and len(responses) > 1 else ""
             line = (
-                f"residual {number(100 * rms(error), 2)} % rms, largest "
-                f"{number(100 * float(error[worst]), 2)} % at {part.data.omega[worst]:.4g} "
-                f"rad/s{place}"
+                f"residual {percent(rms(error))} % rms, largest {percent(error[worst])} % at "
+                f"{part.data.omega[worst]:.4g} rad/s{place}"
             )
             lines.append((-rms(error), line))
 
-    # Of many responses, the worst three say most.
+    # Of many responses the worst three show what is wrong.
     if len(lines) > MANY:
         lines = sorted(lines)[:3]
     return [line for _, line in lines]

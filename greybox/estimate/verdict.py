@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
 from greybox.estimate.printed import closeness
-from greybox.files.text_table import counted, listed, number, some
+from greybox.files.text_table import counted, listed, percent, some
 from greybox.solve.runs import SCREENED
 
 Grade = Literal["good", "doubt", "failed"]
@@ -118,11 +118,6 @@ def _determined(fit: Any) -> tuple[str, bool]:
     most = f"{percent(float(judged.error[worst]))} % ({judged.names[worst]})"
 
     return f"{subject} well determined, with standard errors of at most {most}.", True
-
-
-def percent(share: float) -> str:
-    """Return a share in percent with two digits, without an exponent where that is readable."""
-    return f"{float(number(100 * share, 2)):g}"
 
 
 def _names(names: Sequence[str]) -> str:

@@ -51,6 +51,11 @@ def number(value: float, digits: int = 5) -> str:
     return f"{value:.{digits}g}"
 
 
+def percent(share: float) -> str:
+    """Return a share in percent with two digits, without an exponent where that is readable."""
+    return f"{float(number(100 * share, 2)):g}"
+
+
 def counted(count: float, one: str, more: str = "") -> str:
     """Return "1 record" or "2 records"; `more` is an irregular plural."""
     amount = f"{count:g}" if isinstance(count, float) else f"{count}"

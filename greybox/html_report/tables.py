@@ -8,8 +8,7 @@ from xml.etree.ElementTree import Element
 from greybox.estimate import printed
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
 from greybox.estimate.result import Fit
-from greybox.estimate.verdict import percent
-from greybox.files.text_table import number, with_error
+from greybox.files.text_table import number, percent, with_error
 from greybox.html_report.elements import Child, tag
 
 

@@ -168,21 +168,18 @@ class Bootstrap:
         failed = f", {self.failed} failed" if self.failed else ""
         replicates = counted(len(self.values), "replicate")
         title = f"{self.name}: bootstrap, {self.about}; {replicates}{failed}"
-        error = self.standard_error
-        bias = self.bias
-        intervals = self.interval(level)
         header = ["", "estimate", "± error", "± fit", "bias", "unit", f"{100 * level:g} % interval"]
         rows = [
             [
                 name,
-                number(float(self.estimate[k])),
-                number(error[name], 3),
-                number(float(self.fit_error[k]), 3),
-                number(bias[name], 2),
-                self.units[k],
-                interval_text(_ends(intervals[name])),
+                number(q["estimate"]),
+                number(q["standard_error"], 3),
+                number(q["fit_standard_error"], 3),
+                number(q["bias"], 2),
+                q["unit"],
+                interval_text(q["interval"]),
             ]
-            for k, name in enumerate(self.names)
+            for name, q in self.summary(level)["quantities"].items()
         ]
         table = ["  " + line for line in text_table(header, rows, left=(0, 5, 6)).splitlines()]
         remarks = [f"  warning: {text}" for text in self.warnings]

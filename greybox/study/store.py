@@ -246,11 +246,8 @@ class StoredRuns(KeptRuns):
     @property
     def count(self) -> int:
         """Number of runs on disk."""
-        if not is_study(self._folder):
-            return 0
-        with _database(self._folder) as database:
-            query = f"SELECT COUNT(*) FROM runs WHERE member = {MEMBER}"
-            return int(database.execute(query, (self._name,)).fetchone()[0])
+        members = read_members(self._folder) if is_study(self._folder) else []
+        return sum(member.runs for member in members if member.name == self._name)
 
     def remove(self) -> None:
         """Remove all runs."""
