@@ -17,23 +17,29 @@ from greybox.files.text_table import printable
 
 # Names of a time column, in lower case and without a unit.
 TIMES = ("time", "t", "timestamp", "timestamps", "tout")
-ARDUPILOT = {"timeus": 1e-6, "timems": 1e-3}
+# Of ArduPilot's tools, MAVLink's messages, and Arduino's functions.
+COUNTERS = {"timeus": 1e-6, "timems": 1e-3, "time_boot_ms": 1e-3, "time_usec": 1e-6}
+COUNTERS |= {"micros": 1e-6, "millis": 1e-3}
 SUFFIX = re.compile(r"^(.+)_(s|sec|ms|us|ns)$")
 # Ticks from 1970 to 2001; until 2100 there are 4.1 times as many.
 EPOCHS = {"ns": 1e18, "µs": 1e15, "ms": 1e12, "s": 1e9}
 # Hz: no logger of flights or of motor stands is slower or faster, but a wrong unit is.
 PLAUSIBLE = (1e-3, 1e5)
+CURE = (
+    "state its unit, as 'time [ms]' in the header or 'time=COLUMN:ms' among the columns, or leave "
+    "the column out and give a rate."
+)
 
 
 def seconds(name: str, unit: str = "") -> float | None:
     """Return the length of a tick in s if this is the name of a time column, else None.
 
     Names are time, t, timestamp and tout, in capitals or not, with a unit or a suffix as in
-    ``time_ms`` (else in seconds), and TimeUS and TimeMS, as ArduPilot's tools write it.
+    ``time_ms`` (else in seconds), and those of counters such as TimeUS and millis.
     """
     name = name.lower()
-    if name in ARDUPILOT:
-        return ARDUPILOT[name]
+    if name in COUNTERS:
+        return COUNTERS[name]
     suffix = SUFFIX.match(name)
     if suffix and suffix[1] in TIMES:
         return tick(suffix[2])
@@ -75,15 +81,18 @@ def times_in_seconds(name: str, unit: str, values: Array) -> tuple[Array, tuple[
     # Ticks of a counter are whole; seconds since the start rarely are.
     is_whole = bool(np.all(finite == np.round(finite)))
     if name.lower().startswith("timestamp") and is_whole and step >= 1:
+        if np.all(np.diff(finite) == 1):
+            raise ValueError(
+                f"{name} counts by one without a unit: it may count samples, ms or s: {CURE}"
+            )
         # A step of 1000 is 1 ms at 1 kHz in µs, or a second in ms, and logs are rarely that slow.
-        ticks = "µs" if step >= 1000 else "ms"
+        ticks = "ns" if step >= 1e6 else "µs" if step >= 1e3 else "ms"
         return times * (tick(ticks) or 1.0), (f"{name} has no unit and was taken for {ticks}.",)
 
     rate = 1 / step if step > 0 else math.inf
     if step > 0 and not PLAUSIBLE[0] <= rate <= PLAUSIBLE[1]:
         raise ValueError(
-            f"{name} has no unit, and in s the rate would be {rate:.3g} Hz: state its unit, as "
-            f"'{name} [ms]' in the header or '{name}:ms' for the column of the time."
+            f"{name} has no unit, and in s the rate would be {rate:.3g} Hz: {CURE}"
         )
     assumed = (f"{name} has no unit and was taken for s, {rate:.3g} Hz.",) if rate < 1 else ()
     return times, assumed

@@ -17,6 +17,11 @@ TIME = np.arange(0, 5, 0.02)
         ("t", "", 1_700_000_000, 1.0, "s since 1970"),
         ("timestamp", "", 123_456_789, 1e6, "taken for µs"),  # ulog2csv of PX4
         ("Timestamp", "", 51_234, 1e3, "taken for ms"),  # the client of Crazyflie
+        ("timestamp", "", 5_000_000_000, 1e9, "taken for ns"),  # ROS 2, since the start
+        ("micros", "", 7.0, 1e6, ""),
+        ("Millis", "", 7.0, 1e3, ""),
+        ("Time_ms", "", 7.0, 1e3, ""),
+        ("time_boot_ms", "", 7.0, 1e3, ""),
         ("time", "", 3.0, 1.0, ""),
         ("time", "ms", 0.0, 1e3, ""),
         ("time_us", "", 7.0, 1e6, ""),
@@ -39,3 +44,9 @@ def test_an_implausible_rate_asks_for_the_unit(step):
     with pytest.raises(ValueError, match=r"no unit.* Hz: state its unit"):
         times_in_seconds("time", "", step * np.arange(5.0))
     assert times_in_seconds("time", "s", step * np.arange(5.0))[1] == ()
+
+
+def test_a_timestamp_that_counts_by_one_asks_for_the_unit():
+    with pytest.raises(ValueError, match="may count samples, ms or s"):
+        times_in_seconds("timestamp", "", 4000 + np.arange(50.0))
+    assert times_in_seconds("timestamp", "ms", np.arange(5.0))[0][1] == 1e-3
