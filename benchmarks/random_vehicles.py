@@ -2,11 +2,13 @@
 
 Monte Carlo.
 
-python benchmarks/random_vehicles.py [--count 60] [--seed 1] [--out FILE]
+python benchmarks/random_vehicles.py [--count 60] [--seed 1] [--closed-loop] [--out FILE]
 
 Every vehicle has one to four poles (real ones and oscillations), no or one integrator, none to two
 zeros (some in the right half plane), a delay, a gain of either sign and of six decades. A chirp of
-90 s drives it, and the output has noise of 2 % of its standard deviation.
+90 s drives it, and the output has noise of 2 % of its standard deviation. In closed loop, a random
+controller that stabilizes it (PD with an integrator, PI without) feeds the noise back, and the
+chirp is added to the control or to the setpoint.
 
 A model is right if its structure is that of the vehicle, if its response is within 5 % of the true
 one in the median over the band, or if its residuals are no larger than the noise. Printed: how many
@@ -106,6 +108,47 @@ def flown(of, random):
     return Recording({"log": gb.Record(time, {"u": chirp(time), "y": y})}, "made")
 
 
+def controller(of, random):
+    """Return the response of a random controller that stabilizes a vehicle, as a function of s."""
+    omega = np.geomspace(1e-3, 300, 20_000)
+    reach = np.exp(random.uniform(*np.log([0.5, 5.0])))  # rad/s, of its lead or lag
+    if of.orders[2]:
+        shape = lambda s: 1 + s / reach / (1 + s / reach / 10)  # noqa: E731
+    else:
+        shape = lambda s: 1 + 0.3 * reach / s  # noqa: E731
+    sign = np.sign(of.numerator[-1])
+    loop = sign * of.response(omega) * shape(1j * omega)
+    # Without poles in the right half plane, it is stable up to the first gain at which it is not.
+    crossing = (np.diff(np.sign(loop.imag)) != 0) & (loop.real[1:] < 0)
+    least = np.min(np.abs(loop[omega < BAND[1]]))
+    gain = sign * random.uniform(0.15, 0.5) / np.max(np.abs(loop[1:][crossing]), initial=least)
+    return lambda s: gain * shape(s)
+
+
+def flown_in_loop(of, random):
+    """Return the log of a chirp in closed loop, and the injected signal.
+
+    All signals begin and end at rest and are slow, so that their transforms are exact.
+    """
+    time = np.arange(0, DURATION, 1 / RATE)
+    count = 4 * time.size
+    s = 2j * np.pi * np.fft.rfftfreq(count, 1 / RATE)
+    s[0] = 1e-6j
+    plant, control = of.response(s.imag), controller(of, random)(s)
+    at_setpoint = random.random() < 0.5
+    injected = chirp(time)
+    test = np.fft.rfft(injected, count)
+    returns = 1 + plant * control
+    quiet = np.fft.irfft(plant * (control if at_setpoint else 1) * test / returns, count)
+    size = NOISE * np.std(quiet[: time.size])
+    noise = np.fft.rfft(size * random.standard_normal(count))
+    u = (control if at_setpoint else 1) * test - control * noise
+    y = plant * (control if at_setpoint else 1) * test + noise
+    u, y = (np.fft.irfft(x / returns, count)[: time.size] for x in (u, y))
+    name = "r" if at_setpoint else "e"
+    return Recording({"log": gb.Record(time, {"u": u, "y": y, name: injected})}, "made"), name
+
+
 class Outcome(NamedTuple):
     """What came of a vehicle.
 
@@ -125,10 +168,13 @@ class Outcome(NamedTuple):
         return self.is_true or self.error <= 0.05 or self.noise <= 1.2
 
 
-def outcome(of, random):
+def outcome(of, random, closed_loop=False):
+    log, instrument = flown_in_loop(of, random) if closed_loop else (flown(of, random), "")
+    # The sweep in a setpoint is found; a signal that is added to the control has to be named.
+    options = {"instrument": f"log.{instrument}"} if instrument == "e" else {}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        found = gb.identify(flown(of, random), input="u=log.u", output="y=log.y", whole=True)
+        found = gb.identify(log, input="u=log.u", output="y=log.y", whole=True, **options)
     if found.selection is None or found.fit is None:
         text = " ".join(found.refusals) or "no fit"
         return Outcome(False, np.inf, np.inf, False, (), f"refused: {text}")
@@ -155,18 +201,22 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=60)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--closed-loop", action="store_true")
     parser.add_argument("--out", type=Path)
     asked = parser.parse_args()
     about = (
         f"greybox {version('greybox-id')}, Python {platform.python_version()}, numpy "
         f"{np.__version__}"
     )
-    lines = [f"{asked.count} vehicles, seed {asked.seed}; {about}, {dt.date.today()}"]
+    loop = "closed" if asked.closed_loop else "open"
+    lines = [
+        f"{asked.count} vehicles in {loop} loop, seed {asked.seed}; {about}, {dt.date.today()}"
+    ]
     outcomes = []
     for k in range(asked.count):
         random = np.random.default_rng([asked.seed, k])
         of = vehicle(random)
-        outcomes.append(outcome(of, random))
+        outcomes.append(outcome(of, random, asked.closed_loop))
         lines.append(f"{k:3} {outcomes[-1].text}")
         print(lines[-1], flush=True)
     lines += summary(outcomes)

@@ -172,6 +172,8 @@ def commands(result: Identification, options: argparse.Namespace, prefix: str) -
         signals = ["--input", settings.input, "--output", settings.output]
         usual = ("axis", "tests", "instrument", "rate", "settle", "period", "points")
         measuring = [*signals, *finding, *_words(settings, *usual)]
+        if settings.conditioned:
+            measuring += ["--conditioned", *settings.conditioned]
         if settings.band:
             measuring += ["--band", *(repr(float(edge)) for edge in settings.band)]
         for name in ("whole", "open_loop", "drop_warned"):

@@ -20,6 +20,13 @@ def add_measurement_options(parser: argparse.ArgumentParser) -> None:
         "the injected signal, for the joint estimate in closed loop (default: the injected signal "
         "that the log names); one for each of several inputs",
     )
+    add_words(
+        parser,
+        "--conditioned",
+        "[NAME=]SIGNAL",
+        "further inputs that move together with the input in a sweep or noise; their effect on the "
+        "output is removed",
+    )
     add(
         "--open-loop",
         action="store_true",

@@ -91,8 +91,6 @@ def times_in_seconds(name: str, unit: str, values: Array) -> tuple[Array, tuple[
 
     rate = 1 / step if step > 0 else math.inf
     if step > 0 and not PLAUSIBLE[0] <= rate <= PLAUSIBLE[1]:
-        raise ValueError(
-            f"{name} has no unit, and in s the rate would be {rate:.3g} Hz: {CURE}"
-        )
+        raise ValueError(f"{name} has no unit, and in s the rate would be {rate:.3g} Hz: {CURE}")
     assumed = (f"{name} has no unit and was taken for s, {rate:.3g} Hz.",) if rate < 1 else ()
     return times, assumed

