@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from greybox.experiment.sampled_loop import SampledLoop
-from greybox.files.arrays import Array, BoolArray
+from greybox.files.arrays import Array, BoolArray, ComplexArray
 
 POINTS = 400
 DECADES = 4.0  # below the Nyquist frequency, within which crossings are looked for
@@ -60,7 +60,8 @@ class Crossings:
 
     def between(self, values: Array) -> Array:
         """Interpolate other curves (plants, n) there."""
-        return values[:, :-1] + self.share * np.diff(values, axis=1)
+        with np.errstate(invalid="ignore"):  # a plant without gain is at minus infinity
+            return values[:, :-1] + self.share * np.diff(values, axis=1)
 
     def where(self, condition: BoolArray) -> "Crossings":
         """Return those that fulfil a condition (plants, n - 1)."""
@@ -101,13 +102,12 @@ class Crossings:
 
 
 def crossings(values: Array, omega: Array) -> Crossings:
-    """Return where curves (plants, n) change their sign along `omega` (n,)."""
+    """Return where curves (plants, n) change their sign along `omega` (n,), or time."""
     before, after = values[:, :-1], values[:, 1:]
     occurs = (before < 0) != (after < 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         share = np.where(occurs, before / (before - after), 0.0)
-    x = np.log(omega)
-    return Crossings(occurs, share, np.exp(x[:-1] + share * np.diff(x)))
+    return Crossings(occurs, share, omega[:-1] + share * np.diff(omega))
 
 
 def loop_frequencies(loop: SampledLoop) -> Array:
@@ -136,7 +136,11 @@ def refined(loop: SampledLoop, numbers: LoopNumbers) -> Numbers:
 
 def broken_loop_numbers(loop: SampledLoop, omega: Array, signal: str) -> Numbers:
     """Return the margins of the loops broken at a signal, from their gains at `omega` (n,)."""
-    gain = loop.broken_at(signal, omega)
+    return margin_numbers(loop.broken_at(signal, omega), omega, loop.is_stable)
+
+
+def margin_numbers(gain: ComplexArray, omega: Array, is_stable: BoolArray) -> Numbers:
+    """Return the margins of broken loops with these gains (plants, n) at `omega` (n,)."""
     with np.errstate(divide="ignore"):
         size = np.log(np.abs(gain))
     phase = np.unwrap(np.angle(gain), axis=1)
@@ -162,15 +166,15 @@ def broken_loop_numbers(loop: SampledLoop, omega: Array, signal: str) -> Numbers
         "modulus margin": Located(least, closest),
     }
     # An unstable loop has used its margins up.
-    stable = loop.is_stable
-    used_up = {
-        name: Located(np.where(stable, value, 0.0), place)
-        for name, (value, place) in margins.items()
-    }
+    answer = {n: Located(np.where(is_stable, m.value, 0.0), m.omega) for n, m in margins.items()}
+
+    # A loop whose sensitivity at rest is above -3 dB rejects nothing.
+    rejects = crossings(distance - math.sqrt(2), omega).first
+    rejection = np.where(distance[:, 0] > math.sqrt(2), rejects.value, 0.0)
     return {
-        **used_up,
+        **answer,
         "crossover": unity.last,
-        "disturbance rejection bandwidth": crossings(distance - math.sqrt(2), omega).first,
+        "disturbance rejection bandwidth": Located(rejection, rejects.omega),
         "disturbance rejection peak": Located(-20 * np.log10(least), closest),
         **unity.listed("phase margin", angle),
         **real.where(np.abs(decibels) < FAR).listed("gain margin", decibels),
@@ -216,25 +220,23 @@ def _response_numbers(
     # unstable, and 6 dB below that gain; the phase delay is the slope of the phase beyond.
     size, phase = size / omega**integrals, phase - integrals * math.pi / 2
     reversal = crossings(phase + math.pi, omega).first
-    there = np.array(
-        [np.interp(w, omega, row) for w, row in zip(reversal.omega, size, strict=True)]
-    )
-    enough = crossings(size - 10 ** (6 / 20) * there[:, None], omega)
+    enough = crossings(size - 10 ** (6 / 20) * _at(reversal.omega, omega, size)[:, None], omega)
     by_gain = enough.where(enough.omega < reversal.omega[:, None]).last
     by_phase = crossings(phase + 0.75 * math.pi, omega).first
-    smaller = by_gain.value < by_phase.value
+    smaller = np.minimum(by_gain.value, by_phase.value)
     twice = 2 * reversal.omega
-    beyond = np.array([np.interp(w, omega, row) for w, row in zip(twice, phase, strict=True)])
-    delay = np.where(twice <= omega[-1], -(math.pi + beyond) / twice, math.nan)
+    delay = -(math.pi + _at(twice, omega, phase)) / twice
     return answer | {
         "ADS-33 gain bandwidth": by_gain,
         "ADS-33 phase bandwidth": by_phase,
-        "ADS-33 bandwidth": Located(
-            np.minimum(by_gain.value, by_phase.value),
-            np.where(smaller, by_gain.omega, by_phase.omega),
-        ),
-        "phase delay": Located(delay, reversal.omega),
+        "ADS-33 bandwidth": Located(smaller, smaller),
+        "phase delay": Located(np.where(twice <= omega[-1], delay, math.nan), reversal.omega),
     }
+
+
+def _at(places: Array, omega: Array, curves: Array) -> Array:
+    """Return each curve (plants, n) at its own frequency (plants,)."""
+    return np.array([np.interp(w, omega, row) for w, row in zip(places, curves, strict=True)])
 
 
 def _pole_numbers(loop: SampledLoop, setpoint: str, response: str) -> Numbers:
@@ -269,23 +271,16 @@ def _step_numbers(loop: SampledLoop, setpoint: str, response: str) -> Numbers:
     The rise is from 10 % to 90 % of the final response, which is settled within 2 % of it.
     """
     time, steps = step_responses(loop, setpoint, response)
-    rise = _passed(steps, 0.9, time) - _passed(steps, 0.1, time)
-
-    # Settled after the last sample outside, from which it enters along a straight line.
+    rise = crossings(steps - 0.9, time).first.value - crossings(steps - 0.1, time).first.value
     outside = np.abs(steps - 1) - TOLERANCE
-    last = len(time) - 1 - (outside[:, ::-1] > 0).argmax(axis=1)
-    entry = np.minimum(last, len(time) - 2)[:, None]
-    before, after = (np.take_along_axis(outside, k, 1)[:, 0] for k in (entry, entry + 1))
-    settling = time[entry[:, 0]] + time[1] * before / (before - after)
-    settling[last > entry[:, 0]] = math.inf
-
-    stable, nowhere = loop.is_stable, np.full(len(steps), math.nan)
+    settling = np.where(outside[:, -1] < 0, crossings(outside, time).last.value, math.inf)
     numbers = {
         "overshoot": 100 * np.maximum(steps.max(axis=1) - 1, 0),
         "rise time": rise,
         "settling time": settling,
     }
-    return {n: Located(np.where(stable, v, math.inf), nowhere) for n, v in numbers.items()}
+    nowhere = np.full(len(steps), math.nan)
+    return {n: Located(np.where(loop.is_stable, v, math.inf), nowhere) for n, v in numbers.items()}
 
 
 def step_responses(loop: SampledLoop, setpoint: str, response: str) -> tuple[Array, Array]:
@@ -314,11 +309,5 @@ def step_responses(loop: SampledLoop, setpoint: str, response: str) -> tuple[Arr
         steps = np.concatenate(columns, axis=2).mT @ np.concatenate(rows, axis=1).mT
     rest = loop.gains(setpoint, [response], REST / loop.period)[:, 0, 0].real
     time = loop.period * stride * np.arange(length**2, dtype=float)
-    return time, steps.reshape(len(M), -1) / rest[:, None]
-
-
-def _passed(steps: Array, level: float, time: Array) -> Array:
-    """Return when each response (plants, n) first reaches a level."""
-    k = np.maximum((steps >= level).argmax(axis=1), 1)
-    before, after = (np.take_along_axis(steps, i[:, None], 1)[:, 0] for i in (k - 1, k))
-    return time[k - 1] + (level - before) / (after - before) * (time[k] - time[k - 1])
+    # Both begin at zero, before the step.
+    return np.r_[0.0, time], np.pad(steps.reshape(len(M), -1) / rest[:, None], ((0, 0), (1, 0)))

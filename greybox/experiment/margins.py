@@ -26,7 +26,7 @@ from greybox.experiment.loop_numbers import (
 )
 from greybox.experiment.sampled_loop import DOT, SampledLoop, require_signal
 from greybox.files.arrays import Array
-from greybox.files.json_numbers import finite
+from greybox.files.json_numbers import plain
 from greybox.files.text_table import listed, number, one_line, text_table
 from greybox.modeling.model import Model
 
@@ -153,23 +153,16 @@ class Margins:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers as plain values; None where unknown or infinite."""
-        rows = {
-            m.name: {key: finite(getattr(m, key)) for key in ("value", "low", "high", "omega")}
-            | {"unit": m.unit, "extrapolated": m.is_extrapolated, "group": m.group}
-            for m in self.margins
-        }
-        return {
-            "verdict": self.verdict,
-            "plant": self.plant,
-            "broken_at": self.signal,
-            "setpoint": self.setpoint,
-            "response": self.response,
-            "stable": self.is_stable,
-            "probability_unstable": finite(self.instability),
-            "level": finite(self.level),
-            "margins": rows,
-            "notes": list(self.notes),
-        }
+        scalars = ("verdict", "plant", "setpoint", "response", "level", "notes")
+        return plain(
+            {name: getattr(self, name) for name in scalars}
+            | {
+                "broken_at": self.signal,
+                "stable": self.is_stable,
+                "probability_unstable": self.instability,
+                "margins": {m.name: m for m in self.margins},
+            }
+        )
 
     def __repr__(self) -> str:
         return one_line(self, self.verdict)

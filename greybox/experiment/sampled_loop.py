@@ -77,8 +77,12 @@ class SampledLoop:
     @property
     def first(self) -> "SampledLoop":
         """The loop of the first plant alone."""
+        return self.of(slice(1))
+
+    def of(self, plants: slice) -> "SampledLoop":
+        """Return the loops of some of the plants."""
         arrays = ("A", "early", "late", "C", "D", "whole")
-        return replace(self, **{name: getattr(self, name)[:1] for name in arrays})
+        return replace(self, **{name: getattr(self, name)[plants] for name in arrays})
 
     @property
     def signals(self) -> tuple[str, ...]:
@@ -95,11 +99,18 @@ class SampledLoop:
         plant = self.C[:, None] @ np.linalg.solve(pencil, driven) + self.D[:, None] * before
         return plant.astype(complex)
 
-    def gains(self, added_to: str, signals: Sequence[str], omega: ArrayLike) -> ComplexArray:
+    def gains(
+        self,
+        added_to: str,
+        signals: Sequence[str],
+        omega: ArrayLike,
+        plant: ComplexArray | None = None,
+    ) -> ComplexArray:
         """Return the gains (plants, n, signals) of the closed loop from an addition to one signal.
 
         `added_to` and `signals` are inputs of the plant, setpoints or outputs of controllers, or
-        measured signals; the added signal is part of the signal that it is added to.
+        measured signals; the added signal is part of the signal that it is added to. `plant` may
+        replace `plant_response(omega)`.
 
         Raises
         ------
@@ -111,7 +122,7 @@ class SampledLoop:
             require_signal(name, names)
 
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
-        plant = self.plant_response(omega)
+        plant = self.plant_response(omega) if plant is None else plant
         control = self.controller.response(np.exp(1j * omega * self.period))
         k = len(self.sensors)
         feedback, commanded = control[..., :k], control[..., k:]
@@ -124,12 +135,18 @@ class SampledLoop:
             error[self.sensors.index(added_to)] = 1
         else:
             command = commanded[..., [self.controller.commands.index(added_to)]]
-        around = np.eye(k) - plant @ feedback[:, rows]
-        measured = np.linalg.solve(around, plant @ command[:, rows] + error)
+        # At the inputs, of which there are fewer: one needs no matrix.
+        open_loop = plant @ command[:, rows] + error
+        around = np.eye(len(rows)) - feedback[:, rows] @ plant
+        inner = feedback[:, rows] @ open_loop
+        inner = inner / around if len(rows) == 1 else np.linalg.solve(around, inner)
+        measured = open_loop + plant @ inner
         every = np.concatenate([measured, feedback @ measured + command], axis=2)
         return every[..., [names.index(name) for name in signals], 0].astype(complex)
 
-    def broken_at(self, signal: str, omega: ArrayLike) -> ComplexArray:
+    def broken_at(
+        self, signal: str, omega: ArrayLike, plant: ComplexArray | None = None
+    ) -> ComplexArray:
         """Return the gain (plants, n) of the loop broken at a signal, with every other loop closed.
 
         It is that of negative feedback, so that -1 is the critical point.
@@ -139,7 +156,7 @@ class SampledLoop:
         ValueError
             For a signal that is not in the loop.
         """
-        return 1 / self.gains(signal, [signal], omega)[..., 0] - 1
+        return 1 / self.gains(signal, [signal], omega, plant)[..., 0] - 1
 
     def closed(self, command: str, signal: str) -> tuple[Array, Array, Array, Array]:
         """Return A, B, C, D (plants, ...) of the closed loops from a command to a signal.
@@ -275,7 +292,7 @@ def sampled_loop(
         C,
         D,
         whole.astype(int),
-        _linear(controllers, sensors, system.inputs),
+        linear_controller(controllers, sensors, system.inputs),
         period,
     )
 
@@ -329,7 +346,7 @@ def measured_signal(
 
 
 @one_thread_at_a_time
-def _linear(
+def linear_controller(
     controllers: Sequence[Controller], sensors: tuple[str, ...], inputs: tuple[str, ...]
 ) -> LinearController:
     """Linearize the chain of controllers about their initial states and signals of zero."""

@@ -172,3 +172,14 @@ def test_what_tracks_what_can_be_chosen():
     assert answer.response == "u"
     with pytest.raises(ValueError, match="no 'theta' in the loop"):
         gb.margins(RateDynamics(), RateLoop(), tracking=("reference", "theta"))
+
+
+def test_a_loop_of_little_gain_rejects_no_disturbance():
+    class Proportional(RateLoop):
+        states = ()
+
+        def update(self, x, u, p):
+            return (), (p.K_P * (u.reference - u.q),)
+
+    answer = gb.margins(RateDynamics(), Proportional({"K_P": 0.01}))
+    assert answer["disturbance rejection bandwidth"].value == 0
