@@ -104,7 +104,7 @@ def fitted(problem, truth=None):
         for name, p in problem.parameters.items()
         if not p.fixed
     }
-    return gb.fit(problem, starts=[start], progress=False)
+    return gb.fit(problem, starts=[start], progress=False, profiles=False)
 
 
 def response_of(model, omega, names, others=None):

@@ -72,7 +72,7 @@ def test_intervals_of_nists_problems_are_those_of_a_dense_grid(name, parameter):
 
 def test_a_table_whose_standard_errors_mislead_is_profiled_unasked():
     known = certified("Nelson")
-    found = fit(known.problem, [known.starts[1]])
+    found = fit(known.problem, [known.starts[1]], profiles=True)
     assert found.interval()["b2"][0] < 0
     assert [profile.name for profile in found.profiles.profiles] == ["b2"]
     assert found.profiles["b2"].interval[0] > 0

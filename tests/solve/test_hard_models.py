@@ -39,7 +39,7 @@ def test_tanks_are_found_from_starts_that_would_drain_them(model):
 
 
 def test_a_reactor_that_ignites_is_found_in_a_wide_box():
-    found = fit(reactor(), 3)
+    found = fit(reactor(), 2)
     assert found.agreeing >= 2
     near(found, REACTOR)
 

@@ -125,7 +125,7 @@ def test_what_was_interrupted_goes_on(lag, tmp_path):
 
 
 def test_a_parameter_that_the_data_leave_open_has_no_upper_end():
-    fit = gb.fit(yaw_hover.problem(), starts=12, progress=False)
+    fit = gb.fit(yaw_hover.problem(), starts=4, profiles=False, progress=False)
     found = gb.bootstrap(fit, 200, progress=False)
     low, high = found.interval()["a2"]
     assert low > 50
