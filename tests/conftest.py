@@ -10,6 +10,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Without bytecode on disk, every process that a test starts compiles greybox anew: 0.9 s each.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
+import gc
 import signal
 import sys
 
@@ -17,6 +18,9 @@ import pytest
 from hypothesis import settings
 
 sys.dont_write_bytecode = False
+
+# Collection makes millions of objects and no garbage: a third of its time is the collector's.
+gc.disable()
 
 # Of few tests, but slow: they begin first, so that no core waits for them at the end.
 FIRST = ("test_notebooks.py", "test_nested_models.py", "test_hard_models.py", "test_kalman_gain.py")
@@ -29,6 +33,10 @@ def pytest_collection_modifyitems(items):
     items.sort(key=lambda item: item.path.name not in FIRST)
 
 
+def pytest_collection_finish():
+    gc.enable()
+
+
 # Where damaged and crafted files are read, and how that is done.
 IN_SUBPROCESS = (
     "test_readers.py",
@@ -37,14 +45,19 @@ IN_SUBPROCESS = (
 )
 
 
-@pytest.fixture(autouse=True)
-def files_are_read_here(request, monkeypatch):
+@pytest.fixture
+def files_are_read_here(monkeypatch):
     """Read what the tests themselves saved in this process: it saves a fifth of a second a file."""
-    if not any(where in request.path.as_posix() for where in IN_SUBPROCESS):
-        from read_here import read_here  # not above: it imports numpy
+    from read_here import read_here  # not above: it imports numpy
 
-        monkeypatch.setattr("greybox.files.sealed_files.read_in_subprocess", read_here)
-        monkeypatch.setattr("greybox.logs.readers.named_arrays.read_in_subprocess", read_here)
+    monkeypatch.setattr("greybox.files.sealed_files.read_in_subprocess", read_here)
+    monkeypatch.setattr("greybox.logs.readers.named_arrays.read_in_subprocess", read_here)
+
+
+@pytest.fixture(autouse=True)
+def most_files_are_read_here(request):
+    if not any(where in request.path.as_posix() for where in IN_SUBPROCESS):
+        request.getfixturevalue("files_are_read_here")
 
 
 @pytest.fixture

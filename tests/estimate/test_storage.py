@@ -185,6 +185,7 @@ def test_errors_that_are_correlated_along_frequency_come_back(tmp_path):
     assert fit.independent[1] == loaded.independent[1] > fit.dof == loaded.dof
 
 
+@pytest.mark.usefixtures("files_are_read_here")
 @pytest.mark.parametrize("name", RECORDS)
 def test_a_fitted_record_comes_back(name, tmp_path):
     fit = fitted(name)
@@ -218,6 +219,7 @@ def test_a_fitted_record_comes_back(name, tmp_path):
     assert str(gb.load(tmp_path / "b.h5")) == str(fit)
 
 
+@pytest.mark.usefixtures("files_are_read_here")
 def test_which_gains_a_record_was_fitted_with_comes_back(tmp_path):
     fit = fitted("record")
     part = dataclasses.replace(fit.parts[0], gains=(("velocity", "position"),))
@@ -263,6 +265,7 @@ def test_a_failed_fit_comes_back(tmp_path):
             one.correlation  # noqa: B018
 
 
+@pytest.mark.usefixtures("files_are_read_here")
 def test_an_earlier_fit_from_a_file_is_taken_as_fixed_values(tmp_path):
     rotor = gb.fit(gb.Problem(Rotor(), SPEED), starts=2)
     gb.save(rotor, tmp_path / "rotor.h5")
@@ -273,6 +276,7 @@ def test_an_earlier_fit_from_a_file_is_taken_as_fixed_values(tmp_path):
     assert a.standard_error == b.standard_error
 
 
+@pytest.mark.usefixtures("files_are_read_here")
 def test_numbers_of_numpy_in_the_operating_point_are_stored(tmp_path):
     for zero in (np.float32(0), np.int64(0)):
         fit = gb.fit(gb.Problem(LinearTilt(), NOISY, at={"theta": zero}), [{}], profiles=False)
@@ -457,6 +461,7 @@ class Mine(gb.TransferFunction):
 '''
 
 
+@pytest.mark.usefixtures("files_are_read_here")
 def test_a_model_is_needed_only_for_its_response_and_only_if_it_is_handed_over(
     tmp_path, monkeypatch
 ):
@@ -469,7 +474,7 @@ def test_a_model_is_needed_only_for_its_response_and_only_if_it_is_handed_over(
     monkeypatch.syspath_prepend(tmp_path)
     module = importlib.import_module(name)
     model = module.Mine()
-    fit = gb.fit(gb.Problem(model, measured(model, TWO_LAGS_OMEGA, noise=0.02)), starts=3)
+    fit = gb.fit(gb.Problem(model, measured(model, TWO_LAGS_OMEGA, noise=0.02)), starts=2, profiles=False)
     gb.save(fit, tmp_path / "a.h5")
 
     loaded = gb.load(tmp_path / "a.h5")

@@ -35,7 +35,7 @@ def flight():
 
 @pytest.fixture(scope="module")
 def short_flight():
-    return tilt_flight(25)
+    return tilt_flight(15)
 
 
 # --- the tilt plant in closed loop
