@@ -474,7 +474,9 @@ def test_a_model_is_needed_only_for_its_response_and_only_if_it_is_handed_over(
     monkeypatch.syspath_prepend(tmp_path)
     module = importlib.import_module(name)
     model = module.Mine()
-    fit = gb.fit(gb.Problem(model, measured(model, TWO_LAGS_OMEGA, noise=0.02)), starts=2, profiles=False)
+    fit = gb.fit(
+        gb.Problem(model, measured(model, TWO_LAGS_OMEGA, noise=0.02)), starts=2, profiles=False
+    )
     gb.save(fit, tmp_path / "a.h5")
 
     loaded = gb.load(tmp_path / "a.h5")

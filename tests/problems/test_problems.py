@@ -48,7 +48,9 @@ every_tilt = pytest.mark.parametrize("name", TILTS)
 
 @cache
 def fitted(name, rule):
-    return gb.fit(MODULES[name].problem(), FEW.get(name, rule), profiles=rule == RULES[0], progress=False)
+    return gb.fit(
+        MODULES[name].problem(), FEW.get(name, rule), profiles=rule == RULES[0], progress=False
+    )
 
 
 def as_states(name, **options):
