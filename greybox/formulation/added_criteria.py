@@ -9,10 +9,10 @@ from greybox.formulation.frequency_criteria import RelativeLikelihood
 def with_costs_that_add(parts: Sequence[Any]) -> tuple[Any, ...]:
     """Return the parts with criteria whose costs may be added.
 
-    Negative log-likelihoods add, whatever the data. If one criterion is a likelihood, as that of
-    every record is, a response without a criterion of its own gets `RelativeLikelihood` in place of
-    `RelativeError`. Other costs have scales of their own: they add only if criterion and settings
-    are the same.
+    Negative log-likelihoods add for all data. If one criterion is a likelihood, as that of every
+    record, a response without a criterion of its own gets `RelativeLikelihood` instead of
+    `RelativeError`. Other costs have different scales: they add only if criterion and settings are
+    the same.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What all criteria share: a name, a description, and equality by type and settings."""
+"""The base class of all criteria: name, description, and equality by type and settings."""
 
 import dataclasses
 import inspect
@@ -15,7 +15,7 @@ from greybox.modeling.model_reference import source_text
 class AnyCriterion(ABC):
     """The rule that measures the mismatch of model and data; its value is the cost.
 
-    Two criteria are equal when they are of one class and have the same `settings`. A subclass is a
+    Two criteria are equal if they have the same class and the same `settings`. A subclass is a
     frozen dataclass with its settings as fields.
 
     Attributes
@@ -24,19 +24,18 @@ class AnyCriterion(ABC):
         Formula in words, for the reader of a result; `description` adds the options. By default the
         `name`.
     condition : str
-        Errors for which the standard errors hold.
+        Errors for which the standard errors are valid.
     smoothed : bool
         Whether the cost has a kink at a zero residual, which the solver smooths.
     known_noise : bool
         Whether the data give the size of the errors; otherwise the residuals do.
     is_likelihood : bool
         Whether the cost is a negative log-likelihood (up to a constant of the data), which can be
-        compared with others, by AIC and BIC too.
+        compared with others, also by AIC and BIC.
     nuisances : int
         Number of variances of the errors that are estimated with each response.
     is_prior : bool
-        Whether the data are a-priori knowledge of the parameters, whose errors are taken as
-        given.
+        Whether the data are a-priori knowledge of the parameters, with given errors.
     """
 
     rule: ClassVar[str] = ""
@@ -49,7 +48,7 @@ class AnyCriterion(ABC):
 
     @property
     def variant(self) -> str:
-        """Word for an unusual form of the rule; empty for the usual form."""
+        """Word for a variant of the rule; empty for the usual form."""
         return ""
 
     @property
@@ -68,7 +67,7 @@ class AnyCriterion(ABC):
         return self.condition
 
     def gain_bias(self, noise: float, points: int) -> float:
-        """Return the relative bias of the gain by relative `noise` in each component of points."""
+        """Return the relative bias of the gain due to relative `noise` in each component."""
         return 0.0
 
     @property
@@ -81,9 +80,10 @@ class AnyCriterion(ABC):
     def settings(self) -> dict[str, Any]:
         """Fields by name as values for JSON.
 
-        A function is its source text with the values that it captures: functions with the same text
-        and values are equal. (Two lambdas in one line of source have one text.)
+        A function is represented by its source text and the values that it captures: functions with
+        the same text and values are equal. (Two lambdas in one line of source have one text.)
         """
+        # A user's criterion may be a plain class, whose attributes are its settings.
         if dataclasses.is_dataclass(self):
             return {
                 field.name: _plain(getattr(self, field.name)) for field in dataclasses.fields(self)
@@ -111,6 +111,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, Sequence | Set):
+        # The order of a set differs from process to process.
         return [
             _plain(item) for item in (sorted(value, key=repr) if isinstance(value, Set) else value)
         ]

@@ -1,4 +1,4 @@
-"""Refuse data that are in a sum twice: as a record, and as what was estimated from it."""
+"""Refuses data that occur twice in a sum: as a record, and as an estimate from that record."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -40,7 +40,7 @@ def require_data_once(parts: Sequence[Any]) -> None:
 
 
 def _holds(record: Record, stretch: Stretch) -> bool:
-    """Tell whether a record has samples of a stretch; two stretches may meet at one sample."""
-    # One sample is no overlap: stretches of a log may share their ends.
+    """Return whether a record has samples of a stretch."""
+    # One common sample is not an overlap: stretches of a log may share their ends.
     first, last = np.searchsorted(record.time, [stretch.start, np.nextafter(stretch.end, np.inf)])
     return record.checksum == stretch.checksum and int(last - first) > 1

@@ -1,9 +1,9 @@
 """Criteria for frequency responses: the mismatch between a model's response and a measured one.
 
 A criterion is written once, in the arithmetic of `Complex`, for IPOPT and for numbers. It also has
-its own statistics: with J the Jacobian of
-its 2n real residuals, the estimate has the covariance B⁻¹ M B⁻¹ of an M-estimator (Huber 1981,
-Robust Statistics, chapter 6), with B = bread · JᵀJ and M = Jᵀ diag(meat) J.
+its own statistics: with J the Jacobian of its 2n real residuals, the estimate has the covariance
+B⁻¹ M B⁻¹ of an M-estimator (Huber 1981, Robust Statistics, chapter 6), with B = bread · JᵀJ and
+M = Jᵀ diag(meat) J.
 """
 
 import math
@@ -33,10 +33,10 @@ class Criterion(AnyCriterion):
     Attributes
     ----------
     uses : tuple of str or None
-        Columns of the data that it needs beside the response: "variance", "coherence"; None if
+        Columns of the data that it uses besides the response: "variance", "coherence"; None if
         unknown.
     weighs_alike : bool
-        Whether all points have the weights of errors of one relative size.
+        Whether the weights of all points are those of errors of one relative size.
     """
 
     condition: ClassVar[str] = "errors isotropic in the complex plane and of one relative size"
@@ -71,7 +71,7 @@ class Criterion(AnyCriterion):
         """Return the mismatch of the response `model` (n,) and `data`."""
 
     def scale(self, model: ComplexArray, data: FrequencyResponse) -> ComplexArray:
-        """Return what divides the derivatives of the response (n,), held: by default itself."""
+        """Return the divisor of the derivatives of the response (n,), by default the response."""
         return model
 
     def jacobian(
@@ -110,14 +110,14 @@ class Criterion(AnyCriterion):
     def noise(self, model: ComplexArray, data: FrequencyResponse, correction: float = 1.0) -> float:
         """Return the standard deviation of one component of the relative errors.
 
-        The errors are those about the biased gain.
-
-        `correction` scales it for the parameters estimated.
+        The errors are those about the biased gain. `correction` scales the result for the number of
+        estimated parameters.
         """
-        # At a bound a model may be zero, and it is not noise that lies between it and the data.
+        # At a bound a model may be zero, and its distance from the data is then not noise.
         least = 0.01 * np.abs(data.response)
         ratio = data.response / np.where(np.abs(model) < least, least, model)
         size = self.size_of(ratio - 1, correction)
+        # The bias depends on the noise, and the noise on the errors about the biased gain.
         for _ in range(6):
             previous = size
             size = self.size_of(ratio / (1 - self.gain_bias(size, len(data))) - 1, correction)
@@ -191,12 +191,12 @@ class _Relative(Criterion):
 class RelativeError(_Relative):
     """Sum of relative errors, (4.26): Σ |P - P̂| / |P̂|, with P the model and P̂ the measurement.
 
-    `normalized` by the "measured" magnitude as in the paper, or by the "model"'s. With relative
-    noise σ in each component the first biases the gain by about -σ², the second by 2 σ². The
-    standard errors hold for errors that are isotropic in the complex plane and of one relative
-    size, see `relative_score`: where these are small, Cov = (4/π) s² (JᵀJ)⁻¹, with s the standard
-    deviation of one component. The minimum of n points and p parameters lies below the cost at the
-    truth by p s √(π/2) / π, by which the mean |e| is too small: s is as much larger.
+    `normalized` by the "measured" magnitude as in the paper, or by that of the "model". With
+    relative noise σ in each component, the first biases the gain by about -σ², the second by 2 σ².
+    The standard errors are valid for errors that are isotropic in the complex plane and of one
+    relative size, see `relative_score`. For small errors, Cov = (4/π) s² (JᵀJ)⁻¹, with s the
+    standard deviation of one component. The minimum of n points and p parameters lies below the
+    cost at the truth by p s √(π/2) / π, so that the mean |e| is too small; s is corrected for this.
     """
 
     rule: ClassVar[str] = "sum of relative errors, (4.26)"
@@ -209,8 +209,8 @@ class RelativeError(_Relative):
 
     def size_of(self, errors: ComplexArray, correction: float) -> float:
         """Return the size from the mean |e|: s sqrt(π/2) (1 - p/(π n)) for isotropic errors."""
-        paid = 1 - 1 / correction**2  # p / (2n)
-        return float(np.abs(errors).mean()) * math.sqrt(2 / math.pi) / (1 - 2 / math.pi * paid)
+        share = 1 - 1 / correction**2  # p / (2n)
+        return float(np.abs(errors).mean()) * math.sqrt(2 / math.pi) / (1 - 2 / math.pi * share)
 
     def score_correlation(self, correlation: Array) -> Array:
         """Return the correlation of the directions of errors, E e₁ e₂* / |e₁ e₂|.
@@ -221,10 +221,11 @@ class RelativeError(_Relative):
         """
         from scipy.special import ellipe, ellipkm1  # noqa: PLC0415  (imports slowly)
 
+        # From 1 - k², since K is infinite at k = 1.
         k = np.clip(correlation, 1e-150, 1.0)
         m1 = 1 - k**2
         K_term = np.where(m1 > 0, m1 * ellipkm1(np.maximum(m1, 1e-300)), 0.0)
-        # Below 1e-4, the difference is rounding.
+        # Below 1e-4, the difference of both terms is a rounding error.
         return np.where(k < 1e-4, math.pi / 4 * k, (ellipe(k**2) - K_term) / k)
 
 
@@ -232,10 +233,11 @@ class RelativeError(_Relative):
 class SquaredRelativeError(_Relative):
     """Sum of squared relative errors: Σ |P - P̂|² / |P̂|².
 
-    `normalized` as in `RelativeError`. The standard errors hold for errors of one relative size,
-    see `relative_score`: where these are small, Cov = s² (JᵀJ)⁻¹. Points that noise makes small
-    weigh too much over the measured magnitude: with noise of 20 % in each component the gain varies
-    one and a half times as much as that of `RelativeLikelihood`, which has no such bias.
+    `normalized` as in `RelativeError`. The standard errors are valid for errors of one relative
+    size, see `relative_score`; for small errors, Cov = s² (JᵀJ)⁻¹. If the errors are divided by the
+    measured magnitude, points that noise makes small have too much weight: with noise of 20 % in
+    each component, the gain varies one and a half times as much as that of `RelativeLikelihood`,
+    which has no such bias.
     """
 
     rule: ClassVar[str] = "sum of squared relative errors"
@@ -250,16 +252,15 @@ class SquaredRelativeError(_Relative):
 class RelativeLikelihood(Criterion):
     """Maximum likelihood for circular complex normal errors of one unknown relative variance.
 
-    With errors of variance E|P̂ - P|² = σ² |P|² the negative log-likelihood is n log σ² + Σ log
-    |P|² + Σ |P̂ - P|²/(σ²
-    |P|²), and at the best σ² that is
+    With errors of variance E|P̂ - P|² = σ² |P|², the negative log-likelihood is n log σ² + Σ log
+    |P|² + Σ |P̂ - P|²/(σ² |P|²). At the best σ² this is
 
         n (log mean(|P̂ - P|² / |P|²) + 1) + Σ log (|P|² / v),
 
-    up to a constant of the data; v are their variances if they have them, so that it can be
-    compared with `MaximumLikelihood`, otherwise |P̂|². The gain has no bias: the term log |P|²
+    up to a constant of the data. Here v are the variances of the data, for a comparison with
+    `MaximumLikelihood`, or |P̂|² without variances. The gain has no bias: the term log |P|²
     balances the model's magnitude in the denominator. In a sum with a record, whose cost is a
-    likelihood too, it replaces `RelativeError`. The standard errors s² (JᵀJ)⁻¹ are those of errors
+    likelihood, too, it replaces `RelativeError`. The standard errors s² (JᵀJ)⁻¹ are those of errors
     of one relative size.
 
     Source: Pintelon and Schoukens, System Identification, 2nd ed., section 9.11, with σ²
@@ -273,7 +274,7 @@ class RelativeLikelihood(Criterion):
 
     @property
     def locator(self) -> Criterion | None:
-        """The squared relative error, which has nearly the same minimum and no logarithm of it."""
+        """The squared relative error, which has nearly the same minimum, without a logarithm."""
         return SquaredRelativeError()
 
     def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
@@ -307,9 +308,9 @@ class MagnitudePhase(Criterion):
     Source: Tischler and Remple, Aircraft and Rotorcraft System Identification, 2nd ed., section
     11.2. Phases are compared on the circle, within ±180°. The minimum is located with the squared
     relative error first, since wrapping makes local minima. The standard errors propagate isotropic
-    errors through the weights: of the data's own variances; or else of relative variances in
-    proportion to (1 - γ²)/γ², as random errors of a spectral estimate have (Bendat and Piersol,
-    Random Data, 4th ed., section 9.2), or of one relative size, both scaled by the residuals.
+    errors through the weights. These errors have the variances of the data; or else relative
+    variances in proportion to (1 - γ²)/γ², as random errors of a spectral estimate (Bendat and
+    Piersol, Random Data, 4th ed., section 9.2), or one relative size, both scaled by the residuals.
     """
 
     rule: ClassVar[str] = "coherence-weighted magnitude (dB) and phase (deg), CIFER"
@@ -350,8 +351,8 @@ class MagnitudePhase(Criterion):
         shape = self._relative_variance(data)
         s2 = shape / 2
         if data.variance is None:
-            # In the mean of the cost, in which a coherence that was rounded to 1 is no point
-            # without an error.
+            # The size comes from the mean of the cost, in which a coherence that was rounded to 1
+            # does not become a point without an error.
             weight, _ = self._weights(data)
             error = np.log(model / data.response)
             s2 = (
@@ -370,7 +371,7 @@ class MagnitudePhase(Criterion):
     def _relative_variance(self, data: FrequencyResponse) -> Array:
         """Return the relative variances (n,) of both components together.
 
-        Up to a common factor, if the data have no variances.
+        Without variances of the data, they lack a common factor.
         """
         if data.variance is not None:
             return data.variance / np.abs(data.response) ** 2
@@ -395,18 +396,18 @@ class MaximumLikelihood(Criterion):
     Needs data with `variance`. Source: Pintelon and Schoukens, System Identification, 2nd ed.,
     section 9.11.
 
-    A variance that was itself estimated, with ν degrees of freedom (`FrequencyResponse.dof`), makes
-    the errors over its root a bivariate Student's t: the cost of a point is then (ν + 2)/2 · log(1
-    + 2 r²/ν), with r² as above, and its weight in the standard errors ν/(ν + 2 r²), in which a
-    variance that happens to be small does not count for more than it should. The score of such a
-    point has (ν + 2)/ν times the variance that its curvature says. Source: Lange, Little and Taylor
-    (1989), Robust statistical modeling using the t distribution, JASA 84.
+    If a variance was itself estimated, with ν degrees of freedom (`FrequencyResponse.dof`), the
+    errors over its root have a bivariate Student's t distribution. The cost of a point is then (ν +
+    2)/2 · log(1 + 2 r²/ν), with r² as above, and its weight in the standard errors is ν/(ν + 2 r²),
+    so that a variance which is small by chance does not get too much weight. The variance of the
+    score of such a point is (ν + 2)/ν times its curvature. Source: Lange, Little and Taylor (1989),
+    Robust statistical modeling using the t distribution, JASA 84.
 
-    Standard errors are those of this likelihood. Of 25 points with four degrees of freedom each, 95
-    % intervals held in 93 to 95 % of 150 fits, with two degrees in 87 to 91 %, since few points
-    then decide. Where the residuals are larger than the variances say, they are widened by the root
-    of the ratio, the scale factor of the Particle Data Group (Review of Particle Physics,
-    introduction).
+    The standard errors are those of this likelihood. With 25 points of four degrees of freedom
+    each, 95 % intervals contained the truth in 93 to 95 % of 150 fits; with two degrees in 87 to
+    91 %, since few points then decide. If the residuals are larger than the variances, the standard
+    errors are widened by the root of the ratio, the scale factor of the Particle Data Group (Review
+    of Particle Physics, introduction).
     """
 
     rule: ClassVar[str] = "maximum likelihood, given variances"
@@ -467,7 +468,8 @@ class MaximumLikelihood(Criterion):
         if data.dof is None or not squares.any():
             return float(np.mean(squares))
         scale = 1.0
-        for _ in range(40):  # of a fixed point; each halves the remaining error, at worst (two dof)
+        # A fixed point; with two degrees of freedom, the worst case, each step halves the error.
+        for _ in range(40):
             scale *= float(np.mean((data.dof + 2) * squares / (data.dof * scale + 2 * squares)))
         return scale
 
@@ -481,16 +483,15 @@ def evaluate(criterion: Criterion, model: ComplexArray, data: FrequencyResponse)
         criterion.check(data)
     except ValueError:
         return math.nan
-    with np.errstate(
-        all="ignore"
-    ):  # the logarithm of a response that is zero: the cost is infinite
+    # The cost of a zero response is infinite: a division by zero, or its logarithm.
+    with np.errstate(all="ignore"):
         return float(criterion.cost(Complex(model.real, model.imag), data))
 
 
 def cost_of_zero(criterion: Criterion, data: FrequencyResponse) -> float:
-    """Return the cost of a response that is zero everywhere, infinite where it has none.
+    """Return the cost of a response that is zero everywhere; infinite if not finite.
 
-    Over the measured magnitude a relative error is 1 there, so that (4.26) has a wide attractor at
+    Relative to the measured magnitude every error is then 1, so that (4.26) has a wide attractor at
     zero gain.
     """
     cost = evaluate(criterion, np.zeros(len(data), dtype=complex), data)

@@ -1,4 +1,4 @@
-"""An earlier fit whose values a problem holds fixed; its covariance widens the standard errors."""
+"""An earlier fit whose values a problem uses as constants; its covariance widens the errors."""
 
 from collections.abc import Mapping, Sequence
 from typing import Protocol, runtime_checkable

@@ -1,4 +1,4 @@
-"""The included criteria, which the command line offers and a result reports beside its own."""
+"""The included criteria, for the command line and for the table of costs of a result."""
 
 from greybox.formulation.frequency_criteria import (
     Criterion,

@@ -1,7 +1,7 @@
 """How the inputs of a record run between their samples: held or interpolated.
 
-The samples do not show it. The record knows it (`Record.hold`), or the user states it, or it is an
-assumption, which every result states with its size.
+The samples do not show which. The record states it (`Record.hold`), or the user does, or it is an
+assumption, which every result reports with the size of its effect.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,7 +17,7 @@ Inputs = Literal["record", "linear", "held"]
 
 
 def require_inputs(inputs: Any) -> None:
-    """Raise ValueError for what is not one of `Inputs`."""
+    """Raise ValueError for anything but one of `Inputs`."""
     if inputs not in get_args(Inputs):
         raise ValueError(
             f"inputs {inputs!r} is not known: use 'linear' or 'held', or 'record' to follow what "
@@ -33,8 +33,8 @@ def between_samples(
 ) -> tuple[Intersample, ...]:
     """Return how each of the named inputs of a record runs between its samples.
 
-    Where neither `inputs` nor the record states it, `assumed` does (as `Record.hold`); otherwise
-    the input is interpolated. Rows without a time have nothing between them.
+    If neither `inputs` nor the record states it, `assumed` does (like `Record.hold`); otherwise the
+    input is interpolated. Rows without a time have nothing between them.
     """
     if not record.has_time:
         return tuple(Intersample(False) for _ in names)
@@ -46,7 +46,7 @@ def between_samples(
 
 
 def described_inputs(inputs: Inputs, names: Sequence[str], record: Record) -> dict[str, str]:
-    """Say how every input runs between its samples, and who states it."""
+    """Return how every input runs between its samples, in words, and who states it."""
     if not record.has_time:
         return {}
     result = {}

@@ -1,4 +1,4 @@
-"""A-priori knowledge of parameters: normal distributions, given one by one or by an earlier fit."""
+"""A-priori knowledge of parameters: normal distributions, or an earlier fit."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -46,7 +46,7 @@ class NormalPrior:
     Attributes
     ----------
     names : tuple of str
-        By outside name.
+        Outside names.
     mean, covariance : (k,) and (k, k) arrays
     """
 
@@ -64,7 +64,7 @@ class NormalPrior:
         }
 
     def same_as(self, other: "NormalPrior") -> bool:
-        """Tell whether both are the same density."""
+        """Return whether both are the same density."""
         return (
             self.names == other.names
             and np.array_equal(self.mean, other.mean)
@@ -109,6 +109,7 @@ def normal_priors(
 
     require_known(knowledge, free, "free parameter", "prior: the problem")
 
+    # Parameters of one earlier fit are correlated, and form one density.
     densities: list[NormalPrior] = []
     sources: dict[int, tuple[HeldEstimate, list[str]]] = {}
     for name in free:

@@ -54,7 +54,7 @@ def stated_priors(problem: Problem | Sum[Problem]) -> list[NormalPrior]:
 
 def _part(priors: list[NormalPrior], parameters: Mapping[str, Parameter]) -> Problem:
     """Return the part that measures the parameters along directions with independent errors."""
-    # Along these directions the errors of a correlated prior are independent.
+    # Multiplied by these roots, the errors of a correlated prior are independent.
     roots = [np.linalg.inv(np.linalg.cholesky(prior.covariance)) for prior in priors]
     rows = [
         (prior.names, row, float(row @ prior.mean))
@@ -77,7 +77,7 @@ def _part(priors: list[NormalPrior], parameters: Mapping[str, Parameter]) -> Pro
         "inputs": (),
         "outputs": names,
     }
-    # A static model, whose outputs are these combinations: priors need no code of their own in
+    # As a static model with these combinations as outputs, a prior needs no code of its own in
     # solvers and statistics.
     model = type("Prior", (StateSpace,), {**body, **declared, "output": output})
     measured = {name: np.array([value]) for name, (_, _, value) in zip(names, rows, strict=True)}

@@ -38,25 +38,25 @@ class Problem:
     Parameters
     ----------
     model : Model
-        The structure; for a frequency response and a spectrum an ODE is linearized at its operating
-        point, for a record a transfer function is realized as states.
+        The structure. For a frequency response or a spectrum, an ODE is linearized at its operating
+        point; for a record, a transfer function is realized as states.
     data : FrequencyResponse, Record or TransientSpectrum
-        Data and model meet by the names of inputs and outputs. Outputs that a record or a spectrum
-        lacks are not compared. Read files first with `gb.read_response` or `gb.read`; see `several`
-        for more than one record.
+        Its signals have the names of the model's inputs and outputs. Outputs that a record or a
+        spectrum lacks are not compared. Read files with `gb.read_response` or `gb.read`; for more
+        than one record, see `several`.
     criterion : Criterion or TimeCriterion, optional
         By default `RelativeError` (4.26) for a response and `OutputError` for a record or a
         spectrum; a spectrum takes `EquationError` as well. In a sum with a likelihood the default
         for a response is `RelativeLikelihood`, see `Sum`.
     fixed : mapping of name to value, or a Fit
-        Parameters held constant. A `Fit`, alone or as the value of a name, gives its estimate; its
-        covariance widens the standard errors here.
+        Parameters held constant. A `Fit`, by itself or as the value of a name, gives its estimate,
+        and its covariance widens the standard errors here.
     free : sequence of str
         Parameters to estimate although the model declares them fixed.
     tied : mapping of name to function
-        ``{"p7": lambda p: 2 * p.p1}``: the parameter is this expression of the others.
+        ``{"p7": lambda p: 2 * p.p1}``: the parameter equals this expression of the others.
     constraints : sequence of functions
-        ``lambda p: p.T1 - p.T2``: each must be at least 0.
+        ``lambda p: p.T1 - p.T2``: every value must be at least 0.
     delay : "exact" or "pade:n"
         How delays are evaluated. In time an exact delay costs nothing, while "pade:n" adds n fast
         states for every delayed input: a fit of the tilt took 1.6, 5 and 11 times as long with
@@ -74,13 +74,12 @@ class Problem:
         Fit the response of an ODE to a sine of this amplitude, see `Sine`, instead of that of its
         linearization.
     bounds : mapping of name to (float, float)
-        ``{"a1": (-10, 10)}``: bounds in place of the declared ones, see `Parameter`. Those of a
+        ``{"a1": (-10, 10)}``: bounds in place of the declared ones, see `Parameter`. Bounds of a
         tied parameter limit its expression.
     start : mapping of name to float
         ``{"a1": -5.0}``: start of a single run in place of the declared value.
     starts : mapping of name to (float, float)
         ``{"a1": (-8, -2)}``: the box in which starts are drawn, in place of the declared one.
-
     prior : mapping of name to (mean, standard deviation) or Fit, or a Fit
         Normal prior of free parameters; a `Fit` gives its estimate and covariance. It overrides
         `Parameter(prior=...)`. The estimate is then the maximum a posteriori one, and
@@ -247,6 +246,7 @@ class Problem:
 
     def _restated(self, name: str, parameter: Parameter) -> Parameter:
         """Apply `bounds`, `start` and `starts` to one declared parameter."""
+        # A parameter that is never estimated would ignore them silently.
         changes = {
             what: getattr(self, what)[name]
             for what in ("bounds", "start", "starts")
@@ -282,6 +282,7 @@ class Problem:
 
     def _check_prior(self) -> None:
         """Gather the priors, and require a likelihood where there are any."""
+        # Biases and gains of a criterion have no priors, and an earlier fit has no part in them.
         outside = {name: self.outside(name) for name in self.declared}
         of_model = {
             name: p
@@ -302,8 +303,7 @@ class Problem:
     def _check_functions(self) -> None:
         """Try ties, constraints and derived quantities with numbers and with expressions.
 
-        A mistake then shows here, not inside CasADi; `if`, `max` and `math.exp` fail with
-        expressions.
+        A mistake then shows here, not inside CasADi.
         """
         if not isinstance(self.constraints, Sequence) or isinstance(self.constraints, str):
             raise TypeError(f"constraints is {self.constraints!r:.60}: give a list of functions.")
@@ -326,7 +326,7 @@ class Problem:
 
     @property
     def declared(self) -> Mapping[str, Parameter]:
-        """Parameters of model and criterion by inside name, with the bounds and starts of here."""
+        """Parameters of model and criterion by inside name, with the bounds and starts given."""
         return self.__dict__["_declared"]
 
     @property
@@ -360,7 +360,7 @@ class Problem:
 
     @property
     def parameters(self) -> dict[str, Parameter]:
-        """Parameters by outside name, as fixed or free here, without tied ones."""
+        """Parameters by outside name, fixed or free as in this problem, without tied ones."""
         return {
             self.outside(name): parameter
             for name, parameter in self.__dict__["_stated_parameters"].items()

@@ -1,12 +1,12 @@
 """Bias, curvature and spread of the gradient of a sum of relative errors under noise, exactly.
 
-A measurement P̂ = P (1 + ε) with ε isotropic normal of standard deviation σ in each component
-leaves the error of a model g P a function of g and ε alone, whatever P is: e = g / (1 + ε) - 1 over
-the measured magnitude, and 1 - (1 + ε) / g over the model's. So the factor g to which the criterion
-draws the gain, the mean curvature and the variance of the gradient are numbers that depend on σ
-alone. They are means over errors up to a magnitude that one point in 2n exceeds, which the largest
-of n falls short of as often as not: moments of 1 / (1 + ε) over all errors are infinite, since a
-measurement may come out as zero.
+If a measurement is P̂ = P (1 + ε), with ε isotropic, normal and of standard deviation σ in each
+component, the error of a model g P depends only on g and ε: e = g / (1 + ε) - 1 relative to the
+measured magnitude, and 1 - (1 + ε) / g relative to the model's. So the factor g to which the
+criterion draws the gain, the mean curvature, and the variance of the gradient depend on σ only.
+They are means over errors up to a magnitude that one point in 2n exceeds, about the median of the
+largest of n errors: moments of 1 / (1 + ε) over all errors are infinite, since a measurement may be
+zero.
 """
 
 import math
@@ -18,7 +18,7 @@ import numpy as np
 
 from greybox.files.arrays import Array
 
-# Relative errors below cannot be told from rounding: those of data that a model reproduces exactly.
+# Smaller relative errors are rounding errors, of data that a model reproduces exactly.
 ROUNDING = float(np.finfo(float).eps)
 
 
@@ -29,11 +29,11 @@ class RelativeScore:
     Attributes
     ----------
     gain_bias : float
-        The part of the estimated gain by which it is too large in the mean.
+        Mean relative bias of the estimated gain.
     curvature : float
-        Of the mean cost, along the response as across it.
+        Curvature of the mean cost, the same along and across the response.
     variance : (2,) array
-        Of the gradient, along and across the response.
+        Variances of the gradient, along and across the response.
     """
 
     gain_bias: float
@@ -46,8 +46,8 @@ def relative_score(
     noise: float, points: int, power: int, normalized: Literal["measured", "model"]
 ) -> RelativeScore:
     """Return the statistics of Σ |e|^`power` for `noise`, the deviation of each component."""
-    # Below 1e-4, rounding is felt, and all is proportional to σ to eight digits. Beyond 0.3, errors
-    # are as large as what is measured, and nothing that is divided by it has a mean.
+    # Below 1e-4, rounding errors matter, and everything is a power of σ to eight digits. Beyond
+    # 0.3, errors are as large as the measurement, and nothing divided by it has a mean.
     size = min(max(noise, 1e-4), 0.3)
     # Means over a circle that comes as close as 0.4 to zero are exact to 3e-4 with 16 angles.
     # Errors reach 2.4 to 3.3 σ, for 8 to 100 points.
@@ -64,7 +64,8 @@ def relative_score(
     factor = 1 / (1 + error) if normalized == "measured" else 1 + error
 
     gain = 1.0
-    for _ in range(30):  # reweighted least squares: each halves the remaining error
+    # Reweighted least squares: each iteration halves the remaining error.
+    for _ in range(30):
         weight = share * np.abs(gain * factor - 1) ** (power - 2)
         previous = gain
         gain = float(np.sum(weight * factor.real) / np.sum(weight * np.abs(factor) ** 2))
@@ -73,15 +74,15 @@ def relative_score(
 
     ratio = gain * factor
     score = power * np.abs(ratio - 1) ** (power - 2) * (ratio - 1) * ratio.conj()
-    # The mean curvature is the covariance of this gradient with that of the likelihood, whichever
-    # the criterion.
+    # For any criterion, the mean curvature is the covariance of its gradient with that of the
+    # likelihood.
     likelihood = error * (1 + error).conj() / size**2 - 2
     curvature = abs(float(np.sum(share * (score * likelihood.conj()).real))) / 2
     variance = np.array([np.sum(share * score.real**2), np.sum(share * score.imag**2)])
     away = 1 - 1 / gain if normalized == "measured" else 1 - gain
 
-    # What is below or beyond the range scales as small noise does, but for a bias that would reach
-    # the gain itself.
+    # Outside the range everything scales as with small noise, but the bias is limited, since it
+    # would otherwise reach the gain itself.
     times = max(noise, ROUNDING) / size
     return RelativeScore(
         away * min(times, 1.0) ** 2,

@@ -1,4 +1,4 @@
-"""Sensor biases in a sum of problems: each record has its own, with its number in the name."""
+"""Sensor biases in a sum of problems: every record has its own, with its number in the name."""
 
 import itertools
 from collections.abc import Sequence
@@ -13,8 +13,8 @@ from greybox.formulation.held_estimate import HeldEstimate
 def with_numbered_biases(parts: Sequence[Any]) -> tuple[Any, ...]:
     """Return the parts with biases numbered by the record, where several records have one.
 
-    Parts of one record share its biases. A bias keeps its name, so that records can share it, where
-    a part renames it (also to its own name) or holds it at an earlier fit, which knows that name.
+    Parts of one record share its biases. A bias is not numbered, so that records can share it, if a
+    part renames it (also to its own name) or fixes it at an earlier fit, which has that name.
     """
     records = _record_numbers([part.data for part in parts])
     outside = [{part.outside(name) for name in part.declared} for part in parts]
@@ -67,10 +67,8 @@ def _record_numbers(data: Sequence[Any]) -> list[int]:
 
 
 def _is_same(a: Any, b: Record) -> bool:
-    """Tell whether `a` is the record `b`.
-
-    Two stretches of one log have the same checksum, but not the same times.
-    """
+    """Return whether `a` is the record `b`."""
     if not isinstance(a, Record):
         return False
+    # Two stretches of one log have the same checksum, but not the same times.
     return a is b or (a.checksum == b.checksum and np.array_equal(a.time, b.time))

@@ -14,10 +14,11 @@ def several(
 ) -> Sum[Problem]:
     """Return the sum of a problem for every record; all parameters but `own` are shared.
 
-    Every record is weighted by its own estimated noise variances: one that the model fits badly has
-    little weight. To give records of one sensor equal weight, give its standard deviation,
-    ``criterion=OutputError(noise={"y": 0.1})``; for a single output any value will do, since the
-    standard errors use the residual variance. Or join the records to one with gaps in its time.
+    Every record is weighted by its own estimated noise variances: a record that the model fits
+    badly has little weight. To give records of one sensor equal weight, give its standard
+    deviation, ``criterion=OutputError(noise={"y": 0.1})``; for a single output any value will do,
+    since the standard errors use the residual variance. Or join the records to one record with gaps
+    in its time.
 
     Parameters
     ----------

@@ -63,7 +63,7 @@ def check_response_units(model: Model, response: FrequencyResponse) -> None:
 def _conversion(
     model: Model, name: str, unit: str, label: str, place: str, rate_cure: str = ""
 ) -> tuple[str, float, float] | None:
-    """Return place, factor and zero of a conversion to the model's unit; None without need.
+    """Return reason, factor and zero of a conversion to the model's unit; None if not needed.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def as_the_only_pair(model: Model, response: FrequencyResponse) -> FrequencyResp
 
 
 def _known(unit: str) -> Conversion | None:
-    """Return the conversion of a unit to SI; None for no unit or an unknown one."""
+    """Return the conversion of a unit to SI; None for an empty or unknown unit."""
     if not unit:
         return None
     try:

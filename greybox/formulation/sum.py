@@ -11,7 +11,7 @@ from greybox.formulation.added_criteria import with_costs_that_add
 from greybox.formulation.data_used_twice import require_data_once
 from greybox.formulation.held_estimate import HeldEstimate
 from greybox.formulation.sensor_biases import with_numbered_biases
-from greybox.modeling.model import merge
+from greybox.modeling.model import merged_parameters
 from greybox.modeling.parameter import Parameter
 
 # A part is a `Problem`, whose file imports this one.
@@ -43,29 +43,27 @@ class Sum(Generic[Part]):
     def __post_init__(self) -> None:
         """Choose criteria whose costs add, number biases, merge parameters, compare ties."""
         require_data_once(self.parts)
-        # Kept for further sums: `a + b + c` must number biases once, over all records.
+        # Stored for further sums: `a + b + c` must number biases once, over all records.
         object.__setattr__(self, "_as_added", self.parts)
         object.__setattr__(self, "parts", with_numbered_biases(with_costs_that_add(self.parts)))
         if not self.name:
             names = list(dict.fromkeys(part.name for part in self.parts))
-            if len(names) > 8:  # more do not fit into a line
+            if len(names) > 8:  # more names do not fit into a line
                 names = [*names[:2], "...", f"{names[-1]} ({len(names)} in all)"]
             object.__setattr__(self, "name", " + ".join(names))
 
-        merged: dict[str, Parameter] = {}
-        for part in self.parts:
-            for name, parameter in part.parameters.items():
-                merged[name] = merge(name, merged[name], parameter) if name in merged else parameter
+        merged = merged_parameters(self.parts)
 
         self._check_ties(merged)
         object.__setattr__(self, "_parameters", merged)
 
     def _check_ties(self, merged: Mapping[str, Parameter]) -> None:
         """Require that a name tied in one part is tied alike, or absent, in all others."""
+        # Functions cannot be compared, so their values are.
         bounds = np.array([parameter.bounds for parameter in merged.values()])
         low, high = np.clip(bounds.T, -1e3, 1e3)  # bounds may be infinite
 
-        # Formulas that differ agree at a random point with probability zero; there are four points
+        # Different formulas agree at a random point with probability zero; there are four points,
         # since formulas may be undefined in places.
         drawn = np.random.default_rng(0).uniform(low, high, (4, len(merged)))
         points = [[parameter.start for parameter in merged.values()], *drawn]
@@ -106,8 +104,7 @@ class Sum(Generic[Part]):
         return {name: held for part in self.parts for name, held in part.held_estimates.items()}
 
     def __add__(self, other: Any) -> "Sum[Part]":
-        # A single problem knows how to join a sum (`__radd__`), so that this file need not know its
-        # class.
+        # A single problem joins a sum by its own `__radd__`, so that this file need not import it.
         return Sum((*self.as_added, *other.as_added)) if isinstance(other, Sum) else NotImplemented
 
     def __radd__(self, other: Any) -> "Sum[Part]":

@@ -23,11 +23,11 @@ SPECTRUM_CONDITION = "white errors of the outputs over the band, and known input
 class TimeCriterion(AnyCriterion):
     """The likelihood of normal errors of the outputs, which all criteria in time share.
 
-    The past of a delayed input, before the record or during a gap, is unknown. An input that rests
-    at the beginning of a gapless stretch (exactly constant over the first 5 samples and clearly
-    longer than it holds its values later) is assumed to have rested before. If it moves, outputs
-    are not compared for the largest delay within the bounds of its parameter: a generous upper
-    bound costs data, and the fit warns if it costs more than 5 % of a record.
+    The past of a delayed input, before the record or during a gap, is unknown. If an input rests at
+    the beginning of a gapless stretch (exactly constant over the first 5 samples and clearly longer
+    than it holds its values later), it is assumed to have rested before. If it moves, outputs are
+    not compared for the largest delay within the bounds of its parameter: a generous upper bound
+    costs data, and the fit warns if it costs more than 5 % of a record.
 
     Parameters
     ----------
@@ -37,13 +37,13 @@ class TimeCriterion(AnyCriterion):
         deviations in the units of the outputs.
     inputs : "record", "linear" or "held"
         How inputs run between their samples: as the record says (`Record.hold`; an unknown input is
-        taken as linear, which the answer states), or all of them linear, or held. If a held input
+        assumed to be linear, which the result states), or all linear, or all held. If a held input
         reaches an output directly, the cost is discontinuous at integer-sample delays: give several
         starts.
     biases : sequence of str
         Outputs and inputs with an unknown constant error of measurement: the parameter
-        ``<name>_bias`` is the measured minus the true value. In a sum each record has its own, see
-        `Sum`.
+        ``<name>_bias`` is the measured minus the true value. In a sum, every record has its own,
+        see `Sum`.
     initial : mapping of state to value or function of the parameters
         Known states at the first sample of the record. All others, and the states after a gap, are
         estimated.
@@ -199,12 +199,12 @@ class PredictionError(TimeCriterion):
 
     Innovations form: x[k+1] = F(x[k] + K e[k], u), with e the difference of measured and predicted
     outputs and a constant gain K that is estimated with the parameters; its entries are named
-    ``K_<state>_<output>``. With `process_noise` (filter error) K is that of the steady Kalman
-    filter instead, and the covariance of e its own: estimated are one number for each of these
-    states and one for each output, ``w_<state>`` and ``v_<output>``, instead of a gain for every
-    pair. Without process noise, ``w_<state>`` of zero, this is output error. Outputs at the
-    beginning of a record that depend on a delayed input from before it are left out, unless that
-    input is at rest there, see `TimeCriterion`.
+    ``K_<state>_<output>``. With `process_noise` (filter error), K is the gain of the steady Kalman
+    filter instead, which also gives the covariance of e. Instead of a gain for every pair, the
+    parameters are then ``w_<state>`` for each of these states and ``v_<output>`` for each output.
+    Without process noise (``w_<state>`` = 0), this is output error. Outputs at the beginning of a
+    record that depend on a delayed input from before it are left out, unless that input is at rest
+    there, see `TimeCriterion`.
 
     Source: Ljung, System Identification, 2nd ed., section 4.3; Klein and Morelli, chapter 6;
     Jategaonkar, Flight Vehicle System Identification, 2nd ed., chapter 5.
@@ -214,8 +214,8 @@ class PredictionError(TimeCriterion):
     corrected : sequence of str
         The states that the innovations correct; by default all.
     process_noise : sequence of str
-        The states whose derivatives have white noise, of an intensity ``w_<state>`` in units of the
-        state per √s, as `virtual_flight` takes it. The noise of the sensors is white too, with a
+        The states whose derivatives have white noise, of intensity ``w_<state>`` in units of the
+        state per √s, as in `virtual_flight`. The noise of the sensors is white, too, with a
         standard deviation ``v_<output>``. The filter is that of the linearization about the means
         of the record; a sample at which an output is missing is not compared.
     """

@@ -244,11 +244,11 @@ def merge(name: str, a: Parameter, b: Parameter) -> Parameter:
     )
 
 
-def merged_parameters(models: Iterable[Model]) -> dict[str, Parameter]:
-    """Merge the parameters of several models; a common name is one unknown."""
+def merged_parameters(owners: Iterable[Any]) -> dict[str, Parameter]:
+    """Merge the `parameters` of several models or problems; a common name is one unknown."""
     result: dict[str, Parameter] = {}
-    for model in models:
-        for name, parameter in model.parameters.items():
+    for owner in owners:
+        for name, parameter in owner.parameters.items():
             result[name] = merge(name, result[name], parameter) if name in result else parameter
     return result
 
