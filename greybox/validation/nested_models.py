@@ -61,6 +61,12 @@ class NestedTest:
         verb = "is" if len(self.terms) == 1 else "are"
         if self.p_value < SIGNIFICANT:
             verdict = f"{verb} needed: {self.small} is rejected by the test against {self.large}"
+        elif f_tail(self.statistic, round(self.dof[0]), math.inf) < SIGNIFICANT:
+            # The same ratio would be significant with more degrees of freedom.
+            verdict = (
+                f"may be needed: the residuals are too correlated, or too few, to tell "
+                f"{self.small} from {self.large}"
+            )
         else:
             verdict = f"{verb} not needed: {self.small} explains the data as well as {self.large}"
 

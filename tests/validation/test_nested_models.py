@@ -90,6 +90,7 @@ def test_on_a_bound_half_of_the_statistic_has_one_degree_less():
         ({"p_value": 0.049}, "a, b are needed: small is rejected"),
         ({"p_value": 0.051}, "a, b are not needed: small explains the data as well as large"),
         ({"terms": ("a",)}, "a is not needed: small explains the data as well as large"),
+        ({"statistic": 40.0, "dof": (1, 1.4)}, "may be needed: the residuals are too correlated"),
     ],
 )
 def test_the_verdict_comes_first(given, words):
