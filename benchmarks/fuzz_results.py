@@ -166,7 +166,7 @@ def _loaded(path: Path) -> str:
 
     Return what became of it, peak memory in bytes, details.
     """
-    word, details = _tried(path)
+    word, details = outcome_of(path)
     # Linux counts in kB. What a process starts inherits the peak of its parent until it has more of
     # its own.
     peaks = [
@@ -176,7 +176,7 @@ def _loaded(path: Path) -> str:
     return f"{word}|{1024 * sum(peaks)}|{details}"
 
 
-def _tried(path: Path) -> tuple[str, str]:
+def outcome_of(path: Path) -> tuple[str, str]:
     try:
         fit = gb.load(path)
     except ValueError as error:

@@ -78,12 +78,12 @@ class Regressors:
 
         Empty where a simulated state grows without bound.
         """
-        u = self._late(np.asarray(self.equations.delay(p)).ravel())
+        u = self.delayed_inputs(np.asarray(self.equations.delay(p)).ravel())
         x = np.full((len(self.equations.state_names), self.time.size), np.nan)
         for name, values in self.states.items():
             x[self.equations.state_names.index(name)] = values
         # An unstable state would grow beyond all numbers within a record.
-        if not self._simulate(x, u, p):
+        if not self.simulate(x, u, p):
             return []
         parameters = np.tile(np.reshape(p, (-1, 1)), (1, self.time.size))
         base, slopes = (np.asarray(value) for value in self.equations.rows(x, u, parameters))
@@ -113,7 +113,7 @@ class Regressors:
             result.append(Block(k, part[:, 0], part[:, 1], part[:, 2:]))
         return result
 
-    def _late(self, delays: Array) -> Array:
+    def delayed_inputs(self, delays: Array) -> Array:
         """Return the inputs (m, n) after their delays."""
         rows = []
         for name, longer in zip(self.equations.input_names, delays, strict=True):
@@ -127,7 +127,7 @@ class Regressors:
             rows.append(late)
         return np.array(rows).reshape(len(rows), self.time.size)
 
-    def _simulate(self, x: Array, u: Array, p: Array) -> bool:
+    def simulate(self, x: Array, u: Array, p: Array) -> bool:
         """Fill in the simulated states; False where they are not stable."""
         names = self.equations.simulated_names
         if not names:

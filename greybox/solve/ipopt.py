@@ -80,12 +80,12 @@ class StopCheck(ca.Callback):
         """Write whether to stop, 1 or 0."""
         if res[0] is not None:
             x, cost = np.frombuffer(arg[0]), float(np.frombuffer(arg[1])[0])
-            stagnant = self._is_stagnant(x, cost)
+            stagnant = self.is_stagnant(x, cost)
             self.reason = reason_to_end() or (STAGNATED if stagnant else "")
             np.frombuffer(res[0])[0] = float(bool(self.reason))
         return 0
 
-    def _is_stagnant(self, x: Array, cost: float) -> bool:
+    def is_stagnant(self, x: Array, cost: float) -> bool:
         """Tell whether the cost has not decreased for long."""
         if self._sizes["g"]:  # the cost grows while constraints are being met
             return False

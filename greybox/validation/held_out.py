@@ -58,13 +58,13 @@ def predict_same_windows(
     by_record: list[list[Prediction]] = []
     notes: list[str] = []
     for k in range(len(data[0])):
-        record = _with_all_signals([records[k] for records in data])
+        record = with_all_signals([records[k] for records in data])
         models = [_own_model(fit, k) if fitted else fit.at_estimate(record=record) for fit in fits]
         inputs = dict.fromkeys(name for model in models for name in model.system.inputs)
-        outputs = _shared_outputs(models, record)
+        outputs = shared_outputs(models, record)
         windows = cut(record, tuple(inputs), outputs, lead=lead, horizon=window, called="window")
         results = [predict_windows(m, windows, outputs, own=() if fitted else None) for m in models]
-        predictions, record_notes = _where_all_are_finite(results, labels)
+        predictions, record_notes = where_all_are_finite(results, labels)
         by_record.append(predictions)
         notes += record_notes
         for label, prediction in zip(labels, predictions, strict=True):
@@ -75,7 +75,8 @@ def predict_same_windows(
     return tuple(zip(*by_record, strict=True)), notes
 
 
-def _shared_outputs(models: Sequence[ModelAtEstimate], record: Record) -> tuple[str, ...]:
+def shared_outputs(models: Sequence[ModelAtEstimate], record: Record) -> tuple[str, ...]:
+    """Return the outputs of all models that the record has; ValueError if there are none."""
     shared = [
         name
         for name in models[0].system.outputs
@@ -90,7 +91,7 @@ def _shared_outputs(models: Sequence[ModelAtEstimate], record: Record) -> tuple[
     return outputs
 
 
-def _where_all_are_finite(
+def where_all_are_finite(
     results: Sequence[tuple[Prediction, BoolArray, str]], labels: Sequence[str]
 ) -> tuple[list[Prediction], list[str]]:
     """Return the predictions in the windows in which all are finite, and a note on the others.
@@ -131,7 +132,7 @@ def _own_model(fit: Fit, record: int) -> ModelAtEstimate:
     return fit.at_estimate(part=parts[record])
 
 
-def _with_all_signals(records: Sequence[Record]) -> Record:
+def with_all_signals(records: Sequence[Record]) -> Record:
     """Return one record with the signals of all: each fit stores only those that it used."""
     first = records[0]
     missing = {

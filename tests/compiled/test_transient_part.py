@@ -76,6 +76,11 @@ def made(request):
     return nlp, part, z, part.trajectory(z, None)
 
 
+@pytest.fixture
+def equation_error(request):
+    return request.node.callspec.params["made"].startswith("equation error")
+
+
 def weighted_errors(part, z, weight):
     return (weight @ part.trajectory(z, None).detail.errors).ravel()
 
@@ -110,7 +115,7 @@ def numbers_of(part, at):
     )
 
 
-def test_the_cost_is_that_of_normal_errors(made):
+def test_the_cost_is_that_of_normal_errors(made, equation_error):
     _, part, _, trajectory = made
     at = trajectory.detail
     assert part.cost(trajectory, 0.0) == pytest.approx(numbers_of(part, at))
@@ -118,7 +123,7 @@ def test_the_cost_is_that_of_normal_errors(made):
     # Its errors are those of the modelled outputs, and no end term makes them smaller.
     measured = np.array([part.data.outputs[name] for name in part.outputs])
     unit = np.sqrt(part.data.step * part.data.duration / 2)
-    if not part._is_equation_error:
+    if not equation_error:
         left = (measured - at.modelled) / unit
         assert_allclose(at.errors, np.hstack([left.real, left.imag]), rtol=1e-9, atol=1e-12)
     weight = at.covariance.weight(trajectory.products)
@@ -180,7 +185,7 @@ def fixed_ends(part, z, ends):
     return at.errors + at.basis @ (at.ends - ends)
 
 
-def test_the_spread_is_that_of_white_errors_but_for_the_end_terms(made):
+def test_the_spread_is_that_of_white_errors_but_for_the_end_terms(made, equation_error):
     """What the outputs' variances say, the last rows, has no end terms."""
     nlp, part, z, trajectory = made
     x = nlp.scaling.to_parameters(z)
@@ -193,7 +198,7 @@ def test_the_spread_is_that_of_white_errors_but_for_the_end_terms(made):
             mean.T @ mean * part.numbers / (part.numbers - len(part.states)) + variance.T @ variance
         )
         assert_allclose(found.spread(1.0)[1], wanted, rtol=1e-6, atol=1e-9 * np.abs(wanted).max())
-    assert variance.any() == part._is_equation_error
+    assert variance.any() == equation_error
     assert part.has_states
 
 

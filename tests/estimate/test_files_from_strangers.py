@@ -48,7 +48,7 @@ def whole(fuzzer, tmp_path_factory):
 
 
 def test_a_sound_file_is_read(fuzzer, whole):
-    assert fuzzer._tried(whole) == ("read", "")
+    assert fuzzer.outcome_of(whole) == ("read", "")
 
 
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")
@@ -59,7 +59,7 @@ def test_a_crafted_file_is_refused_in_a_sentence_or_harmless(
     monkeypatch.chdir(tmp_path)
     os.mkfifo("pipe")
     craft(name, whole, tmp_path / "crafted.h5")
-    word, details = fuzzer._tried(tmp_path / "crafted.h5")
+    word, details = fuzzer.outcome_of(tmp_path / "crafted.h5")
     assert word in ("read", "refused"), details
     assert not Path("EXECUTED").exists()
 
@@ -70,7 +70,7 @@ def test_damaged_files_that_were_sealed_again_end_in_a_sentence_or_print(fuzzer,
     for number in range(4):
         path.write_bytes(fuzzer.mutated(np.random.default_rng((11, number)), raw))
         seal(path, "fit")
-        word, details = fuzzer._tried(path)
+        word, details = fuzzer.outcome_of(path)
         assert word in ("read", "refused"), (number, word, details)
 
 

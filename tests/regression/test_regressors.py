@@ -53,10 +53,10 @@ def test_at_the_truth_the_blocks_hold():
 
 def test_another_delay_shifts_the_input():
     data = made()
-    late = data._late(np.array([0.123]))
+    late = data.delayed_inputs(np.array([0.123]))
     inside = TIME > 0.2
     assert_allclose(late[0, inside], force(TIME[inside] - 0.123), atol=1e-5)
-    assert data._late(np.array([0.0]))[0] is not None
+    assert data.delayed_inputs(np.array([0.0]))[0] is not None
 
 
 def test_an_unstable_lag_has_no_blocks():
@@ -230,7 +230,7 @@ def test_inputs_arrive_after_their_delays_and_before_the_first_sample_as_it_was(
     record = driven()
     time, inside = record.time, slice(20, -20)
     data = two_inputs(record, CONTINUOUS | {"r": Intersample(False, 0.04)})
-    u, r = data._late(np.array([0.07, 0.02]))
+    u, r = data.delayed_inputs(np.array([0.07, 0.02]))
     assert_allclose(u[inside], np.sin(1.3 * (time[inside] - 0.07)) + 2, atol=1e-6)
     assert_allclose(r[inside], np.cos(2.1 * (time[inside] - 0.06)), atol=1e-5)
     assert u[:2].tolist() == [2.0, 2.0]
@@ -238,7 +238,7 @@ def test_inputs_arrive_after_their_delays_and_before_the_first_sample_as_it_was(
     acts = acting(time, record["u"], True)
     data = two_inputs(record, CONTINUOUS | {"u": Intersample(True)})
     assert_allclose(data.inputs["u"], acts)
-    later = data._late(np.array([0.07, 0.0]))
+    later = data.delayed_inputs(np.array([0.07, 0.0]))
     assert_allclose(later[0, 2:], 0.6 * acts[1:-1] + 0.4 * acts[:-2])  # 1.4 steps
     assert later[1] is not None
     assert_allclose(later[1], record["r"])
@@ -250,7 +250,7 @@ def test_a_simulated_state_is_that_of_its_lag_over_each_stretch():
     u[300:304] = np.nan
     data = two_inputs(record.with_signals(u=u), CONTINUOUS)
     x = np.full((2, 600), np.nan)
-    assert data._simulate(x, data._late(np.zeros(2)), POINT)
+    assert data.simulate(x, data.delayed_inputs(np.zeros(2)), POINT)
     assert np.isnan(x[0]).all()
     assert np.flatnonzero(np.isnan(x[1])).tolist() == [300, 301, 302, 303]
     # Of a lag: the gain and the phase of the sine, once the start is forgotten.
@@ -258,7 +258,7 @@ def test_a_simulated_state_is_that_of_its_lag_over_each_stretch():
     settled = np.r_[100:300, 404:600]
     assert_allclose(x[1, settled], wanted[settled], atol=5e-5)
     unstable = POINT * [1, 1, -1, 1, 1]
-    assert not data._simulate(x, data._late(np.zeros(2)), unstable)
+    assert not data.simulate(x, data.delayed_inputs(np.zeros(2)), unstable)
     assert data.blocks(unstable) == []
 
 

@@ -91,25 +91,25 @@ def check(equations=0):
 @pytest.mark.parametrize("size", [3.0, -3.0])
 def test_a_run_is_stagnant_after_eighty_iterations_without_a_millionth_less(fall, waits, size):
     stop, x = check(), np.array([1.0, 2.0])
-    assert not stop._is_stagnant(x, np.inf)
-    assert not stop._is_stagnant(x, size)
-    told = [stop._is_stagnant(x, size - fall * abs(size)) for _ in range(80)]
+    assert not stop.is_stagnant(x, np.inf)
+    assert not stop.is_stagnant(x, size)
+    told = [stop.is_stagnant(x, size - fall * abs(size)) for _ in range(80)]
     assert told == [False] * 79 + [waits]
-    assert stop._is_stagnant(x, size - fall * abs(size))
+    assert stop.is_stagnant(x, size - fall * abs(size))
 
 
 def test_the_lowest_point_is_kept_and_a_run_begins_anew():
     stop = check()
     for x, cost in ((1.0, 5.0), (2.0, 4.0), (3.0, 4.5), (4.0, 4.0)):
-        stop._is_stagnant(np.array([x, -x]), cost)
+        stop.is_stagnant(np.array([x, -x]), cost)
     assert stop.best.tolist() == [2.0, -2.0]
     stop.begin()
     assert (stop.best, stop.reason) == (None, "")
-    assert not stop._is_stagnant(np.array([9.0, 9.0]), 6.0)
+    assert not stop.is_stagnant(np.array([9.0, 9.0]), 6.0)
     assert stop.best.tolist() == [9.0, 9.0]
 
 
 def test_with_equations_nothing_is_stagnant():
     stop = check(equations=3)
-    assert not any(stop._is_stagnant(np.zeros(2), 1.0) for _ in range(200))
+    assert not any(stop.is_stagnant(np.zeros(2), 1.0) for _ in range(200))
     assert stop.best is None

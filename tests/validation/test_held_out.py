@@ -198,7 +198,7 @@ def test_records_of_the_same_data_are_put_together_by_their_signals():
     )
     two = gb.Record(time, {"u": 0 * time, "v": 3 * time}, {"v": "m/s"}, name="two", hold={"v": 0.0})
     three = gb.Record(time, {"w": 4 * time}, {"w": "rad"}, name="three")
-    found = held_out._with_all_signals([one, two, three])
+    found = held_out.with_all_signals([one, two, three])
     assert {name: values[1] for name, values in found.signals.items()} == {
         "u": 1.0,
         "y": 2.0,
@@ -211,7 +211,7 @@ def test_records_of_the_same_data_are_put_together_by_their_signals():
         "w": "rad",
     }
     assert (found.name, dict(found.hold)) == ("one", {"u": 1.0, "v": 0.0})
-    assert held_out._with_all_signals([one, one.with_signals()]) is one
+    assert held_out.with_all_signals([one, one.with_signals()]) is one
 
 
 # --- without fits
@@ -234,14 +234,14 @@ def made(label, lost, why="", size=None):
 
 def test_windows_in_which_one_is_not_finite_are_left_out_of_all():
     none = [made("a", [False] * 5), made("b", [False] * 5)]
-    predictions, notes = held_out._where_all_are_finite(none, ("a", "b"))
+    predictions, notes = held_out.where_all_are_finite(none, ("a", "b"))
     assert predictions == [none[0][0], none[1][0]]
     assert notes == []
     some = [
         made("a", [False, True, False, False, False]),
         made("b", [False, False, False, False, True], "b overflows"),
     ]
-    predictions, (note,) = held_out._where_all_are_finite(some, ("a", "b"))
+    predictions, (note,) = held_out.where_all_are_finite(some, ("a", "b"))
     assert predictions == [("a", [0, 2, 3]), ("b", [0, 2, 3])]
     assert note == (
         "warning: 2 windows of 5 in log left out for all models, since the prediction of one is not finite "
@@ -253,7 +253,7 @@ def test_windows_in_which_one_is_not_finite_are_left_out_of_all():
             made("two", [False] * 2 * lost),
         ]
         with pytest.raises(ValueError, match=rf"{said} not finite \(one: overflows\)"):
-            held_out._where_all_are_finite(half, ("one", "two"))
+            held_out.where_all_are_finite(half, ("one", "two"))
 
 
 def test_lengths_are_those_that_delays_and_samples_ask_for():
@@ -278,13 +278,13 @@ def test_outputs_are_those_of_all_models_that_the_record_has():
         return SimpleNamespace(system=SimpleNamespace(outputs=outputs))
 
     record = gb.Record(np.arange(3.0), {"v": np.zeros(3), "q": np.zeros(3)}, name="log")
-    assert held_out._shared_outputs([model("v", "q", "w"), model("w", "v")], record) == ("v",)
+    assert held_out.shared_outputs([model("v", "q", "w"), model("w", "v")], record) == ("v",)
     with pytest.raises(
         ValueError, match=r"log has no output that all fits have \(w\); it has v, q"
     ):
-        held_out._shared_outputs([model("w", "q"), model("v", "w")], record)
+        held_out.shared_outputs([model("w", "q"), model("v", "w")], record)
     with pytest.raises(ValueError, match=r"that all fits have \(none\)"):
-        held_out._shared_outputs([model("q"), model("v")], record)
+        held_out.shared_outputs([model("q"), model("v")], record)
 
 
 def test_a_record_that_one_of_the_fits_has_seen_is_named():
