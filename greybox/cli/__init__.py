@@ -16,7 +16,7 @@
 | `output` | what a command gives: answer, exit status, files, figures |
 | `stated_problem`, `parameter_options` | the problem that the options of `greybox fit` describe |
 | `catalog` | included models and problems, and those in a user's own file |
-| `data_file`, `columns` | what `--data` and `--columns` name |
+| `data_file` | the file that `--data` names |
 | `log_tests`, `measurement_options` | the test segments of a log, and how they are measured |
 | `saved_fits` | reads and writes results |
 | `study_file` | the members of a batch |

@@ -59,12 +59,14 @@ def run(options: argparse.Namespace) -> Answer:
         return answer, str(stopped.study), INTERRUPTED
     except BlockingIOError:  # another process writes to the folder: this is no failed study
         raise
+    # Lost workers or a full disk end the command, not the study: its stored runs remain.
     except (ExecutorLostError, OSError) as error:
         return {"error": f"{str(error).rstrip('.')}; {RESUME}."}, "", FAILED
 
     answer = as_json(study)
     missing = [member for member in study.members if member.status != "done"]
     if missing:
+        # A script must notice that members are missing, although the others have answers.
         names = ", ".join(member.name for member in missing)
         is_over = any(member.status == "unfinished" for member in missing)
         hint = f"; the time limit ended the study, {RESUME}" if is_over else ""

@@ -41,6 +41,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Answer:
     """Read the fit and repeat it."""
+    # Before the fit is read: a wrong folder should not cost the time of compiling.
     require_folder(options.out)
     fit, problem = stated_fit(options)
     try:

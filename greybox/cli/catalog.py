@@ -23,6 +23,7 @@ SETTINGS = ("starts", "seed", "method")  # what a problem file may choose
 
 def shipped(kind: str) -> list[str]:
     """Return the names of the included files of a kind, "models" or "problems"."""
+    # Modules with a leading underscore are shared by others and are no models or problems.
     package = importlib.import_module(f"greybox.{kind}")
     return sorted(
         item.name
@@ -130,6 +131,7 @@ def find_controller(text: str) -> type[Controller]:
 
 def _named(name: str, classes: Mapping[str, type[Named]], refusal: str) -> type[Named]:
     """Return the class of this name, or the only class if there is no name."""
+    # Most files have one class, whose name need not be repeated.
     if not name and len(classes) == 1:
         (name,) = classes
     if name not in classes:

@@ -79,6 +79,7 @@ def _require_signal(kind: str, name: str, names: Sequence[str]) -> None:
 
 def _header(path: Path) -> tuple[str, ...] | None:
     """Return the names in the header of a table, or None for a file that is no text."""
+    # Only the beginning: a log may have gigabytes.
     with path.open("rb") as file:
         head = file.read(4096)
     return None if b"\0" in head else read_delimited(path, head).header
@@ -124,6 +125,7 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
         )
 
     (record,) = records
+    # Models are written in SI units, tables in any.
     record = in_si(record, [name for name in names if name in record.signals])
     return replace(record, findings=tuple(dict.fromkeys([*record.findings, *log.findings])))
 

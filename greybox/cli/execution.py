@@ -23,6 +23,7 @@ from greybox.solve.interruption import Response, listening, responding, take_int
 
 def execute(options: argparse.Namespace, arguments: Sequence[str]) -> int:
     """Run the command of the parsed `options`, write its answer, and return the exit status."""
+    # Ctrl-C during the output must not leave half a JSON object.
     with listening():
         answer = _answer(options, arguments)
         with responding(Response.FINISH):
@@ -85,6 +86,7 @@ def _explain(error: Exception, arguments: Sequence[str]) -> tuple[str, int]:
         place = f"{files[_full_path(last.filename)]}, line {last.lineno}"
         return f"{place}: {type(error).__name__}: {sentence}", BAD_INPUT
 
+    # The library raises these for what a user gave; anything else is a defect of greybox.
     if isinstance(error, (ValueError, TypeError, LookupError, OSError, ModuleNotFoundError)):
         return sentence, BAD_INPUT
     sentence = f"internal error, {type(error).__name__}: {sentence}"

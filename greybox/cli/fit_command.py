@@ -98,6 +98,7 @@ def run(options: argparse.Namespace) -> Answer:
 
 def _stated_fit(options: argparse.Namespace) -> Callable[..., Fit]:
     """Return a function that fits the problem, given a store of runs and an executor."""
+    # A problem file suggests starts and seed; the command line has the last word.
     problem, settings = stated_problem(options)
     for name in ("starts", "seed"):
         if getattr(options, name) is not None:

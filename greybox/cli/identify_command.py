@@ -2,13 +2,12 @@
 
 import argparse
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from greybox.cli.catalog import find_model
-from greybox.cli.columns import stated_columns
 from greybox.cli.measurement_options import add_measurement_options, stated_choices
 from greybox.cli.options import (
     UsageError,
@@ -16,6 +15,7 @@ from greybox.cli.options import (
     add_words,
     nonnegative,
     positive,
+    stated_columns,
 )
 from greybox.cli.orders_command import selection_json
 from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
@@ -101,6 +101,7 @@ def run(options: argparse.Namespace) -> Answer:
     prefix = options.out or Path(options.logs[0]).stem
     responses = _response_files(prefix, len(options.logs))
     result, figure = Path(f"{prefix}_fit.h5"), Path(f"{prefix}.png")
+    # All files that will be written are checked before the log is read.
     for path in (*responses, result):
         require_writable(path, options.force)
     require_figure(figure, options.force)
@@ -164,20 +165,11 @@ def commands(result: Identification, options: argparse.Namespace, prefix: str) -
     lines = []
     for log, measurement, file in zip(options.logs, result.measurements, files, strict=True):
         settings = measurement.settings
-        finding = _words(settings, "announced")
-        if settings.fields:
-            finding += ["--fields", *(f"{key}={name}" for key, name in settings.fields.items())]
-        finding += _words(settings, "setpoint")
-
+        finding = _words(settings, "announced", "fields", "setpoint")
         signals = ["--input", settings.input, "--output", settings.output]
-        usual = ("axis", "tests", "instrument", "rate", "settle", "period", "points")
-        measuring = [*signals, *finding, *_words(settings, *usual)]
-        if settings.conditioned:
-            measuring += ["--conditioned", *settings.conditioned]
-        if settings.band:
-            measuring += ["--band", *(repr(float(edge)) for edge in settings.band)]
-        for name in ("whole", "open_loop", "drop_warned"):
-            measuring += [f"--{name.replace('_', '-')}"] if getattr(settings, name) else []
+        names = ("axis", "tests", "instrument", "rate", "settle", "period", "points")
+        names += ("conditioned", "band", "whole", "open_loop", "drop_warned")
+        measuring = [*signals, *finding, *_words(settings, *names)]
         lines.append(["inspect", log, *finding, *reading])
         lines.append(["response", log, *measuring, "--out", file, *reading])
 
@@ -190,9 +182,18 @@ def _words(settings: Settings, *names: str) -> list[str]:
     """Return the options for settings that differ from their defaults."""
     # A command with every default written out would hide what was chosen.
     usual = Settings(settings.input, settings.output)
-    values = ((name, getattr(settings, name)) for name in names)
-    stated = ((name, value) for name, value in values if value != getattr(usual, name))
-    return [word for name, value in stated for word in (f"--{name}", str(value))]
+    words = []
+    for name in names:
+        value = getattr(settings, name)
+        if not value or value == getattr(usual, name):
+            continue
+        texts = [] if value is True else [str(value)]
+        if isinstance(value, Mapping):
+            texts = [f"{key}={field}" for key, field in value.items()]
+        elif isinstance(value, tuple | list):
+            texts = [part if isinstance(part, str) else repr(float(part)) for part in value]
+        words += [f"--{name.replace('_', '-')}", *texts]
+    return words
 
 
 def _fitting(
@@ -203,31 +204,35 @@ def _fitting(
     assert result.selection.chosen is not None
     through = ["--through", *result.through] if result.through else []
     if not (options.vehicle or options.structures):
-        stated = [("fix", options.fix), ("bounds", options.bounds), ("start", options.start)]
-        values = [word for name, words in stated if words for word in (f"--{name}", *words)]
-        return ["orders", *files, *through, *values]
+        stated = {name: getattr(options, name) for name in ("fix", "bounds", "start")}
+        return ["orders", *files, *through, *_flags(stated)]
 
+    # Only what differs from the declaration of the model has to be on the command line.
     chosen = result.selection.chosen
     declared = find_model(chosen.label).parameters
     # Filters in front of the model have parameters that `--through` states, not these options.
     free = [q for q in chosen.fit.quantities if q.kind == "free" and q.name in declared]
-    freed = [q.name for q in free if declared[q.name].fixed]
-    moved = [
-        f"{q.name}={float(q.bounds[0])!r}:{float(q.bounds[1])!r}"
-        for q in free
-        if q.bounds != declared[q.name].bounds
-    ]
-    stated = [("free", freed), ("bounds", moved)]
+    stated = {
+        "free": [q.name for q in free if declared[q.name].fixed],
+        "bounds": [
+            f"{q.name}={float(q.bounds[0])!r}:{float(q.bounds[1])!r}"
+            for q in free
+            if q.bounds != declared[q.name].bounds
+        ],
+    }
     for name in ("fix", "start"):
         words = [word for word in getattr(options, name) if word.partition("=")[0] in declared]
-        stated.append((name, words))
+        stated[name] = words
 
-    values = [word for name, words in stated if words for word in (f"--{name}", *words)]
     return [
-        *("fit", "--model", chosen.label, "--data", *files, *through, *values),
+        *("fit", "--model", chosen.label, "--data", *files, *through, *_flags(stated)),
         *("--criterion", chosen.fit.criterion, "--starts", str(options.starts)),
         *("--seed", str(options.seed)),
     ]
+
+
+def _flags(stated: Mapping[str, Sequence[str]]) -> list[str]:
+    return [word for name, words in stated.items() if words for word in (f"--{name}", *words)]
 
 
 def _json(result: Identification, lines: list[str]) -> dict[str, Any]:

@@ -5,9 +5,11 @@ import shlex
 from collections.abc import Sequence
 from typing import Any
 
-from greybox.cli.columns import add_rate_option
 from greybox.cli.log_tests import add_test_options, read_log, segments_of
-from greybox.cli.options import add_common_options
+from greybox.cli.options import (
+    add_common_options,
+    add_rate_option,
+)
 from greybox.cli.output import USABLE, Answer, require_figure, save_figure
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
@@ -50,6 +52,7 @@ def run(options: argparse.Namespace) -> Answer:
         _tests(recording, segments, manoeuvres),
         "\n".join([*(f"  {finding}" for finding in recording.findings), *notes]),
     ]
+    # The JSON always has these keys, None where the log does not have them.
     metadata = ("vehicle", "firmware", "modes")
     answer = {
         "log": recording.source,

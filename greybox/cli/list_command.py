@@ -44,6 +44,7 @@ def run(options: argparse.Namespace) -> Answer:
     }
     blocks, answer = [], {}
     for kind, items in docs.items():
+        # The first paragraph of a docstring is its summary.
         rows = [(name, " ".join(doc.split("\n\n")[0].split())) for name, doc in items.items()]
         blocks.append(text_table([kind, "what it is"], rows, (0, 1)))
         answer[f"{kind}s"] = [

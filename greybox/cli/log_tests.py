@@ -2,8 +2,13 @@
 
 import argparse
 
-from greybox.cli.columns import RECORD, add_columns_option, stated_columns
-from greybox.cli.options import add_words, texts
+from greybox.cli.options import (
+    RECORD,
+    add_columns_option,
+    add_words,
+    stated_columns,
+    texts,
+)
 from greybox.data.record import Recording
 from greybox.data.test_segment import Segment
 from greybox.logs.readers import read

@@ -70,6 +70,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0 a usable answer, 1 a run that failed, 2 bad usage or bad input, 130 interrupted by Ctrl-C.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
+    # Mistakes in the arguments are answered as JSON too, before anything is parsed.
     as_json = "--json" in arguments
     try:
         parsed = _parse(arguments)

@@ -67,5 +67,6 @@ def run(options: argparse.Namespace) -> Answer:
 
 def _class_name(stem: str) -> str:
     """Return ``PitchRate`` for ``pitch_rate``."""
+    # File names may begin with an underscore, class names should begin with a letter.
     name = "".join(word[:1].upper() + word[1:] for word in stem.split("_"))
     return name if name[:1].isalpha() else f"Model{name}"

@@ -10,6 +10,16 @@ from typing import TypeVar
 
 Value = TypeVar("Value")
 
+RESPONSE_OR_RECORD = (
+    "with --data: the columns of a table with other names. For a response frequency=f:Hz "
+    "magnitude=mag:dB phase=ph:deg coherence=coh, or alpha and beta; for a record time=t:ms and "
+    "the signals of the model, theta=pitch:deg"
+)
+RECORD = (
+    "the columns of a table with other names, time=t:ms theta=pitch:deg; or their numbers if the "
+    "table has no header line: time=1 u=2 theta=3:deg"
+)
+
 
 class UsageError(Exception):
     """A mistake on the command line, in one sentence."""
@@ -68,12 +78,24 @@ def add_level_option(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_columns_option(parser: argparse.ArgumentParser, about: str = RESPONSE_OR_RECORD) -> None:
+    """Declare the option; `about` is its help."""
+    add_words(parser, "--columns", "NAME=COLUMN[:UNIT]", about)
+
+
+def add_rate_option(parser: argparse.ArgumentParser) -> None:
+    """Declare the option."""
+    about = "sampling rate of a table without a time"
+    parser.add_argument("--rate", type=positive_number, metavar="HZ", help=about)
+
+
 def as_options(text: str, options: argparse.Namespace) -> str:
     """Return a text with arguments as options: ``settle=-1`` becomes ``--settle -1``."""
     # The library speaks of arguments. Only names of this command's options are translated: x=3 in a
     # formula stays as it is.
     names = "|".join(name for name in vars(options) if name.isidentifier())
 
+    # "open_loop=True" and "name=..." have no value on the command line.
     def option(match: re.Match[str]) -> str:
         flag = f"--{match[1].replace('_', '-')}"
         return flag if match[2] else f"{flag} "
@@ -167,6 +189,18 @@ def texts(words: Sequence[str], flag: str, form: str) -> dict[str, str]:
         For a word of another form.
     """
     return _by_name(words, flag, form, str)
+
+
+def stated_columns(options: argparse.Namespace) -> dict[str, str]:
+    """Return the column of each name, with its unit behind a colon.
+
+    Raises
+    ------
+    UsageError
+        For a word of another form, or a repeated name.
+    """
+    form = "NAME=COLUMN:UNIT, e.g. frequency=f:Hz"
+    return texts(options.columns, "--columns", form)
 
 
 def _by_name(

@@ -4,8 +4,14 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.columns import add_columns_option, stated_columns
-from greybox.cli.options import add_common_options, add_words, nonnegative, positive
+from greybox.cli.options import (
+    add_columns_option,
+    add_common_options,
+    add_words,
+    nonnegative,
+    positive,
+    stated_columns,
+)
 from greybox.cli.output import FAILED, USABLE, Answer, attributes
 from greybox.cli.parameter_options import add_value_options, stated_values
 from greybox.cli.saved_fits import add_out_option, require_fit_file, save_fit

@@ -55,6 +55,7 @@ def with_parameter_options(problem: AnyProblem, options: argparse.Namespace) -> 
         "starts": intervals(options.starts_box, "--starts-box"),
         "prior": uncertain_values(options.prior, "--prior"),
     }
+    # Checked against the whole problem: every part has only some of the parameters.
     for name in (name for names in changes.values() for name in names):
         if name not in problem.parameters:
             names = alternatives(name, problem.parameters)

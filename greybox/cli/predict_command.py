@@ -4,9 +4,15 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.columns import RECORD, add_columns_option
 from greybox.cli.log_tests import read_log
-from greybox.cli.options import UsageError, add_common_options, add_words, positive_number
+from greybox.cli.options import (
+    RECORD,
+    UsageError,
+    add_columns_option,
+    add_common_options,
+    add_words,
+    positive_number,
+)
 from greybox.cli.output import USABLE, Answer, attributes
 from greybox.cli.saved_fits import add_model_option, saved_fit
 from greybox.estimate.result import Fit
@@ -53,6 +59,7 @@ def run(options: argparse.Namespace) -> Answer:
     """Predict the log, window by window."""
     fit = saved_fit(options.result, options)
     signals = named_signals(options.signals) or _signals_of(fit)
+    # Cut after resampling, which needs the samples before and after the excerpt.
     record = prepare(read_log(options), signals, options.rate)
     if options.between:
         record = record.between(*options.between)

@@ -39,6 +39,7 @@ def run(options: argparse.Namespace) -> Answer:
     """Read the fit and profile it."""
     require_figure(options.plot, options.force)
     fit, problem = stated_fit(options)
+    # A region shows two parameters at once: further names would be ignored.
     if options.contour:
         if options.names:
             raise UsageError("--contour takes two parameters: leave out other names.")

@@ -5,9 +5,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.columns import RECORD, add_columns_option, add_rate_option, stated_columns
 from greybox.cli.data_file import read_data
-from greybox.cli.options import UsageError, add_common_options, add_words
+from greybox.cli.options import (
+    RECORD,
+    UsageError,
+    add_columns_option,
+    add_common_options,
+    add_rate_option,
+    add_words,
+    stated_columns,
+)
 from greybox.cli.output import USABLE, Answer, require_writable
 from greybox.cli.saved_fits import add_model_option, saved_fit
 from greybox.data.record import Record

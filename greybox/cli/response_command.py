@@ -60,6 +60,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Answer:
     """Measure, save and draw."""
+    # A long log takes minutes to read: check the files to be written before.
     require_figure(options.plot, options.force)
     require_writable(options.out, options.force, (".csv",), "table")
     if options.manoeuvre is not None:

@@ -155,6 +155,7 @@ def model_file(file: str, name: str, *, in_time: bool) -> str:
 
 def problem_file(file: str, name: str, *, in_time: bool) -> str:
     """Return a file with a model, data and a problem, for a response or a record (`in_time`)."""
+    # The suggested settings are those of the template's model, so that the file runs as it is.
     model, data = (STATE_SPACE, RECORD_DATA) if in_time else (TRANSFER_FUNCTION, RESPONSE_DATA)
     criterion = "gb.OutputError()" if in_time else "gb.RelativeLikelihood()"
     first, value, low, high, starts = ("c", 0.1, 0.01, 1, 5) if in_time else ("a", 2.0, 0, 5, 50)

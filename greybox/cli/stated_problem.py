@@ -7,9 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from greybox.cli.catalog import find_model, find_problem, shipped
-from greybox.cli.columns import add_columns_option, add_rate_option, stated_columns
 from greybox.cli.data_file import read_data
-from greybox.cli.options import UsageError, add_words, assignments
+from greybox.cli.options import (
+    UsageError,
+    add_columns_option,
+    add_rate_option,
+    add_words,
+    assignments,
+    stated_columns,
+)
 from greybox.cli.parameter_options import add_parameter_options, with_parameter_options
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.compiled.transcription.collocation import Collocation

@@ -38,6 +38,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Answer:
     """State the problem and choose among its terms."""
     require_fit_file(options.out, options.force)
+    # A coefficient vanishes at zero; an exponent or a factor has another value without its term.
     words = [word if "=" in word else f"{word}=0" for word in options.candidates]
     candidates = assignments(words, "--candidates")
     problem, _ = stated_problem(options)

@@ -35,6 +35,7 @@ def find_study(text: str) -> Path:
     UsageError
         If it is neither.
     """
+    # A file of the user goes before an included study of the same name.
     path = Path(text)
     if text in INCLUDED and not path.is_file():
         return Path(str(importlib.import_module(f"greybox.problems._{text}_study").__file__))
@@ -184,6 +185,7 @@ def _words(key: str, value: Any) -> list[str]:
 
 
 def _difference(key: str, value: Any) -> str:
+    # Names of members are read in a table: short, and without the key where the value is telling.
     if key == "fix":
         return " ".join(f"{name}={number:g}" for name, number in value.items()) or "nothing fixed"
     return f"seed {value}" if key == "seed" else str(value)

@@ -49,6 +49,7 @@ def _client(address: str):
     except ModuleNotFoundError:
         raise UsageError("--scheduler needs Dask: pip install 'greybox-id[dask]'.") from None
 
+    # Without a limit a wrong address would wait for ever.
     try:
         return Client(address, timeout=CONNECTING)
     except (OSError, ValueError) as error:

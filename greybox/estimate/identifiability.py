@@ -275,10 +275,10 @@ def _combinations(
             )
         candidates += [
             (
-                int(np.abs(rows[k]).sum()),
+                float(np.abs(rows[k]).sum()),
+                not is_product,
                 int((rows[k] < 0).sum()),
                 float(error[k] / smallest[k]),
-                is_product,
                 rows[k],
                 float(error[k]),
             )
@@ -289,9 +289,8 @@ def _combinations(
     # follow from the chosen ones.
     chosen: list[DeterminedCombination] = []
     spanned = np.zeros((0, len(value)))
-    for _, _, _, is_product, row, error in sorted(
-        candidates, key=lambda f: (f[0], not f[3], f[1], f[2])
-    ):
+    for _, is_sum, _, _, row, error in sorted(candidates, key=lambda candidate: candidate[:4]):
+        is_product = not is_sum
         scaled = directions.gradients(row[None], is_product=is_product)[0] * directions.size
         extended = np.vstack([spanned, scaled / np.linalg.norm(scaled)])
         # Their number is limited by the directions that the members have left.

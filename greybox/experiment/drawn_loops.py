@@ -69,17 +69,12 @@ def _draws(fit: Fit, names: Sequence[str]) -> Array:
     from scipy.special import chdtri, ndtri  # noqa: PLC0415  (takes a tenth of a second to import)
     from scipy.stats import qmc  # noqa: PLC0415  (takes a third of a second to import)
 
-    if fit.directions is None:
-        raise ValueError(
-            f"the fit {fit.name!r} has no covariance, so that its loop has no errors: "
-            "its data leave no degrees of freedom; add data or fix parameters."
-        )
-    lines = {q.name: q for q in fit.quantities}
+    known = fit.known_directions(names)
+    lines = fit.by_name
     center = np.array([lines[name].value for name in names])
-    known = fit.directions.of([fit.names.index(name) for name in names])
     variances, axes = np.linalg.eigh(known.covariance)
     root = axes * np.sqrt(np.maximum(variances, 0))
-    dof = min((lines[n].dof for n in names if lines[n].standard_error > 0), default=fit.dof)
+    dof = fit.fewest_degrees(names)
 
     shares = qmc.Sobol(len(names) + 1, rng=np.random.default_rng(0)).random(DRAWS)
     shares = np.clip(shares, 1e-9, 1 - 1e-9)

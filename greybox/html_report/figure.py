@@ -36,6 +36,7 @@ def figure_element(figure: Figure) -> Element:
         "limits": _ends(figure.limits),
         "panels": [_panel(panel) for panel in figure.panels],
     }
+    # In an attribute, which is escaped: a name in the data could end a script element.
     data = json.dumps(values, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
     caption = tag("figcaption", tag("strong", figure.title), f" {figure.caption}".rstrip())
     return tag("figure", caption, tag("div", class_="plot", data_figure=data))

@@ -127,7 +127,9 @@ def _function(name: str, arguments: Sequence[Expression]) -> Element:
         return tag("msqrt", *texts)
     if name == "abs":
         return tag("mrow", operator("|"), *texts, operator("|"))
-    if name == "if":  # Iverson's bracket: one while the condition holds, zero otherwise
+    # Iverson's bracket, one while the condition holds and zero otherwise: a brace of cases inside a
+    # sum is hard to read.
+    if name == "if":
         value = _in_parentheses(arguments[1]) if isinstance(arguments[1], Sum) else texts[1]
         return tag("mrow", operator("["), texts[0], operator("]"), _space(), value)
     if name in RELATIONS:

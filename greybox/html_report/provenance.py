@@ -101,6 +101,7 @@ def _span(part: FittedResponse | FittedRecord | FittedSpectrum) -> str:
 
 def _restrictions(fit: Fit) -> dict[str, Child]:
     """Return ties, constraints, names and settings."""
+    # What a reader needs to repeat the fit, beside data, model and criterion.
     facts: dict[str, Child] = {}
     for part in fit.parts:
         place = f" of {part.name}" if len(fit.parts) > 1 else ""

@@ -93,6 +93,7 @@ def write_page(
 
 def study_entries(study: Study) -> list[Entry]:
     """Return the members of a study, with the fits of the first that have an answer."""
+    # Only the first ones are loaded: a page about a hundred fits would take minutes and megabytes.
     done = [member for member in study.members if member.status == "done"]
     return [
         Entry(

@@ -112,6 +112,7 @@ def write_c(
     if not 0 < step < math.inf:
         raise ValueError(f"step is {step!r}: give the sampling time in s, above 0.")
 
+    # Parameters become numbers: generated code then folds constants, and cannot be misconfigured.
     source = given_model(thing, values, None, part)
     system, p = source.ode(pade)
     name = identifier(path.stem)

@@ -42,6 +42,7 @@ class GivenModel:
         self, kind: str | None, pade: int | None, input: str, output: str
     ) -> tuple[Array, Array] | LinearSystem:
         """Return the polynomials of a "transfer-function", or the matrices of a "state-space"."""
+        # As declared: a conversion would lose the meaning of states, or the form of a ratio.
         default = "state-space" if isinstance(self.model, StateSpace) else "transfer-function"
         if kind not in (None, "transfer-function", "state-space"):
             raise ValueError(f"kind is {kind!r:.40}: give 'transfer-function' or 'state-space'.")
@@ -93,6 +94,7 @@ class GivenModel:
 
     def ode(self, pade: int | None) -> tuple[Dynamics, Array]:
         """Return the ODE, with states for delays of order `pade`, and its parameters (p,)."""
+        # Order None keeps the delays beside the ODE, where `_require_no_delay` sees them.
         system = dynamics(self.model, pade or None)
         p = np.array(list(self.model.values(self.values).values()), dtype=float)
         delays = system.delay(p).full().ravel().tolist()
