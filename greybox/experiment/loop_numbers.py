@@ -105,7 +105,7 @@ def crossings(values: Array, omega: Array) -> Crossings:
     """Return where curves (plants, n) change their sign along `omega` (n,), or time."""
     before, after = values[:, :-1], values[:, 1:]
     occurs = (before < 0) != (after < 0)
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):  # unstable loops
         share = np.where(occurs, before / (before - after), 0.0)
     return Crossings(occurs, share, omega[:-1] + share * np.diff(omega))
 
@@ -249,9 +249,9 @@ def _pole_numbers(loop: SampledLoop, setpoint: str, response: str) -> Numbers:
 
     A, B, C, _ = (block[0] for block in loop.first.closed(setpoint, response))
     z, left, right = map(np.asarray, eig(A, left=True, right=True))
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(all="ignore"):  # past controls are poles at zero, which may be multiple
         part = (C @ right) * (left.conj().T @ B) / np.sum(left.conj() * right, axis=0) / (1 - z)
-        # Poles at zero are past controls; one at one is a position that no controller holds.
+        # A pole at one is a position that no controller holds.
         part[(np.abs(z) < 1e-3) | (np.abs(z - 1) < 1e-7)] = 0
         dominant = np.log(z[np.abs(part).argmax()]) / loop.period
         poles = np.log(loop.poles) / loop.period

@@ -307,7 +307,7 @@ def margins(
             closed_loop_numbers, setpoint=setpoint, response=response, integrals=integrals
         )
     fitted = plant.parts[part] if isinstance(plant, Fit) else None
-    band = fitted.data.omega[[0, -1]] if isinstance(fitted, FittedResponse) else None
+    band = np.sort(fitted.data.omega)[[0, -1]] if isinstance(fitted, FittedResponse) else None
     return _with_rows(answer, groups, band)
 
 

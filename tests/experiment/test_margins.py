@@ -162,6 +162,8 @@ def test_the_answer_begins_with_the_margins_and_names_what_is_extrapolated(fit):
     assert narrow["crossover"].is_extrapolated
     assert "extrapolated" in narrow.verdict
     assert not gb.margins(fit, RateLoop())["crossover"].is_extrapolated
+    downward = gb.margins(fitted(0, omega=OMEGA[::-1]), RateLoop())
+    assert not downward["crossover"].is_extrapolated
 
 
 def test_an_unstable_loop_has_no_margins(fit):
