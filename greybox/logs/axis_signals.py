@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class AxisSignals:
-    """The signals of one axis, the best first; `terms` are those of its controllers."""
+    """The signals of one axis, the best first; `terms` are terms of its controllers."""
 
     controls: tuple[str, ...]
     angles: tuple[str, ...]
@@ -15,9 +15,5 @@ class AxisSignals:
     sticks: tuple[str, ...] = ()
 
 
-# Of angle and rate in models.
-NAMES = {
-    "roll": ("phi", "p"),
-    "pitch": ("theta", "q"),
-    "yaw": ("psi", "r"),
-}
+# Names of angle and rate in models.
+NAMES = {"roll": ("phi", "p"), "pitch": ("theta", "q"), "yaw": ("psi", "r")}

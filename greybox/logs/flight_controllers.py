@@ -7,8 +7,8 @@ from greybox.logs.axis_signals import AxisSignals
 from greybox.logs.betaflight import AXES as BETAFLIGHT_AXES
 from greybox.logs.known_filters import KnownFilter
 from greybox.logs.px4 import AXES as PX4_AXES
+from greybox.logs.px4 import is_filtered_rate as is_filtered_in_px4
 from greybox.logs.px4 import named_filters as px4_filters
-from greybox.logs.px4 import passed_filters as passed_in_px4
 
 CONTROLLERS = (ARDUPILOT_AXES, PX4_AXES, BETAFLIGHT_AXES)
 AXES = {
@@ -35,8 +35,11 @@ def axis_of(signal: str) -> str:
 
 
 def passed_filters(recording: Recording, signal: str) -> tuple[KnownFilter, ...]:
-    """Return the filters that a signal has passed before it was logged, the first of them first."""
-    return of_ardupilot.passed_filters(recording, signal) or passed_in_px4(recording, signal)
+    """Return the filters that a signal passed before it was logged, in their order."""
+    if not (of_ardupilot.is_filtered_rate(signal) or is_filtered_in_px4(signal)):
+        return ()
+    filters = named_filters(recording)
+    return (*filters.get("gyro-notch", ()), *filters.get("gyro-filter", ()))
 
 
 def named_filters(recording: Recording, axis: str = "") -> dict[str, tuple[KnownFilter, ...]]:

@@ -1,4 +1,4 @@
-"""Filters of a flight controller whose parameters its log holds, as values that models are made of.
+"""Filters of a flight controller with parameters from its log, from which models can be made.
 
 `greybox.models.filters` has a model of the same name for each. They are written into the files of
 responses as ``LowPass(20.0, 0.71)``, several in series as ``Notch(80.0, 1.9, 40.0) * LowPass(20.0,
@@ -20,7 +20,7 @@ class KnownFilter:
 
     @property
     def values(self) -> tuple[float, ...]:
-        """The parameters, those that are not known left out."""
+        """The known parameters."""
         return tuple(float(value) for value in astuple(self) if value is not None)
 
     @property

@@ -1,9 +1,9 @@
 """Finds manoeuvres: 2-1-1, 3-2-1-1, doublets, pulses, steps and other inputs between two rests.
 
-A signal is at rest while it keeps one level for a second. The part between two rests of the same
-level is one manoeuvre. A change to a level that is kept for good is a step. A pulse is a part where
-the signal is off the first rest by more than half of the largest deviation. Signs and durations of
-the pulses name the manoeuvre.
+A signal is at rest if it stays at one level for a second. The part between two rests of the same
+level is one manoeuvre. A lasting change of the level is a step. A pulse is a part in which the
+signal differs from the first rest by more than half of the largest deviation. Signs and durations
+of the pulses decide the name of the manoeuvre.
 """
 
 import math
@@ -36,7 +36,7 @@ MOST_PULSES = max(map(len, PATTERNS))  # of a manoeuvre with a name: more may be
 # is 0.2 of the longer one, and pilots are off by as much.
 OFF_PATTERN = 0.3
 
-# s at one level: the fastest pulses of an aircraft's 3-2-1-1 last as long, its longest one three
+# s at one level: as long as the shortest pulse of an aircraft's 3-2-1-1; its longest takes three
 # times that.
 REST = 1.0
 NEW_REST = 6.0  # s after which another level is a new rest, twice the longest of these pulses
@@ -46,13 +46,13 @@ NEW_REST = 6.0  # s after which another level is a new rest, twice the longest o
 AT_REST = 0.02
 NOISE = 8.0  # standard deviations of the noise, which a second of samples does not leave by chance
 
-# Shares of the longest pulse: a shorter pulse is an overshoot, and a shorter way from one pulse to
-# the next is not a pause, because actuators and hands take time.
+# Shares of the longest pulse. A shorter pulse is an overshoot. A shorter time between two pulses is
+# not a pause, because actuators and hands need it.
 BRIEF, PAUSE = 0.2, 0.6
-# Of the largest magnitude of the input's spectrum, -20 dB, down to which its band is excited.
+# Share of the largest magnitude of the input's spectrum, -20 dB, down to which its band is excited.
 STRONG = 0.1
 HIGHEST = 0.4  # of the sampling rate, see `greybox.spectral.transients`
-# Times as many frequencies as the spectrum has of its own: between two, it falls by 10 % at most.
+# Factor on the number of frequencies of the spectrum: between two, it then falls by 10 % at most.
 FINER = 4
 
 
@@ -96,11 +96,11 @@ def find_manoeuvres(
 
 def manoeuvres_in(time: Array, values: Array) -> list[Segment]:
     """Return the manoeuvres in one signal, (n,) arrays."""
-    if (
-        time.size < 2 or not 1e-100 < np.ptp(values) < 1e100
-    ):  # squares must neither vanish nor overflow
+    # Squares must neither vanish nor overflow.
+    if time.size < 2 or not 1e-100 < np.ptp(values) < 1e100:
         return []
 
+    # Quantiles, since single samples may be damaged.
     low, high = np.quantile(values, [0.001, 0.999])
     # Differences of successive samples are free of the manoeuvre, their median of its edges; 1.4826
     # makes a standard deviation of it.
@@ -111,6 +111,7 @@ def manoeuvres_in(time: Array, values: Array) -> list[Segment]:
     manoeuvres = []
     k = 0
     while k < len(rests):
+        # A short rest at another level is part of the manoeuvre.
         end = k + 1
         while end < len(rests) and not _is_reached(time, rests, k, end, drift):
             end += 1
@@ -155,7 +156,7 @@ def _named(
     time: Array, values: Array, before: _Rest, after: _Rest, drift: float, height: float
 ) -> Segment | None:
     """Return the manoeuvre between two rests; None within the noise, and for sines and sweeps."""
-    # Noise lets rests overlap.
+    # Rests of a noisy signal may overlap.
     rows = slice(min(before.last, after.first), max(before.last, after.first) + 1)
     deviation = values[rows] - before.ends
     change = after.begins - before.ends
@@ -178,7 +179,7 @@ def _named(
 
 
 def _pulses(time: Array, deviation: Array, threshold: float) -> list[tuple[int, float]]:
-    """Return sign and duration, s, of every pulse, and of pauses with the sign 0."""
+    """Return sign and duration, s, of every pulse; pauses have the sign 0."""
     state = np.where(deviation > threshold, 1, np.where(deviation < -threshold, -1, 0))
     edges = np.concatenate([[0], np.flatnonzero(np.diff(state)) + 1, [state.size]])
     ends = np.append(time, time[-1])[edges]
@@ -195,6 +196,7 @@ def _pulses(time: Array, deviation: Array, threshold: float) -> list[tuple[int, 
         elif way > PAUSE * longest:
             pulses += [(0, way), (sign, duration)]
         else:
+            # The time between two pulses of different sign is divided between them.
             last, duration_before = pulses.pop()
             if last == sign:
                 pulses.append((sign, duration_before + way + duration))
@@ -206,7 +208,7 @@ def _pulses(time: Array, deviation: Array, threshold: float) -> list[tuple[int, 
 
 
 def _pattern(pulses: Sequence[tuple[int, float]]) -> str:
-    """Name pulses without a pause between them by their durations."""
+    """Return the name of pulses without pauses, by their durations."""
     signs = [sign for sign, _ in pulses]
     durations = tuple(duration for _, duration in pulses)
     if 0 in signs:
@@ -283,7 +285,7 @@ def chosen_manoeuvre(segments: Sequence[Segment], wanted: str) -> Segment:
     Raises
     ------
     ValueError
-        If there is no such one, or there are several of the kind.
+        If there is no such manoeuvre, or if several are of the kind.
     """
     if wanted.isdigit():
         if not 1 <= int(wanted) <= len(segments):

@@ -1,4 +1,4 @@
-"""Columns of a table under the names that the user gives them, and signals in SI."""
+"""Columns of a table under the user's names, and signals in SI."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -21,7 +21,7 @@ def renamed(
     ValueError
         If a column does not exist, its unit is not known, or the table has it in another unit.
     """
-    # As in the file, so that a message can quote it and a name in brackets is found.
+    # As in the file: messages quote it, and a name with brackets is then found.
     header = [f"{name} [{unit}]" if (unit := units.get(name)) else name for name in columns]
     own_names: dict[str, str] = {}
     labels: dict[str, str] = {}

@@ -15,18 +15,17 @@ from greybox.files.text_table import counted
 from greybox.logs.ardupilot.truncated_angles import untruncated
 from greybox.logs.flight_controllers import passed_filters
 
-# The anti-alias filter passes up to the first share of the new rate and stops from the second, the
-# new Nyquist frequency. A wider pass band takes more samples from the ends of a stretch: the filter
-# has 5.0 / (STOP - PASS) new samples.
+# The anti-alias filter passes frequencies up to the first share of the new rate and stops them from
+# the second, the new Nyquist frequency. A wider pass band affects more samples at the ends of a
+# stretch: the length of the filter is 5.0 / (STOP - PASS) new samples.
 PASS = 0.35
 STOP = 0.5
 ATTENUATION = 80.0  # dB: 1e-4 of the amplitude of what would be aliased
 
-# Of the source's rate, from which no filter is applied: it would change only the uppermost 5 %.
+# Share of the source's rate from which no filter is applied: it would affect only the highest 5 %.
 SAME_RATE = 0.95
-FASTEST = (
-    10  # times the rate of the fastest signal, beyond which `rate` is refused as a mistake in units
-)
+# Rate over that of the fastest signal, above which `rate` is refused as a mistake in units.
+FASTEST = 10
 
 
 @dataclass(frozen=True)
@@ -80,17 +79,17 @@ def prepare(
 ) -> Record:
     """Put signals of different messages and rates on one uniform time base, by their time stamps.
 
-    Angles are unwrapped and units become SI, see `greybox.data.units`. The findings name units that
-    are unknown or ambiguous, and stay. A signal without a unit stays as it is. A signal that is
-    sampled faster than `rate` first passes a zero-phase anti-alias filter, flat to 0.35 of the new
-    rate. Nothing is interpolated across a gap: the record has the same gap, and `Record.pieces` are
-    the stretches between.
+    Angles are unwrapped and units become SI, see `greybox.data.units`. Unknown units are not
+    converted; the findings name them and ambiguous ones. A signal that is sampled faster than
+    `rate` first passes a zero-phase anti-alias filter, flat to 0.35 of the new rate. Nothing is
+    interpolated across a gap: the record has the same gap, and `Record.pieces` are the stretches
+    between gaps.
 
-    ArduPilot cuts angles to whole hundredths of a degree. Half of one is added, see
+    ArduPilot truncates angles to hundredths of a degree. Half a hundredth is added, see
     `greybox.logs.ardupilot.truncated_angles`.
 
-    A held signal, such as the output of a controller, stays held at its own rate or above: each new
-    sample is its mean until the next one. Below its rate the filter removes the steps, and
+    A held signal, such as the output of a controller, remains held at its own rate or above: each
+    new sample is its mean until the next one. Below its rate, the filter removes the steps, and
     `Record.hold` stores how long they lasted.
 
     Parameters
@@ -115,9 +114,9 @@ def prepare(
     Raises
     ------
     KeyError
-        For a signal that is not there.
+        For a signal that does not exist.
     ValueError
-        For a bad rate, or when the signals have no time in common.
+        For a bad rate, or if the signals have no time in common.
     """
     if isinstance(recording, Record):
         records = {recording.name or "record": recording}
@@ -144,7 +143,7 @@ def prepare(
 
     grid = _grid(sources, rate, start, end)
     sampled = {name: _on_grid(source, grid) for name, source in sources.items()}
-    # A gap in one signal is a gap of the record, because a model needs all of them at once.
+    # A gap in one signal is a gap of the record, because a model needs all signals at once.
     keep = np.logical_and.reduce([np.isfinite(values) for values in sampled.values()])
     if keep.sum() < 2:
         raise ValueError(
@@ -225,14 +224,14 @@ def _source(recording: Recording, signal: str, start: float, end: float) -> _Sou
     except ValueError as error:
         findings += (f"{signal} is in {unit!r}, as in the log, not in SI: {error}.",)
     else:
-        # In the unit of the log, in which the cut is a whole number of steps.
+        # In the unit of the log, in which truncated angles are whole numbers of steps.
         values = untruncated(signal, values) if unit == "deg" else values
         values, unit = conversion.apply(values), conversion.si
         findings += (f"{signal}: {conversion.remark}.",) if conversion.remark else ()
 
     inside = time[(time >= start) & (time <= end)]
     step = float(np.median(np.diff(inside if inside.size > 1 else time)))
-    # Before any filter or interpolation: both would smear a jump from 2π to 0.
+    # Before any filter or interpolation, which would smear a jump from 2π to 0.
     values = np.unwrap(values) if unit == "rad" else values
 
     return _Source(time, values, unit, findings, record.hold.get(field), step)
@@ -256,7 +255,7 @@ def _grid(sources: Mapping[str, _Source], rate: float | None, start: float, end:
             f"rate {rate:g} Hz is more than ten times that of the fastest signal, {fastest:.4g} "
             "Hz: lower it."
         )
-    # The last sample is lost to rounding without the small number.
+    # Without the small number, rounding could lose the last sample.
     count = math.floor((last - first) * rate + 1e-6) + 1
     if count < 2:
         spans = "; ".join(
@@ -309,6 +308,7 @@ def _held_mean(time: Array, values: Array, grid: Array, step: float) -> Array:
 
 def _known_hold(sources: Sequence[_Source], grid: Array) -> float | None:
     """Return how long the values of a signal computed from these last, s, or None."""
+    # A signal that is computed from held and continuous ones is neither.
     holds = {source.hold_at(_rate(grid)) for source in sources}
     return holds.pop() if len(holds) == 1 else None
 
@@ -329,7 +329,7 @@ def _low_passed(time: Array, values: Array, step: float, rate: float) -> tuple[A
     samples = np.interp(uniform, time, values)
     nyquist = 0.5 / step
     taps, beta = kaiserord(ATTENUATION, (STOP - PASS) * rate / nyquist)
-    # Odd, and no longer than the reflection can feed.
+    # Odd, for a center, and no longer than the reflected ends.
     taps = min(taps | 1, 2 * ((samples.size - 1) // 2) + 1)
     window: Any = ("kaiser", beta)
     # A symmetric kernel delays all frequencies alike; centered, it delays none.

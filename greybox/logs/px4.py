@@ -32,12 +32,9 @@ AXES = {
 }
 
 
-def passed_filters(recording: Recording, signal: str) -> tuple[KnownFilter, ...]:
-    """Return the filters that an angular velocity passed before it was logged."""
-    if signal.rpartition(".")[0].partition("[")[0] not in FILTERED:
-        return ()
-    filters = named_filters(recording)
-    return (*filters.get("gyro-notch", ()), *filters.get("gyro-filter", ()))
+def is_filtered_rate(signal: str) -> bool:
+    """Return whether a signal is an angular velocity behind the filters of the gyro."""
+    return signal.rpartition(".")[0].partition("[")[0] in FILTERED
 
 
 def named_filters(recording: Recording) -> dict[str, tuple[KnownFilter, ...]]:

@@ -25,15 +25,15 @@ SETPOINTS = (  # searched when none is named
     *("r", "setpoint", "reference"),
 )
 
-# s without its announcement, or five intervals of a slow message, end a test.
+# A test ends after so many s, or five intervals of a slow message, without its announcement.
 PAUSE = 1.0
 
 # s: messages and modes that mark a start or an end are logged ten times a second at most.
 EDGE = 0.1
 
 # Share of the travel of a stick, peak to peak, above which it moved. A stick at rest wanders by 1
-# to 5 µs, and a dead zone has 20 to 30 µs. A stick that flies a sine moves more. The travel is in
-# the unit of the message.
+# to 5 µs, a dead zone has 20 to 30 µs, and a hand that flies a sine moves the stick more. The
+# travel is in the unit of the message.
 STICK_MOVES = 0.05
 STICK_TRAVEL = {"RCIN": 1000.0, "manual_control_setpoint": 2.0}
 
@@ -76,7 +76,7 @@ def find_segments(
         data = replace(
             data, records={name: record for name, record in data.items() if record.has_time}
         )
-    # What the autopilot states about its own tests is exact; a search in the setpoint is not.
+    # The autopilot's statements about its own tests are exact; a search in the setpoint is not.
     segments = _system_identification(data)
     if not (message or setpoint):
         segments += injected_tests(data)
@@ -139,7 +139,7 @@ def _one_run(data: Recording, start: float, until: float, setting: Mapping[str, 
 
 def _stop_of_run(data: Recording, start: float, until: float) -> tuple[float, str]:
     """Return when a run stopped: its data end, or a text says so while the data continue."""
-    # Messages of the excitation itself come only while it runs.
+    # Messages of the excitation are logged only while it runs.
     time = data["SIDD"].time if "SIDD" in data else np.array([until])
     during = time[(time >= start) & (time <= until)]
     last = float(during[-1]) if during.size else start
@@ -180,7 +180,7 @@ def _announced(
 
 
 def _tests(time: Array, columns: Mapping[str, Array]) -> list[IntArray]:
-    """Return the rows of each test: it ends where a field changes or the message pauses."""
+    """Return the rows of each test, which ends if a field changes or the message pauses."""
     change = np.zeros(max(time.size - 1, 0), dtype=bool)
     if time.size > 1:
         steps = np.diff(time)
@@ -236,7 +236,7 @@ def _moving_stick(segment: Segment, data: Recording | Record) -> str:
         message, _, field = stick.rpartition(".")
         record = data[message]
         finite = np.isfinite(record[field])
-        # Some logs have the stick at 10 Hz: two samples do not show whether it moved.
+        # Some logs have the stick at 10 Hz, and two samples do not show whether it moved.
         during = finite & (record.time >= segment.start) & (record.time <= segment.end)
         if during.sum() > 2:
             travel = max(float(np.ptp(record[field][finite])), STICK_TRAVEL.get(message, 1.0))
@@ -249,7 +249,8 @@ def _moving_stick(segment: Segment, data: Recording | Record) -> str:
 def _compared(segments: list[Segment]) -> list[Segment]:
     """Refuse sines that are much shorter, or much weaker, than the others of the same flight."""
     sines = [s for s in segments if s.kind == "sine" and s.source != "SIDS"]
-    if len(sines) < 3:  # no median of the others
+    # Of two sines, neither can be called the exception.
+    if len(sines) < 3:
         return segments
     periods = float(np.median([s.periods for s in sines]))
     duration = float(np.median([s.duration for s in sines]))
@@ -258,7 +259,8 @@ def _compared(segments: list[Segment]) -> list[Segment]:
     result = []
     for s in segments:
         texts = []
-        # Sines of low frequency have fewer periods, those of high frequency last less.
+        # Both, since sines of low frequency have fewer periods, and those of high frequency are
+        # shorter.
         if s in sines and s.periods < 0.5 * periods and s.duration < 0.75 * duration:
             texts.append(
                 f"ended early, after {s.periods:.1f} periods where others have about {periods:.0f}"
@@ -288,7 +290,8 @@ def stretches(
 ) -> tuple[str, list[tuple[Array, Array]]]:
     """Return the unit of a signal, and time and values of every stretch between its gaps.
 
-    Missing samples are left out, angles are unwrapped, and gaps up to `longest_gap`, s, are none.
+    Missing samples are left out, angles are unwrapped, and gaps up to `longest_gap`, s, are
+    ignored.
     """
     record, field = data.locate(name) if isinstance(data, Recording) else (data, name)
     unit = record.units.get(field, "")
@@ -307,7 +310,7 @@ def stretches(
 
 
 def _in_setpoint(data: Recording | Record, name: str) -> list[Segment]:
-    # A gap of a second ends no test: a lost crossing ends a sine by itself.
+    # A gap of up to a second need not end a test: a lost crossing ends a sine anyway.
     unit, parts = stretches(data, name, PAUSE)
     segments = [segment for time, values in parts for segment in sines_and_sweeps(time, values)]
     return [replace(s, axis=name, unit=unit, source=f"setpoint {name}") for s in segments]

@@ -1,4 +1,4 @@
-"""Sines and sweeps in one signal, found from its zero crossings alone."""
+"""Finds sines and sweeps in one signal by its zero crossings."""
 
 import math
 from dataclasses import replace
@@ -33,8 +33,8 @@ OFF_LINE = 0.2
 # amplitudes differ by a factor of 2, not 1.5. At 0.9 to 1.1, 17 of 20 are found.
 SWING = (0.6, 1.6)
 
-# Crossings at the ends that are farther off the median line, in half periods, are cut. At 0.01, 14
-# of 15 are found; at 0.3, five.
+# Distance of a crossing from the median line, in half periods, above which it is cut at the ends.
+# At 0.01, 14 of 15 are found; at 0.3, five.
 TRANSIENT = 0.03
 
 # Least number of samples of a sine, and in each period. With 40, no schedule is found at 20 rad/s
@@ -96,7 +96,8 @@ def sines_and_sweeps(time: Array, values: Array) -> list[Segment]:
         sweeps = _sweeps([s for s in pieces if s is not None and s.kind == "sweep"])
         candidates += [_whole(time, values, corners, crossings, swings, sweep) for sweep in sweeps]
 
-    # The longest run wins. Neighbors may overlap by a tenth: their ends are known within a period.
+    # The longest run wins. Neighbors may overlap by a tenth, since their ends are uncertain by a
+    # period.
     accepted: list[Segment] = []
     for run in sorted(candidates, key=lambda s: -s.duration):
         overlaps = [min(run.end, s.end) - max(run.start, s.start) for s in accepted]
@@ -110,8 +111,9 @@ def sines_and_sweeps(time: Array, values: Array) -> list[Segment]:
 def _turning_points(values: Array, corners: IntArray, height: float) -> IntArray:
     """Return the corners where the signal turns by at least `height`, and both ends."""
     turns = []
-    direction = 0  # unknown; later 1 on the way up, -1 on the way down
-    # Index of the highest (lowest) value on the way.
+    # The direction is unknown at first, then 1 on the way up and -1 on the way down; `extreme` is
+    # the index of the highest (lowest) value so far.
+    direction = 0
     extreme = int(corners[0])
     levels = values[corners].tolist()
     low = high = top = levels[0]
@@ -152,8 +154,7 @@ def _runs(crossings: Array, swings: Array) -> list[tuple[int, int]]:
     start = 0
     end = 3  # the fewest from which a line can be extrapolated and checked
     while end <= crossings.size:
-        # 400 crossings predict the next one as well as all do, and the time grows with their
-        # square.
+        # 400 crossings predict the next one as well as all, and the time grows with their square.
         line = crossings[max(start, end - 399) : end + 1]
         heights = swings[max(start, end + 1 - CROSSINGS) : end + 1]
         if end < crossings.size and _continues(line, heights):
@@ -205,7 +206,7 @@ def _fitted(time: Array, values: Array, crossings: Array) -> Segment | None:
         return None
 
     middle = (start + end) / 2
-    # Times from the middle: offset, trend and phase are then hardly correlated.
+    # With times from the middle, offset, trend and phase are hardly correlated.
     omega = _refined_frequency(t - middle, x, math.pi / half_period)
     bend = _phase_bend(t - middle, x, omega, (end - start) / 2)
     c = np.linalg.lstsq(_waves(t - middle, omega, 4), x, rcond=None)[0]
@@ -223,17 +224,18 @@ def _fitted(time: Array, values: Array, crossings: Array) -> Segment | None:
         )
 
     off = time[deviation > max(FOLLOWS * amplitude, 4 * noise)]
-    # The sine lasts from the last sample before it to the first one after it that are off.
+    # The sine ends where the signal first leaves it, before and after the crossings.
     first = off[off < start].max(initial=time[0])
     last = off[off > end].min(initial=time[-1])
     run = Segment(float(first), float(last), omega=omega, amplitude=amplitude, offset=float(c[0]))
-    # s; from 0.1 to 10 s the same sines are found.
+    # A second at least; with 0.1 to 10 s, the same sines are found.
     return run if run.duration >= 1 else None
 
 
 def _refined_frequency(t: Array, x: Array, omega: float) -> float:
     """Fit the frequency of a sine by Gauss-Newton steps, of a tenth at most."""
-    for _ in range(4):  # a sin + b cos changes with omega by a t cos - b t sin
+    # The derivative of a sin ωt + b cos ωt by ω is a t cos ωt - b t sin ωt.
+    for _ in range(4):
         c = np.linalg.lstsq(_waves(t, omega, 6), x, rcond=None)[0]
         step = (c[2] * c[4] + c[3] * c[5]) / (c[2] ** 2 + c[3] ** 2 + 1e-300)
         omega += float(np.clip(step, -0.1 * omega, 0.1 * omega))
@@ -344,7 +346,7 @@ def _beyond(steps: float) -> Array:
 def _follows(crossings: Array, swings: Array, k: int, way: int, step: float) -> bool:
     """Return whether a smooth change of frequency predicts the next crossing after k, one way."""
     crossings_used = crossings[k - way * np.arange(KNOWN_PERIODS + 1)]
-    # In half periods per second, the first of them next to the crossing that is predicted.
+    # In half periods per second; the first is next to the predicted crossing.
     frequency = 1 / np.abs(np.diff(crossings_used))
     least = 0.5 * frequency[0]
     linear = max(float(_beyond(1.0) @ frequency), least)

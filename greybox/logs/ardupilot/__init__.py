@@ -12,7 +12,6 @@ Begin with `signals`.
 """
 
 from greybox.logs.ardupilot.filters import named_filters as named_filters
-from greybox.logs.ardupilot.filters import passed_filters as passed_filters
 from greybox.logs.ardupilot.signals import ATTITUDE_SETPOINTS as ATTITUDE_SETPOINTS
 from greybox.logs.ardupilot.signals import AXES as AXES
 from greybox.logs.ardupilot.signals import SYSTEMID_AXES as SYSTEMID_AXES

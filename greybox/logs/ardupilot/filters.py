@@ -23,41 +23,23 @@ GYRO_RATES = {
     "PIDY": ("Act",),
 }
 
-# As the parameters of rate controllers name the axis.
-CONTROLLERS = {
-    "roll": "RLL",
-    "pitch": "PIT",
-    "yaw": "YAW",
-}
+# Axes as named by the parameters of rate controllers.
+CONTROLLERS = {"roll": "RLL", "pitch": "PIT", "yaw": "YAW"}
 CONTROLLER_FILTERS = {"d-term-filter": "FLTD", "target-filter": "FLTT", "error-filter": "FLTE"}
 
-# INS_HNTCH_MODE; the others follow sensors, whose frequency only FTN or FTNS tells.
-FIXED, THROTTLE = (
-    0,
-    1,
-)
+# INS_HNTCH_MODE; in other modes the notch follows sensors, and only FTN or FTNS has its frequency.
+FIXED, THROTTLE = 0, 1
 DOUBLE, TRIPLE = 1, 16  # bits of INS_HNTCH_OPTS
 
 
-def passed_filters(recording: Recording, signal: str) -> tuple[KnownFilter, ...]:
-    """Return the filters that `signal` passed before it was logged, if it is a rate of the gyro.
-
-    Parameters
-    ----------
-    recording : Recording
-        With the parameters of the vehicle.
-    signal : str
-        ``"RATE.P"``, ``"IMU[0].GyrY"`` ...
-    """
+def is_filtered_rate(signal: str) -> bool:
+    """Return whether a signal, such as ``"IMU[0].GyrY"``, is logged behind the gyro's filters."""
     message, _, field = signal.rpartition(".")
-    if field not in GYRO_RATES.get(message.partition("[")[0], ()):
-        return ()
-    filters = named_filters(recording)
-    return (*filters.get("gyro-notch", ()), *filters.get("gyro-filter", ()))
+    return field in GYRO_RATES.get(message.partition("[")[0], ())
 
 
 def named_filters(recording: Recording, axis: str = "") -> dict[str, tuple[KnownFilter, ...]]:
-    """Return the known filters by name: of the gyro, and of the rate controller of an axis."""
+    """Return the known filters of the gyro and of the rate controller of an axis, by name."""
     parameters = recording.metadata.get("parameters", {})
     filters: dict[str, tuple[KnownFilter, ...]] = {}
     if parameters.get("INS_GYRO_FILTER", 0) > 0:
@@ -96,12 +78,12 @@ KEYS = ("MODE", "FREQ", "BW", "ATT", "HMNCS", "REF", "OPTS")
 def _one_harmonic_notch(
     recording: Recording, number: int, setting: Mapping[str, float]
 ) -> list[Notch]:
-    """Return the notches of all harmonics; none where their frequency is not known."""
+    """Return the notches of all harmonics; empty if their frequency is unknown."""
     center, width = setting["FREQ"], setting["BW"]
     base = _logged_center(recording, number) or _set_center(recording, setting)
     if not (center > width / 2 > 0 and base):
         return []
-    # A double or triple notch is two or three narrower ones around the center.
+    # A double or triple notch consists of two or three narrower ones around the center.
     parts = 3 if int(setting["OPTS"]) & TRIPLE else 2 if int(setting["OPTS"]) & DOUBLE else 1
     spread = width / (32 * center)
     offsets = {1: (0.0,), 2: (-spread, spread), 3: (-spread, 0.0, spread)}[parts]
@@ -123,7 +105,8 @@ def _quality(center: float, width: float) -> float:
 
 
 def _logged_center(recording: Recording, number: int) -> float:
-    """Return the median of the logged centers, Hz; 0 where they were not logged."""
+    """Return the median of the logged centers, Hz; 0 if they were not logged."""
+    # FTNS has the notch of a single source, FTN those of several motors.
     for message, field in (("FTNS", "NF"), ("FTN", "NF1")):
         record = recording.records.get(
             f"{message}[{number}]", None if number else recording.records.get(message)
@@ -138,6 +121,7 @@ def _logged_center(recording: Recording, number: int) -> float:
 def _set_center(recording: Recording, setting: Mapping[str, float]) -> float:
     if setting["MODE"] == FIXED or setting["REF"] <= 0:
         return float(setting["FREQ"])
+    # The center follows the root of the throttle, as thrust grows with the square of the speed.
     if setting["MODE"] == THROTTLE and "RATE" in recording and "AOut" in recording["RATE"].signals:
         throttle = recording["RATE"]["AOut"]
         flying = throttle[throttle > 0]

@@ -1,10 +1,10 @@
-"""Logs that hold only some passes of the control loop, and how much these differ from all.
+"""Logs with only some passes of the control loop, and how much these differ from all passes.
 
-The gyro is sampled on a clock of its own: at 1 kHz and 400 passes a second, passes see two and
-three samples in turn. The D term divides the change of the gyro by one and the same interval, so
-that it alternates by ±20 % behind its filter, and the newest sample is older in one pass than in
-the next. What a log keeps, every second pass say, is then not the mean of what drove the motors,
-while noise does not show it.
+The gyro has a clock of its own: at 1 kHz and 400 passes a second, passes see two and three samples
+in turn. The D term divides the change of the gyro by a constant interval, so that it alternates by
+±20 % behind its filter, and the newest sample is older in one pass than in the next. The logged
+passes, say every second one, then differ in the mean from those that drove the motors, and noise
+hides it.
 
 Sources: AC_PID.cpp and AP_InertialSensor.cpp (wait_for_sample) of ArduPilot; mode_systemid.cpp for
 what is logged in System Identification mode; SCHED_LOOP_RATE, INS_GYRO_RATE, LOG_BITMASK and
@@ -25,19 +25,16 @@ from greybox.logs.ardupilot.filters import CONTROLLERS, named_filters
 Complex = NDArray[np.complexfloating]
 
 GYRO_RATE = 1000.0  # Hz, of INS_GYRO_RATE 0; 1, 2, 3 double it as often
-# Passes a sample of the log, below which it has them all: the rate of the loop is kept within 10 %.
+# Passes per sample below which the log has all passes: the rate of the loop varies by up to 10 %.
 EVERY_PASS = 1.25
 FAST, MEDIUM = 1, 2  # bits of LOG_BITMASK for attitude
-# Tried between gyro and loop; passes of which the mean is taken, a multiple of 2 to 6.
-PHASES, PASSES = (
-    20,
-    240,
-)
+# Phases to try between gyro and loop, and passes in the mean, a multiple of 2 to 6.
+PHASES, PASSES = 20, 240
 
-# Of an error whose size is known and whose sign is not. Kept passes and the others change their
-# roles as the clocks of gyro and loop drift: at 1 kHz by half a ms. Crystals differ by up to 30
-# ppm, 0.75 ms in a test of 25 s: the mean of a square wave of random phase over anything from none
-# to one and a half of its halves has the mean square 1/2.
+# Factor on an error of known size and unknown sign. Logged passes and the others change their roles
+# as the clocks of gyro and loop drift, at 1 kHz by half a ms. Crystals differ by up to 30 ppm, 0.75
+# ms in a test of 25 s: the mean of a square wave of random phase over up to one and a half of its
+# half periods has the mean square 1/2.
 DRIFTING = math.sqrt(1 / 2)
 
 
@@ -50,12 +47,12 @@ class Thinning:
     loop, logged : float, Hz
     kept : int
     count : float
-        Root mean square of the difference in gyro samples between the kept passes and all, as a
+        Root mean square of the difference in gyro samples between the logged passes and all, as a
         share of their number.
     age : float, s
-        The same of the age of the newest sample.
+        The same for the age of the newest sample.
     cure : str
-        How to log every pass, in words.
+        Instruction to log every pass.
     """
 
     loop: float
@@ -71,7 +68,7 @@ class Thinning:
 
 
 def thinning(recording: Recording, signal: str, start: float, end: float) -> Thinning | None:
-    """Return how a signal was thinned from `start` to `end`, s, if it was, and if that is known."""
+    """Return how a signal was thinned from `start` to `end`, s; None if it was not, or unknown."""
     parameters = recording.metadata.get("parameters", {})
     loop = float(parameters.get("SCHED_LOOP_RATE", 0))
     record, _ = recording.locate(signal)
@@ -96,13 +93,12 @@ def thinning(recording: Recording, signal: str, start: float, end: float) -> Thi
 def thinning_error(
     found: Thinning, recording: Recording, axis: str, response: FrequencyResponse
 ) -> Complex:
-    """Return the errors of a response from a control to an angle or a rate, relative to it, (2, n).
+    """Return the relative errors (2, n) of a response from a control to an angle or a rate.
 
-    The first is of the D term, whose share of the control follows from the gains of the rate
-    controller and from the response itself; the second of the age of the newest sample, which is a
-    delay. Each is as large as its standard deviation, and one number times the row at all
-    frequencies: the clocks of gyro and loop drift through a flight from one phase to the next,
-    whatever frequency is flown.
+    The first row is due to the D term, whose share of the control follows from the gains of the
+    rate controller and from the response itself; the second, due to the age of the newest sample,
+    is a delay. A row is one standard deviation, common to all frequencies: the clocks of gyro and
+    loop drift through a flight from one phase to the next, whatever frequency is flown.
     """
     parameters = recording.metadata.get("parameters", {})
     s = 1j * response.omega
@@ -123,7 +119,7 @@ def thinning_error(
 
 
 def _differences(per_pass: float, kept: int) -> tuple[float, float]:
-    """Return how kept passes differ from all: the number of gyro samples, the age of the newest."""
+    """Return how logged passes differ from all, in the number of gyro samples and in their age."""
     # The clock of the gyro runs free: all phases between the two clocks are equally likely.
     j = np.arange(PASSES + 1) * per_pass
     times = j + np.arange(PHASES)[:, None] / PHASES
@@ -138,6 +134,7 @@ def _differences(per_pass: float, kept: int) -> tuple[float, float]:
 def remaining_alternation(parameters: Mapping[str, float], axis: str, loop: float) -> float:
     """Return the share of an alternation from pass to pass that the filter of the D term leaves."""
     cutoff = float(parameters.get(f"ATC_RAT_{CONTROLLERS.get(axis, '')}_FLTD", 0))
+    # The gain of a first-order low-pass filter at half of the rate of the loop.
     alpha = 1 / (1 + loop / (2 * math.pi * cutoff)) if cutoff > 0 else 1.0
     return alpha / (2 - alpha)
 

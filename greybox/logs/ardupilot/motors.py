@@ -1,7 +1,7 @@
 """Motor outputs: how finely a control reaches the motors, and when they are at their limits.
 
-A motor's PWM is a whole number of µs (DShot values are made of it). A control of less than a step
-reaches the motors only as far as other motions carry it across the steps: the gain may then lie
+A motor's PWM is a whole number of µs (DShot values are computed from it). A control of less than a
+step reaches the motors only if other motions carry it across the steps: the gain may then lie
 anywhere between zero and twice its value, and the rounding adds harmonics.
 
 The rounded sine of amplitude A around an offset b, in steps of Δ, has the fundamental A (1 + ε)
@@ -11,7 +11,7 @@ with
 
 and other motions of standard deviation σ shrink the terms by exp(-2 (π m σ/Δ)²) (Widrow and Kollár,
 Quantization Noise, 2008, chapters 3 and 9). The offset is the trim of the motor, which is not known
-to a part of a step.
+to a fraction of a step.
 
 Sources: AP_MotorsMulticopter.cpp and AP_MotorsMatrix.cpp of ArduPilot; MOT_PWM_MIN, MOT_PWM_MAX,
 MOT_SPIN_MIN, MOT_SPIN_MAX, MOT_THST_EXPO, MOT_THST_HOVER and SERVOn_FUNCTION at
@@ -28,9 +28,7 @@ from greybox.data.record import Record, Recording
 from greybox.files.arrays import Array
 
 MOTORS = frozenset((*range(33, 41), *range(82, 86)))  # SERVOn_FUNCTION of motors 1 to 8 and 9 to 12
-SHARE = (
-    0.5  # of a control of 1 in the thrust of a motor, in 1: AP_MotorsMatrix::normalise_rpy_factors
-)
+SHARE = 0.5  # change of a motor's thrust by a control of 1: AP_MotorsMatrix::normalise_rpy_factors
 DEFAULTS = {
     "MOT_SPIN_MIN": 0.15,
     "MOT_SPIN_MAX": 0.95,
@@ -47,8 +45,8 @@ def pwm_of_control(parameters: Mapping[str, float]) -> float:
         return math.nan
     values = {name: float(parameters.get(name, value)) for name, value in DEFAULTS.items()}
     expo = values["MOT_THST_EXPO"]
-    # thrust = (1 - expo) a + expo a², of the actuator's a from 0 to 1
-    # The derivative of this curve at the thrust of hover, without solving for a.
+    # thrust = (1 - expo) a + expo a², with the actuator's a from 0 to 1: the derivative of this
+    # curve at the thrust of hover, without solving for a.
     slope = math.sqrt((1 - expo) ** 2 + 4 * expo * values["MOT_THST_HOVER"])
     low, high = _range(parameters)
     return SHARE * (values["MOT_SPIN_MAX"] - values["MOT_SPIN_MIN"]) * (high - low) / slope
@@ -60,7 +58,7 @@ def rounding_error(amplitude: ArrayLike, spread: ArrayLike) -> Array:
     Parameters
     ----------
     amplitude, spread : (n,) arrays, steps
-        Of the sine, and the standard deviation of all other motions.
+        Amplitude of the sine, and standard deviation of all other motions.
     """
     from scipy.special import j1  # noqa: PLC0415  (scipy takes longer to import than this package)
 
@@ -110,14 +108,14 @@ def limits(parameters: Mapping[str, float]) -> tuple[float, float]:
 
 
 def saturation(recording: Recording, spans: Sequence[tuple[float, float]]) -> float:
-    """Return the share of the time at which a motor is at its limit; NaN without logged outputs."""
+    """Return the share of time during which a motor is at its limit; NaN without logged outputs."""
     low, high = limits(recording.metadata.get("parameters", {}))
     shares, sizes = [], []
     for start, end in spans:
         outputs = motor_outputs(recording, start, end)
         if outputs is not None:
             values = np.array(list(outputs.signals.values()))
-            # Outputs are whole numbers, cut off and not rounded: the greatest may be a step less.
+            # Outputs are truncated to whole numbers: the greatest may be a step less.
             shares.append(np.any((values <= low) | (values >= high - 1), axis=0).mean())
             sizes.append(len(outputs))
 

@@ -1,4 +1,4 @@
-"""Metadata of an ArduPilot log: vehicle, firmware, parameters, texts, modes; its names of units."""
+"""Metadata of an ArduPilot log: vehicle, firmware, parameters, texts, modes; names of units."""
 
 import math
 from collections.abc import Iterable, Mapping
@@ -45,7 +45,7 @@ def unit(label: str) -> str:
 
 
 def metadata(groups: Iterable[Messages]) -> dict[str, Any]:
-    """Return the metadata of a recording from MSG, VER, PARM and MODE; only what is known."""
+    """Return the known metadata of a recording from MSG, VER, PARM and MODE."""
     by_name = {group.name: group for group in groups}
     about: dict[str, Any] = {
         **_firmware(by_name),
@@ -64,7 +64,8 @@ def mode_name(vehicle: str, number: int) -> str:
 
 
 def _firmware(by_name: Mapping[str, Messages]) -> dict[str, Any]:
-    """Return vehicle and firmware, from VER or else from a text message at the start."""
+    """Return vehicle and firmware, from VER or else from a text message."""
+    # Older firmware has no VER message.
     texts = list(by_name["VER"].texts.get("FWS", ())) if "VER" in by_name else []
     texts += by_name["MSG"].texts.get("Message", ()) if "MSG" in by_name else ()
     for text in texts:

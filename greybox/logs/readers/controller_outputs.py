@@ -1,9 +1,8 @@
-"""Finds the signals that a controller holds, and those that are samples of continuous ones.
+"""Finds the signals that a controller holds, and those that are samples of continuous signals.
 
 A flight controller sets its outputs and setpoints once in every pass of its loop, and they keep
-their values until the next one. A log has every pass or, thinned, only some: then a value lasted
-for one pass, not until the next sample of the log. The period of the loop is a parameter of the
-vehicle.
+their values until the next pass. A thinned log has only some passes: a value then lasted for one
+pass, not until the next sample of the log. The period of the loop is a parameter of the vehicle.
 
 Sources: the `LoggerMessage` comments in ArduPilot's LogStructure.h, Log.cpp and AP_SystemID.cpp;
 SCHED_LOOP_RATE at https://ardupilot.org/copter/docs/parameters.html; the message definitions of
@@ -81,6 +80,7 @@ def _holds(group: Messages, period: float) -> dict[str, float]:
     holds = {name: CONTINUOUS for name in group.columns if _is_among(SAMPLES, group.name, name)}
     holds |= {name: HELD for name in group.columns if _is_among(KEPT, group.name, name)}
     if math.isnan(period):
+        # Of an unknown loop, a log that is fast enough is assumed to have every pass.
         steps = (
             np.diff(group.time)
             if group.time is not None and len(group) > 1
@@ -94,6 +94,7 @@ def _holds(group: Messages, period: float) -> dict[str, float]:
 
 
 def _is_among(table: Mapping[str, str], message: str, field: str) -> bool:
+    # All instances of a message, IMU[0] and IMU[1], have the same fields.
     message = message.partition("[")[0]
     return any(
         re.fullmatch(key, message) and re.fullmatch(fields, field) for key, fields in table.items()

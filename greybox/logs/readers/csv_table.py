@@ -95,13 +95,14 @@ def read(
         columns, units = renamed(columns, units, stated, path.name)
         headings = [Heading(name, units.get(name, "")) for name in columns]
     columns = _time_first(headings, columns, path)
-    # What a first column in a unit of time is called.
+    # A first column in a unit of time was renamed to time.
     units.setdefault("time", "s")
-    # After the names were replaced: the user may have named the time.
+    # After the new names, since the user may have named the time.
     has_time = any(seconds(name, units.get(name, "")) for name in columns)
     if has_time and rate:
         raise ValueError(f"{path} has a time column: leave out the rate, which follows from it.")
 
+    # Rows without a time serve static models: they are not an error.
     if columns and not has_time and not rate:
         record = of_rows(
             path.stem, columns, units, source=path.name, checksum=checksum, findings=findings
@@ -126,6 +127,7 @@ def _headings(text: DelimitedText) -> list[Heading]:
     headings = [heading(cell) for cell in text.header]
     names = [h.name for h in headings if h.name]
     by_number = names == [str(k) for k in range(1, len(names) + 1)]
+    # A first line of numbers is data, unless these are the numbers of the columns.
     if not names or (are_numbers(" ".join(names).split()) and not by_number):
         line = text.separator.join(text.header)[:60]
         raise ValueError(
@@ -148,7 +150,7 @@ def _columns(
     """Return the numeric columns by name, and findings."""
     try:
         lines = counted_off(text.lines, f"reading {printable(text.path.name)}", "line")
-        # Ten times as fast as the cells one by one, for the usual table of plain numbers.
+        # The usual table has plain numbers, which numpy reads ten times as fast as cell by cell.
         clean = np.loadtxt(lines, delimiter=text.separator, comments=None, ndmin=2)
     except ValueError:
         clean = np.empty((0, 0))
@@ -209,7 +211,8 @@ def _numbers(cells: Sequence[str], comma: bool) -> tuple[Array | None, list[int]
             values[k] = parsed(cell, comma)
         except ValueError:
             odd.append(k)
-    if not filled or len(odd) > filled / 2:  # some damaged cells do not make a column text
+    # Some damaged cells do not make a column one of text.
+    if not filled or len(odd) > filled / 2:
         return None, []
 
     return values, odd
@@ -243,6 +246,7 @@ def _time_first(
         return dict(columns)
     name, unit = headings[0]
     step = tick(unit)
+    # Dates in words, or times that fall, are no time base.
     if name in columns and step and np.all(np.diff(columns[name]) > 0):
         remaining = {key: values for key, values in columns.items() if key not in (name, "time")}
         return {"time": columns[name] * step, **remaining}

@@ -53,7 +53,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     """
     path = Path(path)
     messages = bare(messages)
-    # Mapped: the system reads only the pages that are needed, and lets go of them.
+    # Mapped: the system reads only the pages that are needed, and releases them again.
     with open(path, "rb") as file:
         data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     log, damage = _contents(data, messages)
@@ -69,6 +69,7 @@ def recording(
 ) -> Recording:
     """Make a recording of the messages of an ArduPilot log, binary or text."""
     restarts = log.findings
+    # Before the messages are chosen: any unit in the log shows that it has tables of units.
     groups, assumed = with_usual_units(log.groups)
     groups, conflicts = merged(groups)
     wanted = [g for g in groups if g.name not in ABOUT and (messages is None or g.name in messages)]
@@ -114,11 +115,11 @@ def _decoded(
     units: Units,
     messages: Collection[str] | None,
 ) -> Messages:
-    """Return the messages of one layout, of those that are not requested only the times.
+    """Return the messages of one layout; of messages that are not requested, only the times.
 
-    The clock of the whole log needs these.
+    The clock of the whole log needs these times.
     """
-    # A view of a body at every byte of the file: an index copies only the messages of this layout.
+    # A view of a body at every byte of the file, which indexing copies for this layout only.
     size = len(data) - layout.length + 1
     bodies = np.ndarray((size,), layout.dtype, data, 3, (1,))[offsets]
     timer = clock_column(layout)
@@ -151,14 +152,14 @@ def _numbers(values: NDArray[np.generic], scale: float | None) -> Array:
 
 
 def clock_column(layout: Layout) -> str:
-    """Return the column of the time of the vehicle: the first, or T in old GPS messages."""
+    """Return the column with the vehicle's time: the first, or T in old GPS messages."""
     if layout.name in ("GPS", "GPS2") and "T" in layout.columns and layout.columns[0] != "TimeUS":
         return "T"  # their TimeMS is that of the GPS week
     return layout.columns[0] if layout.columns and layout.columns[0] in CLOCKS else ""
 
 
 def _missing(present: set[str], messages: Collection[str] | None) -> tuple[str, ...]:
-    """Say which messages were requested, or are needed, but are missing."""
+    """Return findings on requested or necessary messages that are missing."""
     absent = [name for name in messages or () if name not in present]
     names = ", ".join(sorted(present - {*ABOUT}))
     findings = [

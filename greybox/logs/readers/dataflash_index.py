@@ -1,8 +1,8 @@
 """Finds the messages in a DataFlash log, damaged ones included.
 
 pymavlink has a compiled scan, but it terminates the Python process at the first message of an
-unknown type or length, and prints a line for every byte that it skips. This one is about as fast,
-silent, and returns the damaged places. The table of format letters is pymavlink's.
+unknown type or length, and prints a line for every byte that it skips. This scan is about as fast,
+silent, and returns the damaged places. The table of format letters is that of pymavlink.
 """
 
 import mmap
@@ -20,7 +20,8 @@ HEAD = b"\xa3\x95"  # before every message; the number of its type follows
 FMT = 0x80  # the message that describes the others: type, length, name, format, columns
 FMT_LENGTH = 89
 FMT_BODY = struct.Struct("<BB4s16s64s")
-PADDING = 4096  # bytes, a page of memory: zeros or erased flash at the end of a file are no damage
+# Bytes of a page of memory: zeros or erased flash at the end of a file are not damage.
+PADDING = 4096
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,7 @@ def _layouts(
     for kind, described in descriptions.items():
         rows = np.flatnonzero(kinds == kind)
         since, number = np.array([(-1, -1), *described]).T
-        # a later description replaces it.
+        # A later description replaces the earlier one from its place on.
         numbers[rows] = number[np.searchsorted(since, rows) - 1]
 
     return tuple(layouts), numbers
@@ -118,17 +119,17 @@ def _layouts(
 def _chain(
     data: Bytes, starts: IntArray, ends: IntArray
 ) -> tuple[NDArray[np.bool_], tuple[tuple[int, int], ...]]:
-    """Return which headers begin messages that follow each other, and the places between.
+    """Return which headers begin messages that follow each other, and the damaged places.
 
     Two bytes within a message may look like a header. So a message counts if it begins where the
-    previous one ends. Elsewhere another one, or the end of the file, must follow it.
+    previous one ends. Behind damage, another message or the end of the file must follow it.
     """
     is_message = np.zeros(starts.size, dtype=bool)
     breaks = np.append(np.flatnonzero(ends[:-1] != starts[1:]), starts.size - 1)
     damage = []
     last, end = -1, 0
     while end <= len(data) - len(HEAD) - 1:
-        # All messages up to the next break follow each other without a look at each of them.
+        # All messages up to the next break follow each other: they need not be visited one by one.
         first = int(np.searchsorted(starts, end))
         if first < starts.size and starts[first] == end:
             last = int(breaks[np.searchsorted(breaks, first)])
@@ -140,7 +141,8 @@ def _chain(
         while following < starts.size and not _is_followed(data, int(ends[following])):
             following += 1
         resume = int(starts[following]) if following < starts.size else len(data)
-        if resume < end:  # the last message was truncated: a sound one begins inside of it
+        # The last message was truncated: a sound one begins inside it.
+        if resume < end:
             is_message[last] = False
             end = int(starts[last])
         rest = data[end : end + PADDING]
@@ -159,6 +161,7 @@ def sound_layout(
     kind: int, name: str, length: int, letters: str, columns: tuple[str, ...]
 ) -> Layout | None:
     """Return the layout, or None if its letters, columns and length do not fit together."""
+    # Bytes of other messages may look like a description.
     if not (
         name.isascii()
         and name.replace("_", "").isalnum()

@@ -21,7 +21,7 @@ TEXTS = "anNZM"  # letters of text; a mode, M, is a name or a number
 
 
 class Lines:
-    """The lines of a log by message name, those that are not wanted with their times alone.
+    """The lines of a log by message name; of those that are not wanted, only the times.
 
     Attributes
     ----------
@@ -109,6 +109,7 @@ class _MessageLines:
                 time = np.asarray(column) / CLOCKS.get(name, 1e3)
             elif isinstance(column, array):
                 numbers[name] = np.asarray(column)
+            # Modes are names in some firmware and numbers in other.
             elif column and is_number(column[0]) and self._letter(name) == "M":
                 numbers[name] = np.array([_number(cell) for cell in column])
             else:
@@ -178,7 +179,7 @@ def _number(field: str) -> float:
 
 def _banner(lines: Lines) -> list[Messages]:
     """Return the line in which an old log names its firmware, as a text message."""
-    # Logs with messages of text name the firmware there.
+    # Later logs name the firmware in their text messages.
     if not lines.banner or "MSG" in lines.messages:
         return []
     return [Messages("MSG", np.zeros(1, dtype=np.int64), None, {}, {"Message": [lines.banner]})]

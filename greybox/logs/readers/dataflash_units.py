@@ -27,7 +27,7 @@ USUAL = {
 
 
 class Units(NamedTuple):
-    """Unit of every column of one type, and the column that tells instances apart (empty: none)."""
+    """Unit of every column of one type, and the column of instances, if any."""
 
     columns: Mapping[str, str]
     instance: str
@@ -61,10 +61,10 @@ class UnitTables:
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """Letters that the table gives several units, in words."""
+        """Messages about letters with several units in the table."""
         return tuple(
             f"the table of units has the letter {letter!r} for {' and for '.join(sorted(labels))}: "
-            "what has it is taken without a unit."
+            "its columns are taken without a unit."
             for letter, labels in self._several.items()
             if len(labels) > 1
         )
@@ -75,6 +75,7 @@ class UnitTables:
         columns = {}
         for i, (name, letter) in enumerate(zip(layout.columns, units, strict=False)):
             label = unit(self.labels.get(letter, ""))
+            # A format letter that scales has been applied to the numbers already.
             scaled = label and i < len(scales) and layout.scale(i) is None
             columns[name] = (
                 _prefixed(label, self.multipliers.get(scales[i], 1.0)) if scaled else label
@@ -100,7 +101,7 @@ def with_usual_units(groups: list[Messages]) -> tuple[list[Messages], tuple[str,
 
 
 def _pairs(table: Messages | None, key: str, value: str) -> Iterable[tuple[float, Any]]:
-    """Return the pairs of two columns, numbers and numbers or texts; none where one is missing."""
+    """Return the pairs of two columns, numbers or texts; empty if a column is missing."""
     columns = {**table.columns, **table.texts} if table else {}
     return zip(columns[key], columns[value], strict=True) if {key, value} <= columns.keys() else ()
 
@@ -119,6 +120,7 @@ def _instance(layout: Layout, units: str) -> str:
 
 
 def _letter(value: float) -> str:
+    # Letters are logged as numbers; damaged ones may exceed ASCII.
     return chr(_integer(value) & 0x7F)
 
 

@@ -16,12 +16,12 @@ def read(
 ) -> Recording:
     """Read every group that has a time vector into a record.
 
-    A group holds one record: a dataset ``time`` (or t, timestamp, time_ms ...; see
+    A group has one record: a dataset ``time`` (or t, timestamp, time_ms ...; see
     `greybox.data.time_column`), and vectors of the same length. Matrices with one sample per row
     (as MATLAB shows them, in MATLAB's files) give one signal per column. Units are attributes
-    ``unit`` or ``units`` of the datasets, followed by the word held or sampled where it is known
-    how the signal runs between its samples. A record is named after its group (``flight/ATT``),
-    one at the root after the file.
+    ``unit`` or ``units`` of the datasets, followed by the word held or sampled if it is known how
+    the signal runs between its samples. A record has the name of its group (``flight/ATT``), at the
+    root that of the file.
 
     Parameters
     ----------
@@ -45,6 +45,7 @@ def read(
         If the file cannot be opened.
     """
     path = Path(path)
+    # MATLAB 7.3 puts a text before the HDF5 part of its files.
     with open(path, "rb") as file:
         matlab = file.read(6) == b"MATLAB"
     contents = named_arrays.read_contents("hdf5", path)

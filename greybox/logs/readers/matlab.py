@@ -16,10 +16,10 @@ def read(
     """Read every struct that has a time into a record, and the workspace if it has one.
 
     The time is named time, t, tout or timestamp, or has its unit in the name (``time_ms``), see
-    `greybox.data.time_column`; without one, ``Ts`` is the sampling interval, s. Matrices with one
-    sample per row give one signal per column. A record is named after its struct (``flight/att``),
-    that of the workspace after the file. Simulink's "structure with time" is read too. Units are
-    not known.
+    `greybox.data.time_column`; without it, ``Ts`` is the sampling interval, s. Matrices with one
+    sample per row give one signal per column. A record has the name of its struct (``flight/att``),
+    that of the workspace the name of the file. Simulink's "structure with time" is read, too. Units
+    are unknown.
 
     Parameters
     ----------

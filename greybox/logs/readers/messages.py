@@ -29,10 +29,9 @@ class Messages:
         Columns of text.
     units : mapping of str to str
     hold : mapping of str to float
-        For how long the values of a column lasted, as far as that is known, see
-        `greybox.data.intersample`.
+        For how long the values of a column lasted, if known, see `greybox.data.intersample`.
     instance : str
-        The column, numeric or text, that distinguishes several senders; empty if there is one.
+        The column, of numbers or text, that distinguishes several senders; empty for one sender.
     """
 
     name: str
@@ -68,12 +67,12 @@ def bare(messages: Collection[str] | None) -> tuple[str, ...] | None:
 
 
 def merged(groups: Iterable[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
-    """Keep the larger lot of messages of one name that the log describes in two ways."""
+    """Return the larger lot of messages if the log describes one name in two ways."""
     by_name: dict[str, list[Messages]] = {}
     for group in groups:
         by_name.setdefault(group.name, []).append(group)
 
-    # A damaged description makes a few messages of its own; the larger lot is the sound one.
+    # A damaged description yields a few messages: the larger lot is the sound one.
     largest = {name: max(lots, key=len) for name, lots in by_name.items()}
     lost = {name: sum(map(len, lots)) - len(largest[name]) for name, lots in by_name.items()}
     findings = tuple(
@@ -86,7 +85,7 @@ def merged(groups: Iterable[Messages]) -> tuple[list[Messages], tuple[str, ...]]
 
 @dataclass(frozen=True, eq=False)
 class Clocked:
-    """Messages on one clock that never restarts, and what was found."""
+    """Messages on one clock that never restarts, and findings."""
 
     groups: list[Messages]
     findings: tuple[str, ...]
@@ -106,6 +105,7 @@ def on_one_clock(groups: Iterable[Messages]) -> Clocked:
 def _stamps(groups: Iterable[Messages]) -> Array:
     """Return the times of all messages by their number, NaN for those without."""
     timed = [group for group in groups if group.time is not None and len(group)]
+    # In the order of the file, since restarts show in it across all types of messages.
     stamps = np.full(max((1 + int(group.order.max()) for group in timed), default=0), np.nan)
     for group in timed:
         stamps[group.order] = group.time
@@ -135,7 +135,7 @@ def records(
 
 
 def _gaps(by_name: Mapping[str, Record]) -> list[str]:
-    """Describe the gaps of messages at regular times, many of them in one line: logging stopped."""
+    """Return findings on the gaps of regular messages; many gaps at once are one finding."""
     texts = []
     longest = []
     for name, record in by_name.items():
@@ -148,6 +148,7 @@ def _gaps(by_name: Mapping[str, Record]) -> list[str]:
                 f"{name}: {counted(wide, 'gap')}, the longest {steps.max():.3g} s at {start:.1f} s."
             )
             longest.append(steps.max())
+    # Gaps in many messages have one cause: logging stopped.
     if len(texts) <= 3:
         return texts
 
@@ -162,7 +163,7 @@ def _instances(group: Messages) -> Iterator[tuple[str, Messages]]:
         yield group.name, group
         return
     labels = group.texts.get(group.instance)
-    # Senders are told apart by a text in telemetry, and by a number in DataFlash.
+    # Telemetry distinguishes senders by a text, DataFlash by a number.
     values = np.array(labels) if labels is not None else group.columns[group.instance]
     columns = {name: column for name, column in group.columns.items() if name != group.instance}
 
@@ -185,7 +186,7 @@ def _record(name: str, part: Messages, source: str, checksum: str) -> Record | N
         time = time[rows]
         columns = {column: values[rows] for column, values in columns.items()}
     for values in (time, *columns.values()):
-        # a record keeps, without a copy, what nobody can change.
+        # A record copies arrays that could still be changed.
         values.setflags(write=False)
     units = {column: part.units.get(column, "") for column in columns}
 

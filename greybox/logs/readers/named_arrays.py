@@ -65,7 +65,7 @@ def recording(
 ) -> Recording:
     """Make a record of every group that has a time; the root is named after the file.
 
-    With the `parameters` of a vehicle the groups are known messages of its flight controller. The
+    With the `parameters` of a vehicle, the groups are messages of its flight controller. The
     `stated` columns and the `rate` are those of the only group, see `greybox.logs.read`.
     """
     with open(path, "rb") as file:
@@ -87,6 +87,7 @@ def recording(
             f"{path.name} has {len(groups)} groups, but `columns` names the columns of one table."
         )
 
+    # Every group has a clock of its own.
     for name, group in groups.items():
         labels = units[name]
         if stated:

@@ -13,9 +13,8 @@ from greybox.files.arrays import Array
 from greybox.logs.readers.messages import Messages
 
 BETWEEN = {"held": HELD, "sampled": CONTINUOUS}
-WIDEST = (
-    64  # columns of a matrix that become signals of their own: a convention, to keep images out
-)
+# Columns of the widest matrix whose columns become signals: a convention that excludes images.
+WIDEST = 64
 
 
 def table(
@@ -29,13 +28,13 @@ def table(
     Parameters
     ----------
     name : str
-        What to call them.
+        Their name.
     columns : mapping of str to array
         As read, in any real type; matrices with one sample per row give signals ``x[0]``, ``x[1]``
         ..., one per column.
     units : mapping of str to str
-        A unit may be followed by how the signal runs between its samples, ``1 held`` or ``rad
-        sampled``.
+        A word behind the unit may state how the signal runs between its samples, ``1 held`` or
+        ``rad sampled``.
 
     Returns
     -------
@@ -101,7 +100,7 @@ def of_rows(
 
 
 def _unit_and_hold(text: str) -> tuple[str, float | None]:
-    """Split ``1 held`` into the unit and how long a value lasts, s, or None."""
+    """Split ``1 held`` into the unit and the time for which a value lasts, s, or None."""
     unit, _, word = text.strip().rpartition(" ")
     hold = BETWEEN.get(word.lower())
     return (text, None) if hold is None else (unit.strip(), hold)

@@ -1,7 +1,7 @@
 """MAVLink telemetry logs (.tlog), as ground stations write them: packets of one or several senders.
 
-Packets that carry the sender's own time (``time_boot_ms``, ``time_usec``) get this time, which is
-free of the jitter of the link. The others get their time of reception. Both are on one clock, which
+Packets with the sender's own time (``time_boot_ms``, ``time_usec``) have this time, which is free
+of the jitter of the link. The others have their time of reception. Both are on one clock, which
 starts with the vehicle.
 """
 
@@ -68,6 +68,8 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
             "again."
         )
 
+    # Times count from the start of the vehicle, or else of another sender, or from the first
+    # packet.
     clocks = _clocks(kinds)
     vehicle = telemetry_metadata.vehicle_sender(kinds)
     reference = clocks.get(vehicle) or next((clocks[sender] for sender in sorted(clocks)), None)
@@ -128,7 +130,7 @@ def _clocks(kinds: Mapping[str, Kind]) -> dict[int, Clock]:
         if not rows.size:
             continue
         boots = np.split(rows, time_stamps.restarts(sent[rows]))
-        # The median is free of the jitter of the link.
+        # The median is insensitive to the jitter of the link.
         starts = [float(np.median(received[boot] - 1e6 * sent[boot])) for boot in boots]
         clocks[sender] = Clock(numbers[[boot[0] for boot in boots]], np.array(starts))
 
@@ -175,7 +177,7 @@ def _messages(kind: Kind, time: Array) -> Messages:
 
 
 def _labels(senders: IntArray, names: Sequence[str] | None, instances: Array | None) -> list[str]:
-    """Return ``system:component:instance`` of each packet as far as they differ; empty for one."""
+    """Return the parts of ``system:component:instance`` that differ between packets, if any."""
     columns = []
     if np.unique(senders).size > 1:
         # Equal labels share one text: a log has millions.

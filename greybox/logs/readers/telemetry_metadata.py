@@ -24,7 +24,7 @@ INTEGERS = {1: "B", 2: "b", 3: "H", 4: "h", 5: "I", 6: "i"}
 
 
 class Heartbeats(NamedTuple):
-    """The heartbeats of the first autopilot: its sender (-1: none), their fields and times, s."""
+    """The heartbeats of the first autopilot: its sender (-1 without one), fields and times, s."""
 
     sender: int
     fields: Mapping[str, Array]
@@ -89,6 +89,7 @@ def _parameters(sent: Kind | None, beats: Heartbeats) -> dict[str, float]:
     if sent is None:
         return {}
     values = sent.columns["param_value"].tolist()
+    # PX4 sends the bytes of an integer, ArduPilot its value.
     if beats.time.size and beats.fields["autopilot"][0] == mavlink.MAV_AUTOPILOT_PX4:
         codes = [INTEGERS.get(int(kind), "f") for kind in sent.columns["param_type"]]
         values = [

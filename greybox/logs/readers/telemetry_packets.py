@@ -1,6 +1,6 @@
-"""Finds the packets of a telemetry log; pymavlink decodes them and checks their checksums.
+"""Finds the packets of a telemetry log; pymavlink decodes them and verifies their checksums.
 
-Every packet follows 8 bytes with the time of reception, in µs since 1970, big-endian.
+Before every packet, 8 bytes have the time of reception, in µs since 1970, big-endian.
 """
 
 import math
@@ -23,7 +23,7 @@ EPOCH = 1e9  # s; a larger time counts from 1970, not from the sender's start
 
 
 class Packets:
-    """The packets of a file; iterating counts what is damaged.
+    """The packets of a file; iteration counts the damaged bytes.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Packets:
         except (mavlink.MAVError, UnicodeError):
             return None, at
         if isinstance(packet, mavlink.MAVLink_unknown):
-            # Its checksum cannot be verified, so another packet or the end must follow.
+            # Its checksum cannot be verified, so another packet or the end of the file must follow.
             following = end + STAMP
             if end != len(self._data) and not MARK.match(self._data, following):
                 return None, at
@@ -116,13 +116,14 @@ class Kind:
         self._values = array("d")
 
     def append(self, number: int, received: float, packet: Any) -> None:
-        """Append a packet; kinds without a time of their own that are not stored keep nothing."""
+        """Append a packet; of a kind that is neither timed nor stored, nothing is needed."""
         if not (self.timer or self._is_stored):
             return
         self.numbers.append(number)
         self.senders.append(packet.get_srcSystem() << 8 | packet.get_srcComponent())
         self.received.append(received)
         seconds = getattr(packet, self.timer) / TICKS[self.timer] if self.timer else math.nan
+        # Some senders fill in zero, or the time since 1970.
         self.sent.append(seconds if 0 < seconds < EPOCH else math.nan)
         if self._is_stored:
             self._append_fields(packet)

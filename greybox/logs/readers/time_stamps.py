@@ -10,7 +10,7 @@ from greybox.files.arrays import Array, IntArray
 # s by which stamps fall at a clock restart; between messages of one boot they fall by up to 4 ms.
 BACK = 1.0
 
-# The medians of this number of earlier and later messages show a restart despite 24 damaged ones.
+# The medians of so many earlier and later messages show a restart despite 24 damaged ones.
 WINDOW = 50
 
 PAUSE = 10.0  # s between two boots on the common clock: the real pause is unknown
@@ -35,7 +35,7 @@ def restarts(stamps: Array) -> tuple[int, ...]:
 
 
 def one_clock(stamps: Array) -> tuple[Array, tuple[str, ...]]:
-    """Return the stamps, s, on one clock; those that are implausible are NaN. And findings.
+    """Return the stamps, s, on one clock, NaN for implausible ones, and findings.
 
     After a restart the clock is set to `PAUSE` after the last stamp of the previous boot, so that a
     gap separates the boots of a record.
@@ -63,7 +63,7 @@ def one_clock(stamps: Array) -> tuple[Array, tuple[str, ...]]:
 
 
 def _plausible(stamps: Array) -> Array:
-    """Return the stamps of one boot, NaN far outside of those at its start and its end."""
+    """Return the stamps of one boot, NaN if far outside those at its start and its end."""
     if not stamps.size:
         return stamps
     first, last = _edge(stamps[:WINDOW], -1), _edge(stamps[-WINDOW:], 1)

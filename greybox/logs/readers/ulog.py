@@ -75,7 +75,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
             "'greybox-id[px4]'."
         )
 
-    # Modes come from the status, so it is read even if nobody asked for it.
+    # The modes are in the status, which is always read for them.
     contents = named_arrays.read_contents(
         "ulog", path, *(sorted({STATUS, *topics_wanted}) if topics_wanted else ())
     )
@@ -128,12 +128,14 @@ def firmware_of(info: Mapping[str, Any]) -> str | None:
 def with_angles(name: str, record: Record) -> Record:
     """Add roll, pitch and yaw, rad, to a record of quaternions, and the units of known fields."""
     units = {field: "rad/s" for field in record.signals if re.fullmatch(RATES.get(name, ""), field)}
+    # Quaternions w, x, y, z turn from the vehicle to the earth.
     q = [record.signals.get(f"{QUATERNIONS.get(name, '')}[{k}]") for k in range(4)]
     angles: dict[str, Any] = {}
     if not any(part is None for part in q):
         w, x, y, z = (np.asarray(part) for part in q)
         angles = {
             "roll": np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
+            # Rounding in single precision may exceed one.
             "pitch": np.arcsin(np.clip(2 * (w * y - z * x), -1, 1)),
             "yaw": np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)),
         }
