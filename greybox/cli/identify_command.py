@@ -98,7 +98,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Answer:
     """Identify; write response, result and figure."""
-    prefix = options.out or Path(options.logs[0]).stem
+    prefix = options.out or Path(options.logs[0]).stem or "log"
     responses = _response_files(prefix, len(options.logs))
     result, figure = Path(f"{prefix}_fit.h5"), Path(f"{prefix}.png")
     # All files that will be written are checked before the log is read.

@@ -100,7 +100,10 @@ def as_options(text: str, options: argparse.Namespace) -> str:
         flag = f"--{match[1].replace('_', '-')}"
         return flag if match[2] else f"{flag} "
 
-    return re.sub(rf"\b({names})=(\.\.\.|True\b|(?=\S))", option, text)
+    text = re.sub(rf"\b({names})=(\.\.\.|True\b|(?=\S))", option, text)
+    # A dict of bounds and a tuple of names are several words on the command line.
+    text = re.sub(r"\{'([^']+)': \(([^,]+), ([^)]+)\)\}", r"\1=\2:\3", text)
+    return re.sub(r"\('([^']+)',\)", r"\1", text)
 
 
 def positive(text: str) -> int:

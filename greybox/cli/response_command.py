@@ -63,6 +63,8 @@ def run(options: argparse.Namespace) -> Answer:
     # A long log takes minutes to read: check the files to be written before.
     require_figure(options.plot, options.force)
     require_writable(options.out, options.force, (".csv",), "table")
+    if options.held and options.manoeuvre is None:
+        raise UsageError(f"--held {options.held[0]} is for --manoeuvre: give it too.")
     if options.manoeuvre is not None:
         return _manoeuvre(options)
     if len(options.input) > 1 or len(options.output) > 1:

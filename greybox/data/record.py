@@ -14,7 +14,7 @@ from greybox.data.checked_array import checked_array, seconds_from_first, within
 from greybox.data.intersample import checked_hold
 from greybox.data.pandas_frames import Frame, columns_of, frame_of, require_frame, times_of
 from greybox.files.arrays import Array, IntArray
-from greybox.files.text_table import alternatives, counted, one_line, printable
+from greybox.files.text_table import alternatives, counted, one_line, printable, some
 
 # A step longer than this number of median steps is a gap, across which nothing is interpolated. One
 # lost sample makes a step of two, which is not a gap; the half allows for jitter.
@@ -369,9 +369,9 @@ class Recording(Mapping[str, Record]):
                 if holders
                 else "no message has it"
             )
-            raise KeyError(
-                f"the signal {signal!r} is ambiguous or unknown, {reason}; write MESSAGE.{signal}."
-            )
+            only = next(iter(self.records.values())).signals if len(self.records) == 1 else None
+            cure = f"write MESSAGE.{signal}." if only is None else f"it has {some([*only], 12)}."
+            raise KeyError(f"the signal {signal!r} is ambiguous or unknown, {reason}; {cure}")
 
         return self.records[holders[0]], signal
 

@@ -11,11 +11,11 @@ import numpy as np
 
 from greybox.data.record import Recording
 from greybox.data.test_segment import Segment
+from greybox.files.text_table import some
 from greybox.identification.measurement import Settings, found_tests
 from greybox.logs.axis_signals import NAMES
 from greybox.logs.flight_controllers import AXES, axis_of
 from greybox.logs.injected_tests import INJECTED
-from greybox.logs.readers.table_columns import name_list
 from greybox.logs.segment_detection import announcing, present
 
 
@@ -52,6 +52,7 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
     stated = {**stated, "announced": announced}
 
     wanted = stated.pop("axis", "")
+    # A table has names of its own, and with a period or the whole log there are no tests to choose.
     if stated.get("period") or stated.get("whole") or not _known_axes(recording):
         return _as_stated(recording, stated | {"axis": wanted}), tuple(choices)
     tests = found_tests(recording, Settings("u", "y", **_without_signals(stated)))
@@ -74,6 +75,7 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
     unused = [axes[name] or name for name in axes if name != raw]
     also = f"; there are tests of {', '.join(unused)} too" if unused else ""
     choices.append(Choice(f"axis {axis or raw}", f"{_why_axis(used[0])}{also}", "axis"))
+    # The measurement refuses tests of several axes.
     if unused:
         stated["axis"] = raw
 
@@ -95,7 +97,7 @@ def _as_stated(recording: Recording, stated: dict[str, Any]) -> Settings:
     for name in ("input", "output"):
         if not stated.get(name):
             signals = next(iter(recording.values())).signals if len(recording) == 1 else {}
-            there = f"; it has {name_list([*signals])}" if signals else ""
+            there = f"; it has {some([*signals], 12)}" if signals else ""
             raise ValueError(f"no {name} is known for this log: give {name}=NAME=SIGNAL{there}.")
     return Settings(**stated)
 
@@ -124,9 +126,11 @@ def _first(recording: Recording, signals: Sequence[str]) -> str:
 def _body_axis(recording: Recording, tests: Sequence[Segment]) -> str:
     """Return the axis that tests excite: by their name, or the one whose setpoint moves most."""
     name = tests[0].axis
+    # The axis in a System Identification log is certain, even if it is none of the three.
     named_axis = axis_of(name) or next((axis for axis in AXES if axis in name.split()), "")
     if named_axis or tests[0].source == "SIDS":
         return named_axis
+    # Setpoints first: a loop moves the controls of all axes, but the setpoint of one.
     for signals in ("setpoints", "controls"):
         motions = {
             axis: motion(recording, _first(recording, getattr(names, signals)), tests)
@@ -142,6 +146,7 @@ def motion(recording: Recording, signal: str, tests: Sequence[Segment]) -> float
     if not _has(recording, signal):
         return 0.0
     record, field = recording.locate(signal)
+    # A heading jumps by a whole turn at north, which is no motion.
     turn = 2 * np.pi if record.units.get(field) == "rad" else 360
     spreads = [0.0]
     for test in tests:

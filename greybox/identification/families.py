@@ -92,9 +92,7 @@ def family(vehicle: str, output: str) -> list[Structure]:
         For an unknown vehicle, or an output for which it has no structures.
     """
     if vehicle not in FAMILIES:
-        raise ValueError(
-            f"vehicle={vehicle!r} is not known: use {alternatives(vehicle, FAMILIES)}."
-        )
+        raise ValueError(f"vehicle={vehicle!r} is not known: use {alternatives(vehicle, FAMILIES)}")
     outputs = FAMILIES[vehicle]
     if output not in outputs:
         raise ValueError(
@@ -121,12 +119,14 @@ def gains(model: Model, response: FrequencyResponse) -> dict[str, dict[str, tupl
     at_declared = frequency_response(model, declared, response.omega).response
     bounds, starts = {}, {}
     for name, parameter in model.parameters.items():
+        # A gain is a parameter in which the response is linear, whatever its name.
         twice = {**declared, name: 2 * parameter.start}
         doubled = frequency_response(model, twice, response.omega).response
         if not parameter.start or not np.allclose(doubled, 2 * at_declared, rtol=1e-9):
             continue
         ratio = float(np.median(np.abs(response.response) / np.abs(at_declared)))
         size = abs(parameter.start) * ratio
+        # The declared values may be far off in shape: three decades, of which starts use a little.
         bounds[name] = (-1000 * size, 1000 * size)
         starts[name] = (-3 * size, 3 * size)
     return {"bounds": bounds, "starts": starts}

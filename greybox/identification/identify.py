@@ -143,9 +143,11 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     """
     logs = [log] if isinstance(log, str | Path | Recording) else list(log)
     recordings = [item if isinstance(item, Recording) else read(item) for item in logs]
+    # Records made in memory have no checksum, and cannot be compared.
     checksums = {recording.checksum for recording in recordings if recording.checksum}
     if len(checksums) not in (0, len(recordings)):
         raise ValueError("a log is given twice: its errors would count as independent.")
+    # The first log decides the signals of all: two sensors have two responses.
     stated["drop_warned"] = not all_points
     settings, choices = choose(recordings[0], **stated)
     used = [settings, *(_settings_as(settings, r, stated) for r in recordings[1:])]
@@ -192,6 +194,7 @@ def _judged(measurement: Measurement) -> Measurement:
         return measurement
     low, high = float(response.omega.min()), float(response.omega.max())
     refusals = []
+    # Within an octave, gain and slope cannot be told from a lag or a delay.
     if high < 2 * low:
         text = f"the response covers {low:.4g} to {high:.4g} rad/s, less than an octave: "
         text += "no basis for a model."
@@ -209,6 +212,7 @@ def _filters(
     """Return the filters of these names, or those that the output has passed before its log."""
     assert measurement.response is not None
     if names is None:
+        # Only filters that are certain to lie between the vehicle and this signal.
         passed = measurement.record.filters.get(measurement.response.output, ())
         filters = {n: f for n, f in measurement.filters.items() if set(f) <= set(passed)}
         return dict(sorted(filters.items(), key=lambda item: passed.index(item[1][0])))
@@ -243,6 +247,8 @@ def _candidate(
     model: Any = structure.model
     options = stated_for(model, stated)
     free = {*structure.free, *options.pop("free", ())} - {*options.get("fixed", {})}
+    # The boxes of gains come from the response ahead of the filters in series, which change them
+    # little in their pass band.
     of_gains = gains(model, responses[0]) if is_family else {}
     for known in series:
         model = model.through(known)

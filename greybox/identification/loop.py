@@ -35,6 +35,7 @@ def controller_in(recording: Recording, controls: Sequence[str], measured: Seque
         signals = [s for s in (*names.setpoints, *names.terms) if s not in measured]
         if logged := present(recording, signals):
             return logged[0]
+    # In a table, a setpoint is a column; in a log of messages, r may be anything.
     table = set(next(iter(recording.values())).signals) if len(recording) == 1 else set()
     for name in (*CONTROLLER_MESSAGES, *SETPOINTS):
         if (name in recording.records or name in table) and name not in measured:

@@ -108,6 +108,7 @@ def measure_manoeuvre(
             "setpoint=SIGNAL, which shows it."
         )
     chosen = chosen_manoeuvre(manoeuvres, wanted)
+    # The response must not run into the next manoeuvre, which would be an input that is not seen.
     later = [s.start for s in manoeuvres if s.axis == chosen.axis and s.start > chosen.end]
     # States at the ends are estimated, so the vehicle need not be at rest: a few samples before are
     # enough, and the response after.
@@ -128,6 +129,7 @@ def measure_manoeuvre(
             f"band up to {spectrum.omega[-1]:.4g} rad/s, where the input fades; band=... chooses "
             "another."
         )
+    # Half a sample decides on a delay of some ms, so that an unknown hold is stated.
     unknown = [name for name in names[: len(inputs)] if name not in record.hold]
     if unknown:
         choices.append(

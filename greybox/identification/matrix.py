@@ -92,8 +92,10 @@ def measure_matrix(
         names[len(inputs) + len(outputs) :],
     )
     record = prepare(recording, signals, rate)
+    # A period of a fraction of a sample would leak from line to line.
     if rate is None and period * record.rate >= 2:
         record = prepare(recording, signals, math.floor(period * record.rate * (1 + 1e-9)) / period)
+    # The excitations show the test; inputs in a loop move before and after it.
     start, end = _moving(record, e) if e else (float(record.time[0]), float(record.time[-1]))
     record = record.between(start + settle, end)
     responses = response_matrix(record, period, u, y, excitations=e, name=record.name)
@@ -123,6 +125,7 @@ def measure_matrix(
 def _moving(record: Record, names: Sequence[str]) -> tuple[float, float]:
     """Return from when to when a signal moves."""
     steps = np.array([np.diff(record[name]) for name in names])
+    # Above rounding: a logged zero may be a small number.
     limit = 1e-9 * np.maximum(np.ptp([record[name] for name in names], axis=1), 1e-300)[:, None]
     moves = np.flatnonzero((np.abs(steps) > limit).any(axis=0))
     if not moves.size:

@@ -100,6 +100,8 @@ class Settings:
         for name, value in (("settle", self.settle), ("period", self.period)):
             if value is not None and not (math.isfinite(value) and value >= 0):
                 raise ValueError(f"{name}={value} must be a number of seconds of at least 0.")
+        if self.period == 0:
+            raise ValueError("period=0 must be above 0 s: leave it out where none is known.")
         if not 2 <= self.points <= 10_000:
             raise ValueError(f"points={self.points} must lie between 2 and 10000.")
         if self.band is not None and not 0 < self.band[0] < self.band[1] < math.inf:
@@ -117,7 +119,7 @@ class Settings:
                 "conditioned=... is for sweeps and noise: multisines on several inputs make a "
                 "matrix of responses, which gb.identification.measure_matrix measures."
             )
-        _require_distinct(self)
+        _require_consistent(self)
 
     @property
     def names(self) -> tuple[tuple[str, str], tuple[str, str]]:
@@ -125,8 +127,8 @@ class Settings:
         return named_signal(self.input), named_signal(self.output)
 
 
-def _require_distinct(settings: Settings) -> None:
-    """Raise ValueError for a signal or a name that is given twice, and for reserved names."""
+def _require_consistent(settings: Settings) -> None:
+    """Raise ValueError for signals and names that are given twice, reserved or incomplete."""
     stated = [f"input={settings.input}", f"output={settings.output}"]
     stated += [f"conditioned={text}" for text in settings.conditioned]
     pairs = [*settings.names, *map(named_signal, settings.conditioned)]
@@ -135,6 +137,16 @@ def _require_distinct(settings: Settings) -> None:
             raise ValueError(
                 f"{stated[j]} and {stated[k]} are the same signal or have the same name."
             )
+    if settings.fields and not settings.announced:
+        raise ValueError(
+            f"fields={dict(settings.fields)} are those of a message that announces tests: give "
+            "announced=MESSAGE too."
+        )
+    if settings.instrument == pairs[1][1]:
+        raise ValueError(
+            f"instrument={settings.instrument} is the output, whose noise is not independent of "
+            "it: give the injected signal."
+        )
     for name, _ in pairs:
         if name in RESERVED:
             raise ValueError(
@@ -219,6 +231,8 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     tests = () if settings.period else tuple(_chosen(found_tests(recording, settings), settings))
     usable = [segment for segment in tests if segment.usable]
     sines = [segment for segment in usable if segment.kind == "sine"]
+    # Sines are evaluated at their own frequency and sweeps over a band: one estimate cannot do
+    # both, and sines are more exact.
     used = sines or usable
     if not used and not tests and not (settings.whole or settings.period or settings.instrument):
         raise ValueError(
@@ -247,6 +261,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
             "give the injected signal, instrument=SIGNAL, or open_loop=True if you know that the "
             "loop was open."
         )
+    # All on one time base, so that a gap in one of them is a gap of the estimate.
     signals = {u: control, y: output}
     signals |= {INSTRUMENT: instrument} if instrument else {}
     signals |= {SETPOINT: settings.setpoint} if settings.setpoint else {}
@@ -255,8 +270,10 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     start = min((segment.start for segment in used), default=-math.inf)
     end = max((segment.end for segment in used), default=math.inf)
     record = prepare(recording, signals, _rate(recording, settings, used), start=start, end=end)
+    # Time stamps of the log itself: those of the record are uniform.
     raw, _ = recording.locate(output)
     during = raw.between(record.time[0], record.time[-1])
+    # Tests that were refused stay among the judged ones, so that the verdict names them.
     judged = [segment for segment in tests if segment in used or not segment.usable]
 
     def quality_of(response: FrequencyResponse | None) -> Quality:
@@ -264,6 +281,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         return Quality((*quality.findings, *jitter(during)))
 
     quality, response, detail, points = quality_of(None), None, "", None
+    # Between tests the vehicle is flown by hand, in closed loop and without an instrument.
     pieces = [record.between(s.start, s.end) for s in used] or [record]
     if quality.usable:
         try:
@@ -271,6 +289,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
             amplitudes = np.array([abs(point.u) for point in points.points]) if points else None
             errors = systematic_errors(recording, record, response, control, used, amplitudes)
             response = with_systematic_errors(response, errors)
+            # The table of sines shows the errors that the response has, systematic ones included.
             detail = points.with_variance(response.variance).table if points else detail
             spans = [(segment.start, segment.end) for segment in used] or [
                 (record.time[0], record.time[-1])
@@ -375,6 +394,7 @@ def _instrument(recording: Recording, settings: Settings, used: Sequence[Segment
     """Return the injected signal of sweeps and noise: stated, or where the tests were found."""
     if settings.instrument or settings.open_loop or not used or used[0].kind == "sine":
         return settings.instrument or ("" if settings.open_loop or used else settings.setpoint)
+    # SIDD logs the injected signal itself, whatever axis it was added to.
     if used[0].source == "SIDS":
         return (
             "SIDD.Targ"
@@ -458,6 +478,7 @@ def _on_points(points: FiniteFrequency | None) -> Iterator[Finding]:
 
 def _beyond_sweep(response: FrequencyResponse, used: Sequence[Segment]) -> Iterator[Finding]:
     """Yield a warning on the points beyond the sweeps, which only their transients excite."""
+    # One test that is no sweep may excite any frequency.
     bands = [segment.band for segment in used if segment.kind == "sweep"]
     if not bands or len(bands) < len(used):
         return
@@ -473,6 +494,7 @@ def _without_warned(
     response: FrequencyResponse, quality: Quality
 ) -> tuple[FrequencyResponse, dict[str, str]]:
     """Return the response without the points of which a warning tells, and which they are."""
+    # If a warning holds for all points, leaving them out would leave nothing: the warning stays.
     warned = {omega for f in quality.findings if f.severity == "warning" for omega in f.omega}
     rows = np.isin(response.omega, [*warned])
     if not rows.any() or rows.all():

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -116,6 +117,14 @@ def select_orders(
         raise ValueError(
             f"no structure of the grid has fewer unknowns than {numbers} real numbers: lower n."
         )
+    names = [f"b{k}" for k in range(max(o.m for o in grid) + 1)]
+    names += [f"a{k}" for k in range(max(o.n for o in grid))]
+    for name in chain.from_iterable(stated.values()):
+        if name not in (*names, "T_delay"):
+            raise ValueError(
+                f"no structure has a parameter {name!r}; they have {', '.join(names)} and T_delay."
+            )
+    # Linear least squares use the longest response only: they choose what is fitted by all.
     plant = _before(max(responses, key=len), through)
     linear = {orders: _linear_fit(plant, orders) for orders in grid}
     # Errors beyond the given variances count as in `select`.
@@ -151,6 +160,7 @@ def select_orders(
             f"The delay of {'; of '.join(undelayed)} ended at zero and was left out: the errors "
             "are those of a plant without a delay."
         )
+    # In order of size, as the table is read.
     candidates.sort(key=lambda c: (len(c.fit.free), c.fit.cost))
     return select(candidates, "\n".join(notes))
 
@@ -169,6 +179,7 @@ def _grid(
 
 def _before(response: FrequencyResponse, through: Sequence[TransferFunction]) -> FrequencyResponse:
     """Return the response ahead of filters in series."""
+    # Errors in common stay out: they weigh nothing in least squares with one variance a point.
     gain = math.prod(frequency_response(f, None, response.omega).response for f in through)
     variance = None if response.variance is None else response.variance / np.abs(gain) ** 2
     return replace(
@@ -198,6 +209,7 @@ def _linear_fit(data: FrequencyResponse, orders: Orders) -> LinearFit:
         method="bounded",
         options={"maxiter": 20},
     )
+    # The squares have several minima over the delay: the neighbors on the grid are starts too.
     near = [_at_delay(data, orders, float(refined.x)), *fits[around]]
     near.sort(key=lambda pair: pair[0])
     return LinearFit(near[0][0], tuple(coefficients for _, coefficients in near))
@@ -208,6 +220,7 @@ def _at_delay(
 ) -> tuple[float, dict[str, float]]:
     """Return the weighted sum of squares and the coefficients for one delay."""
     response = data.response * np.exp(1j * data.omega * delay)
+    # Without variances, errors are taken as relative, as `RelativeLikelihood` takes them.
     size = np.abs(response) if data.variance is None else np.sqrt(data.variance)
     try:
         rational = levy(

@@ -11,6 +11,11 @@ from greybox.files.text_table import counted, listed, number, one_line, text_tab
 from greybox.validation.parsimony import parsimony
 from greybox.validation.same_data import count_numbers, count_unknowns
 
+NO_FIT = (
+    "No structure has a fit: leave out frequencies at which the response is not that of a linear "
+    "vehicle (band=...), or state the structures."
+)
+
 # A structure does not explain the data if its residuals exceed the noise by the first factor and
 # what is not noise exceeds the second share of the response. Residuals of adequate models scatter
 # about 1, of few points up to 1.5; a model within 5 % of the response serves whatever the noise.
@@ -49,6 +54,7 @@ class Candidate:
         variances = [part.data.variance for part in self.fit.responses]
         if not self.fit.converged or any(variance is None for variance in variances):
             return math.nan
+        # A variance is E|P̂ - P|² of both components, so that one complex residual counts once.
         squares = np.concatenate(
             [
                 np.abs(part.data.response - part.response) ** 2 / part.data.variance
@@ -68,6 +74,7 @@ class Candidate:
         """Whether the structure explains the data, as far as the noise allows to tell."""
         if math.isnan(self.noise):
             return self.misfit <= 0.3  # the second share, as the noise is unknown
+        # What is left of the misfit without the noise: small where the noise explains it.
         beyond_noise = self.misfit * math.sqrt(max(0.0, 1 - 1 / self.noise**2))
         return all(self.noise <= factor or beyond_noise <= share for factor, share in LIMITS)
 
@@ -100,6 +107,7 @@ class Selection:
         if self.chosen is None or self.explains:
             return self.chosen and self.chosen.fit
         fit = self.chosen.fit
+        # The warning goes with the fit, as it is saved and reported without this selection.
         text = "the structure does not explain the data: its parameters describe no vehicle."
         return replace(fit, warnings=(text, *fit.warnings))
 
@@ -158,9 +166,9 @@ def select(candidates: Sequence[Candidate], note: str = "") -> Selection:
     """
     fitted = [c for c in candidates if c.fit.converged]
     if not fitted:
-        return Selection(
-            tuple(candidates), None, (math.nan,) * len(candidates), "No structure has a fit.", note
-        )
+        return Selection(tuple(candidates), None, (math.nan,) * len(candidates), NO_FIT, note)
+    # NaN, where variances are unknown, becomes zero and so no inflation: those costs are
+    # likelihoods that scale themselves.
     inflation = max(1.0, np.nan_to_num(min(c.noise for c in fitted)) ** 2)
     numbers = sum(map(count_numbers, fitted[0].fit.parts))
     bic = [

@@ -68,6 +68,7 @@ def fit_within_far_bounds(
     options |= {name: value for name, value in stated.items() if name != "bounds"}
     boxes = options.pop("starts", {})
     widenings = 0
+    # One widening is not enough for gains in µs or degrees, which are decades off.
     while True:
         problem = problem_of_structure(model, responses, bounds=bounds, starts=boxes, **options)
         result = fit(problem, points, seed, profiles=False, progress=False)

@@ -65,6 +65,7 @@ def systematic_errors(
         motion.
     """
     axis = axis_of(control)
+    # Only the logs of known controllers say how their outputs were thinned and rounded.
     if not axis:
         return []
     spans = [(s.start, s.end) for s in used] or [(float(record.time[0]), float(record.time[-1]))]
@@ -85,6 +86,7 @@ def with_systematic_errors(
     """
     if response.variance is None or not errors:
         return response
+    # Errors of different causes are independent, so that their variances add.
     added = np.sum([error.relative**2 for error in errors], axis=0) * np.abs(response.response) ** 2
     total = response.variance + added
     dof = None if response.dof is None else response.dof * (total / response.variance) ** 2
@@ -127,6 +129,7 @@ def _thinned(
     axis: str,
     spans: Sequence[tuple[float, float]],
 ) -> SystematicError | None:
+    # The rate of a log may change between flights: only that during the tests counts.
     begin = min(start for start, _ in spans)
     end = max(end for _, end in spans)
     thinned = thinning(recording, control, begin, end)
@@ -156,10 +159,13 @@ def _rounded(
     if math.isnan(steps):
         return None
     pieces = [record.between(*span)[response.input] for span in spans]
+    # Rounding acts like noise where other motion carries a motor over several steps, and distorts
+    # the control where the motor stands still otherwise.
     motion = np.array(
         [_motion(recording, steps, *pair) for pair in zip(pieces, spans, strict=True)]
     )
     if amplitudes is None:
+        # The loudest piece has most of the weight in the estimate.
         a = np.full(
             len(response), steps * np.sqrt(2) * max(float(np.std(values)) for values in pieces)
         )
@@ -169,7 +175,9 @@ def _rounded(
         moved = motion[
             [int(np.argmin([abs(s.omega - omega) for s in used])) for omega in response.omega]
         ]
+    # The sine itself is part of the motion, and is taken out of it: a²/2 is its variance.
     relative = rounding_error(a, np.sqrt(np.maximum(moved**2 - a**2 / 2, 0)))
+    # Below one step, the error is no longer small noise: the finding leaves these points out.
     below = response.omega[(a < 1.0) & (relative > NEGLIGIBLE)]
     text = f"motor outputs are whole µs: {_size(relative)} are added to the standard errors"
     if below.size:

@@ -216,6 +216,7 @@ def _source(recording: Recording, signal: str, start: float, end: float) -> _Sou
     if time.size < 2:
         raise ValueError(
             f"{signal} has {counted(time.size, 'sample')}: there is nothing to put on a time base."
+            f"{''.join(f' {text}' for text in record.findings)}"
         )
     unit = record.units.get(field, "")
     findings = record.findings

@@ -52,6 +52,11 @@ def response_at(
     ValueError
         If no point could be estimated.
     """
+    if not estimates:
+        raise ValueError(
+            "no frequency has enough data: the excitation must cover a band, and be longer than "
+            "six periods of its lowest frequency."
+        )
     response, variance, dof, coherence, weak = (
         np.array(column) for column in zip(*estimates, strict=True)
     )

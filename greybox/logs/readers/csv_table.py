@@ -22,11 +22,11 @@ from greybox.files.delimited_text import (
 )
 from greybox.files.heading import Heading, heading
 from greybox.files.progress import counted_off
-from greybox.files.text_table import counted, printable
+from greybox.files.text_table import counted, printable, some
 from greybox.logs.named_columns import renamed
 from greybox.logs.readers.betaflight import completed, metadata_of, with_units, without_settings
 from greybox.logs.readers.messages import on_one_clock, records
-from greybox.logs.readers.table_columns import name_list, of_rows, table
+from greybox.logs.readers.table_columns import of_rows, table
 
 LONGEST = 30  # characters of a cell that is shown in a finding
 
@@ -132,8 +132,7 @@ def _headings(text: DelimitedText) -> list[Heading]:
         line = text.separator.join(text.header)[:60]
         raise ValueError(
             f"{text.path} has no header line: its first line, {line!r}, must name the columns. Or "
-            "give their numbers: "
-            'columns={"time": "1", "u": "2", "theta": "3:deg"}.'
+            "give numbers for names, columns=... with time=1 u=2 theta=3:deg."
         )
     twice = next((name for name, count in Counter(names).items() if count > 1), None)
     if twice:
@@ -189,10 +188,10 @@ def _columns(
         )
     if text_cells:
         findings.append(
-            f"cells that are not numbers, which count as missing: {name_list(text_cells)}."
+            f"cells that are not numbers, which count as missing: {some(text_cells, 12)}."
         )
     if not_numeric:
-        findings.append(f"columns without numbers were left out: {name_list(not_numeric)}.")
+        findings.append(f"columns without numbers were left out: {some(not_numeric, 12)}.")
 
     return columns, (*findings, *_infinite(columns, numbers))
 
@@ -227,7 +226,7 @@ def _infinite(columns: Mapping[str, Array], line_numbers: Sequence[int]) -> tupl
         if rows.size
     ]
     return (
-        (f"infinite values, which count as missing in a fit: {name_list(named)}.",) if named else ()
+        (f"infinite values, which count as missing in a fit: {some(named, 12)}.",) if named else ()
     )
 
 

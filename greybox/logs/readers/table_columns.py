@@ -1,6 +1,6 @@
 """Makes messages of the columns of a table: units in headings, and the time column."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.data.record import Record
 from greybox.data.time_column import seconds, times_in_seconds
 from greybox.files.arrays import Array
+from greybox.files.text_table import some
 from greybox.logs.readers.messages import Messages
 
 BETWEEN = {"held": HELD, "sampled": CONTINUOUS}
@@ -79,7 +80,7 @@ def table(
     if wrong_length:
         findings.append(
             f"{name}: left out, because their length is not that of the time: "
-            f"{name_list(wrong_length)}."
+            f"{some(wrong_length, 12)}."
         )
     messages = (
         Messages(name, np.arange(time.size), time, signals, {}, labels, hold=hold)
@@ -115,8 +116,3 @@ def _split(name: str, values: NDArray[np.generic], size: int) -> list[tuple[str,
     if values.ndim == 2 and values.shape[1] <= WIDEST:
         return [(f"{name}[{i}]", values[:, i].astype(float)) for i in range(values.shape[1])]
     return []
-
-
-def name_list(names: Sequence[str], most: int = 12) -> str:
-    """Return names separated by commas, and the number of those left out."""
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

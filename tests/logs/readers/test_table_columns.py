@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from greybox.files.heading import Heading, heading
-from greybox.logs.readers.table_columns import WIDEST, name_list, of_rows, seconds, table
+from greybox.logs.readers.table_columns import WIDEST, of_rows, seconds, table
 
 TIME = np.arange(5) * 20.0  # ms
 
@@ -90,13 +90,6 @@ def test_of_two_times_the_first_vector_is_the_time():
         None,
         ("the file: 2 variables without a time were left out.",),
     )
-
-
-def test_long_lists_of_names_are_cut():
-    names = [f"n{k}" for k in range(14)]
-    assert name_list(names[:12]) == ", ".join(names[:12])
-    assert name_list(names) == ", ".join(names[:12]) + " and 2 more"
-    assert name_list(names, 1) == "n0 and 13 more"
 
 
 @pytest.mark.parametrize(
