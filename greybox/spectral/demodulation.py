@@ -14,13 +14,13 @@ LEAST_SAMPLES = 8
 # Smallest share of its samples that each period of a window must have.
 LEAST_FILLED = 0.3
 
-# Harmonics are fitted up to this share of the Nyquist frequency, where sine and cosine are no
+# Harmonics are fitted up to this share of the Nyquist frequency, at which sine and cosine are no
 # longer independent.
 HIGHEST = 0.8
 
 
 class UnusableSegmentError(ValueError):
-    """The reason why a stretch of a signal cannot be demodulated."""
+    """A stretch of a signal cannot be demodulated; the message gives the reason."""
 
 
 def whole_periods(
@@ -52,7 +52,7 @@ def whole_periods(
             f"periods of {period:.3g} s"
         )
 
-    # The last periods: transients have decayed the longest there.
+    # The last periods, in which transients have decayed most.
     rows = time > time[-1] + step / 2 - count * period
     in_each = np.histogram(time[rows], count, (time[-1] - count * period, time[-1]))[0]
     if in_each.min() < LEAST_FILLED * period / step:
@@ -75,10 +75,11 @@ def least_squares(
     """
     step = float(np.median(np.diff(t)))
     count = max(1, min(harmonics, int(HIGHEST * math.pi / (omega * step))))
+    # From -1/2 to 1/2: its coefficient is the drift over the window.
     trend = (t - t.mean()) / (t[-1] - t[0])
     waves = [sine_and_cosine(t, k * omega, origin) for k in range(1, count + 1)]
     columns = np.concatenate([[np.ones_like(t), trend], *waves])
-    # The columns are few and well scaled, so the normal equations are as good as QR.
+    # The columns are few and well scaled, so that normal equations are as accurate as QR.
     c = np.linalg.lstsq(columns @ columns.T, columns @ x.T, rcond=None)[0]
     return (c[2::2] + 1j * c[3::2]).T, c[1], x - c.T @ columns
 

@@ -1,4 +1,4 @@
-"""The estimates at all frequencies, collected into a `FrequencyResponse`."""
+"""Collects the estimates at all frequencies into a `FrequencyResponse`."""
 
 import math
 from collections.abc import Sequence
@@ -15,9 +15,9 @@ from greybox.spectral.uniform_stretches import UniformStretch
 HZ = 2 * math.pi  # rad/s
 EPS = np.finfo(float).eps
 
-# Power of the part of the input that the instrument explains, over the power of the noise in it.
-# With less, the ratio is biased toward the direct estimate and its standard error is too small
-# (Staiger and Stock (1997), Econometrica 65: the F statistic of the first stage).
+# Least ratio of the power of the input that the instrument explains to that of its noise. Below,
+# the ratio is biased toward the direct estimate and its standard error is too small (Staiger and
+# Stock (1997), Econometrica 65: the F statistic of the first stage).
 STRONG = 10
 
 COHERENT = 0.6  # least coherence of an automatic point: Tischler and Remple, section 5.5
@@ -28,7 +28,7 @@ WORST_CONDITION = 1e6
 
 
 class EstimatedPoint(NamedTuple):
-    """The estimate at one frequency; NaN if there are too few data or the instrument is `weak`."""
+    """The estimate at one frequency; NaN with too few data or a `weak` instrument."""
 
     response: complex = complex("nan")
     variance: float = math.nan
@@ -90,7 +90,8 @@ def response_at(
 
 
 def without_incoherent(response: FrequencyResponse) -> FrequencyResponse:
-    """Leave out points of low coherence and say so in `about`; if all are low, keep them."""
+    """Leave out points of low coherence, which `about` then states."""
+    # If all points are low, none is left out: the user shall see them.
     coherent = response.coherence >= COHERENT  # type: ignore[operator]
     if not coherent.any() or coherent.all():
         return response

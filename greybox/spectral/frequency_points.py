@@ -15,12 +15,12 @@ from greybox.files.text_table import counted, number, one_line, text_table
 NONLINEAR = 0.1
 
 # Harmonics over fundamental that the plant does not explain and that deserve a warning. A share h
-# counts as a standard error h of the gain: for a clipped sine the gain is off by h, for a cubic
-# nonlinearity by 3h, for a rounded sine that other motions carry across the steps hardly at all.
+# counts as a standard error h of the gain: for a clipped sine, the gain is off by h, for a cubic
+# nonlinearity by 3h, and for a rounded sine that other motions carry across the steps, hardly.
 UNEXPLAINED = 0.03
 
-# Change of trim over the amplitude, and standard error over the response: about the error in the
-# gain that `NONLINEAR` means.
+# Change of trim over the amplitude, and standard error over the response: an error of the gain
+# about as large as that at `NONLINEAR`.
 DRIFTING = 0.3
 UNCERTAIN = 0.3
 
@@ -42,21 +42,21 @@ class FrequencyPoint:
         Output over control, (3.15).
     standard_error, dof : float
         Square root of E|P̂ - P|², both components together (NaN for a single period), and its
-        degrees of freedom. The gain error that unexplained harmonics stand for is part of it.
+        degrees of freedom. It includes the error of the gain due to unexplained harmonics.
     periods, start, end : int and floats, s
-        The window that was used.
+        The window of the estimate.
     u, y : complex
         Amplitudes of control and output, phase relative to sin ω(t - segment's start).
     distortion, drift : (float, float)
-        Of control and output: harmonics over fundamental (root of sum of squares); change of trim
+        For control and output: harmonics over fundamental (root of sum of squares); change of trim
         over the window.
     saturation : float
-        Share of time that the control was at its limit; NaN where it cannot be told.
+        Share of time during which the control was at its limit; NaN if unknown.
     findings, notes : tuple of str
-        Warnings and remarks, in words.
+        Warnings and remarks.
     unexplained : float
         Harmonics that the plant does not explain, over the control's sine (root of sum of squares);
-        NaN where they cannot be told.
+        NaN if unknown.
     """
 
     omega: float
@@ -86,7 +86,7 @@ class FiniteFrequency:
 
     @property
     def findings(self) -> tuple[str, ...]:
-        """Warnings on points, and the tests that were left out, in words."""
+        """Warnings on points, and messages on the tests that were left out."""
         warnings = [f"{p.omega:g} rad/s: {text}" for p in self.points for text in p.findings]
         omissions = [
             f"{s.kind} from {s.start:.1f} s left out: {reason}" for s, reason in self.left_out
@@ -107,7 +107,7 @@ class FiniteFrequency:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Remarks on the points, in words."""
+        """Remarks on the points."""
         return tuple(f"{p.omega:g} rad/s: {text}" for p in self.points for text in p.notes)
 
     @property

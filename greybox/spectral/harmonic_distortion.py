@@ -21,8 +21,8 @@ from greybox.spectral.demodulation import spectral_line
 # its corner gives 1 - 1/√(1 + 1/4) = 0.11 and 0.46 rad.
 BETWEEN, BEYOND = 0.1, 0.5
 
-# Harmonics of the output, over its sine, that are attributed to the sensor: far above the bandwidth
-# of the plant, they would mean large harmonics of the control. A flight of the simulator, whose
+# Harmonics of the output, over its sine, that are attributed to the sensor. Far above the bandwidth
+# of the plant, they would otherwise mean large harmonics of the control. A simulated flight, whose
 # attitude has steps of 0.01°, has two harmonics of 0.4 % at its highest frequency.
 SENSOR = 0.005
 
@@ -51,7 +51,7 @@ def harmonics_of(
 ) -> Harmonics:
     """Return the harmonics in a window of whole periods, from fitted amplitudes and residuals."""
     orders = range(2, amplitudes.shape[1] + 1)
-    # Half of the way to the next harmonic.
+    # Up to halfway to the next harmonic.
     reach = min(LINES, (periods - 1) // 2)
     places = [sign * m / periods for m in range(1, reach + 1) for sign in (1, -1)]
     lines = [
@@ -95,7 +95,7 @@ def _share(omega: Array, response: ComplexArray, u: float, harmonics: Harmonics)
             np.abs(harmonics.beside[:, 1] / plant[:, None] - harmonics.beside[:, 0]) ** 2, axis=1
         )
     )
-    # What the interpolated response or the sensor may explain is no distortion.
+    # Errors of the interpolated response and of the sensor are not distortion.
     allowed = error * np.abs(harmonics.control) + SENSOR * abs(harmonics.sine) / np.abs(plant)
     excess = np.where(e > DETECTED * noise, np.maximum(e - allowed, 0), 0)
     return float(np.sqrt(np.sum(excess**2)) / u)

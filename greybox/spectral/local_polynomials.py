@@ -36,9 +36,9 @@ from greybox.files.arrays import Array, ComplexArray, IntArray
 from greybox.spectral.estimated_points import EPS, HZ, STRONG, WORST_CONDITION, EstimatedPoint
 from greybox.spectral.uniform_stretches import UniformStretch
 
-# Order of the response in a band. The error of order R in a band of half-width b beside a pole at
-# the distance ρ is proportional to (b/ρ)**(R + 1), but 2R + 2 unknowns need more lines and so a
-# wider band: orders from 2 to 4 are equally good.
+# Order of the response in a band. The error of order R in a band of half-width b at the distance ρ
+# from a pole is proportional to (b/ρ)**(R + 1), but 2R + 2 unknowns need more lines and so a wider
+# band: orders from 2 to 4 are equally good.
 ORDER = 2
 NODES = ORDER + 1  # points in a band: as many as a polynomial has coefficients
 
@@ -50,9 +50,9 @@ EXTRA = 2  # additional orders in the check of the polynomials
 DOUBLED = 2  # width of the band of that check over the width of the band
 GROWTH = DOUBLED ** (ORDER + 2)  # growth of the error at the nodes in that wider band
 
-# Squared difference of quadratic and quartic over its variance. For noise alone it has an
-# exponential distribution: a band is halved from the value exceeded in 1 % of cases, and a pole is
-# estimated from the value exceeded in 0.01 %.
+# Squared difference of quadratic and quartic over its variance, which has an exponential
+# distribution for noise alone. A band is halved above the value that noise exceeds in 1 % of cases,
+# and a pole is estimated above the value that it exceeds in 0.01 %.
 VISIBLE = 4.6
 CERTAIN = 9.2
 
@@ -76,10 +76,10 @@ PLACES = 24  # for bands with one residual
 LEAST_PLACES = 6
 
 # Noise falls or rises with a power of the frequency. The exponent is estimated from an octave on
-# either side, by least squares on logarithms, whose scatter is π/√6 for one residual, with a prior
+# either side, by least squares on logarithms, whose scatter is π/√6 for one residual, and a prior
 # of this standard deviation. With 2, the squared errors of the three lowest points of a sweep are
-# 1.39 times the stated variance, with 1 they are 1.24 times (white noise; AR(0.95): 1.32 and 1.37
-# times).
+# 1.39 times the stated variance, with 1 they are 1.24 times (white noise; with AR(0.95), 1.32 and
+# 1.37 times).
 STEEP = 1.0
 LOG_SCATTER = math.pi / math.sqrt(6)
 
@@ -512,7 +512,7 @@ def _estimates(
     spread = np.sum(np.abs(weights) ** 2, axis=1)
     response = weights @ lines.values[1, fitted.rows] - band.correction
     variance = noise * spread + band.squared_error
-    # The least variance, for data without noise.
+    # A lower bound of the variance, for data without noise.
     rounding = (4 * EPS * np.abs(response)) ** 2
     coherence = _coherence(lines, fitted, noise)
     weak = STRONG * spread * input_noise > 1
@@ -627,6 +627,7 @@ def _residual(lines: Lines, center: float, half: float, bands: Sequence[Band]) -
             lines.omega[fitted.rows], nearest.center - nearest.half, nearest.center + nearest.half
         )
         y = y - nearest.weights(inside) @ lines.values[1, nearest.rows] * u
+    # Both bases are orthogonal to one another, so that the projections subtract.
     projection = np.eye(fitted.rows.size) - fitted.basis @ fitted.basis.conj().T
     projection -= fitted.transients @ fitted.transients.T
     squares = np.sum(np.abs(projection @ np.stack([y, u], axis=1)) ** 2, axis=0)

@@ -108,7 +108,7 @@ def period_spectra(
         for values in np.split(stretch.values, count, axis=1):
             lines = np.fft.rfft(values, axis=1)[:, 1 : (values.shape[1] + 1) // 2]
             spectra.append(lines * stretch.step)
-    # Slower stretches have fewer lines; only common ones can be averaged.
+    # Stretches of a lower rate have fewer lines, and only common lines can be averaged.
     fewest = min((s.shape[1] for s in spectra), default=0)
     return stretches, np.array([s[:, :fewest] for s in spectra])
 
@@ -125,6 +125,7 @@ def whole_periods(stretch: UniformStretch, period: float) -> UniformStretch:
             "record so that it has a whole number."
         )
     remainder = stretch.values.shape[1] % count
+    # The origin moves along, so that the response names the samples that it used.
     origin = stretch.origin
     if origin is not None:
         origin = replace(origin, start=min(origin.start + remainder * stretch.step, origin.end))
@@ -165,7 +166,7 @@ def _estimates(u: ComplexArray, y: ComplexArray, r: ComplexArray) -> list[Estima
         coherence = np.minimum(1 / k, np.abs(response) ** 2 / (power(y) * spread))
         weak = STRONG * (k - 1) > n - 1
 
-    # The least variance, for data without noise.
+    # A lower bound of the variance, for data without noise.
     rounding = (4 * EPS * np.abs(response)) ** 2
     variance = np.where(weak, np.nan, np.maximum(variance, rounding))
     columns = (response, variance, dof, np.clip(coherence, EPS, 1), weak)

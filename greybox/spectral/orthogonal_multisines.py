@@ -78,8 +78,8 @@ def response_matrix(
     omega = 2 * np.pi / period * np.arange(1, spectra.shape[2] + 1)
     m, k = len(inputs), len(outputs)
 
-    # A line belongs to the excitation that is strongest there; excitations may differ in unit, so
-    # each is compared with its own largest line.
+    # A line belongs to the excitation that is strongest there. Their units may differ, so each is
+    # compared with its own largest line.
     size = np.abs(spectra[:, m + k :].mean(axis=0))
     relative = size / size.max(axis=1, keepdims=True)
     owner = np.where(relative.max(axis=0) > EXCITED, relative.argmax(axis=0), -1)
@@ -94,7 +94,7 @@ def response_matrix(
             )
     between = [_interpolation(omega[lines[rows]], omega[lines]) for rows in rows_of]
     total = spectra[:, :, lines].sum(axis=0)
-    # The mean over all periods, then the means without one of them, for the jackknife.
+    # The mean over all periods, and for the jackknife the means without one of them.
     count = len(spectra)
     means = [total / count, *((total - p[:, lines]) / (count - 1) for p in spectra)]
     solved = np.array([_solved(mean[:m], mean[m : m + k], between) for mean in means])
@@ -136,8 +136,8 @@ def _solved(inputs: ComplexArray, outputs: ComplexArray, between: Sequence[Array
     system = np.concatenate(
         [u[:, None] * matrix for u, matrix in zip(inputs, between, strict=True)], axis=1
     )
-    # Inputs have different units and lines different amplitudes: without scaling, the condition
-    # number would show these.
+    # Inputs have different units and lines different amplitudes, which would decide the condition
+    # number without scaling.
     rows = np.linalg.norm(system, axis=1, keepdims=True)
     columns = np.linalg.norm(system / rows, axis=0)
     scaled = system / rows / columns

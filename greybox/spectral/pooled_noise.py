@@ -1,12 +1,12 @@
 """Noise levels of several sine tests of one flight, pooled over frequency.
 
 With eight degrees of freedom, one standard error in twenty is less than half of the true one. The
-noise of one flight has a smooth spectrum, so each test informs the others. The levels scatter about
-a curve over frequency, partly by chance (their degrees of freedom), partly because they differ, as
-in a gust. Empirical Bayes weighs the two (Smyth, Linear models and empirical Bayes methods,
-Statistical Applications in Genetics and Molecular Biology 3(1), 2004): every level becomes the mean
-of its own value and that of the curve, weighted by degrees of freedom. If the levels differ by more
-than chance, the curve has few degrees of freedom, and each test keeps its own level.
+noise of one flight has a smooth spectrum, so each test has information on the others. The levels
+scatter about a curve over frequency, partly by chance (their degrees of freedom), partly because
+they differ, as in a gust. Empirical Bayes weighs the two (Smyth, Linear models and empirical Bayes
+methods, Statistical Applications in Genetics and Molecular Biology 3(1), 2004): every level becomes
+the mean of its own value and that of the curve, weighted by degrees of freedom. If the levels
+differ by more than chance, the curve has few degrees of freedom, and each test keeps its own level.
 """
 
 import numpy as np
@@ -42,7 +42,8 @@ def pooled_levels(omega: ArrayLike, level: ArrayLike, dof: ArrayLike) -> tuple[A
     if used.sum() < LEAST or np.unique(omega[used]).size <= order + 1:
         return level, dof
 
-    # The logarithm of a χ² estimate is biased by ψ(d/2) - log(d/2), and has the variance ψ'(d/2).
+    # With d degrees of freedom, the logarithm of an estimate has the bias ψ(d/2) - log(d/2) and the
+    # variance ψ'(d/2).
     half = dof[used] / 2
     logs = np.log(level[used]) - digamma(half) + np.log(half)
     x = np.log(omega[used])

@@ -1,4 +1,4 @@
-"""Which samples of a signal lie at its limits."""
+"""Finds the samples of a signal at its limits."""
 
 import math
 
@@ -6,27 +6,28 @@ import numpy as np
 
 from greybox.files.arrays import Array, BoolArray
 
-# Steps, doublets and binary sequences take fewer levels than this: they rest at their extremes by
-# design, and nothing in them tells a limit from an amplitude.
+# Steps, doublets and binary sequences have fewer levels than this. They rest at their extremes by
+# design, and a limit looks like an amplitude there.
 LEVELS = 12
 
 
 def at_limit(values: Array) -> BoolArray:
     """Return which of the values (n,) are at a limit.
 
-    A limit is a flat top: the signal rests at an extreme value for at least
-    three samples and three times as long as it usually rests elsewhere (a control may be held for
-    several samples throughout). NaN is never at a limit.
+    A limit is a flat top: the signal rests at an extreme value for at least three samples and three
+    times as long as it usually rests elsewhere (a control may be held for several samples
+    throughout). NaN is never at a limit.
     """
     low, high = np.nanmin(values), np.nanmax(values)
     reach = high - low
+    # Runs of equal values; NaN ends a run, because no comparison with it is true.
     starts = np.flatnonzero(np.r_[True, ~(np.abs(np.diff(values)) <= 1e-9 * reach)])
     lengths = np.diff(np.r_[starts, values.size])
     levels = values[starts]
     if np.unique(levels[np.isfinite(levels)]).size < LEVELS:
         return np.zeros(values.size, dtype=bool)
 
-    # A logged single-precision number holds 24 bits.
+    # A single-precision number in a log has 24 bits, 6e-8.
     extreme = (levels <= low + 1e-6 * reach) | (levels >= high - 1e-6 * reach)
     usual = float(np.median(lengths[~extreme])) if not extreme.all() else math.inf
     return np.repeat(extreme & (lengths >= max(3, 3 * usual)), lengths)

@@ -44,8 +44,8 @@ DETECTED = 3.0
 # then low by less than 0.05² / 24 = 1e-4.
 PHASE_DRIFT = 0.05
 
-# Of the peak-to-peak value of a control. A sine is that close to its peaks for 2.8 % of the time:
-# where the levels of a control are farther apart, rounding looks like saturation.
+# Share of the peak-to-peak value of a control. A sine is that close to its peaks for 2.8 % of the
+# time: if the levels of a control are farther apart, rounding looks like saturation.
 RESOLUTION = 5e-4
 
 
@@ -59,7 +59,7 @@ class SinePoint(NamedTuple):
 
 
 class _Settings(NamedTuple):
-    """The signals (rows: control, output, setpoint if there is one) and the estimation settings."""
+    """The signals (control, output and perhaps setpoint in rows) and settings of the estimate."""
 
     time: Array
     signals: Array
@@ -102,7 +102,7 @@ def finite_frequency(
     input, output, setpoint : str
         Signal names. With a setpoint, its amplitude is reported and its true frequency is used.
     settle : float, s
-        Time left out at the start of each test, at least.
+        Least time to leave out at the start of each test.
     periods : int, optional
         Number of periods, counted from the end; by default all.
 
@@ -114,7 +114,7 @@ def finite_frequency(
     Raises
     ------
     ValueError
-        If no segment can be used, or they are of several axes; the sentence says why.
+        If no segment can be used, or if they are of several axes.
     """
     require_time(record, "a frequency response")
     segments = checked_segments(segments)
@@ -128,7 +128,7 @@ def finite_frequency(
         [record[name] for name in ((input, output, setpoint) if setpoint else (input, output))]
     )
 
-    # A sample counts only if all signals have it: a ratio needs both sides at the same time.
+    # Only samples that all signals have: a ratio needs both sides at the same time.
     present = np.isfinite(signals).all(axis=0)
     settings = _Settings(record.time[present], signals[:, present], settle, periods)
     points = []
@@ -146,8 +146,8 @@ def finite_frequency(
         raise ValueError(f"no segment gives a point of the response: {reasons}.")
     points = _with_pooled_noise(points)
 
-    # The harmonics of one test are referred to the responses of the others, so that the mean is
-    # taken twice: before, for the response, and after, with the error that they imply.
+    # The harmonics of one test are compared with the responses of the others. So the mean is taken
+    # twice: first for the response, then with the error that the harmonics imply.
     frequencies = sorted({p.omega for p in points})
     merged = [averaged([p for p in points if p.omega == omega]) for omega in frequencies]
     shares = unexplained(np.array(frequencies), np.array([p.response for p in merged]), measured)
@@ -187,7 +187,7 @@ def _point(settings: _Settings, segment: Segment) -> tuple[FrequencyPoint, Harmo
 
     u, y, *_ = map(complex, amplitudes[:, 0])
     noise = estimate.control_noise
-    # Without noise, rounding errors remain.
+    # Data without noise still have rounding errors.
     if abs(u) <= max(DETECTED * noise, 1e-12 * float(np.abs(x[0]).max())):
         raise UnusableSegmentError(
             f"barely excited: the control's amplitude is {abs(u):.2g}, its noise {noise:.2g}"
@@ -254,8 +254,7 @@ def estimate_by_lines(
         [spectral_line(t, residual[:2], omega * (1 + k / q), float(t[0])) for k in m], axis=-1
     )
 
-    # The leakage of y - P u is a polynomial in m; `at_omega` gives its value at m = 0 from the
-    # lines.
+    # The leakage of y - P u is a polynomial in m; `at_omega` @ lines is its value at m = 0.
     smooth = m[:, None] ** np.arange(1 if count == 1 else 2)
     to_polynomial = np.linalg.pinv(smooth)
     at_omega = to_polynomial[0]
@@ -283,7 +282,7 @@ def _response(
 ) -> FrequencyResponse:
     omega = np.array([p.omega for p in points])
     values = np.array([p.response for p in points])
-    # Of the response: noise-free data have no smaller standard error.
+    # Least standard error over the response, for data without noise.
     rounding = 1e-12
     variance = np.array(
         [max(p.standard_error**2, (rounding * abs(p.response)) ** 2) for p in points]

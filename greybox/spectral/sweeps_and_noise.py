@@ -91,6 +91,7 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
         For a signal that a record does not hold.
     """
     signals = [input, output, instrument or input, *conditioned]
+    # A trend would leak into the lowest frequencies.
     stretches = uniform_stretches(records, signals, detrended=True)
     longest = max(s.values.shape[1] * s.step for s in stretches)
     lowest = LOWEST * HZ / longest
@@ -141,7 +142,7 @@ def _excited_band(lines: Lines, lowest: float, highest: float) -> tuple[float, f
             f"{FOR_MANOEUVRES}."
         )
     fine = np.geomspace(lowest, highest, 200)
-    # Noise has holes by chance.
+    # Averaged over a band, because the spectrum of noise has holes by chance.
     reach = np.maximum(fine * SMOOTHED / 2, 2 * lines.spacing)
     first = np.searchsorted(lines.omega, fine - reach)
     last = np.searchsorted(lines.omega, fine + reach)

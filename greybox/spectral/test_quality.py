@@ -1,4 +1,4 @@
-"""Judge whether a test is worth a fit: findings on the record and on the measured response."""
+"""Judges whether a test is worth a fit: findings on the record and on the measured response."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -17,12 +17,12 @@ Severity = Literal["note", "warning", "refusal"]
 
 # Limits of a warning and, where there are two, of a refusal.
 
-# Share of the time lost in gaps. Nothing is interpolated across them: a larger share costs data but
-# no accuracy, so the limit is a convention.
+# Share of the time lost in gaps. Nothing is interpolated across gaps: a larger share costs data but
+# not accuracy, so the limit is a convention.
 GAPS = 0.01
 
-# Standard deviation of the sampling interval over its median. Read by row number, a signal of ten
-# samples per period then has a phase error of 2π/10 · 0.1 = 0.06 rad.
+# Standard deviation of the sampling interval over its median. If rows are taken for times, a signal
+# of ten samples per period then has a phase error of 2π/10 · 0.1 = 0.06 rad.
 JITTER = 0.1
 
 # Share of the time at a limit. A sine that is clipped for 20 % of the time has a third harmonic of
@@ -76,7 +76,7 @@ class Quality:
 
     @property
     def refusals(self) -> tuple[str, ...]:
-        """The sentences that refuse the test."""
+        """The reasons to refuse the test."""
         return tuple(f.text for f in self.findings if f.severity == "refusal")
 
     def with_findings(self, *findings: Finding) -> "Quality":
@@ -182,7 +182,7 @@ def _gaps(record: Record, segments: Sequence[Segment]) -> Iterator[Finding]:
 def jitter(record: Record) -> Iterator[Finding]:
     """Yield a finding if the sampling interval varies."""
     steps = np.diff(record.time)
-    # A gap is reported as such.
+    # Gaps have a finding of their own.
     steady = steps[steps <= GAP * record.step]
     jitter = float(np.std(steady) / record.step) if steady.size else 0.0
     if jitter > JITTER:
@@ -202,10 +202,11 @@ def _excited(record: Record, segments: Sequence[Segment]) -> Record:
 
 def _saturation(record: Record, name: str) -> Iterator[Finding]:
     share = float(at_limit(record[name][np.isfinite(record[name])]).mean())
-    text = f"the control {name} is at a limit for {100 * share:.0f} % of the time: a linear model "
-    yield from _graded(
-        "saturation", share, SATURATED, text + "is wrong there; use a smaller amplitude."
+    text = (
+        f"the control {name} is at a limit for {100 * share:.0f} % of the time: a linear model is "
+        "wrong there; use a smaller amplitude."
     )
+    yield from _graded("saturation", share, SATURATED, text)
 
 
 def _amplitude(record: Record, names: Sequence[str]) -> Iterator[Finding]:
@@ -215,10 +216,11 @@ def _amplitude(record: Record, names: Sequence[str]) -> Iterator[Finding]:
             text = f"{name} is constant ({levels[0]:g} throughout): it has no information."
             yield Finding("amplitude", "refusal", 0.0, text)
         else:
-            text = f"{name} takes only {levels.size} values: its amplitude is close to its "
-            yield from _graded(
-                "amplitude", float(levels.size), LEVELS, text + "resolution; excite more."
+            text = (
+                f"{name} takes only {levels.size} values: its amplitude is close to its "
+                "resolution; excite more."
             )
+            yield from _graded("amplitude", float(levels.size), LEVELS, text)
 
 
 def _segments(segments: Sequence[Segment]) -> Iterator[Finding]:
@@ -228,12 +230,8 @@ def _segments(segments: Sequence[Segment]) -> Iterator[Finding]:
             text = f"the {segment.kind} from {segment.start:.1f} s is not usable: {reasons}."
             yield Finding("segments", "warning", segment.start, text)
     if segments and not any(segment.usable for segment in segments):
-        yield Finding(
-            "segments",
-            "refusal",
-            0.0,
-            "no excited segment is usable: fly the test again.",
-        )
+        text = "no excited segment is usable: fly the test again."
+        yield Finding("segments", "refusal", 0.0, text)
 
 
 def _highest_lowest(
@@ -255,8 +253,11 @@ def _spread(response: FrequencyResponse | None, segments: Sequence[Segment]) -> 
         text += "identify dynamics; add frequencies around the ones of interest."
         yield Finding("spread", "refusal", high, text)
     elif high < 2 * low:
-        text = f"the excitation covers {low:g} to {high:g} rad/s, less than an octave: few "
-        yield Finding("spread", "warning", high / low, text + "parameters are identifiable.")
+        text = (
+            f"the excitation covers {low:g} to {high:g} rad/s, less than an octave: few parameters "
+            "are identifiable."
+        )
+        yield Finding("spread", "warning", high / low, text)
 
 
 def _length(
@@ -313,8 +314,11 @@ def _noise(response: FrequencyResponse) -> Iterator[Finding]:
         return
     size = np.maximum(np.abs(response.response), 1e-300)
     error = float(np.median(np.sqrt(response.variance / 2) / size))
-    text = f"half of the points have a standard deviation above {100 * error:.0f} %: excite "
-    yield from _graded("noise", error, ERROR, text + "more or longer.")
+    text = (
+        f"half of the points have a standard deviation above {100 * error:.0f} %: excite more or "
+        "longer."
+    )
+    yield from _graded("noise", error, ERROR, text)
 
 
 def _coherence(response: FrequencyResponse) -> Iterator[Finding]:
@@ -328,7 +332,8 @@ def _coherence(response: FrequencyResponse) -> Iterator[Finding]:
         yield Finding("coherence", "warning", float(weak.size), text, tuple(weak.tolist()))
 
     median = float(np.median(response.coherence))
-    text = f"half of the points have a coherence below {median:.2f}: the output is mostly noise "
-    yield from _graded(
-        "coherence", median, COHERENCE, text + "or the effect of other inputs; excite more."
+    text = (
+        f"half of the points have a coherence below {median:.2f}: the output is mostly noise or "
+        "the effect of other inputs; excite more."
     )
+    yield from _graded("coherence", median, COHERENCE, text)

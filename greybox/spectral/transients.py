@@ -25,13 +25,13 @@ def transient_spectrum(
     """Return the Fourier integrals of a manoeuvre at the multiples of 2π / duration in `band`.
 
     A finer grid has no more information: its points are combinations of these. Held signals are
-    integrated as held, others by the trapezoidal rule. The line from the first to the last sample,
-    for which that rule is inaccurate at high frequencies, is integrated in closed form.
+    integrated as held, others by the trapezoidal rule. This rule is inaccurate at high frequencies
+    for the line from the first to the last sample, which is integrated in closed form.
 
     Parameters
     ----------
     record : Record
-        One manoeuvre without gaps, uniformly sampled; see `Record.between`.
+        A manoeuvre without gaps, uniformly sampled; see `Record.between`.
     inputs, outputs : str or sequence of str
     band : (low, high), rad/s
 
@@ -84,7 +84,7 @@ def transient_spectrum(
         source=record.source,
         stretch=stretch.origin,
     )
-    # A value that was held for a part of the step acts half of that later.
+    # A value that lasts for a part of the step acts half of that time later.
     delayed = {name: spectrum.delayed_input(name, readings[name].late) for name in inputs}
     return replace(spectrum, inputs=delayed)
 
@@ -119,6 +119,7 @@ def _sums(values: Array, omega: Array, step: float) -> ComplexArray:
     from scipy.signal import CZT  # noqa: PLC0415  (takes a tenth of a second to import)
 
     spacing = omega[1] - omega[0] if omega.size > 1 else 0.0
+    # A part of the grid, at the cost of a transform of the whole record.
     zoom = CZT(
         values.size, omega.size, w=np.exp(-1j * spacing * step), a=np.exp(1j * omega[0] * step)
     )
@@ -126,6 +127,7 @@ def _sums(values: Array, omega: Array, step: float) -> ComplexArray:
 
 
 def _held(values: Array, omega: Array, step: float) -> ComplexArray:
+    # The integral over one step, times the sum over all; without the mean, rounding is smaller.
     one_step = (1 - np.exp(-1j * omega * step)) / (1j * omega)
     return one_step * _sums(values[:-1] - values[:-1].mean(), omega, step)
 

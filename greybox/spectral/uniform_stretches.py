@@ -70,7 +70,7 @@ def uniform_stretches(
                     )
                     stretches.append(stretch)
 
-    # A ratio of two constants would be rounding errors.
+    # A ratio of two constants would consist of rounding errors.
     constant = [
         name
         for k, name in enumerate(signals)
