@@ -64,14 +64,10 @@ def test_what_was_used_is_said_and_tabulated(found):
         [6.45, 42.5], abs=0.06
     )  # settled, to the end of the excitation
     first, loop = found.choices
-    assert first == (
-        f"from {found.record.time[0]:.2f} to {found.record.time[-1]:.2f} s at 20 Hz: 4 periods of 8 s, after 4 s of "
-        "settling."
-    )
-    assert loop == (
-        "open loop (no controller is seen in the log): averages over whole periods; the excitations FLY.e_a, FLY.e_b "
-        "tell which lines are whose, instrument=... names others."
-    )
+    begin, end = found.record.time[[0, -1]]
+    assert first.startswith(f"from {begin:.2f} to {end:.2f} s at 20 Hz: 4 periods of 8 s")
+    for words in ("open loop", "whole periods", "FLY.e_a, FLY.e_b", "instrument=..."):
+        assert words in loop
     lines = str(found).splitlines()
     assert lines[0].split() == [
         "output",

@@ -71,10 +71,8 @@ def test_rounded_outputs_of_sines_count_at_each_frequency():
     )
     assert finding.value == pytest.approx(0.4)
     share = f"{100 * error.relative.max():.2g}"
-    assert finding.text == (
-        f"motor outputs are whole µs: up to {share} % are added to the standard errors, as the control is below one "
-        "step at 8.17 rad/s; excite more there."
-    )
+    assert f"whole µs: up to {share} % " in finding.text
+    assert "below one step at 8.17 rad/s" in finding.text
 
 
 def test_rounded_outputs_of_a_sweep_count_by_the_largest_motion_and_the_quietest_motor():
@@ -152,10 +150,7 @@ def test_a_motor_at_its_limit_is_told_from_one_percent_and_refused_from_twenty(s
     assert [f.severity for f in found] == ([severity] if severity else [])
     for finding in found:
         assert finding.value == samples / 3000
-        assert finding.text == (
-            f"a motor is at its limit for {samples / 30:.0f} % of the time: a linear model is wrong there; use a "
-            "smaller amplitude."
-        )
+        assert f"at its limit for {samples / 30:.0f} % of the time" in finding.text
 
 
 @pytest.mark.parametrize(

@@ -53,10 +53,8 @@ def test_starts_are_sorted_and_failed_ones_stand_at_the_right(fit):
         "Runs, sorted by cost",
         (0.0, 4.0),
     ]
-    assert figure.caption == (
-        "2 of 3 starts agree on the best minimum. Failed runs are at the right; their height means "
-        "nothing."
-    )
+    assert figure.caption.startswith("2 of 3 starts agree on the best minimum")
+    assert "Failed runs are at the right" in figure.caption
     none = replace(fit, runs=tuple(replace(run, converged=False) for run in fit.runs), minima=())
     assert starts_figure(none).caption.startswith("None of 3 starts converged.")
 

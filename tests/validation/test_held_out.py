@@ -243,10 +243,8 @@ def test_windows_in_which_one_is_not_finite_are_left_out_of_all():
     ]
     predictions, (note,) = held_out.where_all_are_finite(some, ("a", "b"))
     assert predictions == [("a", [0, 2, 3]), ("b", [0, 2, 3])]
-    assert note == (
-        "warning: 2 windows of 5 in log left out for all models, since the prediction of one is not finite "
-        "(b overflows)."
-    )
+    assert note.startswith("warning: 2 windows of 5 in log")
+    assert "(b overflows)" in note
     for lost, said in ((2, "2 windows of 4 in log are"), (1, "1 window of 2 in log is")):
         half = [
             made("one", [True] * lost + [False] * lost, "overflows"),
