@@ -285,15 +285,16 @@ class FrequencyResponse:
 
     def times_s(self, output: str = "") -> "FrequencyResponse":
         """Multiply by jω, e.g. from an angle to its rate; `output` names the new signal."""
-        return self._scaled(1j * self.omega, output, "/s")
+        return self.times(1j * self.omega, output, "/s")
 
     def over_s(self, output: str = "") -> "FrequencyResponse":
         """Divide by jω, e.g. from a rate to its angle; `output` names the new signal."""
-        return self._scaled(1 / (1j * self.omega), output, "*s")
+        return self.times(1 / (1j * self.omega), output, "*s")
 
-    def _scaled(
-        self, factor: NDArray[np.complexfloating], output: str, unit: str
+    def times(
+        self, factor: NDArray[np.complexfloating], output: str = "", unit: str = ""
     ) -> "FrequencyResponse":
+        """Multiply by a factor (n,), of which `unit` is the unit; `output` names the new signal."""
         variance = None if self.variance is None else self.variance * np.abs(factor) ** 2
         common = None if self.common_errors is None else self.common_errors * factor
         # The unit of the output changes with the factor, so only that of the input is kept.

@@ -239,11 +239,7 @@ def connected(
 
 
 def sensors_of(controllers: Sequence[Controller]) -> tuple[str, ...]:
-    """Return what controllers read from the plant: inputs that no controller before provides."""
-    provided: set[str] = set()
-    sensors: dict[str, None] = {}
-    for controller in controllers:
-        names = map(controller.outside, controller.inputs)
-        sensors |= dict.fromkeys(name for name in names if name not in provided)
-        provided |= {*map(controller.outside, controller.outputs)}
-    return tuple(sensors)
+    """Return what controllers read from the plant: inputs that no controller provides."""
+    provided = {c.outside(name) for c in controllers for name in c.outputs}
+    names = (c.outside(name) for c in controllers for name in c.inputs)
+    return tuple(dict.fromkeys(name for name in names if name not in provided))

@@ -361,7 +361,7 @@ def _unit(signal: str, model: Model, controllers: Sequence[Controller]) -> str:
 
 def _with_interval(margin: Margin) -> str:
     if not math.isfinite(margin.value):
-        return "infinity"
+        return "infinity" if margin.value > 0 else "unknown"
     if not (math.isfinite(margin.low) and math.isfinite(margin.high)):
         return number(margin.value, 3)
     return f"{number(margin.value, 3)} ({number(margin.low, 3)} to {number(margin.high, 3)})"

@@ -1,17 +1,15 @@
 """Changes of a vehicle's parameters in a log."""
 
-from collections.abc import Sequence
-
-Changes = tuple[tuple[float, str, float, float], ...]
+from collections.abc import Iterable
 
 
 def parameter_changes(
-    times: Sequence[float], names: Sequence[str], values: Sequence[float]
-) -> Changes:
-    """Return (time, name, previous, value) of every parameter written with another value."""
+    written: Iterable[tuple[float, str, float]],
+) -> tuple[tuple[float, str, float, float], ...]:
+    """Return (time, name, previous, value) of parameters written, (time, name, value), anew."""
     current: dict[str, float] = {}
     changes = []
-    for time, name, value in zip(times, names, values, strict=True):
+    for time, name, value in written:
         if current.setdefault(name, value) != value:
             changes.append((time, name, current[name], value))
         current[name] = value

@@ -6,17 +6,17 @@ from greybox.data.record import Recording
 from greybox.logs.parameter_history import parameter_changes
 from greybox.models.firmware import parameters_during
 
-TIMES, NAMES, VALUES = (0, 0, 1, 5, 8), ("P", "I", "P", "P", "I"), (0.1, 0.2, 0.1, 0.3, 0.25)
+WRITTEN = ((0, "P", 0.1), (0, "I", 0.2), (1, "P", 0.1), (5, "P", 0.3), (8, "I", 0.25))
 
 
 def test_a_parameter_written_twice_with_one_value_did_not_change():
-    assert parameter_changes(TIMES, NAMES, VALUES) == ((5, "P", 0.1, 0.3), (8, "I", 0.2, 0.25))
+    assert parameter_changes(WRITTEN) == ((5, "P", 0.1, 0.3), (8, "I", 0.2, 0.25))
 
 
 def test_parameters_are_those_of_the_time_of_the_test():
     metadata = {
         "parameters": {"P": 0.3, "I": 0.25},
-        "parameter_changes": parameter_changes(TIMES, NAMES, VALUES),
+        "parameter_changes": parameter_changes(WRITTEN),
     }
     log = Recording({}, metadata=metadata)
     assert parameters_during(log, 2, 4, ["P", "I"]) == {"P": 0.1, "I": 0.2}

@@ -90,7 +90,8 @@ def _parameters(parm: Messages | None) -> dict[str, float]:
 def _changes(parm: Messages | None) -> tuple[tuple[float, str, float, float], ...]:
     if parm is None or parm.time is None or not _parameters(parm):
         return ()
-    return parameter_changes(parm.time.tolist(), parm.texts["Name"], parm.columns["Value"].tolist())
+    names, values = parm.texts["Name"], parm.columns["Value"].tolist()
+    return parameter_changes(zip(parm.time.tolist(), names, values, strict=True))
 
 
 def _texts(msg: Messages | None) -> tuple[tuple[float, str], ...]:

@@ -107,9 +107,8 @@ def _about(said: Mapping[str, Any]) -> dict[str, Any]:
         "firmware": firmware_of(info),
         "parameters": {name: float(value) for name, value in said["parameters"].items()},
         "parameter_changes": parameter_changes(
-            [0.0] * len(said["initial"]) + [ticks / 1e6 for ticks, _, _ in said["changes"]],
-            [*said["initial"], *(name for _, name, _ in said["changes"])],
-            [*said["initial"].values(), *(value for _, _, value in said["changes"])],
+            [(0.0, name, value) for name, value in said["initial"].items()]
+            + [(ticks / 1e6, name, value) for ticks, name, value in said["changes"]]
         ),
         "texts": tuple((ticks / 1e6, text) for ticks, text in said["texts"]),
     }

@@ -1,0 +1,102 @@
+"""Broken loops from measured responses, without a model of the plant.
+
+Begin with `broken_loop`, from an injected signal; `measured_margins` reads the margins.
+"""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from greybox.data.frequency_response import FrequencyResponse
+from greybox.estimate.response_band import require_level
+from greybox.experiment.drawn_loops import DRAWS
+from greybox.experiment.loop_numbers import margin_numbers
+from greybox.experiment.margins import UNITS, Margin, Margins
+from greybox.files.arrays import Array, ComplexArray
+from greybox.files.text_table import listed
+
+
+def broken_loop(sensitivity: FrequencyResponse) -> FrequencyResponse:
+    """Return the gain of the broken loop, L = 1/S - 1, of negative feedback.
+
+    `sensitivity` is the measured response S from a signal that is injected into the loop to the sum
+    of it and of what the loop returns there: from ``SIDD.Targ`` to the control ``RATE.POut``, or
+    from a setpoint to the error. Errors are propagated to first order.
+
+    Raises
+    ------
+    ValueError
+        If the loop was open: S = 1 within its errors at all frequencies.
+    """
+    S, variance = sensitivity.response, sensitivity.variance
+    if variance is not None and np.all(np.abs(S - 1) ** 2 < 4 * variance):
+        raise ValueError(
+            f"the loop was open: {sensitivity.output} is no more than the injected "
+            f"{sensitivity.input}; fly the test with the controller on."
+        )
+    # The derivative of 1/S is the factor of the errors.
+    return replace(sensitivity.times(-1 / S**2), response=1 / S - 1)
+
+
+def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins:
+    """Return the margins of a measured broken loop, with negative feedback.
+
+    They are read between the measured points, where magnitude and phase are straight lines over the
+    logarithm of frequency, and never beyond them: a note names what does not occur there. The
+    intervals are quantiles over draws from the errors of the points. The loop is taken as stable,
+    because it flew.
+
+    Raises
+    ------
+    ValueError
+        If the response has no variance.
+    """
+    require_level(level)
+    gain, omega = _drawn_gains(loop)
+    numbers = margin_numbers(gain, omega, np.ones(len(gain), dtype=bool))
+    ends = [(1 - level) / 2, (1 + level) / 2]
+    rows, unmeasured = [], []
+    for name, (values, places) in numbers.items():
+        unit = UNITS[name.rstrip(" 0123456789")]
+        row = Margin(name, unit, math.nan, math.nan, math.nan, math.nan, group="measured")
+        if values[0] and omega[0] < places[0] < omega[-1]:
+            low, high = np.quantile(values[1:], ends, method="closest_observation")
+            row = replace(row, value=values[0], omega=places[0], low=low, high=high)
+        else:
+            unmeasured.append(name)
+        rows.append(row)
+
+    notes = []
+    if unmeasured:
+        notes.append(
+            f"Not measured, from {omega[0]:.3g} to {omega[-1]:.3g} rad/s with a gain from "
+            f"{abs(gain[0, 0]):.2g} to {abs(gain[0, -1]):.2g}: {listed(unmeasured)}. Fly other "
+            "frequencies; nothing is extrapolated."
+        )
+    if "phase margin 2" in numbers:
+        notes.append("The gain is one at several frequencies; the smallest margin counts.")
+    plant = loop.name or "the measured response"
+    # There are no plants whose loops could be evaluated elsewhere.
+    return Margins(plant, loop.input, "", "", tuple(rows), True, 0.0, level, None, tuple(notes))  # type: ignore[arg-type]
+
+
+def _drawn_gains(loop: FrequencyResponse) -> tuple[ComplexArray, Array]:
+    """Return the gain and draws from its errors (1 + draws, n), at dense frequencies (n,)."""
+    if loop.variance is None:
+        raise ValueError("the response has no variance: give one, as gb.spectral estimates it.")
+    random = np.random.default_rng(0)
+    errors = random.normal(size=(2, DRAWS, len(loop)))
+    if loop.dof is not None:
+        errors *= np.sqrt(loop.dof / random.chisquare(loop.dof, errors.shape[1:]))
+    size = np.sqrt(loop.variance * loop.independent_share / 2)
+    drawn = loop.response + size * (errors[0] + 1j * errors[1])
+    if loop.common_errors is not None:
+        drawn += random.normal(size=(DRAWS, len(loop.common_errors))) @ loop.common_errors
+
+    order = np.argsort(loop.omega)
+    points = np.log(loop.omega[order])
+    x = np.unique([*points, *np.linspace(points[0], points[-1], 300)])
+    logarithm = np.log(np.vstack([loop.response, drawn])[:, order])
+    logarithm = logarithm.real + 1j * np.unwrap(logarithm.imag, axis=1)
+    return np.exp([np.interp(x, points, row) for row in logarithm]), np.exp(x)
