@@ -2,18 +2,23 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 import greybox as gb
+from greybox.experiment.controller import sensors_of
+from greybox.experiment.sampled_loop import DOT, linear_controller
+from greybox.files.text_table import text_table
 from greybox.logs.ardupilot import SYSTEMID_AXES
+from greybox.logs.axis_signals import NAMES
 from greybox.logs.flight_controllers import AXES, named_filters
 from greybox.logs.named_columns import in_si
 from greybox.logs.px4 import AXES as PX4_AXES
 from greybox.models import ardupilot, betaflight, px4
 from greybox.models.control_check import check_controller
 from greybox.models.digital_filters import SampledLag, SampledLowPass, SampledNotch
+from greybox.models.measured_loop import broken_loop, measured_margins
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +50,11 @@ class FlownController:
     end: float = math.inf
     notes: tuple = ()
 
+    @property
+    def law(self):
+        """The last controller, which gives the control."""
+        return self.controllers[-1]
+
     def check(self, recording):
         """Return the `ControlCheck` of the last controller on a log.
 
@@ -53,11 +63,11 @@ class FlownController:
         ValueError
             If the log lacks the error or the control, or the controller is another one.
         """
-        return check_controller(self.controllers[-1], self.record(recording))
+        return check_controller(self.law, self.record(recording))
 
     def record(self, recording):
         """Return the signals of the last controller in SI, at the times of its control."""
-        law = self.controllers[-1]
+        law = self.law
         records = {own: self._located(recording, own) for own in self.signals}
         base = max(records[law.outputs[0]][0][0].between(self.start, self.end).pieces, key=len)
         columns = {}
@@ -68,6 +78,48 @@ class FlownController:
                 values = np.interp(base.time, record.time[present], record[name][present])
                 columns[own] += values * self.factors.get(own, 1.0)
         return gb.Record(base.time, columns)
+
+    def sensitivity(self, recording, check):
+        """Return the measured response from the signal injected at the mixer to the control.
+
+        `check` has the samples between the log of the injected signal and its effect, without which
+        the phase would be wrong. `broken_loop` makes the broken loop of it.
+        """
+        if "mixer" not in self.signals:
+            raise ValueError(
+                "nothing was injected at the mixer, so the loop is not measured there: fly a sweep "
+                f"of System Identification mode, axis mixer {self.axis}."
+            )
+        record = self.record(recording)
+        rate = round(record.rate)
+        grid = np.arange(record.time[0], record.time[-1], 1 / rate)
+        injected = record.time + check.late["mixer"] / self.law.rate
+        columns = {
+            "injected": np.interp(grid, injected, record["mixer"]),
+            "u": np.interp(grid, record.time, record["u"]),
+        }
+        return gb.spectral.spectral_response(gb.Record(grid, columns), "injected", "u")
+
+    def loop_gain(self, plant):
+        """Return the gain of the loop broken at the control, from a measured response of the plant.
+
+        The signals of the controllers must be the input of the response, its output, or the
+        derivative of the output. The errors are those of the response.
+        """
+        sensors = sensors_of(self.controllers)
+        for name in sensors:
+            if name.removesuffix(DOT) != plant.output:
+                raise ValueError(
+                    f"the response is of {plant.output}, not of {name!r}: give "
+                    f"signals={{'q': '{plant.output}{DOT}'}}, or measure {name}."
+                )
+        linear = linear_controller(self.controllers, sensors, (plant.input,))
+        s = 1j * plant.omega
+        control = linear.response(np.exp(s / self.law.rate))
+        control = control[:, linear.commands.index(plant.input)]
+        factors = [-control[:, k] * (s if n.endswith(DOT) else 1) for k, n in enumerate(sensors)]
+        loop = plant.times(np.sum(factors, axis=0))
+        return replace(loop, name="the measured response and the controller")
 
     def _located(self, recording, own):
         try:
@@ -110,8 +162,7 @@ def from_log(
     ValueError
         If the log has no gains, or if they changed during the test.
     """
-    if axis not in AXES:
-        raise ValueError(f"the axis {axis!r} is not one of {', '.join(AXES)}.")
+    _require_axis(axis)
     known = recording.metadata.get("parameters", {})
     firmware = _plane if recording.metadata.get("vehicle") == "ArduPlane" else _copter
     if "looptime" in known:
@@ -186,6 +237,137 @@ PREFIXES = {
     _px4: lambda axis: [f"MC_{axis.upper()}RATE_", f"MC_{axis.upper()}_P"],
     _betaflight: lambda axis: [f"{axis}PID", "dterm_"],
 }
+
+
+@dataclass(frozen=True, eq=False)
+class LoopOfLog:
+    """The loop of a fit with the controller that flew: from the model, and measured. It prints.
+
+    Attributes
+    ----------
+    flown : FlownController
+    check : ControlCheck
+    model : Margins
+    measured : tuple of Margins
+        From the signal injected at the mixer, and from the response that the fit was made of;
+        neither contains the model.
+    notes : tuple of str
+        Where they disagree beyond their errors.
+    """
+
+    flown: FlownController
+    check: object
+    model: object
+    measured: tuple
+    notes: tuple
+
+    @property
+    def is_safe(self):
+        """Whether the loop of the model is stable and its controller is the one that flew."""
+        return self.model.is_safe and self.check.reproduces
+
+    def to_dict(self):
+        """Return the numbers as plain values."""
+        return {
+            "controllers": [c.truth for c in self.flown.controllers],
+            "control_residual": self.check.residual,
+            "samples_late": dict(self.check.late),
+            "loops": [self.model.to_dict()],
+            "measured": [answer.to_dict() for answer in self.measured],
+            "notes": [*self.flown.notes, *self.notes],
+        }
+
+    def __str__(self):
+        columns = (self.model, *self.measured)
+        names = [{m.name for m in answer.margins} for answer in columns]
+        rows = [
+            (m.name, m.unit, *(_with_interval(answer[m.name]) for answer in columns))
+            for m in columns[-1].margins
+            if all(m.name in answer for answer in names)
+        ]
+        header = ("broken at the control", "", "of the model", *(a.plant for a in self.measured))
+        parts = [self.flown, self.check, *self.notes, text_table(header, rows), self.model]
+        measured = (f"Measured by {a.plant}: {note}" for a in self.measured for note in a.notes)
+        return "\n\n".join(map(str, [*parts, *measured]))
+
+
+def _require_axis(axis):
+    if axis not in AXES:
+        raise ValueError(f"the axis {axis!r} is not one of {', '.join(AXES)}.")
+
+
+def _with_interval(row):
+    interval = f" ({row.low:.3g} to {row.high:.3g})" if math.isfinite(row.low) else ""
+    return "-" if math.isnan(row.value) else f"{row.value:.4g}{interval}"
+
+
+def loop_of_log(recording, fit, axis="pitch", *, signals=None, level=0.95):
+    """Return the `LoopOfLog` of a fit and the tests of an axis in a log.
+
+    Without `signals`, the model's output is the angle, whose derivative is the rate, or the rate if
+    its unit or its name is that of one; the angle controller is then left out.
+    """
+    _require_axis(axis)
+    tests = [t for t in gb.logs.find_segments(recording) if t.usable and axis in t.axis.lower()]
+    start = min((t.start for t in tests), default=-math.inf)
+    end = max((t.end for t in tests), default=math.inf)
+    model = fit.model_of(0)
+    names = dict(signals or {})
+    if not names:
+        angle, rate = NAMES[axis]
+        outputs = model.output_names
+        first = angle if angle in outputs else outputs[0]
+        is_rate = first == rate or model.units.get(first, "") == "rad/s"
+        names = {"q": first} if is_rate else {"theta": first, "q": first + DOT}
+        if not is_rate and rate in outputs:
+            names["q"] = rate
+    flown = from_log(recording, axis, start=start, end=end, signals=names)
+    if "theta" not in names and "q" in names:
+        used = [c for c in flown.controllers if "theta" not in c.inputs]
+        flown = replace(flown, controllers=tuple(used))
+    check = flown.check(recording)
+    # The log shows when a rate setpoint acts; the angle controller gives it as much earlier.
+    laws = [
+        type(c)({**c.values, "delay": check.late["q_reference"]}, rate=c.rate, signals=c.signals)
+        if "delay" in c.parameters
+        else c
+        for c in flown.controllers
+    ]
+    flown = replace(flown, controllers=tuple(laws))
+    of_model = gb.margins(fit, flown.controllers, level=level)
+
+    loops = []
+    if "mixer" in flown.signals:
+        loop = broken_loop(flown.sensitivity(recording, check))
+        loops.append(replace(loop, input="u", name="the injected signal"))
+    data = fit.parts[0].data
+    read = {name.removesuffix(DOT) for name in sensors_of(flown.controllers)}
+    has_errors = isinstance(data, gb.FrequencyResponse) and data.variance is not None
+    if has_errors and read == {data.output}:
+        loops.append(flown.loop_gain(data))
+    measured = tuple(measured_margins(loop, level=level) for loop in loops)
+    return LoopOfLog(flown, check, of_model, measured, disagreements(of_model, measured))
+
+
+def disagreements(model, measured):
+    """Return a sentence for each margin of the model that a measurement contradicts.
+
+    Apart are values whose difference exceeds 1.5 times half the lengths of their 95 % intervals in
+    quadrature, 3 standard errors: several margins are compared.
+    """
+    sentences = []
+    for answer in measured:
+        for name in ("phase margin", "gain margin", "delay margin", "crossover"):
+            row, other = answer[name], model[name]
+            # A model that was not fitted has no errors.
+            lengths = np.nan_to_num([row.high - row.low, other.high - other.low])
+            error = 1.5 * math.hypot(*lengths) / 2
+            if abs(row.value - other.value) > error:
+                sentences.append(
+                    f"Model and measurement disagree on the {name}, {other.value:.3g} and "
+                    f"{row.value:.3g} {row.unit}: the model, the gains or the log are wrong."
+                )
+    return tuple(sentences)
 
 
 def parameters_during(recording, start, end, begin):

@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from greybox.cli.catalog import find_controller
+from greybox.cli.catalog import find_controller, shipped_module
 from greybox.cli.options import (
     UsageError,
     add_common_options,
@@ -16,8 +16,10 @@ from greybox.cli.output import FAILED, USABLE, Answer
 from greybox.cli.saved_fits import add_fit_argument, stated_fit
 from greybox.experiment.controller import Controller
 from greybox.experiment.margins import margins
+from greybox.logs.readers import read
 
 EXAMPLES = (
+    "pitch.h5 --log flight.BIN --axis pitch",
     "pitch.h5 --controller controller:AttitudeController --signals q=theta_dot",
     "rate.h5 --controller my.py:RateLoop --set K_P=0.12 K_I=0.1 --rate 400 --broken-at u q",
 )
@@ -29,10 +31,13 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--controller",
         nargs="+",
-        required=True,
+        default=(),
         metavar="CLASS",
         help="controller:AttitudeController or my.py:Class; several in the order in which they run",
     )
+    about = "a log, whose controllers are checked; margins are also measured from it"
+    parser.add_argument("--log", help=about)
+    parser.add_argument("--axis", default="pitch", help="roll, pitch (default) or yaw of the log")
     add_words(parser, "--set", "NAME=VALUE", "gains in place of the declared ones")
     parser.add_argument("--rate", type=float, metavar="HZ", help="sampling rate of the controllers")
     about = "a signal of a controller and its name in the plant, e.g. q=theta_dot"
@@ -58,8 +63,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> Answer:
     """Read the fit, close the loop, and return the margins wherever it is broken."""
-    controllers = _controllers(options)
     fit, _ = stated_fit(options)
+    if options.log:
+        signals = texts(options.signals, "--signals", "OWN=PLANT, e.g. q=theta_dot")
+        firmware = shipped_module("models", "firmware")
+        loop = firmware.loop_of_log(
+            read(options.log), fit, options.axis, signals=signals, level=options.level
+        )
+        return loop.to_dict(), str(loop), USABLE if loop.is_safe else FAILED
+    controllers = _controllers(options)
     at = assignments(options.at, "--at") or None
     answers = [
         margins(
@@ -81,6 +93,8 @@ def _controllers(options: argparse.Namespace) -> list[Controller]:
     """Return the controllers with the gains and names of signals that the options state."""
     values = assignments(options.set, "--set")
     signals = texts(options.signals, "--signals", "OWN=PLANT, e.g. q=theta_dot")
+    if not options.controller:
+        raise UsageError("no controller is stated: give --controller or --log.")
     kinds = [find_controller(text) for text in options.controller]
     names = {name for kind in kinds for name in kind.parameters}
     if unknown := sorted(values.keys() - names):

@@ -12,7 +12,6 @@ tell).
 | `drawn_loops` | that loop at an estimate and at draws from its distribution |
 | `loop_numbers` | margins and closed-loop numbers of such loops |
 | `margins` | these numbers with their errors |
-| `measured_loop` | margins from measured responses, without a model |
 | `virtual_flight` | flights in simulation |
 | `expected_errors` | the standard errors that a planned test would give |
 | `sine_plan` | sines that reach the wanted errors in the shortest flight |
@@ -28,8 +27,6 @@ from greybox.experiment.expected_errors import ExpectedErrors as ExpectedErrors
 from greybox.experiment.expected_errors import expected_errors as expected_errors
 from greybox.experiment.margins import Margins as Margins
 from greybox.experiment.margins import margins as margins
-from greybox.experiment.measured_loop import broken_loop as broken_loop
-from greybox.experiment.measured_loop import measured_margins as measured_margins
 from greybox.experiment.multisine import multisine as multisine
 from greybox.experiment.scripts import ardupilot_script as ardupilot_script
 from greybox.experiment.scripts import systemid_parameters as systemid_parameters

@@ -7,7 +7,8 @@ from command_line import refused, run
 
 import greybox as gb
 from greybox.models.controller import AttitudeController
-from greybox.problems import pitch_hover
+from greybox.models.rate import DampedAngle
+from greybox.problems import pitch_hover, sitl_pitch
 
 LOOP = ("--controller", "controller:AttitudeController", "--signals", "q=theta_dot")
 
@@ -41,6 +42,25 @@ def test_the_command_answers_as_the_function_does(capsys, pitch):
     assert loops[1] == expected != loops[0]
 
 
+def test_controller_and_measured_margins_come_from_a_log(capsys, tmp_path):
+    path = tmp_path / "sitl.h5"
+    data = sitl_pitch.data()
+    problem = gb.Problem(DampedAngle(), data, gb.MaximumLikelihood())
+    truth = sitl_pitch.published["values"]
+    gb.save(gb.fit(problem, starts=[truth], profiles=False, progress=False), path)
+    status, out, _ = run(capsys, "margins", path, "--log", sitl_pitch.LOG, "--json")
+    assert status == 0
+    answer = json.loads(out)
+    assert 0.05 < answer["control_residual"] < 0.1  # every seventh pass was logged
+    assert answer["controllers"][0]["controller"] == "SampledLowPass"
+    (model,), (measured,) = answer["loops"], answer["measured"]
+    margins = [loop["margins"]["phase margin"] for loop in (model, measured)]
+    assert margins[0]["low"] < margins[1]["high"]
+    assert margins[1]["low"] < margins[0]["high"]
+    assert measured["margins"]["gain margin"]["value"] is None
+    assert any("nothing is extrapolated" in note for note in measured["notes"])
+
+
 def test_a_loop_that_is_not_stable_fails(capsys, pitch):
     status, out, _ = run(capsys, "margins", pitch, *LOOP, "--set", "K_P=5")
     assert status == 1
@@ -50,6 +70,9 @@ def test_a_loop_that_is_not_stable_fails(capsys, pitch):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
+        ((), "give --controller or --log"),
+        (("--log", sitl_pitch.LOG.with_name("table_4_3.csv")), "no parameters"),
+        (("--log", sitl_pitch.LOG, "--axis", "heave"), "'heave' is not one of"),
         (("--controller", "controller:Attitude"), "did you mean 'AttitudeController'"),
         ((*LOOP, "--set", "K_Q=1"), "no controller has it"),
         ((*LOOP[:2], "--signals", "q"), "OWN=PLANT"),

@@ -1,0 +1,135 @@
+"""Margins of measured loops, against loops that are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.data.record import Recording
+from greybox.experiment.sampled_loop import sampled_loop
+from greybox.models.ardupilot import AngleController, RateController
+from greybox.models.firmware import disagreements, from_log, loop_of_log
+from greybox.models.measured_loop import broken_loop, measured_margins
+from greybox.models.rate import DampedAngle
+
+RATE = 100.0
+PLANT = {"K_phi": 90.0, "a": 0.7, "T_rotor": 0.05, "T_delay": 0.004}
+SIGNALS = {"q": "theta_dot"}
+
+
+def integrator(low, high, points=60, gain=2.0, delay=0.2):
+    omega = np.geomspace(low, high, points)
+    response = gain * np.exp(-1j * omega * delay) / (1j * omega)
+    return gb.FrequencyResponse(omega, response, "u", "y", variance=1e-8 * np.abs(response) ** 2)
+
+
+def test_margins_are_read_between_the_measured_points():
+    answer = measured_margins(integrator(0.1, 30))
+    assert answer["crossover"].value == pytest.approx(2, rel=1e-4)
+    assert answer["phase margin"].value == pytest.approx(90 - np.degrees(0.4), abs=0.02)
+    assert answer["gain margin"].omega == pytest.approx(np.pi / 0.4, rel=1e-3)
+    assert answer["gain margin"].value == pytest.approx(20 * np.log10(np.pi / 0.8), abs=0.02)
+    assert answer["delay margin"].value == pytest.approx(np.pi / 4 - 0.2, rel=1e-3)
+    assert answer["phase margin"].low < answer["phase margin"].value < answer["phase margin"].high
+
+
+@pytest.mark.parametrize(
+    ("band", "missing"), [((0.1, 1.5), "phase margin"), ((3, 30), "crossover")]
+)
+def test_nothing_is_extrapolated(band, missing):
+    answer = measured_margins(integrator(*band))
+    assert np.isnan(answer["phase margin"].value)
+    (note,) = answer.notes
+    assert missing in note
+    assert "nothing is extrapolated" in note
+    assert "unknown" in answer.verdict
+
+
+def test_several_crossovers_are_said():
+    loop = integrator(0.1, 30)
+    bump = 1 + 3 * np.exp(-((np.log(loop.omega / 5) / 0.2) ** 2))
+    answer = measured_margins(loop.times(bump + 0j))
+    assert any("several frequencies" in note for note in answer.notes)
+    assert answer["phase margin 3"].omega > answer["phase margin 1"].omega
+
+
+def test_an_open_loop_and_a_response_without_errors_are_refused():
+    omega = np.geomspace(1, 10, 20)
+    noise = 0.01 * np.random.default_rng(0).normal(size=20)
+    with pytest.raises(ValueError, match="the loop was open"):
+        broken_loop(gb.FrequencyResponse(omega, 1 + noise, "d", "u", variance=np.full(20, 1e-4)))
+    with pytest.raises(ValueError, match="no variance"):
+        measured_margins(gb.FrequencyResponse(omega, 1 / (1j * omega), "u", "y"))
+
+
+def controllers():
+    values = {"FLTT": 0.0, "FLTD": 0.0, "D": 0.002}
+    angle = AngleController({"acceleration": 0.0, "delay": 0}, rate=RATE)
+    return [angle, RateController(values, rate=RATE, signals=SIGNALS)]
+
+
+@pytest.fixture(scope="module")
+def recording():
+    """A sweep into the mixer, by the names and the units of a log of ArduPilot."""
+    sweep = gb.experiment.sweep(1.5, 40.0, 30, RATE, amplitude=0.05, signal="mixer")
+    noise = {"theta_dot": 0.05, "theta": 0.003}
+    flown = gb.virtual_flight(DampedAngle(), PLANT, sweep, controller=controllers(), noise=noise)
+    rate = {
+        "P": np.degrees(flown["theta_dot"]),
+        "PDes": np.degrees(flown["q_reference"]),
+        "POut": flown["u"],
+        "Pitch": flown["theta"],
+    }
+    parameters = {f"ATC_RAT_PIT_{n}": v for n, v in controllers()[1].values.items() if n.isupper()}
+    parameters |= {"ATC_ANG_PIT_P": 4.5, "SCHED_LOOP_RATE": RATE}
+    records = {
+        "RATE": gb.Record(flown.time, rate, {"P": "deg/s", "PDes": "deg/s"}),
+        "SIDD": gb.Record(flown.time, {"Targ": flown["mixer"]}),
+        "SIDS": gb.Record([0.0, 0.5], {"Ax": [11.0, 11.0]}),
+    }
+    return Recording(records, "a.BIN", "", {"parameters": parameters, "vehicle": "ArduCopter"})
+
+
+@pytest.fixture(scope="module")
+def answer(recording):
+    rate = recording["RATE"]
+    columns = {"u": rate["POut"], "theta": rate["Pitch"], "d": recording["SIDD"]["Targ"]}
+    record = gb.Record(rate.time, columns)
+    data = gb.spectral.spectral_response(record, "u", "theta", instrument="d", points=20)
+    problem = gb.Problem(DampedAngle(), data, gb.MaximumLikelihood())
+    fit = gb.fit(problem, starts=[PLANT], profiles=False, progress=False)
+    return loop_of_log(recording, fit)
+
+
+def test_model_and_measurements_agree_with_the_truth(recording, answer):
+    row = np.array([[PLANT[name] for name in DampedAngle.parameters]])
+    truth = gb.margins(DampedAngle(), controllers(), PLANT)
+    loop = sampled_loop(DampedAngle(), row, controllers())
+    assert answer.check.residual < 1e-3
+    assert len(answer.measured) == 2
+    for measured in answer.measured:
+        for name in ("phase margin", "crossover", "delay margin"):
+            margin = measured[name]
+            slack = 0.5 * (margin.high - margin.low)
+            assert margin.low - slack < truth[name].value < margin.high + slack, name
+    assert answer.notes == ()
+    assert answer.is_safe
+    assert "of the model" in str(answer)
+    injected = broken_loop(answer.flown.sensitivity(recording, answer.check))
+    exact = loop.broken_at("u", injected.omega)[0]
+    assert np.sqrt(np.mean(np.abs(injected.response / exact - 1) ** 2)) < 0.1
+    assert answer.to_dict()["control_residual"] == answer.check.residual
+
+
+def test_a_model_of_another_plant_disagrees(answer):
+    other = gb.margins(DampedAngle(), controllers(), {**PLANT, "K_phi": 60.0})
+    notes = disagreements(other, answer.measured)
+    assert any("disagree on the crossover" in note for note in notes)
+
+
+def test_gains_that_did_not_fly_are_refused(recording):
+    parameters = recording.metadata["parameters"] | {"ATC_RAT_PIT_P": 0.5}
+    wrong = replace(recording, metadata={**recording.metadata, "parameters": parameters})
+    with pytest.raises(ValueError, match="does not reproduce"):
+        from_log(wrong, "pitch").check(wrong)
