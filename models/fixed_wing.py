@@ -50,6 +50,31 @@ class ShortPeriodAngle(ShortPeriod):
         return super().response(s, p) / s
 
 
+class ShortPeriodAlpha(gb.TransferFunction):
+    r"""Angle of attack from the elevator: short period.
+
+    $$\frac{\alpha}{\delta_e} = \frac{M (1 + T_\alpha s)}
+    {s^2 + 2 \zeta_{sp} \omega_{sp} s + \omega_{sp}^2} e^{-s T_{delay}}$$
+
+    The zero is that of the lift of the elevator, $T_\alpha = Z_\delta / M$.
+
+    Source: McRuer, Ashkenas and Graham, Aircraft Dynamics and Automatic Control (1973),
+    section 5.7.
+    """
+
+    input, output = "de", "alpha"
+    units = {"alpha": "rad"}
+    M = ShortPeriod.M
+    T_alpha = gb.Parameter(0.0, bounds=(-1, 1), unit="s", about="lead by the elevator's lift")
+    zeta_sp = ShortPeriod.zeta_sp
+    omega_sp = ShortPeriod.omega_sp
+    T_delay = ShortPeriod.T_delay
+
+    def response(self, s, p):
+        angle = p.M * (1 + p.T_alpha * s) / _mode(s, p.zeta_sp, p.omega_sp)
+        return angle * gb.exp(-s * p.T_delay)
+
+
 class Phugoid(gb.TransferFunction):
     r"""Pitch angle from the elevator at low frequencies: phugoid.
 

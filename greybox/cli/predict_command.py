@@ -4,6 +4,8 @@ import argparse
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from greybox.cli.log_tests import read_log
 from greybox.cli.options import (
     RECORD,
@@ -64,7 +66,17 @@ def run(options: argparse.Namespace) -> Answer:
     if options.between:
         record = record.between(*options.between)
     prediction = predict(fit, record=record, horizon=options.horizon)
-    return _json(prediction), str(prediction), USABLE
+    dead = [
+        name for name in prediction.outputs if np.nanmin(record[name]) == np.nanmax(record[name])
+    ]
+    if len(dead) == len(prediction.outputs):
+        raise UsageError(
+            f"{', '.join(dead)} never changes in {options.log}, so that it shows nothing of the "
+            "model: choose another log, another part (--between), or other --signals."
+        )
+    notes = [f"{name} never changes: a dead sensor, or a part at rest." for name in dead]
+    text = "\n".join([str(prediction), *notes, *record.findings])
+    return _json(prediction) | {"findings": [*notes, *record.findings]}, text, USABLE
 
 
 def _signals_of(fit: Fit) -> dict[str, str]:

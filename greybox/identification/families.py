@@ -68,6 +68,7 @@ FAMILIES: Mapping[str, Mapping[str, Mapping[str, str]]] = {
         "phi": ROLL,
         "q": PITCH_RATE,
         "theta": PITCH,
+        "alpha": {"fixed_wing:ShortPeriodAlpha": "short period"},
         "r": {"fixed_wing:DutchRoll": "dutch roll"},
     },
 }

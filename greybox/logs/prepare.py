@@ -216,7 +216,7 @@ def _source(recording: Recording, signal: str, start: float, end: float) -> _Sou
     if time.size < 2:
         raise ValueError(
             f"{signal} has {counted(time.size, 'sample')}: there is nothing to put on a time base."
-            f"{''.join(f' {text}' for text in record.findings)}"
+            f"{''.join(f' {text}' for text in record.findings or _missing(record, time.size))}"
         )
     unit = record.units.get(field, "")
     findings = record.findings
@@ -236,6 +236,10 @@ def _source(recording: Recording, signal: str, start: float, end: float) -> _Sou
     values = np.unwrap(values) if unit == "rad" else values
 
     return _Source(time, values, unit, findings, record.hold.get(field), step)
+
+
+def _missing(record: Record, count: int) -> list[str]:
+    return [f"The other {len(record) - count} values are missing."] if len(record) > count else []
 
 
 def _grid(sources: Mapping[str, _Source], rate: float | None, start: float, end: float) -> Array:

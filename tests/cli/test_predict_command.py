@@ -55,3 +55,11 @@ def test_signals_can_be_stated(capsys, saved, tmp_path):
     status, out, _ = run(capsys, *command, "--signals", "u=stick", "y=gyro", "--json")
     assert status == 0
     assert json.loads(out)["outputs"]["y"]["fit_percent"] > 80
+
+
+def test_a_sensor_that_never_changes_is_refused(capsys, saved, tmp_path):
+    rows = np.loadtxt(saved / "second.csv", delimiter=",", skiprows=1)
+    rows[:, 2] = 1.5
+    path = tmp_path / "dead.csv"
+    np.savetxt(path, rows, delimiter=",", header="time,stick,gyro", comments="")
+    assert "never changes" in refused(capsys, "predict", saved / "fit.h5", path)

@@ -1,0 +1,66 @@
+"""Bad tables and contradictory options: refused in a sentence with the cure, and nothing is written."""
+
+import numpy as np
+import pytest
+from command_line import run
+
+TIME = np.arange(0, 60, 0.02)
+SINE = np.sin(3 * TIME)
+PAIR = ("--input", "u", "--output", "y", "--whole")
+
+
+@pytest.fixture
+def tables(tmp_path, monkeypatch):
+    """Tables of time, u and y, each with a defect, in the working folder."""
+    monkeypatch.chdir(tmp_path)
+    columns = {
+        "sine": (TIME, SINE, np.sin(3 * TIME - 1)),
+        "reversed": (TIME[::-1], SINE, SINE),
+        "still": (0 * TIME, SINE, SINE),
+        "missing": (TIME, SINE, np.nan * SINE),
+        "huge": (TIME, SINE, 1e200 * (2 + SINE)),
+    }
+    for name, values in columns.items():
+        np.savetxt(
+            f"{name}.csv", np.transpose(values), delimiter=",", header="time [s],u,y", comments=""
+        )
+    counts = np.transpose((np.arange(TIME.size), SINE, SINE))
+    np.savetxt("counted.csv", counts, delimiter=",", header="timestamp,u,y", comments="")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("words", "fragments"),
+    [
+        (("identify", "sine.csv", *PAIR), ("must cover a band",)),
+        (("identify", "reversed.csv", *PAIR), ("u has 1 sample", "time does not increase")),
+        (("identify", "still.csv", *PAIR), ("u has 1 sample", "time does not increase")),
+        (("identify", "missing.csv", *PAIR), ("y has 0 samples", "3000 values are missing")),
+        (("identify", "huge.csv", *PAIR), ("beyond 1e75", "check its sensor")),
+        (("identify", "counted.csv", *PAIR), ("counts by one", "time=COLUMN:ms")),
+        (("identify", "sine.csv", *PAIR, "--period", "0"), ("--period 0", "leave it out")),
+        (("identify", "sine.csv", *PAIR, "--instrument", "y"), ("--instrument y is the output",)),
+        (("identify", "sine.csv", *PAIR, "--conditioned", "u"), ("--conditioned u", "same signal")),
+        (("identify", "sine.csv", *PAIR, "--fields", "omega=W"), ("--announced MESSAGE",)),
+        (("identify", "sine.csv", "--input", "w", *PAIR[2:]), ("'w'", "it has u and y")),
+        (("identify", "sine.csv"), ("--input NAME=SIGNAL", "it has u and y")),
+        (("identify", "."), ("is a folder",)),
+        (("response", "sine.csv", *PAIR, "--held", "u"), ("--manoeuvre",)),
+    ],
+)
+def test_it_is_refused_with_the_cure(capsys, tables, words, fragments):
+    before = sorted(tables.iterdir())
+    status, out, error = run(capsys, *words)
+    assert status == (1 if fragments == ("must cover a band",) else 2)
+    assert all(fragment in error for fragment in fragments), error
+    assert "Traceback" not in out + error
+    assert sorted(tables.iterdir()) == before
+
+
+def test_a_parameter_that_no_structure_has_is_refused(capsys, tables):
+    wide = np.random.default_rng(0).normal(size=TIME.size)
+    table = np.transpose((TIME, wide, wide + 0.01 * SINE))
+    np.savetxt("wide.csv", table, delimiter=",", header="time [s],u,y", comments="")
+    status, _, error = run(capsys, "identify", "wide.csv", *PAIR, "--fix", "zz=1")
+    assert status == 2
+    assert "no structure has a parameter 'zz'; they have b0" in error
