@@ -16,11 +16,6 @@ Frame = Any
 """A `pandas.DataFrame`; pandas is imported when it is first needed."""
 
 
-def pandas(what: str) -> Any:
-    """Return pandas, which `what` needs; ModuleNotFoundError names the extra that installs it."""
-    return required("pandas", "pandas", what)
-
-
 def frame_of(
     columns: Mapping[str, Sequence[Any] | NDArray[Any]],
     index: Any,
@@ -28,7 +23,7 @@ def frame_of(
     attributes: Mapping[str, Any],
 ) -> Frame:
     """Return a data frame with an index of this name; `attributes` go to its `attrs`."""
-    pd = pandas("to_pandas()")
+    pd = required("pandas", "pandas", "to_pandas()")
     frame = pd.DataFrame(dict(columns), index=pd.Index(index, name=index_name))
     frame.attrs.update({name: value for name, value in attributes.items() if value})
     return frame

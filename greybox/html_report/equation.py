@@ -7,7 +7,7 @@ import casadi as ca
 
 from greybox.html_report.elements import tag
 from greybox.html_report.mathml import formula, operator, parenthesized, symbol
-from greybox.modeling.expression_tree import Expression, Symbol, expressions, size, with_values
+from greybox.modeling.expression_tree import Expression, Symbol, expressions, size
 from greybox.modeling.model import Model
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import (
@@ -30,19 +30,16 @@ def equations(model: Model, values: Mapping[str, float] | None = None) -> list[E
         If its formula cannot be written, or is too long.
     """
     # Beyond ten lines nobody reads a formula; the author's docstring describes such a model.
-    lines = list(_lines(model))
+    lines = list(_lines(model, values or {}))
     longest = max(size(right) for _, right in lines)
     if longest > LONGEST:
         raise ValueError(
             f"{model.label} has an equation of {longest} symbols and operations, too long to read."
         )
-    # Insert numbers after tracing: traced with numbers, products would be multiplied out.
-    if values:
-        lines = [(variable, with_values(right, values)) for variable, right in lines]
     return [formula(variable, right) for variable, right in lines]
 
 
-def _lines(model: Model) -> Iterator[tuple[Element, Expression]]:
+def _lines(model: Model, values: Mapping[str, float]) -> Iterator[tuple[Element, Expression]]:
     parameters = {name: ca.SX.sym(name) for name in model.parameters}
     p = ca.vertcat(*parameters.values())
     if isinstance(model, TransferFunction):
@@ -50,7 +47,7 @@ def _lines(model: Model) -> Iterator[tuple[Element, Expression]]:
         response = ca.SX(
             traced(f"{model.label}.response", model.response, s, parameter_names(model, p))
         )
-        (right,) = expressions(response, {"s": s, **parameters}, {})
+        (right,) = expressions(response, {"s": s, **parameters}, {}, values)
         yield _ratio(model), right
         return
 
@@ -59,11 +56,11 @@ def _lines(model: Model) -> Iterator[tuple[Element, Expression]]:
     z = ca.vertcat(*signals.values())
     symbols = {**signals, **parameters}
     if model.states:
-        rates = expressions(traced_derivative(model, z, p), symbols, model.delays)
+        rates = expressions(traced_derivative(model, z, p), symbols, model.delays, values)
         for name, right in zip(model.states, rates, strict=True):
             yield tag("mover", symbol(name), operator("˙"), accent="true"), right
 
-    outputs = expressions(traced_output(model, z, p), symbols, model.delays)
+    outputs = expressions(traced_output(model, z, p), symbols, model.delays, values)
     for name, right in zip(model.outputs, outputs, strict=True):
         if right != Symbol(name):  # a state that is an output needs no line
             yield symbol(name), right

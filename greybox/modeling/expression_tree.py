@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import casadi as ca
@@ -101,18 +102,26 @@ FUNCTIONS = {
 
 
 def expressions(
-    formula: ca.SX, symbols: Mapping[str, ca.SX], delays: Mapping[str, str]
+    formula: ca.SX,
+    symbols: Mapping[str, ca.SX],
+    delays: Mapping[str, str],
+    values: Mapping[str, float] = MappingProxyType({}),
 ) -> list[Expression]:
     """Return every entry of `formula` (k, 1) as a tree.
 
-    `symbols` are those of the formula by name; `delays` are the names of their delays.
+    `symbols` are those of the formula by name, `delays` the names of their delays, and `values`
+    numbers in place of symbols.
 
     Raises
     ------
     ValueError
         For an operation without a notation.
     """
-    leaves: list[Any] = [Symbol(name, delays.get(name, "")) for name in symbols]
+    # Traced with numbers, products would be multiplied out: they replace the leaves instead.
+    leaves: list[Any] = [
+        _number(values[name]) if name in values else Symbol(name, delays.get(name, ""))
+        for name in symbols
+    ]
     return walk(
         formula,
         ca.vertcat(*symbols.values()),
@@ -135,18 +144,6 @@ def size(expression: Expression) -> int:
     return count(expression)
 
 
-def with_values(expression: Expression, values: Mapping[str, float]) -> Expression:
-    """Return the expression with numbers in place of symbols."""
-    replaced: dict[int, Expression] = {}
-
-    def put(part: Expression) -> Expression:
-        if id(part) not in replaced:
-            replaced[id(part)] = _with_parts(part, values, put)
-        return replaced[id(part)]
-
-    return put(expression)
-
-
 def _parts(expression: Expression) -> Sequence[Expression]:
     match expression:
         case Sum(terms):
@@ -159,24 +156,6 @@ def _parts(expression: Expression) -> Sequence[Expression]:
             return arguments
 
     return ()
-
-
-def _with_parts(
-    expression: Expression, values: Mapping[str, float], put: Callable[[Expression], Expression]
-) -> Expression:
-    match expression:
-        case Symbol(name) if name in values:
-            return _number(values[name])
-        case Sum(terms):
-            return _sum(*((sign, put(term)) for sign, term in terms))
-        case Product(over, under):
-            return _product(tuple(map(put, over)), tuple(map(put, under)))
-        case Power(base, exponent):
-            return Power(put(base), put(exponent))
-        case Function(name, arguments):
-            return Function(name, tuple(map(put, arguments)))
-
-    return expression
 
 
 def _operate(operation: int, terms: list[Expression]) -> Expression:

@@ -49,21 +49,23 @@ sign = _function("sign", ca.sign, np.sign, "Sign, 0 at 0")
 
 def arctan2(y: Any, x: Any) -> Any:
     """Angle of the point (x, y), of numbers or CasADi expressions."""
-    return ca.atan2(y, x) if is_casadi(y) or is_casadi(x) else np.arctan2(y, x)
+    return _applied(ca.atan2, np.arctan2, y, x)
 
 
 def minimum(a: Any, b: Any) -> Any:
     """Return the smaller of `a` and `b`, elementwise, of numbers or CasADi expressions."""
-    return ca.fmin(a, b) if is_casadi(a) or is_casadi(b) else np.minimum(a, b)
+    return _applied(ca.fmin, np.minimum, a, b)
 
 
 def maximum(a: Any, b: Any) -> Any:
     """Return the larger of `a` and `b`, elementwise, of numbers or CasADi expressions."""
-    return ca.fmax(a, b) if is_casadi(a) or is_casadi(b) else np.maximum(a, b)
+    return _applied(ca.fmax, np.maximum, a, b)
 
 
 def where(condition: Any, a: Any, b: Any) -> Any:
-    """Return `a` where `condition` holds, else `b`, of numbers or CasADi expressions."""
-    if any(is_casadi(x) for x in (condition, a, b)):
-        return ca.if_else(condition, a, b)
-    return np.where(condition, a, b)
+    """Return `a` where `condition` is true, else `b`, of numbers or CasADi expressions."""
+    return _applied(ca.if_else, np.where, condition, a, b)
+
+
+def _applied(casadi: Callable[..., Any], numpy: Callable[..., Any], *arguments: Any) -> Any:
+    return (casadi if any(map(is_casadi, arguments)) else numpy)(*arguments)

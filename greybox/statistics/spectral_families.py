@@ -74,6 +74,5 @@ def with_white_noise(shapes: Array) -> Array:
 def moving_average(values: Array, width: int) -> Array:
     """Return the moving average of values (b,), mirrored at their ends."""
     half = min(width // 2, len(values) - 1)
-    padded = np.pad(values, half, mode="reflect")
-    total = np.cumsum(np.concatenate([[0.0], padded]))
-    return np.maximum((total[2 * half + 1 :] - total[: -2 * half - 1]) / (2 * half + 1), 0.0)
+    window = np.full(2 * half + 1, 1 / (2 * half + 1))
+    return np.convolve(np.pad(values, half, mode="reflect"), window, mode="valid")

@@ -19,7 +19,6 @@ from greybox.modeling.expression_tree import (
     _operate,
     expressions,
     size,
-    with_values,
 )
 from greybox.modeling.model_file import models_of
 from greybox.modeling.symbolic_reading import parameter_names, split, traced_derivative
@@ -70,9 +69,9 @@ def included():
             )
 
 
-def tree(function, *names):
+def tree(function, *names, values=None):
     symbols = {name: ca.SX.sym(name) for name in names}
-    return expressions(ca.SX(function(*symbols.values())), symbols, {})[0]
+    return expressions(ca.SX(function(*symbols.values())), symbols, {}, values or {})[0]
 
 
 @pytest.mark.parametrize("model", list(included()))
@@ -88,7 +87,8 @@ def test_every_included_model_keeps_its_value(model):
         (found,) = expressions(response, {"s": symbol, **symbols}, {})
         expected = model.response(s, model.values(p))
         assert evaluated(found, {"s": s, **p}) == pytest.approx(expected, rel=1e-12)
-        assert evaluated(with_values(found, p), {"s": s}) == pytest.approx(expected, rel=1e-12)
+        (numbers,) = expressions(response, {"s": symbol, **symbols}, {}, p)
+        assert evaluated(numbers, {"s": s}) == pytest.approx(expected, rel=1e-12)
         return
     signals = {name: ca.SX.sym(name) for name in (*model.states, *model.inputs)}
     z = {name: float(rng.uniform(-1, 1)) for name in signals}
@@ -117,9 +117,8 @@ def test_signs_fractions_and_branches_keep_the_value(function, at):
     values = dict(zip("ab", at, strict=True))
     found = tree(function, "a", "b")
     assert evaluated(found, values) == pytest.approx(float(function(*at)), rel=1e-14)
-    assert evaluated(with_values(found, values), {}) == pytest.approx(
-        float(function(*at)), rel=1e-14
-    )
+    numbers = tree(function, "a", "b", values=values)
+    assert evaluated(numbers, {}) == pytest.approx(float(function(*at)), rel=1e-14)
 
 
 def test_it_is_what_a_person_would_write():
@@ -128,7 +127,7 @@ def test_it_is_what_a_person_would_write():
         (Number(0.5), k, Power(s, Number(3.0))), (s,)
     )
     assert tree(lambda s, k: k - (s - 1), "s", "K") == Sum(((1, k), (-1, s), (1, Number(1.0))))
-    assert with_values(tree(lambda s, k: k * s + 3, "s", "K"), {"K": 0.0}) == Number(3.0)
+    assert tree(lambda s, k: k * s + 3, "s", "K", values={"K": 0.0}) == Number(3.0)
 
 
 def test_the_size_of_what_repeats_is_that_of_what_would_be_written():
@@ -149,30 +148,27 @@ def test_the_size_counts_symbols_numbers_and_operations():
 
 
 def test_values_stand_in_the_place_of_all_symbols_that_they_name():
-    s, k = Symbol("s"), Symbol("K")
-    found = with_values(
-        Function("max", (Power(s, k), Product((Number(3.0), k), (Sum(((1, s), (-1, k))),)))),
-        {"K": 2.0},
-    )
+    s = Symbol("s")
+    found = tree(lambda s, k: gb.maximum(s**k, 3 * k / (s - k)), "s", "K", values={"K": 2.0})
     two = Number(2.0)
     assert found == Function(
         "max", (Power(s, two), Product((Number(6.0),), (Sum(((1, s), (-1, two))),)))
     )
-    assert with_values(Product((Number(3.0), k), (s,)), {"K": -0.5}) == Sum(
+    assert tree(lambda s, k: 3 * k / s, "s", "K", values={"K": -0.5}) == Sum(
         ((-1, Product((Number(1.5),), (s,))),)
     )
-    assert with_values(Product((k,), (s,)), {"K": 0.0}) == Number(0.0)
-    assert with_values(k, {}) is k
+    assert tree(lambda s, k: k / s, "s", "K", values={"K": 0.0}) == Number(0.0)
+    assert tree(lambda s, k: k, "s", "K") == Symbol("K")
 
 
 def test_negative_numbers_stand_behind_their_sign():
     s, k = Symbol("s"), Symbol("K")
     assert tree(lambda s, k: -2.5 * s, "s", "K") == Sum(((-1, Product((Number(2.5), s), ())),))
     assert tree(lambda s, k: k - 2.5, "s", "K") == Sum(((1, k), (-1, Number(2.5))))
-    assert with_values(tree(lambda s, k: s + k, "s", "K"), {"K": -3.0}) == Sum(
+    assert tree(lambda s, k: s + k, "s", "K", values={"K": -3.0}) == Sum(
         ((1, s), (-1, Number(3.0)))
     )
-    assert with_values(tree(lambda s, k: s * k, "s", "K"), {"K": -3.0}) == Sum(
+    assert tree(lambda s, k: s * k, "s", "K", values={"K": -3.0}) == Sum(
         ((-1, Product((Number(3.0), s), ())),)
     )
 

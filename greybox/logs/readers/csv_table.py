@@ -109,14 +109,14 @@ def read(
         )
         return Recording({path.stem: record}, path.name, checksum, {}, findings)
     group, left_out = table(path.stem, columns, units, rate)
-    log = on_one_clock([group] if group else [])
-    by_name, dropped = records(log.groups, path.name, checksum)
+    clocked, restarts = on_one_clock([group] if group else [])
+    by_name, dropped = records(clocked, path.name, checksum)
     if not by_name:
         raise ValueError(
             f"{path} has no numeric column beside the time: it needs one for each signal."
         )
 
-    findings = (*findings, *left_out, *log.findings, *dropped)
+    findings = (*findings, *left_out, *restarts, *dropped)
     ((name, record),) = by_name.items()
     record = completed(replace(record, findings=findings), raw)
 

@@ -21,7 +21,7 @@ from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.controller_outputs import with_holds
 from greybox.logs.readers.dataflash_index import Bytes, Index, Layout, index, text
 from greybox.logs.readers.dataflash_units import Units, UnitTables, with_usual_units
-from greybox.logs.readers.messages import Clocked, Messages, bare, merged, on_one_clock, records
+from greybox.logs.readers.messages import Messages, bare, merged, on_one_clock, records
 
 # About the log or the vehicle: no time histories.
 ABOUT = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "FILE", "ISBH", "ISBD")
@@ -56,21 +56,21 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     # Mapped: the system reads only the pages that are needed, and releases them again.
     with open(path, "rb") as file:
         data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    log, damage = _contents(data, messages)
-    return recording(log, path, hashlib.sha256(data).hexdigest(), messages, damage)
+    groups, damage = _contents(data, messages)
+    return recording(groups, path, hashlib.sha256(data).hexdigest(), messages, damage)
 
 
 def recording(
-    log: Clocked,
+    groups: list[Messages],
     path: Path,
     checksum: str,
     messages: Collection[str] | None,
     findings: Sequence[str],
 ) -> Recording:
     """Make a recording of the messages of an ArduPilot log, binary or text."""
-    restarts = log.findings
+    groups, restarts = on_one_clock(groups)
     # Before the messages are chosen: any unit in the log shows that it has tables of units.
-    groups, assumed = with_usual_units(log.groups)
+    groups, assumed = with_usual_units(groups)
     groups, conflicts = merged(groups)
     wanted = [g for g in groups if g.name not in ABOUT and (messages is None or g.name in messages)]
     metadata = ardupilot_metadata.metadata(groups)
@@ -86,8 +86,10 @@ def recording(
     return Recording(by_name, path.name, checksum, metadata, findings)
 
 
-def _contents(data: Bytes, messages: Collection[str] | None) -> tuple[Clocked, tuple[str, ...]]:
-    """Return the messages on one clock, the requested ones with their columns, and findings."""
+def _contents(
+    data: Bytes, messages: Collection[str] | None
+) -> tuple[list[Messages], tuple[str, ...]]:
+    """Return the messages, the requested ones with their columns, and findings."""
     positions = index(data)
     # One sort instead of a comparison for each type: a file may describe many types.
     order = np.argsort(positions.numbers, kind="stable")
@@ -104,7 +106,7 @@ def _contents(data: Bytes, messages: Collection[str] | None) -> tuple[Clocked, t
     # The unit tables are written again and again, with any time: they take no part in the clock.
     timed = [layout for layout in present if layout.name not in TABLES]
     groups = [decoded(x, tables.of(x)) for x in counted_off(timed, "decoding", "message")]
-    return on_one_clock(groups), (*_damage(positions), *tables.findings)
+    return groups, (*_damage(positions), *tables.findings)
 
 
 def _decoded(

@@ -15,7 +15,7 @@ from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.dataflash import ALWAYS, CLOCKS, TABLES, clock_column, recording
 from greybox.logs.readers.dataflash_index import Layout
 from greybox.logs.readers.dataflash_units import Units, UnitTables
-from greybox.logs.readers.messages import Messages, bare, on_one_clock
+from greybox.logs.readers.messages import Messages, bare
 
 TEXTS = "anNZM"  # letters of text; a mode, M, is a name or a number
 
@@ -167,7 +167,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     groups = [group for group in groups if len(group)]
     findings = [*_damage(lines), *tables.findings]
 
-    return recording(on_one_clock(groups + _banner(lines)), path, checksum, messages, findings)
+    return recording(groups + _banner(lines), path, checksum, messages, findings)
 
 
 def _number(field: str) -> float:

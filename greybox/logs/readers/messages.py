@@ -83,23 +83,15 @@ def merged(groups: Iterable[Messages]) -> tuple[list[Messages], tuple[str, ...]]
     return list(largest.values()), findings
 
 
-@dataclass(frozen=True, eq=False)
-class Clocked:
-    """Messages on one clock that never restarts, and findings."""
-
-    groups: list[Messages]
-    findings: tuple[str, ...]
-
-
-def on_one_clock(groups: Iterable[Messages]) -> Clocked:
-    """Put all timed messages on one clock that never restarts; see `time_stamps.one_clock`."""
+def on_one_clock(groups: Iterable[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
+    """Return the messages on one clock that never restarts, and findings; see `time_stamps`."""
     groups = list(groups)
     shifted, findings = time_stamps.one_clock(_stamps(groups))
     groups = [
         group if group.time is None else replace(group, time=shifted[group.order])
         for group in groups
     ]
-    return Clocked(groups, findings)
+    return groups, findings
 
 
 def _stamps(groups: Iterable[Messages]) -> Array:

@@ -93,11 +93,11 @@ def recording(
         if stated:
             group, labels = renamed(group, labels, stated, path.name)  # noqa: PLW2901
         part, problems = table(name, group, labels, rate)
-        log = on_one_clock([part] if part else [])
-        clocked = log.groups if parameters is None else with_holds(log.groups, parameters)
+        clocked, restarts = on_one_clock([part] if part else [])
+        clocked = clocked if parameters is None else with_holds(clocked, parameters)
         records_of_group, dropped = records(clocked, path.name, checksum)
         by_name.update(records_of_group)
-        findings += [*problems, *log.findings, *dropped]
+        findings += [*problems, *restarts, *dropped]
     if not by_name:
         raise ValueError(
             f"{path} has no group with a vector 'time' (or t, timestamp) and vectors of its "

@@ -36,8 +36,7 @@ def test_one_clock_for_all_messages_of_a_log():
         "IMU", order=np.arange(n), time=np.concatenate([np.arange(100.0), np.arange(100.0)]) + 5
     )
     slow = messages("GPS", order=(n,), time=(105.0,))
-    log = on_one_clock([fast, slow])
-    (fast, slow), (finding,) = log.groups, log.findings
+    (fast, slow), (finding,) = on_one_clock([fast, slow])
     assert np.all(np.diff(fast.time) > 0)
     assert slow.time[0] > fast.time[-1]
     assert "the clock restarted at 104.0 s" in finding
