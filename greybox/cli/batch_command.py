@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> Answer:
     except BatchInterrupted as stopped:
         answer = {**as_json(stopped.study), "error": f"interrupted; {RESUME}."}
         return answer, str(stopped.study), INTERRUPTED
-    except BlockingIOError:  # another process writes to the folder: this is no failed study
+    except BlockingIOError:  # another process writes to the folder: the study has not failed
         raise
     # Lost workers or a full disk end the command, not the study: its stored runs remain.
     except (ExecutorLostError, OSError) as error:

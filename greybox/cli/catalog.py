@@ -23,7 +23,7 @@ SETTINGS = ("starts", "seed", "method")  # what a problem file may choose
 
 def shipped(kind: str) -> list[str]:
     """Return the names of the included files of a kind, "models" or "problems"."""
-    # Modules with a leading underscore are shared by others and are no models or problems.
+    # Modules with a leading underscore are shared by others: they are neither models nor problems.
     package = importlib.import_module(f"greybox.{kind}")
     return sorted(
         item.name

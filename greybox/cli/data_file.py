@@ -35,7 +35,7 @@ def read_data(
     """Return a response, the spectrum of a manoeuvre, or the only record with the model's signals.
 
     `columns` come from `--columns`. They are those of a response if they contain its frequency or
-    magnitude. The `rate`, Hz, comes from `--rate`: that of a table without a time.
+    magnitude. The `rate` in Hz comes from `--rate`, for a table without a time.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def _require_signal(kind: str, name: str, names: Sequence[str]) -> None:
 
 
 def _header(path: Path) -> tuple[str, ...] | None:
-    """Return the names in the header of a table, or None for a file that is no text."""
+    """Return the names in the header of a table, or None if the file is not text."""
     # Only the beginning: a log may have gigabytes.
     with path.open("rb") as file:
         head = file.read(4096)

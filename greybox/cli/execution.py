@@ -1,4 +1,4 @@
-"""Running a command: its answer, what becomes of Ctrl-C, and errors as sentences."""
+"""Run a command: its answer, Ctrl-C, and errors as sentences."""
 
 import argparse
 import contextlib
@@ -94,7 +94,7 @@ def _explain(error: Exception, arguments: Sequence[str]) -> tuple[str, int]:
 
 
 def _full_path(path: str) -> Path:
-    """Return the path from the root, or as it is where there is no working directory."""
+    """Return the full path; the path itself if the working directory does not exist."""
     try:
         return Path(path).resolve()
     except FileNotFoundError:

@@ -46,7 +46,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="flight logs with tests of one axis, or tables of signals",
     )
     for flag, about in (
-        ("--input", "the control (default: that of the axis)"),
+        ("--input", "the control (default: the control of the axis)"),
         ("--output", "the output (default: the best-sampled angle)"),
     ):
         add(flag, default="", metavar="[NAME=]SIGNAL", help=about)

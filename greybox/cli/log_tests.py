@@ -36,9 +36,9 @@ def add_test_options(parser: argparse.ArgumentParser) -> None:
 
 
 def read_log(options: argparse.Namespace) -> Recording:
-    """Return the log of a command; `--rate` is also that of a table without a time."""
+    """Return the log of a command; a table without a time has the rate of `--rate`."""
     columns = stated_columns(options) or None
-    # Only a table without a time needs the rate to be read; for a log it is that of the resampling.
+    # Only a table without a time needs the rate here; a log is resampled to it later.
     log = read(options.log, columns=columns)
     if options.rate is None or all(record.has_time for record in log.values()):
         return log

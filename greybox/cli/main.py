@@ -106,7 +106,7 @@ def parser_of(commands: Collection[str] = tuple(COMMANDS)) -> argparse.ArgumentP
             formatter_class=HelpFormatter,
             allow_abbrev=False,
         )
-        # Modules of commands import solvers and readers: only that of the command at hand.
+        # Modules of commands import solvers and readers: import only the one that is needed.
         if name in commands:
             module = import_module(f"greybox.cli.{name}_command")
             module.add_options(command)

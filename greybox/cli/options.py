@@ -117,7 +117,7 @@ def nonnegative(text: str) -> int:
 
 
 def _integer(text: str, least: int) -> int:
-    # isdigit() alone accepts ², and int() accepts 1_000.
+    # isdigit() alone would accept ², and int() 1_000: neither is what a script means.
     if not text.isascii() or not text.isdigit() or int(text) < least:
         raise argparse.ArgumentTypeError(f"{text!r} is not an integer of at least {least}")
     return int(text)

@@ -47,7 +47,7 @@ def with_parameter_options(problem: AnyProblem, options: argparse.Namespace) -> 
     Raises
     ------
     UsageError, ValueError
-        For words that are no assignments, and unknown names.
+        For words of another form, and unknown names.
     """
     changes: dict[str, Mapping[str, Any]] = {
         **stated_values(options),

@@ -198,7 +198,7 @@ def through(model: Model, known_filter: TransferFunction) -> Model:
 
 
 def _require_problem(name: str) -> None:
-    """Explain what to write if the name is that of a data file or of a model."""
+    """Explain what to write if the name belongs to a data file or to a model."""
     if not name.endswith(".py") and Path(name).is_file():
         raise UsageError(
             f"{name} is a data file, not a problem: give it a model, --model tilt:Tilt --data "

@@ -60,7 +60,7 @@ def read_study_file(path: Path, starts: int | None = None) -> list[Member]:
     Raises
     ------
     UsageError, ValueError, OSError
-        For what is not understood, in one sentence.
+        For mistakes in the file, in one sentence.
     """
     require_file(path)
     if path.suffix == ".py":

@@ -35,7 +35,7 @@ def at_estimate(fit: Any, model: Model, part: FittedPart, inputs: Inputs | None)
 
     names = [*model.parameters, *(f"{b}_bias" for b in biases), *(f"K_{s}_{o}" for s, o in gains)]
     outside = {name: part.outside(name) for name in names}
-    # With process noise the gains are no parameters: they follow from the variances of the noise.
+    # With process noise the gains are not parameters: they follow from the variances of the noise.
     driven = record if record is not None and record.driven else None
     estimated = [*outside.values()]
     if driven is not None:
@@ -100,7 +100,7 @@ def _own_names(
     These are biases, unless records share them under one name, and parameters that have another
     name in other records.
     """
-    # An excerpt of the same record is no second record: it shares the biases of its flight.
+    # An excerpt of the same record is not another record: it shares the biases of its flight.
     same_model = [
         record
         for record in fit.records
@@ -122,7 +122,7 @@ def _own_names(
 
 
 def part_index(fit: Any, model: Model | None, part: int | None, record: Record | None) -> int:
-    """Return the index of a part of a `Fit`, by default that of the record, or the first record.
+    """Return the index of a part of a `Fit`; by default the part of the record, or the first one.
 
     Parts of the given model come first.
 
@@ -160,5 +160,6 @@ def part_index(fit: Any, model: Model | None, part: int | None, record: Record |
 
 
 def _class_name(model: Mapping[str, object]) -> str:
-    """Return the class without its module: a file that is run as a script has another module."""
+    """Return the class without its module."""
+    # A file has one module name when it is imported and another one when it is run as a script.
     return re.sub(r"^.*:", "", str(model["class"]))

@@ -58,7 +58,7 @@ class Accuracy:
         Constraints, and bounds of tied parameters, that hold with equality.
     bias : (k,) array
         Bias of the estimate from the magnitude by which a criterion divides, see
-        `AnyCriterion.gain_bias`; without that of an earlier fit.
+        `AnyCriterion.gain_bias`; without the bias of an earlier fit.
     white : (p, p) array or None
         The covariance of the free parameters if the cost were the likelihood of white errors: the
         inverse bread.
@@ -150,7 +150,7 @@ class _Sandwich:
 
     `root` (p, r) is a square root of the inverse bread, `slope` (k, k) has the derivatives of all
     values by the constants. `terms` are B⁻¹ Mᵢ B⁻¹ of every part and S Σ Sᵀ of every earlier fit,
-    with their degrees of freedom; `unknown` (k,) tells which constants have no error.
+    with their degrees of freedom; `unknown` (k,) marks the constants without a known error.
     """
 
     root: Array
@@ -170,7 +170,7 @@ def assess(
 
     Parts with nodes need their best `trajectories` there.
 
-    The covariance is that of an M-estimator under the noise condition of each part's criterion;
+    It is the covariance of an M-estimator under the noise condition of each part's criterion;
     parameters at a bound are taken as fixed there, and active constraints hold. Fixed values that
     come from an earlier fit widen it: C + S Σ Sᵀ with S the derivative of the estimate with respect
     to them.
@@ -182,17 +182,16 @@ def assess(
     at_bound = _at_bound(nlp, x, shares, trajectories)
     active, holding = _active_constraints(nlp, x)
 
-    # A column that is rounding, beside its value or beside what initial states took from it, would
-    # otherwise count as information.
+    # A column may be mere rounding, relative to the parameter or after the initial states have
+    # compensated for it. It must not count as information.
     length = np.linalg.norm(jacobian, axis=0)
     reach = np.sqrt(sum((share.reach**2 for share in shares), np.zeros(p)))
     reach[reach * np.abs(1 / nlp.scaling.slope(x)) < ROUNDING] = 0
     length[(length * np.abs(1 / nlp.scaling.slope(x)) < ROUNDING) | (length < DEAD * reach)] = 0
     jacobian = jacobian * (length > 0)
 
-    # Ranks can only be judged in units in which all columns have length one. The length is that
-    # before initial states were fitted along: where these make up for a parameter, the rest is
-    # rounding.
+    # Ranks can only be judged in units in which all columns have length one. Take the length before
+    # the initial states are fitted: where these compensate for a parameter, only rounding remains.
     size = np.where(np.isfinite(reach) & (reach > 0), 1 / np.where(reach > 0, reach, 1.0), 1.0)
     unit = np.nan_to_num(jacobian * size)
     bounded = [nlp.free.index(name) for name in at_bound]
@@ -330,7 +329,7 @@ def directions_beside(
 ) -> KnownDirections | None:
     """Return the directions of the free parameters at a point beside the estimate `x` (p,).
 
-    `trajectories_at` gives the best trajectories there; None where there are none.
+    `trajectories_at` returns the best trajectories there, or None.
     """
     # Each parameter moves by another share, so that equal ones become different.
     share = 0.1 * (1 + np.arange(len(x)) / len(x))
@@ -397,7 +396,7 @@ def _corrected(part: Information, share: _Share, root: Array) -> _Corrected:
     # part had been fitted alone with pᵢ parameters. Correlated errors have their own.
     p = len(root)
     problem = part.part.problem
-    paid = round(float(np.sum((share.root @ root) ** 2)), 9)  # of a fit alone a whole number
+    paid = round(float(np.sum((share.root @ root) ** 2)), 9)  # a whole number for a single part
     numbers = max(part.numbers - paid, 0.5)
     if part.colored is not None:
         colored = part.colored(math.sqrt(problem.weight) * root)

@@ -112,12 +112,12 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     starts : int, Starts, or list
         A number of Sobol points, with records the declared values and one point less; a rule such
         as `LatinHypercube(200)`; or a list of ``{name: value}``. By default the 8 most promising of
-        200, with records 4 of 20; all of them if few of these runs agree. With records, starts at
-        which the model is not finite move toward one at which it is, and from the best end of
-        several runs, positive parameters four times larger and smaller are tried as extra runs.
+        200, with records 4 of 20; all of them if few of these runs agree. With records, a start at
+        which the model is not finite moves toward one at which it is finite. Extra runs begin at
+        the best end of several runs, with positive parameters four times larger and smaller.
     seed : int, optional
-        Of the Sobol points, 0 by default; a rule has its own. More starts of the same seed begin
-        with the same points.
+        Seed of the Sobol points, 0 by default; a rule has its own. More starts with the same seed
+        include the same points.
     method : MultipleShooting, SingleShooting or Collocation, optional
         How records are transcribed and solved; `MultipleShooting()` by default.
     search : "batched" or "multistart"
@@ -147,7 +147,7 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     -------
     Fit
         If no start converged, `Fit.converged` is False, the values are NaN, and `Fit.best_effort`
-        has those of the best run.
+        has the values of the best run.
 
     Raises
     ------
@@ -156,7 +156,7 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     RuntimeError
         When the executor has lost its workers.
     KeyboardInterrupt
-        After Ctrl-C, when the iteration at hand has ended; its attribute ``fit`` is the best fit so
+        After Ctrl-C, at the end of the current iteration; its attribute ``fit`` is the best fit so
         far.
     """
     by = SolverChoice(method, search, solver_options)
@@ -270,7 +270,7 @@ def fit_keeping(
     if not search.runs:
         raise Interrupted(None)
 
-    # The answer is made whatever key is pressed: the work is done, and losing it helps nobody.
+    # Ctrl-C no longer ends the work: the search is complete, and judging it takes a moment.
     with responding(Response.FINISH):
         answer = assemble(nlp, search, solver, seed=rule.seed, starts=str(rule), error=error)
         messages = tuple(_cut_short(search, len(points), interrupted=interrupted))
@@ -296,6 +296,7 @@ def _with_progress(
     run: Callable[..., Multistart], progress: bool | Callable[[int, int], None], total: int
 ) -> Multistart:
     """Run a search with a bar on a terminal, or with the user's function."""
+    # A bar would be in the way of a function that reports progress in another form.
     if callable(progress) or not progress:
         return run(progress=progress or None)
     with tqdm(total=total, disable=None, delay=2, unit="start", leave=False) as bar:
@@ -333,7 +334,7 @@ def assemble(
 
     `starts` describes their rule, `error` is the error of discretization where it is known.
     """
-    # The end of a run that did not converge is no estimate: the values of a failed fit are NaN.
+    # The end of a run that did not converge is not an estimate: the values of a failed fit are NaN.
     best = search.minima[0].estimate if search.minima else np.full(len(nlp.free), np.nan)
     accuracy = Accuracy.unknown(nlp)
     trajectories: tuple[Any, ...] = (None,) * len(nlp.parts)
@@ -403,7 +404,7 @@ def _versions() -> dict[str, str]:
 
 
 def _priors(problem: AnyProblem) -> dict[str, tuple[float, float]]:
-    """Return mean and standard deviation of the a-priori knowledge by name."""
+    """Return mean and standard deviation of every prior by name."""
     return {name: pair for prior in stated_priors(problem) for name, pair in prior.stated.items()}
 
 
@@ -411,6 +412,7 @@ def _parts(
     nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory | None]
 ) -> tuple[AnyFittedPart, ...]:
     """Return what the answer keeps of each part at the free parameters x (p,)."""
+    # Values, not the compiled parts: a fit must be small, and readable without its model.
     values = nlp.all_values(x)
     named = dict(zip(nlp.names, values.tolist(), strict=True))
     return tuple(
@@ -432,6 +434,8 @@ def _rule(starts: Any, seed: int | None, solver: LocalSolver) -> Starts:
 
 def _all_costs(parts: Sequence[AnyFittedPart]) -> dict[str, float]:
     """Return the cost by every included criterion, if all data are frequency responses."""
+    # Published fits state the cost of one criterion or another: with all of them any can be
+    # compared.
     responses = [part for part in parts if isinstance(part, FittedResponse)]
     if len(responses) < len(parts):
         return {}

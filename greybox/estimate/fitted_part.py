@@ -38,7 +38,7 @@ class FittedPart:
         Errors of the data for which the standard errors hold.
     weight : float
     rename : mapping of name to name
-        From the model's parameter names to those of the estimate.
+        Names in the estimate by names in the model.
     tied, constraints : mapping of name to str, tuple of str
         Source texts.
     model : mapping
@@ -69,7 +69,7 @@ class FittedPart:
 
     @property
     def is_prior(self) -> bool:
-        """Whether it is a-priori knowledge of the parameters, not data."""
+        """Whether the part represents priors of parameters, not data."""
         return self.criterion_class == PRIOR
 
     def outside(self, name: str) -> str:
@@ -176,7 +176,7 @@ class FittedRecord(FittedPart):
 
     @property
     def added(self) -> tuple[str, ...]:
-        """Names inside of the parameters that the criterion added to those of the model."""
+        """Names of the parameters that the criterion added to those of the model."""
         # With process noise the gains follow from the variances, which are estimated instead.
         biases = tuple(f"{name}_bias" for name in self.biases)
         if self.driven:

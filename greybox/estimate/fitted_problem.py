@@ -24,8 +24,10 @@ def compiled_again(
     ValueError, LookupError
         As in `problem_of`, and for a problem with other free parameters or data than the fit.
     """
+    # The number of harmonics is not stored: it follows again from the start values.
     problem = with_enough_harmonics(problem_of(fit) if problem is None else problem)
     nlp = compile_problem(problem, method)
+    # The values of the fit are used as a point of this problem, so the unknowns must be the same.
     checksums = [part.data.checksum for part in nlp.problem.parts]
     if nlp.free != fit.free or checksums != [part.data.checksum for part in fit.parts]:
         raise ValueError(
@@ -57,7 +59,7 @@ def problem_of(fit: Fit) -> AnyProblem:
 
     for k, part in enumerate(fit.parts):
         if part.is_prior:
-            raise ValueError(f"the fit {fit.name!r} has a-priori knowledge: give its problem=...")
+            raise ValueError(f"the fit {fit.name!r} has priors: give its problem=...")
         if part.tied or part.constraints or uncertain:
             obstacles = {
                 "ties": part.tied,
@@ -66,7 +68,7 @@ def problem_of(fit: Fit) -> AnyProblem:
             }
             what = next(text for text, present in obstacles.items() if present)
             raise ValueError(
-                f"the fit {fit.name!r} has {what}, of which only the text is known: give its "
+                f"the fit {fit.name!r} has {what}, which it stores only as text: give its "
                 "problem=..."
             )
         model = fit.model_of(k)
@@ -122,8 +124,8 @@ def _criterion(fit: Fit, part: FittedPart) -> Any:
         ]
         if functions:
             raise ValueError(
-                f"the fit {fit.name!r} has a function for the initial {functions[0]}, of which "
-                "only the text is known: give its problem=..."
+                f"the fit {fit.name!r} has a function for the initial {functions[0]}, which it "
+                "stores only as text: give its problem=..."
             )
         return criterion
     raise ValueError(

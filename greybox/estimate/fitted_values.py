@@ -123,6 +123,7 @@ def _(
         noise = part.covariance_along(trajectory).covariance(trajectory.products)
         steady = trajectory.detail.filter
         if steady is not None:
+            # Stored with the fit: predictions then need no Riccati equation.
             gain = steady.gain.ravel()
             # The gains themselves follow the parameters from which they follow.
             estimated = model.active[: steady.gain_slope.shape[-1]]
@@ -212,6 +213,7 @@ def _(
 
 def covariance_unknowns(outputs: int, *, known: bool, full: bool) -> int:
     """Return how many numbers of the residual covariance are estimated."""
+    # A covariance matrix is symmetric: half of its entries, with the diagonal.
     if known:
         return 0
     return outputs * (outputs + 1) // 2 if full else outputs

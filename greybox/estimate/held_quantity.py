@@ -72,6 +72,7 @@ class HeldResponses:
         Several parameters have an array of values. A cost is infinite where the solver failed.
         """
         scaling = self._nlp.scaling
+        # A held parameter has equal bounds: the solver then needs no equation for it.
         lower = self._lower.copy()
         upper = self._upper.copy()
         quantity = None if isinstance(held, list) else held
@@ -111,8 +112,8 @@ class HeldResponses:
 class HeldRecords:
     """A problem with records.
 
-    A point is the solver's variables (p,), alone or followed by the states at the nodes of all
-    parts: from those of a neighbor a solution takes a few iterations.
+    A point consists of the solver's variables (p,), which may be followed by the states at the
+    nodes of all parts.
 
     Parameters
     ----------
@@ -191,6 +192,7 @@ def best_of_records(
     ------
     NoMinimumError
     """
+    # A fit does not store the states at the nodes: they are solved again, then everything together.
     solver = GaussNewton(nlp)
     states = solver.profile(x)
     outcome = solver.solved_from(x, [trajectory.nodes for trajectory in states.trajectories])

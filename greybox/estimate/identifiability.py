@@ -18,8 +18,7 @@ INSENSITIVITY_GUIDELINE = 0.1
 # parameter known.
 CORRELATED = 0.9
 
-# How many times smaller than those of its members the error of a combination must be to be
-# reported.
+# A combination is reported if its error is this many times smaller than those of its members.
 GAIN = 5.0
 
 # Share of an unseen direction from which a combination has no standard error, as for parameters.
@@ -143,7 +142,7 @@ class Identifiability:
         Free parameters.
     error : (p,) array
         Cramér-Rao bound, the standard error of the fit, as a share of the absolute value; NaN where
-        there is none. Guideline: at most 0.2.
+        it is not known. Guideline: at most 0.2.
     insensitivity : (p,) array
         The standard error that the parameter would have if all others were known, as a share of the
         absolute value; infinite without any effect. Guideline: at most 0.1. A large error with a

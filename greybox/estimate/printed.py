@@ -204,6 +204,7 @@ def _prior_texts(fit: Any) -> list[str]:
 
 def _input_texts(records: Sequence[FittedRecord]) -> list[str]:
     """Say how the inputs ran between their samples, one line for all that ran alike."""
+    # Most inputs of a flight run alike, so that one line suffices.
     alike: dict[str, dict[str, None]] = {}
     for part in records:
         for name, way in part.between.items():
@@ -213,6 +214,7 @@ def _input_texts(records: Sequence[FittedRecord]) -> list[str]:
 
 def _output_texts(records: Sequence[FittedRecord]) -> list[str]:
     """Say how well every output of every record is reproduced; of many records the range."""
+    # Twenty records with three outputs would take a page.
     if len(records) <= MANY:
         return [_output_text(part, output) for part in records for output in part.outputs]
     texts = []

@@ -82,7 +82,7 @@ def profile(
     ------
     ValueError
         If the criterion admits no likelihood ratio, for manoeuvres, and for a problem other than
-        that of the fit.
+        the fitted one.
     LookupError
         If a loaded fit does not know its model.
     """
@@ -108,8 +108,7 @@ def _compiled(fit: Fit, problem: AnyProblem | None, level: float) -> CompiledPro
     require_level(level)
     if fit.priors:
         raise ValueError(
-            f"the fit {fit.name!r} has a-priori knowledge, so its cost is no likelihood: use "
-            "fit.interval()."
+            f"the fit {fit.name!r} has priors, so its cost is not a likelihood: use fit.interval()."
         )
 
     if len(fit.responses) + len(fit.records) < len(fit.parts):
@@ -173,9 +172,8 @@ def _ratio_refusal(nlp: CompiledProblem, x: Array) -> str:
         if not part.criterion.weighs_alike and np.ptp(meat) > 1e-6 * meat.max():
             return (
                 f"{type(part.criterion).__name__} does not weigh the points of "
-                f"{part.problem.name!r} by their errors, so differences of its cost are no ratio "
-                "of likelihoods: use RelativeError, SquaredRelativeError or MaximumLikelihood, or "
-                "a bootstrap"
+                f"{part.problem.name!r} by their errors, so its cost is not a log-likelihood: use "
+                "RelativeError, SquaredRelativeError or MaximumLikelihood, or a bootstrap"
             )
 
     return ""
@@ -237,16 +235,16 @@ class _Search:
     factor, numbers : float
         c and N of the likelihood ratio.
     limit : float
-        Of |r|.
+        Limit of |r|.
     bounds : (float, float)
     size : float
-        Of the quantity.
+        Typical size of the quantity.
     first : float
         The first step.
     starts : (s, p) array
         Further starts of every point.
     bias : float
-        Of the estimate, in standard errors.
+        Bias of the estimate in standard errors.
     ray : pair of (2,) arrays, optional
         Where the values are distances along a ray of two parameters: its origin and direction.
     """

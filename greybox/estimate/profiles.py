@@ -21,7 +21,7 @@ class ProfileOf:
     ----------
     name, unit : str
     estimate, standard_error : float
-        Of the fit; the error is NaN where the data determine none.
+        Values of the fit; the error is NaN if it is not known.
     values, costs, roots : (n,) arrays
         Values at which the quantity was held, increasing; the lowest cost at each, and the signed
         root of the likelihood ratio.
@@ -34,11 +34,11 @@ class ProfileOf:
         "bound" of the parameter first, is "flat" however far it goes, or "failed" to converge.
     bounds : (float, float)
     bias : float
-        Of the estimate, in standard errors (`Quantity.bias`): at the ends the root plus the bias is
-        -limit and limit.
+        Bias of the estimate (`Quantity.bias`) in standard errors: at the ends the root plus the
+        bias is -limit and limit.
     at_bound : (tuple of str, tuple of str)
-        Other parameters at a bound where the profile crosses the limit below and above: that end
-        follows from the bound too, not from the data alone.
+        Other parameters at a bound where the profile crosses the limit, below and above. Such an
+        end depends on the bound, not only on the data.
     connected : bool
         False when values inside the interval have a cost above the limit.
     """
@@ -61,6 +61,7 @@ class ProfileOf:
     def __str__(self) -> str:
         low, high = (number(value, 4) for value in self.interval)
         unit = f" {self.unit}" if self.unit else ""
+        # An open side is more important than the number on the other one: say it in words.
         is_open = [math.isinf(value) for value in self.interval]
         if all(is_open):
             text = "not limited by the data on either side"
@@ -95,11 +96,11 @@ class Profiles:
     Attributes
     ----------
     name : str
-        Of the problem.
+        Name of the problem.
     level : float
-        Of the intervals.
+        Confidence level of the intervals.
     limit : mapping of name to float
-        Of |r|: the quantile of Student's t.
+        Limit of |r|: the quantile of Student's t.
     free : tuple of str
         The columns of `ProfileOf.others`.
     profiles : tuple of ProfileOf
@@ -181,14 +182,14 @@ class Contour:
     level : float
     estimate : (2,) array
     covariance : (2, 2) array
-        Of the two, for the ellipse of the standard errors.
+        Covariance of the two, for the ellipse of the standard errors.
     limit : float
-        Of the root of the ratio.
+        Limit of the root of the likelihood ratio.
     points : (n, 2) array
         Where rays from the estimate leave the region, in the order of their directions; NaN where a
         solve failed.
     ends : tuple of End
-        Of every ray: it "crossed" the limit, reached the "bound" of one of the two parameters
+        How every ray ended: it "crossed" the limit, reached the "bound" of one of the parameters
         first, is "flat", or "failed".
     """
 

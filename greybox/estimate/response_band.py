@@ -21,7 +21,7 @@ from greybox.modeling.sine import Sine
 
 @dataclass(frozen=True, eq=False)
 class ResponseBand:
-    """A fitted frequency response with its error at each frequency, from those of the parameters.
+    """A fitted frequency response with its errors, which follow from those of the parameters.
 
     It holds the response of the true system at each single frequency at this level, if the model
     structure is right; the noise of the measured points is not in it.
@@ -35,13 +35,13 @@ class ResponseBand:
         Degrees of freedom of Student's t: the fewest of the parameters that the response depends
         on.
     covariance : (n, 2, 2) array
-        Of real and imaginary part; NaN where the response depends on what the data of the fit do
-        not determine.
+        Covariance of real and imaginary part; NaN where the response depends on something that the
+        data of the fit do not determine.
     relative_error : (2, n) array
         Standard errors of the logarithm of the magnitude and of the phase in rad.
     bias : (n,) complex array
-        Of the response, from those of its parameters (`Quantity.bias`): the band is about the
-        response less it.
+        Bias of the response, from the biases of its parameters (`Quantity.bias`). The band is
+        centered on the response minus this bias.
     """
 
     response: FrequencyResponse
@@ -113,7 +113,7 @@ def t_quantile(level: float, dof: float) -> float:
     Raises
     ------
     ValueError
-        For a level that is none.
+        For a level outside 0 to 1.
     """
     require_level(level)
     from scipy.special import stdtrit  # noqa: PLC0415  (takes a tenth of a second to import)
@@ -124,7 +124,7 @@ def t_quantile(level: float, dof: float) -> float:
 
 
 def require_level(level: float) -> None:
-    """Raise ValueError for a confidence level that is none."""
+    """Raise ValueError for a confidence level outside 0 to 1."""
     if not 0 < level < 1:
         raise ValueError(f"level {level} must lie between 0 and 1, e.g. 0.95.")
 

@@ -60,7 +60,7 @@ class Quantity:
         Degrees of freedom of Student's t for its interval.
     bias : float
         Bias of the value from noise in the magnitude by which a relative criterion divides: with
-        the measured magnitude a gain comes out too low, with that of the model too high. First
+        the measured magnitude a gain comes out too low, with the model's too high. First
         order in the variance of the errors. The value includes the bias; intervals are centered on
         the value without it.
     """
@@ -123,8 +123,8 @@ class Fit:
     profiles : Profiles or None
         Profiles of the parameters whose standard error misleads.
     priors : mapping of name to (float, float)
-        Mean and standard deviation of the a-priori knowledge; the estimate is then the maximum a
-        posteriori one, and one of the `parts` represents the prior.
+        Mean and standard deviation of every prior. With priors the estimate is the maximum a
+        posteriori one, and one of the `parts` represents them.
     prior_share : mapping of name to float
         Share of the prior in the information on each free parameter, 0 to 1; the rest comes from
         the data. The other parameters are estimated too, and errors are taken as independent. NaN
@@ -209,7 +209,7 @@ class Fit:
         return f"no start converged ({Multistart(self.runs, (), 0.0).failures})"
 
     def require_estimate(self) -> None:
-        """Raise ValueError for a fit of which no start converged."""
+        """Raise ValueError if no start converged."""
         if not self.converged:
             raise ValueError(f"the fit {self.name!r} has no estimate: {self.status}.")
 
@@ -262,8 +262,8 @@ class Fit:
     def best_effort(self) -> dict[str, float] | None:
         """Values of free and fixed parameters at the end of the best run of a failed fit, by name.
 
-        They are no estimate and have no errors. None if a run converged, or if no run ended at a
-        finite cost.
+        They are not an estimate and have no errors. None if a run converged, or if no run ended
+        at a finite cost.
         """
         run = None if self.converged else best_unfinished(self.runs)
         if run is None:
@@ -368,7 +368,7 @@ class Fit:
         inputs : "record", "linear" or "held", optional
             How inputs run between samples; by default as in the fit.
         part : int, optional
-            By default that of `record`, else the first record, preferably with this model.
+            By default the part of `record`, else the first record, preferably with this model.
         record : Record, optional
             The record on which the model will be run.
 
@@ -496,7 +496,7 @@ class Fit:
         """Return the fitted response of a part at `omega` (n,) rad/s with its confidence band.
 
         The band is of first order in the errors of the parameters and holds where their standard
-        errors do. By default `omega` is that of the curve in figures.
+        errors do. By default `omega` is the grid of the curve in figures.
 
         Raises
         ------
@@ -526,8 +526,8 @@ class Fit:
         return band_of(response, slope, directions, level, self.fewest_degrees(names), bias)
 
     def fewest_degrees(self, names: Sequence[str]) -> float:
-        """Return the fewest degrees of freedom of these parameters, by default that of the fit."""
-        # A quantity that follows from several variances has at least those of the worst known one.
+        """Return the fewest degrees of freedom of these parameters, by default those of the fit."""
+        # By Welch and Satterthwaite a combination has at least the fewest degrees of its members.
         lines = [self.by_name[name] for name in names]
         return min((q.dof for q in lines if q.standard_error > 0), default=self.dof)
 

@@ -53,7 +53,7 @@ FIELDS = {
 }
 MINIMUM = {"cost": float, "variants": int}
 
-# A part is of the first kind whose field it has.
+# The kind of a part follows from the first of these fields that it has.
 PARTS = {"simulated": FittedRecord, "fitted": FittedSpectrum, "response": FittedResponse}
 
 
@@ -195,9 +195,11 @@ def _require_consistent(fit: Fit) -> None:
     Raises
     ------
     ValueError
-        With what does not agree.
+        The message names what does not agree.
     """
     # Printing a fit looks quantities up by name: a duplicate would hide one of them.
+    # Everything that printing, predicting and comparing rely on: a damaged or hostile file must be
+    # refused here, with a sentence.
     names = [q.name for q in fit.quantities]
     require(len({*names}) == len(names), "two quantities have the same name")
     require(bool(fit.parts) and len(fit.runs.cost) > 0, "it has no data or no runs")
@@ -216,7 +218,7 @@ def _require_consistent(fit: Fit) -> None:
         _require_consistent_directions(fit.directions, sizes["k"])
         _require_consistent_directions(fit.directions.elsewhere, sizes["p"])
 
-    # Runs are columns: one that is shorter would shift the others when they are selected.
+    # Runs are columns: in a shorter one, values would belong to other runs.
     columns = dict.fromkeys(fields_of(type(fit.runs)), "r")
     _require_shapes(fit.runs, columns | {"start": "rp", "estimate": "rp"}, sizes)
     require(np.array_equal(fit.runs.indices, np.arange(sizes["r"])), "its runs are not in order")

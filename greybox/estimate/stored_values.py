@@ -58,6 +58,7 @@ def read_fields(group: Stored, kinds: Mapping[str, Any]) -> dict[str, Any]:
 
 def write(group: Node, name: str, value: Any, kind: Any) -> None:
     """Write a value of an annotated kind under a name."""
+    # The annotation decides, not the value: an empty tuple does not show what it would contain.
     kind = _without_none(kind)
     if value is None:
         return

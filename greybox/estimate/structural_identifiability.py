@@ -135,9 +135,9 @@ def structural_identifiability(
     outputs : sequence of str, optional
         The measured outputs; by default all.
     at, fixed, free, tied : optional
-        As of a `Problem`; `at` asks for the linearized response.
+        As in `Problem`; `at` selects the linearized response.
     initial : mapping, optional
-        Known initial states, as of `OutputError`.
+        Known initial states, as in `OutputError`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Several results side by side: tables of all, how they compare, and figures over one another."""
+"""Several results side by side: tables, comparison, and figures that overlay them."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence

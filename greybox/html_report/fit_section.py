@@ -105,7 +105,7 @@ def _profiles(profiles: Profiles) -> Iterator[Element]:
 
 def _equations(fit: Fit) -> Iterator[Element]:
     """Yield the equation of every model, or why it cannot be written, and its author's words."""
-    # Several records of one model have one equation: that of the first part.
+    # Several records of one model have one equation: take the first part.
     first = {part.label: k for k, part in reversed([*enumerate(fit.parts)])}
     for k in sorted(first.values()):
         part = fit.parts[k]

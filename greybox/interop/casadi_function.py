@@ -19,19 +19,19 @@ def to_casadi(
 ) -> ca.Function:
     """Return ``(x, u) -> (derivative, y)`` of a model at its estimate as a `casadi.Function`.
 
-    A transfer function has the states of its observer canonical form. The order of states, inputs
-    and outputs is that of the model.
+    A transfer function has the states of its observer canonical form. States, inputs and outputs
+    are in the order of the model.
 
     Parameters
     ----------
     thing : Fit or Model
     values : mapping of name to float, optional
-        Of a model: values of its parameters, by default the declared starts.
+        Values of a model's parameters, by default the declared starts.
     pade : int, optional
         Order of the Padé approximation of delays, which the function cannot hold; 0 leaves delays
         out.
     part : int
-        Of a fit.
+        Part of a fit.
     with_parameters : bool
         Whether the parameters are a third argument ``p``, in the order of the model's, instead of
         numbers.
@@ -55,5 +55,6 @@ def to_casadi(
     q = ca.SX.sym("p", len(p)) if with_parameters else p
     arguments = {"x": x, "u": u} | ({"p": q} if with_parameters else {})
     outputs = [system.derivative(x, u, q), system.output(x, u, q)]
+    # CasADi accepts only names that C accepts.
     name = identifier(source.model.label)
     return ca.Function(name, [*arguments.values()], outputs, [*arguments], ["derivative", "y"])

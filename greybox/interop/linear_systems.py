@@ -30,7 +30,7 @@ class GivenModel:
     at : mapping of name to float
         The operating point of its linearization.
     name : str
-        Of the fit, empty without one.
+        Name of the fit, empty without one.
     """
 
     model: Model
@@ -94,7 +94,7 @@ class GivenModel:
 
     def ode(self, pade: int | None) -> tuple[Dynamics, Array]:
         """Return the ODE, with states for delays of order `pade`, and its parameters (p,)."""
-        # Order None keeps the delays beside the ODE, where `_require_no_delay` sees them.
+        # Without an order the delays stay beside the ODE, and are checked below.
         system = dynamics(self.model, pade or None)
         p = np.array(list(self.model.values(self.values).values()), dtype=float)
         delays = system.delay(p).full().ravel().tolist()

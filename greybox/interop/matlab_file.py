@@ -95,6 +95,7 @@ def _response(response: FrequencyResponse) -> dict[str, Any]:
 
 def _fields(values: Mapping[str, Any]) -> dict[str, Any]:
     """Return plain values as MATLAB has them, with names that it accepts."""
+    # MATLAB refuses fields with dots or with more than 63 characters.
     names = identifiers(values)
     return {names[name][:LONGEST_NAME]: _value(value) for name, value in values.items()}
 

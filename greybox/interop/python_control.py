@@ -31,7 +31,7 @@ def to_control(
     thing : FrequencyResponse, Fit or Model
         A response becomes a `control.FrequencyResponseData`.
     values : mapping of name to float, optional
-        Of a model: values of its parameters, by default the declared starts.
+        Values of a model's parameters, by default the declared starts.
     kind : "transfer-function" or "state-space"
         The `control.TransferFunction` of one input-output pair, or the `control.StateSpace` of the
         linearization; by default as the model is declared.
@@ -39,11 +39,11 @@ def to_control(
         Order of the Padé approximation of delays, which none of these can hold; 0 leaves delays
         out.
     at : mapping of name to float, optional
-        Operating point of the linearization; by default that of the fit.
+        Operating point of the linearization; by default the one of the fit.
     input, output : str
         The pair of a transfer function, where a model has several.
     part : int
-        Of a fit.
+        Part of a fit.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def from_control(
     """Return a system of python-control as a frequency response or as a model.
 
     The numbers of a model are parameters that are fixed, `KnownTransferFunction` or
-    `KnownStateSpace`: it serves as a known filter, ``from_control(filter) * Plant()``, and
+    `KnownStateSpace`: use it as a known filter, ``from_control(filter) * Plant()``;
     ``Problem(..., free=["a1"])`` estimates one of them.
 
     Parameters
@@ -104,14 +104,14 @@ def from_control(
     prefix : str
         Begins the names of the parameters of a transfer function, so that two can be connected.
     name : str
-        Of a response.
+        Name of a response.
 
     Raises
     ------
     ModuleNotFoundError
         Without python-control.
     ValueError, TypeError
-        For several inputs or outputs, discrete time, or what is none of these.
+        For several inputs or outputs, discrete time, or another object.
     """
     control = required("control", "control", "from_control()")
     linear = (control.TransferFunction, control.StateSpace)

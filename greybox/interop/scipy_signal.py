@@ -24,7 +24,7 @@ def to_scipy(
     ----------
     thing : Fit or Model
     values, kind, pade, at, input, output, part
-        As of `greybox.interop.to_control`.
+        As in `greybox.interop.to_control`.
 
     Raises
     ------
@@ -56,10 +56,11 @@ def from_scipy(
     Raises
     ------
     ValueError, TypeError
-        For several outputs in one transfer function, discrete time, or what is none of these.
+        For several outputs in one transfer function, discrete time, or another object.
     """
     from scipy import signal  # noqa: PLC0415  (takes a third of a second to import)
 
+    # `dlti` is not a kind of `lti`, and deserves a message of its own.
     if isinstance(system, signal.dlti):
         raise ValueError(
             f"the system has a sampling time of {system.dt} s, and models here are continuous in "

@@ -14,6 +14,7 @@ C_WORDS = frozenset(
 def identifier(name: str) -> str:
     """Return a name of letters, digits and single underscores that begins with a letter."""
     plain = re.sub(r"[^A-Za-z0-9]+", "_", name).strip("_")
+    # Names of CasADi, C and MATLAB begin with a letter; MATLAB also refuses a leading underscore.
     plain = plain if plain[:1].isalpha() else f"m_{plain}".rstrip("_")
     return f"{plain}_" if plain in C_WORDS or keyword.iskeyword(plain) else plain
 

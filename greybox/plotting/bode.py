@@ -93,6 +93,7 @@ def bode_figure(
                 curves[k].insert(0, _band(drawn, k, values[k]))
             curves[k].append(drawn.series(omega, values[k], *_ends(values[k], bars, k)))
 
+    # Steps of an axis in degrees: multiples of 45 and 90 are where margins are read.
     panels = [
         Panel(f"Magnitude of {ratio(responses)}, dB", curves[0]),
         Panel(f"Phase of {ratio(responses)}, °", curves[1], steps=ANGLES),

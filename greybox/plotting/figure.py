@@ -41,7 +41,7 @@ class Series:
     labels : sequence of str
         What matplotlib writes beside the points.
     width : float
-        Of a line in matplotlib, points.
+        Width of a line in matplotlib, points.
     is_hollow : bool
     """
 
@@ -108,7 +108,7 @@ class Figure:
     title : str
         The kind of diagram.
     label : str
-        Of the horizontal axis.
+        Label of the horizontal axis.
     panels : sequence of Panel
     subject : str
         Names of what is drawn: the title in matplotlib.
@@ -127,7 +127,7 @@ class Figure:
     is_wide : bool
         The figure takes the whole width of the page.
     limits : (float, float) or None
-        Of the horizontal axis; by default everything that is drawn.
+        Limits of the horizontal axis; by default everything that is drawn.
     """
 
     title: str

@@ -50,6 +50,7 @@ class _NotebookFigure(MatplotlibFigure):
 
 def new_figure(width: float, height: float, title: str = "") -> MatplotlibFigure:
     """Return an empty figure of this size in inches."""
+    # Not pyplot, which keeps every figure in memory until it is closed.
     layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08)
     page = _NotebookFigure(figsize=(width, height), layout=layout)
     if title:
@@ -92,6 +93,7 @@ def draw_into(
     place: MatplotlibFigure | SubFigure, figure: Figure, *, legend: bool = True
 ) -> AxesArray:
     """Draw a figure into an empty matplotlib figure or a part of one, with its legend below."""
+    # One horizontal axis: zooming one panel zooms all.
     heights = [panel.height for panel in figure.panels]
     axes = place.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
     _draw_panels(axes, figure)
@@ -162,6 +164,7 @@ def flat_axes(axes: GivenAxes) -> AxesArray:
     TypeError
         For anything but Axes.
     """
+    # A single Axes, a list, or the two-dimensional array of plt.subplots.
     flat = np.array(axes, dtype=object).ravel()
     for item in flat:
         if not isinstance(item, Axes):

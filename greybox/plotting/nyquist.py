@@ -133,6 +133,7 @@ def _figure(responses: Sequence[DrawnResponse], level: float | None) -> Figure:
 
 
 def _note(response: FrequencyResponse, k: int) -> str:
+    # As people write complex numbers, with a space around the sign.
     sign = "−" if response.beta[k] < 0 else "+"
     value = f"{response.alpha[k]:.4g} {sign} {abs(response.beta[k]):.4g} j"
     return f"{value} at {response.omega[k]:.4g} rad/s"
@@ -182,7 +183,7 @@ def _regions(responses: Sequence[DrawnResponse], level: float | None) -> list[Se
 
 
 def _largest_magnitude(responses: Sequence[DrawnResponse]) -> float:
-    """Return the largest magnitude that was measured; without data, that of the curves."""
+    """Return the largest measured magnitude; without data, the largest one of the curves."""
     measured = [drawn for drawn in responses if drawn.is_measured] or responses
     sizes = [float(np.abs(drawn.response.response).max()) for drawn in measured]
     return max(sizes, default=0.0)

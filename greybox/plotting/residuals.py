@@ -58,6 +58,7 @@ def residuals(fit: Fit, record: int = 0, *, axes: GivenAxes | None = None) -> Ax
     if not fit.converged:
         raise ValueError(f"the fit {fit.name!r} has no estimate: {fit.status}.")
 
+    # One row for each output, so that its panels stand side by side.
     figures = residual_figures(part)
     panels = sum(len(figure.panels) for figure in figures)
     return draw_grid(
@@ -121,8 +122,8 @@ def _histogram(part: FittedRecord, output: str) -> Figure:
     factor, unit = shown_unit(part.data.units.get(output, ""))
     e = factor * part.residual(output)
     e = e[np.isfinite(e)]
-    # The square root of the count is the usual number of bins. Of more than 40 the heights are
-    # mostly chance.
+    # The square root of the count is the usual number of bins. With more than 40 their heights
+    # would be mostly chance.
     density, edges = np.histogram(e, bins=min(40, max(5, math.ceil(math.sqrt(e.size)))))
     density = density / max(e.size * (edges[1] - edges[0]), 1e-300)
     steps = np.repeat(density, 2)

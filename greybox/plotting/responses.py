@@ -32,10 +32,10 @@ class DrawnResponse:
     is_measured : bool
         Points, otherwise a curve.
     checksum : str
-        Of the data to which it belongs; empty for a curve without data.
+        Checksum of the data to which it belongs; empty for a curve without data.
     pair : (str, str)
     fit, band : Fit or None, ResponseBand or None
-        Of a fitted curve.
+        The fit and the confidence band of a fitted curve.
     """
 
     response: FrequencyResponse

@@ -63,6 +63,7 @@ def spectrum_figure(item: Fit | TransientSpectrum, part: int = 0) -> Figure:
     for name, values in data.inputs.items():
         factor, unit = _unit(data, name)
         size = factor * np.abs(values)
+        # The line shows the valleys, in which a manoeuvre contains no information.
         series = [Series("", "line", data.omega, size, INK, width=0.9)]
         series.append(Series("measured", "points", data.omega, size, INK, is_hollow=True))
         limits = (0.0, 1.1 * float(size.max()) or 1.0)
@@ -96,7 +97,8 @@ def _output_panels(
         magnitude.append(Series("residual", "points", omega, residual, GRAY, CROSS))
         # Relative to the measured phase: both unwrapped separately could differ by whole turns.
         phase.append(Series(label, "line", omega, angle + np.degrees(np.angle(values / measured))))
-        # Only output error estimates the noise of the outputs; equation error that of equations.
+        # Only output error estimates the noise of the outputs; equation error estimates that of
+        # equations.
         if fitted.criterion == "output-error" and np.all(np.isfinite(fitted.noise)):
             k = fitted.outputs.index(name)
             # The root mean square of the integral of white noise over the manoeuvre.
@@ -116,6 +118,6 @@ def _size(values: ComplexArray) -> Array:
 
 
 def _unit(data: TransientSpectrum, name: str) -> tuple[float, str]:
-    """Return the factor to the unit that a person reads, and that unit of the integral."""
+    """Return the factor to the unit in the figure, and the unit of the integral."""
     factor, unit = shown_unit(data.units.get(name, ""))
     return factor, "s" if unit in ("", "1") else f"({unit}) s"

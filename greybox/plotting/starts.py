@@ -38,7 +38,7 @@ def starts(fit: Fit, ax: Axes | None = None, legend: bool = True) -> Axes:
 
 def starts_figure(fit: Fit) -> Figure:
     """Return the final costs of all runs, sorted, by the minimum that they reached."""
-    # Screened starts were only evaluated: their cost is no result of a run.
+    # Screened starts were only evaluated: their cost is not the result of a run.
     completed = [run for run in fit.runs if run.stage != SCREENED]
     converged = sorted((r for r in completed if r.converged), key=lambda r: (r.cost, r.index))
     failed = [run for run in completed if not run.converged]
@@ -82,6 +82,7 @@ def starts_figure(fit: Fit) -> Figure:
 def _minima(fit: Fit, converged: Sequence[Run]) -> list[Series]:
     """Return the runs of every minimum; `converged` is sorted by cost."""
     places = {run.index: k for k, run in enumerate(converged)}
+    # Five colors can be told apart; which of twenty minima is which matters to nobody.
     groups = [
         (f"minimum {k}: {len(minimum.runs)} × cost {minimum.cost:.5g}", minimum.runs)
         for k, minimum in enumerate(fit.minima[:COLORED], 1)
@@ -121,6 +122,6 @@ def _limits(costs: Sequence[float], is_logarithmic: bool) -> Limits:
         return 0.0, 1.0
     if is_logarithmic:
         return costs[0] / 1.5, costs[-1] * 1.5
-    # Relative to the cost too: equal costs differ by rounding, which must not fill the panel.
+    # At least a tenth of the cost: equal costs differ by rounding, which must not fill the panel.
     room = 0.1 * max(costs[-1] - costs[0], abs(costs[0]), 1e-12)
     return costs[0] - room, costs[-1] + 2 * room

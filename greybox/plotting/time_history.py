@@ -19,7 +19,7 @@ DOTS = 400  # measured samples up to which each is a dot: more would touch
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """What is drawn of a fit or a prediction.
+    """The signals of a fit or a prediction that a figure shows.
 
     Attributes
     ----------
@@ -141,7 +141,7 @@ def _caption(drawn: Sequence[History], columns: int) -> str:
 
 
 def _output_panels(drawn: Mapping[str, History], name: str, columns: int) -> list[Panel]:
-    """Return the panel of an output and that of its residuals; `drawn` are histories by label."""
+    """Return the panels of an output and of its residuals; `drawn` has histories by label."""
     data = next(history.data for history in drawn.values() if name in history.outputs)
     factor, unit = shown_unit(data.units.get(name, ""))
     measured = factor * data[name]
@@ -207,6 +207,7 @@ def _history(item: Fit | Prediction, record: int) -> History:
 
 def _gapless(data: Record) -> list[IntArray]:
     """Return the rows between the gaps; rows without a time are not joined."""
+    # A line between two rows would suggest that something happened between them.
     if not data.has_time:
         return [np.array([row]) for row in range(len(data))]
     return pieces(data.time, GAP * data.step)

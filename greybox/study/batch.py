@@ -110,7 +110,7 @@ def batch(
 
     A batch that ended in any way, `kill -9` included, resumes when it is called again with the same
     members and folder. Stored runs are not made again, at most some two seconds of work of each
-    worker are lost, and the answer is that of a batch that was never interrupted. Members that
+    worker are lost, and the answer equals that of an uninterrupted batch. Members that
     failed are tried again. With more starts of the same seed, the stored runs of a member are used
     again. New members are added to the folder.
 

@@ -63,7 +63,7 @@ class Bootstrap:
     statuses : tuple of str
         Why each replicate failed; empty for the others.
     bounds : (q, 2) array
-        Bounds of the parameters, infinite where there are none.
+        Bounds of the parameters; infinite for other quantities.
     dof : (q,) array
         Degrees of freedom of the standard errors of the fit.
     warnings : tuple of str
@@ -285,7 +285,7 @@ def bootstrap(
     problem : Problem or Sum, optional
         The fitted problem; needed if it has ties, constraints, or values fixed by an earlier fit.
     seed : int
-        The replicates follow from it alone, whatever the number of workers.
+        The seed determines the replicates; the number of workers does not matter.
     method : Transcription, optional
         The method of the fit, for records.
     executor : concurrent.futures.Executor, optional
@@ -298,7 +298,7 @@ def bootstrap(
     Raises
     ------
     ValueError
-        If these data cannot be drawn, or the problem is not that of the fit.
+        If these data cannot be drawn, or the problem is not the fitted one.
     LookupError
         If a loaded fit does not know its model.
     RuntimeError
@@ -394,8 +394,8 @@ def _record_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> tuple[RecordRep
     highest = fit.cost + same_cost(nlp, fit.cost)
     if not search.minima or search.nodes is None or search.minima[0].cost > highest:
         raise ValueError(
-            f"the estimate of {nlp.problem.name!r} is no minimum with this method: give the method "
-            "of the fit, method=..."
+            f"the estimate of {nlp.problem.name!r} is not a minimum with this method: give the "
+            "method of the fit, method=..."
         )
 
     x = search.minima[0].estimate

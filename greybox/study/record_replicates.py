@@ -32,7 +32,7 @@ class DrawnRecord:
     measured, fitted : tuples of (k, n) arrays
         Outputs of every stretch without gaps.
     residuals : (k, samples) array
-        Of mean zero: whitened if there is a spectrum, otherwise as large as errors. Where an output
+        Residuals of mean zero: whitened with a spectrum, otherwise as large as errors. If an output
         is missing, NaN, a replicate draws from the others of this output.
     spectrum : ErrorSpectrum or None
         Gives whitened residuals their color again.
@@ -165,11 +165,11 @@ class RecordReplicates(Runner):
         return RecordReplicates, (self._nlp, self._draws, self._start, self._nodes)
 
     def constants_of(self, number: int) -> Array:
-        """Return the constants (c,) of a run."""
+        """Return the constants (c,) of a replicate."""
         return self._nlp.constant_values
 
     def run(self, start: Array) -> Outcome:
-        """Make the run of a number, (1,)."""
+        """Refit the replicate with this number (1,)."""
         began = time.perf_counter()
         records = [part for part in self._nlp.parts if isinstance(part, RecordPart)]
         outputs = self._draws.outputs(int(start[0]))

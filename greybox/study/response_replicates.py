@@ -1,7 +1,7 @@
-"""Refits of frequency responses whose data are drawn anew, from the estimate, many at once.
+"""Refits of frequency responses to drawn data, many at once, from the estimate.
 
-A run draws its data by its number: its random numbers follow from the seed and the number alone. A
-worker receives the measured data and the fitted response as numbers, and the compiled cost.
+A run draws its data by its number: seed and number determine its random numbers. A worker receives
+the measured data and the fitted response as numbers, and the compiled cost.
 """
 
 import math
@@ -267,15 +267,15 @@ class ResponseReplicates(Runner):
         return ResponseReplicates, self._arguments
 
     def constants_of(self, number: int) -> Array:
-        """Return the constants (c,) of a run."""
+        """Return the constants (c,) of a replicate."""
         return self._draws.constants_of(number)
 
     def run(self, start: Array) -> Outcome:
-        """Make the run of a number, (1,)."""
+        """Refit the replicate with this number (1,)."""
         return self.run_together(start[None])[0]
 
     def run_together(self, starts: Array) -> list[Outcome]:
-        """Make the runs of all numbers (r, 1)."""
+        """Refit the replicates with these numbers (r, 1)."""
         began = time.perf_counter()
         numbers = starts[:, 0].astype(int).tolist()
         outcomes = self._solved(np.array([self._draws.replicate(number) for number in numbers]).T)

@@ -310,7 +310,7 @@ class _Runs(Mapping[int, tuple[Array, Outcome]]):
 
 
 def _run_text(start: Array, outcome: Outcome) -> str:
-    """Return a run as JSON; Python writes numbers such that they are read to the last bit."""
+    """Return a run as JSON, in which Python writes floats exactly."""
     fields = {name: getattr(outcome, name) for name in Outcome.__slots__}
     return json.dumps({"start": start, **fields}, default=lambda value: value.tolist())
 

@@ -65,9 +65,9 @@ def compare(
     Raises
     ------
     TypeError, ValueError
-        For what is not a fit, a fit without an estimate, data that differ without records, records
-        that do not match the models, lengths shorter than a sample, or a model without finite
-        values in half of the windows.
+        For other objects, a fit without an estimate, different data without records, records that
+        do not match the models, lengths shorter than a sample, or a model without finite values in
+        half of the windows.
 
     Sources: Klein and Morelli, Aircraft System Identification, 2nd ed., chapters 5, 6 and 11; Ljung
     (1999), System Identification, 2nd ed., sections 16.4 to 16.6; Jategaonkar (2006), Flight
@@ -89,6 +89,7 @@ def compare(
     not_comparable = different or why_not_comparable(fits, names)
     predictions, notes = _predictions(fits, names, held_out, (window, lead), not different)
 
+    # Costs that are likelihoods are compared as they are; others need a common likelihood.
     is_known = not not_comparable and all(map(is_likelihood, fits))
     likelihoods = common_likelihood(fits) if not different and not is_known else None
     rows = fit_rows(

@@ -127,7 +127,7 @@ def where_all_are_finite(
 
 
 def _own_model(fit: Fit, record: int) -> ModelAtEstimate:
-    """Return a fit as it is simulated for its own k-th record."""
+    """Return the model of a fit for its k-th record."""
     parts = [k for k, part in enumerate(fit.parts) if isinstance(part, FittedRecord)]
     return fit.at_estimate(part=parts[record])
 

@@ -32,7 +32,7 @@ class NestedTest:
     small, large : str
         Labels of the models.
     terms : tuple of str
-        The parameters that are free in the larger model alone.
+        The parameters that are free only in the larger model.
     likelihood_ratio : float
         Twice the difference of the costs.
     scale : float
@@ -91,7 +91,7 @@ def nested_test(small: Fit, large: Fit) -> NestedTest:
     Parameters
     ----------
     small, large : Fit
-        Of the same data.
+        Fits of the same data.
 
     Raises
     ------
@@ -230,7 +230,7 @@ def _estimates_variance(part: FittedPart) -> bool:
 
 
 def _labels(small: Fit, large: Fit) -> tuple[str, str]:
-    """Return the names of the models; that of one model with fewer free parameters says which."""
+    """Return the names of the models; of one model with what the smaller fit holds."""
     model = small.parts[0].label
     held = [name for name in large.free if name not in small.free and name in small.estimate]
     if model != large.parts[0].label or not held:

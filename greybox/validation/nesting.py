@@ -44,7 +44,7 @@ class NotNestedError(ValueError):
 def nested_values(small: Fit, large: Fit, labels: tuple[str, str]) -> dict[str, float]:
     """Return the values at which the terms of the larger model make it the smaller one.
 
-    Terms are the parameters that are free in the larger model alone.
+    Terms are the parameters that are free only in the larger model.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def nested_values(small: Fit, large: Fit, labels: tuple[str, str]) -> dict[str, 
 
 
 def _require_same_assumptions(small: FittedPart, large: FittedPart, labels: Sequence[str]) -> None:
-    """Raise where a part is modeled differently whatever the parameters, or by fewer terms."""
+    """Raise if a part of the larger fit differs in more than parameters, or lacks noise terms."""
     both = f"{labels[0]} and {labels[1]}"
     # One of these two criteria is the other with gains of zero.
     for_records = {"greybox:OutputError", "greybox:PredictionError"}
@@ -179,7 +179,7 @@ class _Pair:
 
 
 def _pairs(small: Fit, large: Fit) -> list[_Pair]:
-    """Return the parts of both fits; empty where the models are not at hand, but the same."""
+    """Return the parts of both fits; empty if the models are not available, but are the same."""
     parts = list(zip(small.parts, large.parts, strict=True))
     try:
         models = [[fit.model_of(k) for k in range(len(fit.parts))] for fit in (small, large)]

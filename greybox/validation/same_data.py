@@ -27,6 +27,7 @@ def check_fits(fits: Sequence[Fit]) -> None:
 
 def labels_of(fits: Sequence[Fit]) -> tuple[str, ...]:
     """Return the names of the models, with problems or numbers where they are alike."""
+    # Names of models say most. Only if these are equal, names of problems or numbers are needed.
     models = [", ".join(dict.fromkeys(part.label for part in fit.parts)) for fit in fits]
     with_problems = [f"{model} ({fit.name})" for model, fit in zip(models, fits, strict=True)]
     for labels in (models, with_problems):
@@ -36,7 +37,7 @@ def labels_of(fits: Sequence[Fit]) -> tuple[str, ...]:
 
 
 def data_difference(fits: Sequence[Fit], names: Sequence[str]) -> str:
-    """Return in words how the data of a fit differ from those of the first, else nothing."""
+    """Return how the data of a fit differ from those of the first; empty if they do not."""
     first = fits[0].parts
     for fit, name in zip(fits[1:], names[1:], strict=True):
         if len(fit.parts) != len(first):

@@ -227,8 +227,8 @@ def _residuals_not_white(fits: Sequence[Fit], labels: Sequence[str]) -> Iterator
             colored.append(label)
     if colored:
         yield (
-            f"AIC and BIC assume white residuals, which those of {listed(colored)} are not: their "
-            "differences overstate the evidence."
+            f"AIC and BIC assume white residuals, but the residuals of {listed(colored)} are not "
+            "white: differences overstate the evidence."
         )
 
 
@@ -248,7 +248,7 @@ def term_sentences(
         held = {rival.estimate.get(name, 0.0) for rival in without}
         reference = held.pop() if len(held) == 1 else 0.0
         text = "zero" if reference == 0 else number(reference)
-        # The nested tests of this parameter alone decide, else two standard errors do.
+        # A nested test of just this parameter decides; without one, two standard errors do.
         p_values = [t.p_value for t in tests if t.large == labels[k] and t.terms == (name,)]
         distance = abs(quantity.value - reference)
         is_found = all(p < SIGNIFICANT for p in p_values)

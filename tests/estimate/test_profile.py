@@ -413,7 +413,7 @@ def test_a_fit_without_an_estimate_and_one_with_a_prior_have_no_profile(lag):
         gb.profile(replace(lag, name="run", minima=()))
     with pytest.raises(
         ValueError,
-        match="a-priori knowledge",
+        match="has priors",
     ):
         gb.profile(replace(lag, name="run", priors={"K": (2.0, 0.1)}))
     with pytest.raises(ValueError, match="manoeuvres"):

@@ -223,8 +223,7 @@ def refitted(problem):
 
 
 def runner_from(nlp, made, x):
-    start = nlp.scaling.to_solver(x)
-    return ResponseReplicates(made, open_program(nlp), start, nlp.lower, nlp.upper, nlp.scaling)
+    return ResponseReplicates(made, open_program(nlp), x, nlp.lower, nlp.upper, nlp.scaling)
 
 
 def runner_of(sets):

@@ -26,6 +26,7 @@ def discretization_warnings(
     if not error.matters:
         return
 
+    # The parameter that moves most, in standard errors: one name is enough to act.
     name = nlp.free[int(np.argmax(np.abs(error.shift)))]
     size = "without limit, since the model diverges"
     if math.isfinite(error.largest):

@@ -40,6 +40,7 @@ def correlated_frequencies(nlp: CompiledProblem, x: Array, accuracy: Accuracy) -
 def _of_response(problem: Problem, neighbors: CorrelatedPoints) -> Iterator[str]:
     text = _correlated(f"the residuals of {problem.name!r}", neighbors.correlation)
     points = len(problem.data)
+    # Without enough lengths the correction itself is rough, which matters more than its reason.
     if neighbors.lengths < FEWEST_LENGTHS:
         yield (
             f"{text}; {counted(points, 'point')} whose errors stay correlated over "
@@ -53,6 +54,7 @@ def _of_response(problem: Problem, neighbors: CorrelatedPoints) -> Iterator[str]
 def _of_manoeuvre(part: TransientPart, z: Array, *, alone: bool) -> Iterator[str]:
     of_problem = "" if alone else f" of {part.problem.name!r}"
     for output, errors, slope in part.errors_by_output(z):
+        # Standard errors of manoeuvres are not corrected, other than those of responses.
         neighbors = neighbor_correlation(errors, np.vstack([slope.real, slope.imag]))
         if neighbors is not None and neighbors.independent < UNLIKELY:
             yield (

@@ -55,6 +55,8 @@ def warnings(
     error: DiscretizationError | None,
 ) -> tuple[str, ...]:
     """Return the warnings of a converged fit."""
+    # In the order of consequence: first what could make the answer meaningless, then what makes
+    # parameters or standard errors doubtful, then single points.
     best = search.minima[0]
     pade_errors = [
         part.pade_error if isinstance(part, FittedResponse) else None for part in answer.parts

@@ -44,6 +44,7 @@ def explained(nlp: CompiledProblem, search: Multistart) -> Multistart:
 
 def not_finite_warnings(nlp: CompiledProblem, search: Multistart) -> Iterator[str]:
     """Explain the first run that could not begin, where most runs failed."""
+    # A few starts outside the domain of a formula are normal, and say nothing about the answer.
     failed = [run for run in _not_finite(search.runs) if run.reason]
     if failed and search.converged < 0.5 * len(search.brought):
         trouble = _trouble(nlp, failed[0].start)
@@ -85,6 +86,7 @@ def _trouble_of(part: Part, z: Array) -> Trouble | None:
 
 def _located(part: RecordPart, trajectory: Trajectory) -> Trouble | None:
     """Look at the first states of the segments, at the integration, and at all samples."""
+    # Formulas at the nodes first: they are given, while all other states follow from integration.
     samples = np.arange(part.data.samples)
     at_nodes = _of_formulas(part, trajectory, samples[:: part.data.segment_length])
     if at_nodes is not None:
@@ -114,6 +116,7 @@ def _of_formulas(part: RecordPart, trajectory: Trajectory, samples: IntArray) ->
     if not lost.any():
         return None
 
+    # The first sample: later values that are not finite follow from it.
     at = int(np.argmax(lost.any(axis=0)))
     what = [*rows][int(np.argmax(lost[:, at]))]
     point = zip((*system.states, *system.inputs), (*x[:, at], *u[:, at]), strict=True)

@@ -84,6 +84,7 @@ def unexplained_outputs(
     part: RecordPart, fitted: FittedRecord, *, alone: bool
 ) -> Iterator[Finding]:
     """Name outputs of which the model reproduces almost nothing."""
+    # With constant inputs a static model is a mean, which reproduces no variation by definition.
     is_mean = part.is_static and (part.data.constant_inputs or not part.system.inputs)
     if part.model.criterion.corrects_states or is_mean:
         return
