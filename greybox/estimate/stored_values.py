@@ -3,7 +3,7 @@
 | annotation | in the file |
 | --- | --- |
 | `str`, `float`, `int`, `bool`, `Literal` | attribute |
-| array, tuple of floats | dataset of numbers; a complex one has two rows, real and imaginary |
+| array, tuple of floats | dataset of numbers; a complex one has two parts, real and imaginary |
 | tuple or array of `str` | dataset of texts |
 | dataclass, mapping of arrays | group with a member for each field or name |
 | tuple of values of different kinds, or of dataclasses | group with members 0, 1 ... |
@@ -67,7 +67,7 @@ def write(group: Node, name: str, value: Any, kind: Any) -> None:
     elif _is_text_list(kind):
         _write_texts(group, name, value)
     elif _is_array(kind):
-        # Two real rows: not every reader of HDF5 knows the compound type of complex numbers.
+        # Two real parts: not every reader of HDF5 knows the compound type of complex numbers.
         array: Any = np.asarray(value)
         group[name] = np.array([array.real, array.imag]) if array.dtype.kind == "c" else array
     elif (members := _members(kind, value)) is not None:
@@ -239,7 +239,7 @@ def _read_array(values: Any, kind: Any) -> Any:
 
     item = _item(kind)
     if issubclass(item, np.complexfloating):
-        require(values.ndim == 2 and len(values) == 2, "complex numbers have two rows")
+        require(values.ndim > 1 and len(values) == 2, "complex numbers have two parts")
         return values[0] + 1j * values[1]
     return values.astype(next(kind for scalar, kind in ITEMS.items() if issubclass(item, scalar)))
 

@@ -193,7 +193,8 @@ def sealed(path: str, collector: Collector, _: list[str]) -> None:
         about = {"attributes": _attributes(item, collector)}
         if not hasattr(item, "dtype"):
             collector.items.append({"path": name, "holds": "members", **about})
-        elif item.shape is not None and item.ndim <= 2 and collector.reserve(_stored(item)):
+        elif item.shape is not None and item.ndim <= 3 and collector.reserve(_stored(item)):
+            # The largest are the two parts of a complex matrix.
             _keep_values(name, item, collector, about)
         else:
             raise RefusedError(f"{name} is larger than the file")

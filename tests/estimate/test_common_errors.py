@@ -78,3 +78,11 @@ def test_replicates_have_them_too():
     fit = fitted(gb.MaximumLikelihood(), noise=0.5)
     drawn = gb.bootstrap(fit, 200, progress=False)
     assert_allclose([drawn.standard_error[name] for name in TRUTH], errors(fit), rtol=0.2)
+
+
+def test_a_saved_fit_has_them(tmp_path):
+    fit = fitted(gb.MaximumLikelihood())
+    gb.save(fit, tmp_path / "fit.h5")
+    again = gb.load(tmp_path / "fit.h5")
+    assert_allclose(again.responses[0].data.common_errors, COMMON)
+    assert str(again) == str(fit)
