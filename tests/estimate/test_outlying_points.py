@@ -140,10 +140,10 @@ def test_the_point_of_the_pitch_table_is_named_and_called_no_outlier():
 
 
 def test_few_fits_to_clean_data_name_an_outlier_or_note_anything():
-    """Of 40 fits at 1 % more than three have one with a probability of 0.001."""
+    """Of 25 fits at 1 % more than two have one with a probability of 0.002."""
     said = [
         text
-        for seed in range(40)
+        for seed in range(25)
         for fit in [
             gb.fit(
                 gb.Problem(Lag(), measured(Lag(), OMEGA, TRUTH, noise=0.05, seed=seed)),
@@ -154,7 +154,7 @@ def test_few_fits_to_clean_data_name_an_outlier_or_note_anything():
         for text in (*fit.warnings, *fit.notes)
         if "clean data" in text
     ]
-    assert len(said) <= 3
+    assert len(said) <= 2
 
 
 def test_a_joint_fit_names_the_outlier_of_its_response():

@@ -34,7 +34,7 @@ TESTED = gb.Problem(
     gb.modeling.harmonic_response(Slider(), {"drag": 0.4}, [0.3, 0.6, 1.2], amplitude=SINE),
     amplitude=SINE,
 )
-RECORDS = [lag_problem(seed, samples=150) for seed in range(2)]
+RECORDS = [lag_problem(seed, samples=80) for seed in range(2)]
 
 
 def fitted(problem):

@@ -69,8 +69,8 @@ LINE = gb.Problem(
 GAIN = gb.FrequencyResponse(np.array([1.0, 2, 3]), np.array([3.0, 3.1, 2.9]) + 0j, "x", "y")
 PROBLEMS = {
     "response": (RESPONSE, None),
-    "record": (lag_problem(), None),
-    "record by IPOPT": (lag_problem(), True),
+    "record": (lag_problem(samples=100), None),
+    "record by IPOPT": (lag_problem(samples=100), True),
     "own criterion": (LINE + gb.Problem(Line(), GAIN, criterion=OwnLikelihood()), None),
 }
 

@@ -33,7 +33,7 @@ class Valley(gb.TransferFunction):
 
 
 VALLEY = gb.Problem(Valley(), gb.FrequencyResponse(OMEGA, 0.5 / (1j * OMEGA + 1)))
-RECORD = lag_problem()
+RECORD = lag_problem(samples=100)
 METHODS = [
     pytest.param(VALLEY, None, id="response"),
     pytest.param(RECORD, None, id="record"),
