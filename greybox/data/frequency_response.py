@@ -105,6 +105,7 @@ class FrequencyResponse:
                 kind = complex if name == "response" else float
                 object.__setattr__(self, name, checked_array(name, getattr(self, name), kind))
         self._check_columns()
+        # After the variance, of which they are a part.
         if self.common_errors is not None:
             object.__setattr__(self, "common_errors", self._checked_errors(self.common_errors))
         object.__setattr__(self, "stretches", tuple(self.stretches))

@@ -31,6 +31,7 @@ def frame_of(
 
 def require_frame(frame: Frame) -> None:
     """Raise TypeError for anything but a data frame, ValueError for two columns of one name."""
+    # By its attributes, so that pandas need not be imported.
     if not hasattr(frame, "columns") or not hasattr(frame, "attrs"):
         raise TypeError(f"frame is {frame!r:.60}: give a pandas.DataFrame.")
     names = [str(name) for name in frame.columns]

@@ -94,6 +94,7 @@ class Record:
                 f"time is {time[np.argmin(np.isfinite(time))]} at index "
                 f"{np.argmin(np.isfinite(time))}."
             )
+        # Without a time, rows may be in any order.
         back = np.flatnonzero(np.diff(time) <= 0)
         if back.size and self.has_time:
             raise ValueError(
@@ -248,6 +249,7 @@ class Record:
         described["findings"] = findings
         if "units" in described:  # those of columns that were dropped later stay in `attrs`
             described["units"] = {n: u for n, u in described["units"].items() if n in columns}
+        # What the caller states overrides the attributes of the frame.
         options = described | others | ({} if units is None else {"units": units})
 
         return cls(moments, columns, **options)  # type: ignore[arg-type]
@@ -335,6 +337,7 @@ class Recording(Mapping[str, Record]):
     def __getitem__(self, name: str) -> Record:
         if name in self.records:
             return self.records[name]
+        # A bare name means the first instance.
         first = [key for key in self.records if key.partition("[")[0] == name]
         if not first:
             raise KeyError(
@@ -435,6 +438,7 @@ def _read_only(values: ArrayLike, name: str) -> Array:
 
 def _printable(thing: Any) -> Any:
     """Return names and texts, at any depth, with control characters written out."""
+    # Metadata are nested, and all of them come from a file.
     if isinstance(thing, str):
         return printable(thing)
     if isinstance(thing, dict):

@@ -90,6 +90,7 @@ def written_columns(header: Sequence[str], prefix: str) -> dict[str, str]:
             "columns must be omega_rad_s, alpha, beta and, if known, coherence, variance, dof, or "
             "be named, columns={...}."
         )
+    # Files may have more columns, for other programs.
     roles = [name.removeprefix(prefix) for name in header if name.startswith(prefix)]
     optional = [role for role in roles if role in EXTRAS or COMMON.fullmatch(role)]
 
@@ -124,6 +125,7 @@ def extras(values: Mapping[str, Array]) -> dict[str, Any]:
         If one part of a common error is missing.
     """
     optional: dict[str, Any] = {name: values[name] for name in EXTRAS if name in values}
+    # In the order of their numbers, whatever the order of the columns.
     numbers = sorted({int(match[2]) for name in values if (match := COMMON.fullmatch(name))})
     errors = []
     for j in numbers:

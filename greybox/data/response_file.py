@@ -56,6 +56,7 @@ def read_response(
     require_file(path)
     table = read_delimited(path, path.read_bytes())
     table = numbered(table) if columns else table
+    # The names of input and output choose a response of a matrix, and rename a single one.
     if f"{output}_{input}_alpha" in table.header and "alpha" not in table.header:
         prefix = prefix or f"{output}_{input}_"
     try:

@@ -35,6 +35,7 @@ def write_spectrum(spectrum: TransientSpectrum, path: str | Path) -> None:
     """
     path = Path(path)
     require_csv(path)
+    # `repr` writes all digits of a number, so that the file is read back exactly.
     facts = {
         "kind": KIND,
         "name": spectrum.name,

@@ -182,6 +182,7 @@ def to_si(unit: str) -> Conversion:
     text = unit.strip()
     if not text:
         return Conversion(1.0, 0.0, "")
+    # A whole unit before a product: temperatures have a zero of their own, which a product loses.
     named = _named(text)
     if named is not None:
         conversion = Conversion(named.factor, named.zero, _written(_powers(named.si)))

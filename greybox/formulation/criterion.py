@@ -54,6 +54,7 @@ class AnyCriterion(ABC):
     @property
     def name(self) -> str:
         """Short name for JSON and the command line, such as ``relative-error:model``."""
+        # `SquaredRelativeError` is called squared-relative-error.
         words = re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", type(self).__name__.lstrip("_")).lower()
         return f"{words}:{self.variant}" if self.variant else words
 
@@ -73,6 +74,7 @@ class AnyCriterion(ABC):
     @property
     def class_path(self) -> str:
         """The class as ``module:Class``, for those of greybox itself ``greybox:Class``."""
+        # Without the folder, so that stored results remain readable if a file moves.
         module = type(self).__module__
         return f"{'greybox' if module.startswith('greybox.') else module}:{type(self).__qualname__}"
 

@@ -329,6 +329,7 @@ class MagnitudePhase(Criterion):
 
     def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
         """Return the weighted sum of squares."""
+        # The logarithm of the ratio has both errors; its imaginary part is within ±π.
         ratio = (model / data.response).log()
         magnitude, phase = self._weights(data)
         return total(magnitude**2 * ratio.re**2 + phase**2 * ratio.im**2)
@@ -434,6 +435,7 @@ class MaximumLikelihood(Criterion):
         squares = squared_magnitude(model - data.response) / _variance(data)
         if data.dof is None:
             return total(squares)
+        # `log1p` has all digits of small residuals.
         logarithm = np.log1p if isinstance(squares, np.ndarray) else ca.log1p
         return total((data.dof + 2) / 2 * logarithm(2 * squares / data.dof))
 

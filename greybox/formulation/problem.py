@@ -149,6 +149,7 @@ class Problem:
             if name not in self.tied
         }
         object.__setattr__(self, "_stated_parameters", parameters)
+        # Functions come after the names, since they are called with the checked parameters.
         self._check_functions()
         self._check_prior()
 
@@ -200,6 +201,7 @@ class Problem:
             if not isinstance(names, Mapping):
                 raise TypeError(f"{what} is {names!r:.60}: give {{name of a parameter: ...}}.")
 
+        # A misspelled name would otherwise be ignored silently.
         for what, names in {**kinds, **mappings}.items():
             require_known(names, self.declared, "parameter", f"{what}: {self.model.label}")
 
@@ -212,6 +214,7 @@ class Problem:
         for old, new in self.rename.items():
             if not isinstance(new, str) or not new:
                 raise TypeError(f"rename gives {old!r} the name {new!r}: give a string.")
+        # Two parameters of one name would become one unknown by accident.
         outside = [self.outside(name) for name in self.declared]
         for name in outside:
             if outside.count(name) > 1:
@@ -273,6 +276,7 @@ class Problem:
             return replace(parameter, fixed=parameter.fixed and name not in self.free)
 
         value = self.fixed_values[name]
+        # An earlier fit has the parameter under its outside name.
         if isinstance(value, HeldEstimate):
             require_known(
                 [self.outside(name)], value.estimate, "estimate", "the Fit given as fixed"
@@ -337,6 +341,7 @@ class Problem:
         if not isinstance(self.fixed, HeldEstimate):
             raise TypeError(f"fixed is {self.fixed!r:.60}: give {{name: value}} or a Fit.")
 
+        # An earlier fit may have other parameters, which this model does not need.
         shared = {
             name: self.fixed for name in self.declared if self.outside(name) in self.fixed.estimate
         }
@@ -461,6 +466,7 @@ def _call(function: Callable[[Any], Any], p: Names, what: str) -> Any:
             f"p.{next(iter(p), 'a')}."
         )
 
+    # The message of Python alone would not show which of the user's functions failed.
     try:
         return traced(what, function, p)
     except (AttributeError, KeyError, ArithmeticError) as error:
@@ -468,6 +474,7 @@ def _call(function: Callable[[Any], Any], p: Names, what: str) -> Any:
 
 
 def _require_number(value: Any, what: str) -> None:
+    # A comparison has no slope that a solver could follow.
     if isinstance(value, (bool, np.bool_)):
         raise ValueError(
             f"{what} gives True or False: write a difference that must be >= 0, such as p.T1 - "

@@ -160,6 +160,7 @@ class TimeCriterion(AnyCriterion):
     def parameters(self, model: Model, record: Record) -> dict[str, Parameter]:
         """Return the unknowns that the criterion adds to those of the model: biases, then gains."""
         result = {f"{name}_bias": bias_parameter(name, record) for name in self.biases}
+        # All runs begin without corrections, which is output error.
         for state, output in self.gains(model, self.compared(model, record)):
             result[f"K_{state}_{output}"] = Parameter(
                 0.0,
@@ -246,6 +247,7 @@ class PredictionError(TimeCriterion):
         result = super().parameters(model, record)
         if not self.process_noise:
             return result
+        # With process noise, the gains follow from the steady Kalman filter.
         outputs = self.compared(model, record)
         result = {
             name: parameter for name, parameter in result.items() if not name.startswith("K_")

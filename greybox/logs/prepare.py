@@ -254,6 +254,7 @@ def _grid(sources: Mapping[str, _Source], rate: float | None, start: float, end:
     if not (math.isfinite(rate) and rate > 0):
         raise ValueError(f"rate {rate} must be a finite number of Hz above 0.")
 
+    # A rate in rad/s or a step in ms would make a record of interpolated samples.
     fastest = 1 / min(source.step for source in sources.values())
     if rate > FASTEST * fastest:
         raise ValueError(

@@ -46,6 +46,7 @@ class ImplicitIntegrator(Integrator):
     @one_thread_at_a_time
     def advance(self, system: Dynamics, x: Any, u: Any, slope: Any, p: Any, h: Any) -> Any:
         """Return x one step later, with exact derivatives; NaN where Newton's method fails."""
+        # Newton's method is compiled from SX symbols and called with MX arguments.
         n, m = len(system.states), len(system.inputs)
         symbols = [ca.SX.sym("x", n), ca.SX.sym("u", m), ca.SX.sym("slope", m)]
         symbols += [ca.SX.sym("p", len(system.parameters)), ca.SX.sym("h")]

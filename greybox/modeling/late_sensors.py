@@ -46,6 +46,7 @@ class LateSensors(StateSpace):
                 )
             name = f"{output}_{kind}"
             added = tuple(f"{name}_{k}" for k in range(1 if kind == "lag" else ORDER))
+            # A state of this name in the model would be overwritten silently.
             for new in (name, *added):
                 if new in (*self.parameters, *self.states, *self.inputs):
                     raise ValueError(f"{model.label} already has {new!r}: rename it there.")

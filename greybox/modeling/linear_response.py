@@ -188,6 +188,7 @@ def _elimination_order(
 
     samples = np.array([A for A, _ in systems])
     right = np.array([b for _, b in systems])
+    # Fifty frequencies limit the time of the search.
     if omega.size > 50:
         omega = omega[np.linspace(0, omega.size - 1, 50).astype(int)]
 

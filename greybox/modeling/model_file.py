@@ -21,8 +21,8 @@ def module_from_file(path: Path) -> ModuleType:
     """
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}.")
-    folder = str(path.resolve().parent)
     # The file may import its neighbors.
+    folder = str(path.resolve().parent)
     if folder not in sys.path:
         sys.path.insert(0, folder)
 
@@ -47,6 +47,7 @@ def module_from_file(path: Path) -> ModuleType:
     try:
         spec.loader.exec_module(module)
     except BaseException:
+        # Half of a module must not remain for the next import.
         del sys.modules[path.stem]
         raise
 

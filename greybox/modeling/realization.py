@@ -56,6 +56,7 @@ class Dynamics:
 
     def later(self, seconds: Sequence[float]) -> "Dynamics":
         """Return the same dynamics with inputs that act later by these seconds (m,)."""
+        # The same object, so that its functions are compiled once.
         if not any(seconds):
             return self
         p = ca.SX.sym("p", len(self.parameters))
@@ -164,6 +165,7 @@ def _time_scale(a: list[Any], p: ca.SX, model: Model) -> float:
     """Return the geometric mean of the magnitudes of nonzero poles at the starts, rad/s, or 1."""
     values = ca.Function("a", [p], [ca.vertcat(*a)])([q.start for q in model.parameters.values()])
     coefficients = np.asarray(values).ravel()
+    # Any scale is right; this one only keeps the states of one size.
     if not np.all(np.isfinite(coefficients)):
         return 1.0
     poles = np.abs(np.roots(coefficients))

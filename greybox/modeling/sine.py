@@ -104,6 +104,7 @@ class Sine:
         """Return the sine at other frequencies, interpolated over the logarithm of `measured`."""
         if not np.ndim(self.amplitude):
             return self
+        # Frequencies may be in any order, and `np.interp` needs increasing ones.
         order = np.argsort(measured)
         amplitudes = self.amplitudes(measured)[order]
         return replace(

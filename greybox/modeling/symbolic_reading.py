@@ -101,6 +101,7 @@ def column(owner: str, values: Sequence[Any]) -> ca.SX:
 
 def require_no_nan(owner: str, expression: ca.SX) -> ca.SX:
     """Refuse an expression that contains NaN, which `math.sin` silently returns for a symbol."""
+    # A constant NaN is an instruction of the formula, whatever the symbols are.
     function = ca.Function("scan", ca.symvar(expression), [expression])
     for k in range(function.n_instructions()):
         if function.instruction_id(k) == ca.OP_CONST and np.isnan(function.instruction_constant(k)):

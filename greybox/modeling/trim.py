@@ -240,7 +240,8 @@ def _rootfinder(
     in_steps = ca.Function("in_steps", [parameters], [root])
     root = ca.if_else(is_root(direct, parameters), direct, in_steps(parameters), True)
 
-    # Without a root the point becomes infinite, so that the run fails instead of using it.
+    # Two more steps give the derivatives, see `Trimmed`. Without a root the point becomes infinite,
+    # so that the run fails instead of using it.
     step = ca.Function("step", [w, p], [w - ca.solve(ca.jacobian(equations, w), equations)])
     exact = step(step(w, p), p)
     full = ca.substitute(point, w, exact) / is_root(w, p)

@@ -101,6 +101,7 @@ def response_matrix(
     jackknife = solved[1:]
     variance = (count - 1) * np.mean(np.abs(jackknife - jackknife.mean(axis=0)) ** 2, axis=0)
 
+    # The unknowns are the responses of the first input at its lines, then those of the second ...
     begins = np.concatenate([[0], np.cumsum([rows.size for rows in rows_of])])
     units = {key: unit for s in stretches for key, unit in s.units.items() if unit}
     return tuple(

@@ -88,6 +88,7 @@ def uniform_stretches(
 
 
 def _check_uniform(time: Array, record: Record) -> None:
+    # Errors of single steps may add up to more than their size.
     uniform = np.linspace(time[0], time[-1], time.size)
     deviation = np.abs(time - uniform)
     if deviation.max() > JITTER * (uniform[1] - uniform[0]):

@@ -162,6 +162,7 @@ def clock_column(layout: Layout) -> str:
 
 def _missing(present: set[str], messages: Collection[str] | None) -> tuple[str, ...]:
     """Return findings on requested or necessary messages that are missing."""
+    # A missing RATE has a finding of its own, with the cure.
     absent = [name for name in messages or () if name not in present]
     names = ", ".join(sorted(present - {*ABOUT}))
     findings = [

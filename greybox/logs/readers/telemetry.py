@@ -82,6 +82,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     untimed = sorted(name for name in wanted if not np.isfinite(kinds[name].sent).any())
     missing = [name for name in messages or () if name not in kinds]
     present = ", ".join(sorted(kinds))
+    # One kind after the other is released: the columns of a long log fill the memory.
     groups = (_messages(kinds.pop(name), times.pop(name)) for name in wanted)
     by_name, problems = records(
         with_holds(groups, about.get("parameters", {})), path.name, checksum

@@ -115,6 +115,7 @@ def _modes(beats: Heartbeats, vehicle: str) -> tuple[tuple[float, str], ...]:
     states = (beats.fields[name].astype(int).tolist() for name in ("base_mode", "custom_mode"))
     for time, base, custom in zip(beats.time.tolist(), *states, strict=True):
         name = interpret_px4_mode(base, custom) if vehicle == "PX4" else mode_name(vehicle, custom)
+        # Every heartbeat has the mode, and only changes matter.
         if not modes or modes[-1][1] != name:
             modes.append((time, name))
     return tuple(modes)
