@@ -273,7 +273,7 @@ def test_a_sealed_file_holds_members_numbers_and_texts(h5):
     ]
     assert found.arrays[0].tolist() == [[0, 1], [2, 3]]
     assert found.letters == SMALL - len("aonetwo")
-    for odd in (np.zeros((1, 1, 1)), np.zeros(2, complex), np.array([b"ab"])):
+    for odd in (np.zeros((1, 1, 1, 1)), np.zeros(2, complex), np.array([b"ab"])):
         with pytest.raises(
             RefusedError, match=r"x (holds neither numbers nor text|is larger than the file)"
         ):
