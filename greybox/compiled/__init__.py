@@ -21,6 +21,7 @@ Begin with `compiled_problem`.
 | `condensing` | elimination of nodes and multipliers of continuity |
 | `residual_covariance` | the weights of the residuals |
 | `kalman_gain`, `riccati` | the gain of a predictor; the one that follows from process noise |
+| `disturbances` | how the outputs of a record would follow terms that its model does not have |
 | `record_sensitivity` | derivatives of the residuals |
 | `record_information` | the information for the covariance |
 | `colored_errors` | residuals that are correlated in time |

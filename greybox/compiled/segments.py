@@ -317,6 +317,42 @@ class Segments:
         S, J = self._propagated(A, C, count)
         return S, J, e.reshape(self.k, length, count).transpose(1, 0, 2)
 
+    def sample_derivatives(self, states: Array, q: Array, data: Array) -> tuple[Array, Array]:
+        """Return derivatives of next states and residuals by state and active parameters.
+
+        They are (v, n, columns) and (v, k, columns), of every sample alone.
+        """
+        A, C, _ = _finite(self._evaluate(self._derivatives, states, q, data))
+        columns = data.shape[1]
+        v = self.n + len(self.active)
+        return A.reshape(v, self.n, columns), C.reshape(v, self.k, columns)
+
+    def along(
+        self, states: Array, q: Array, data: Array, direction: Array, step: float
+    ) -> tuple[Array, Array]:
+        """Return derivatives of next states (n, columns) and outputs (k, columns) by the data.
+
+        By central differences of this `step` along a `direction` (width, columns).
+        """
+        ends = []
+        for moved in (data + step * direction, data - step * direction):
+            outputs = self._evaluate(self._output, states, q, moved)[1]
+            following = self._evaluate(self._advance, states, q, moved)[0] if self.n else states
+            ends.append((following, outputs))
+        (up, y_up), (down, y_down) = ends
+        return (up - down) / (2 * step), (y_up - y_down) / (2 * step)
+
+    def disturbed(self, A: Array, C: Array) -> tuple[Array, Array]:
+        """Return derivatives of ends (s, n, v) and residuals (s, length, k, v).
+
+        They are those by the nodes and by disturbances, of which every sample has its share: A (v,
+        n, columns) in the next state and C (v, k, columns) in the residuals.
+        """
+        v, columns = len(A), A.shape[-1]
+        A, C = A.reshape(v * self.n, columns), C.reshape(v * self.k, columns)
+        S, J = self._propagated(A, C, self.count)
+        return S.transpose(2, 0, 1), J.transpose(3, 0, 1, 2)
+
     def output_sensitivities(self, states: Array, q: Array, data: Array) -> Array:
         """Return the derivatives (s, length, k, v) of the simulated outputs at all samples.
 
@@ -369,7 +405,7 @@ class Segments:
         other cost more than their arithmetic.
         """
         n, k, length = self.n, self.k, self.length
-        v = n + len(self.active)
+        v = len(C) // k
         transitions, rows = A.reshape(v, n, length, count), C.reshape(v, k, length, count)
         J = np.empty((length, k, v, count))
         S = np.zeros((n, v, count))

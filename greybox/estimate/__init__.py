@@ -17,10 +17,12 @@ Begin with `fit`.
 | `identifiability` | how well each parameter is determined, and which combinations are |
 | `structural_identifiability` | the same for a model structure, before there are data |
 | `response_band` | confidence band of a fitted response |
+| `misfit` | whether the model explains the data, and what it may lack |
+| `missing_terms` | the terms that are tried for that |
 | `profile`, `profiles` | likelihood profiles, and their values |
 | `held_quantity` | minima with a parameter or another quantity held |
 | `harmonic_numbers` | how many harmonics a sine test needs |
 | `diagnostics` | the folder of warnings |
-| `verdict`, `summary` | the answer in three sentences, and as plain values for JSON |
+| `verdict`, `summary` | the answer in a few sentences, and as plain values for JSON |
 | `storage`, `stored_values` | fits in HDF5 files, and how their fields are stored |
 """

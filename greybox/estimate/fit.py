@@ -32,6 +32,7 @@ from greybox.estimate.diagnostics.not_finite import explained
 from greybox.estimate.fitted_part import AnyFittedPart, FittedResponse
 from greybox.estimate.fitted_values import fitted_part
 from greybox.estimate.harmonic_numbers import with_enough_harmonics
+from greybox.estimate.misfit import assessed_misfit
 from greybox.estimate.profile import profiled_where_misleading
 from greybox.estimate.quantities import quantities
 from greybox.estimate.result import Fit
@@ -380,6 +381,8 @@ def assemble(
         )
         directions = replace(directions, elsewhere=elsewhere)
 
+    misfit = assessed_misfit(nlp, best, trajectories, accuracy.correlation, {})
+    answer = replace(answer, misfit=misfit)
     answer = replace(
         answer,
         warnings=warnings(nlp, search, accuracy, answer, trajectories, error),

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
+from greybox.estimate.misfit import Cause
 from greybox.estimate.response_band import t_quantile
 from greybox.files.html_text import html_list, html_table, html_text
 from greybox.files.text_table import counted, number, percent, some, text_table, with_error
@@ -72,6 +73,8 @@ def facts(fit: Any) -> list[tuple[str, str]]:
     )
 
     return [
+        *([] if fit.misfit is None else [("model", fit.misfit.verdict)]),
+        *(("to add", f"{cause.text}: {cause.code}") for cause in _likely(fit)),
         (
             "starts",
             f"{tried.converged} of {len(tried.brought)} converged{only_screened}; "
@@ -83,6 +86,10 @@ def facts(fit: Any) -> list[tuple[str, str]]:
         *(("inputs", line) for line in _input_texts(fit.records)),
         *closeness(fit),
     ]
+
+
+def _likely(fit: Any) -> Sequence[Cause]:
+    return () if fit.misfit is None else fit.misfit.likely
 
 
 def closeness(fit: Any) -> list[tuple[str, str]]:
@@ -143,7 +150,10 @@ def error_statement(fit: Any) -> str:
     """Say what ± means, and for which errors of the data."""
     conditions = "; ".join(dict.fromkeys(part.condition for part in fit.parts))
     if fit.independent is not None:
-        conditions += "; correlated along frequency like the residuals"
+        conditions += (
+            "; correlated along frequency like the residuals (intervals for independent errors "
+            f"would be {_narrower(fit):.2g} times as wide)"
+        )
 
     interval = ""
     if math.isfinite(fit.dof):
@@ -152,7 +162,21 @@ def error_statement(fit: Any) -> str:
             f" (95 % interval: ± {t_quantile(0.95, fit.dof):.1f} times this, {freedom} freedom)"
         )
 
-    return f"±: standard error{interval}, for {conditions}{_bias_text(fit)}."
+    valid = (
+        ""
+        if fit.misfit is None or fit.misfit.explains
+        else ", valid only if the model explains the data"
+    )
+    return f"±: standard error{interval}, for {conditions}{_bias_text(fit)}{valid}."
+
+
+def _narrower(fit: Any) -> float:
+    """Return the width of 95 % intervals for independent errors over that of the printed ones."""
+    covariance, dof = fit.independent
+    variances = fit.covariance.diagonal()[: len(covariance)]
+    is_known = variances > 0
+    ratio = np.median(covariance.diagonal()[is_known] / variances[is_known])
+    return math.sqrt(ratio) * t_quantile(0.95, dof) / t_quantile(0.95, fit.dof)
 
 
 def _bias_text(fit: Any) -> str:

@@ -20,6 +20,7 @@ from greybox.estimate.identifiability import (
     KnownDirections,
     identifiability,
 )
+from greybox.estimate.misfit import Misfit
 from greybox.estimate.printed import html, text
 from greybox.estimate.profiles import Profiles
 from greybox.estimate.response_band import (
@@ -129,6 +130,8 @@ class Fit:
         Share of the prior in the information on each free parameter, 0 to 1; the rest comes from
         the data. The other parameters are estimated too, and errors are taken as independent. NaN
         for a parameter without a standard error; empty without a prior.
+    misfit : Misfit or None
+        Whether the model explains the data, and what it may lack; None where that cannot be told.
     warnings, notes : tuple of str
         Reasons to doubt the estimate; and remarks.
     seed, starts, seconds, versions
@@ -162,6 +165,7 @@ class Fit:
     profiles: Profiles | None = field(default=None, repr=False)
     priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     prior_share: Mapping[str, float] = field(default_factory=dict)
+    misfit: Misfit | None = field(default=None, repr=False)
     command: tuple[str, ...] = field(default=(), repr=False)
 
     @cached_property

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from greybox.estimate.misfit import Misfit
 from greybox.estimate.verdict import verdict
 from greybox.files.json_numbers import plain
 from greybox.solve.runs import SCREENED, Runs
@@ -32,6 +33,7 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
         "costs": result.costs,
         "status": result.status,
         "verdict": verdict(result),
+        "misfit": None if result.misfit is None else _misfit(result.misfit),
         "estimate": result.estimate,
         "best_effort": result.best_effort,
         "standard_error": result.standard_error,
@@ -67,6 +69,10 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
         "versions": result.versions,
     }
     return plain(answer)
+
+
+def _misfit(misfit: Misfit) -> dict[str, Any]:
+    return vars(misfit) | {"explains": misfit.explains, "p_value": misfit.p_value}
 
 
 def _output(part: Any, name: str) -> dict[str, Any]:

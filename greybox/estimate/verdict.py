@@ -1,4 +1,4 @@
-"""The verdict on a fit in three sentences: its minimum, its residuals, its parameters."""
+"""The verdict on a fit in a few sentences: model, minimum, residuals, parameters."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ Grade = Literal["good", "doubt", "failed"]
 
 @dataclass(frozen=True)
 class Verdict:
-    """A grade and three sentences on a fit.
+    """A grade and sentences on a fit.
 
     Attributes
     ----------
@@ -24,7 +24,8 @@ class Verdict:
         In doubt if there is a warning, if a parameter is not well determined, or if only one start
         reached the minimum.
     sentences : tuple of str
-        Three sentences; for a failed fit, the reasons of the failure.
+        Whether the model explains the data, where that can be decided; then its minimum, its
+        residuals, its parameters. For a failed fit, the reasons of the failure.
     """
 
     grade: Grade
@@ -49,8 +50,11 @@ def verdict(fit: Any) -> Verdict:
     grade = "good" if found_again and well and not fit.warnings else "doubt"
     texts = [text for _, text in closeness(fit)]
     close = f"How closely the model follows the data: {'; '.join(texts)}."
+    explained = () if fit.misfit is None else (f"The model {fit.misfit.verdict}.",)
 
-    return Verdict(grade, (minimum, close if texts else "Nothing was compared.", determined))
+    return Verdict(
+        grade, (*explained, minimum, close if texts else "Nothing was compared.", determined)
+    )
 
 
 def _minimum(fit: Any) -> tuple[str, bool]:

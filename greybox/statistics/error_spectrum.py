@@ -39,17 +39,18 @@ class ErrorSpectrum:
         return ErrorSpectrum(self.omega, self.density, np.sqrt(factor) * self.deviation)
 
     def whitened(self, residuals: Array) -> Array:
-        """Return residuals (k, n) without their correlation; missing ones remain NaN."""
+        """Return residuals (..., k, n) without their correlation; missing ones remain NaN."""
         is_measured = np.isfinite(residuals)
-        samples = np.arange(residuals.shape[1])
+        samples = np.arange(residuals.shape[-1])
         # A straight line across gaps, and mirrored ends below: a jump would be an error of its own.
-        filled = np.zeros_like(residuals)
-        for row, is_finite, values in zip(filled, is_measured, residuals, strict=True):
-            if is_finite.any():
-                row[:] = np.interp(samples, samples[is_finite], values[is_finite])
+        filled = np.where(is_measured, residuals, 0.0)
+        for row in np.argwhere(is_measured.any(axis=-1) & ~is_measured.all(axis=-1)):
+            is_finite, values = is_measured[tuple(row)], residuals[tuple(row)]
+            filled[tuple(row)] = np.interp(samples, samples[is_finite], values[is_finite])
 
         scaled = filled / self.deviation[:, None]
-        white = self._filtered(np.hstack([scaled, scaled[:, ::-1]]), -0.5)[:, : len(samples)]
+        mirrored = np.concatenate([scaled, scaled[..., ::-1]], axis=-1)
+        white = self._filtered(mirrored, -0.5)[..., : len(samples)]
         return np.where(is_measured, white, np.nan)
 
     def colored(self, white: Array) -> Array:
@@ -87,13 +88,14 @@ class ErrorSpectrum:
         return np.maximum(size, ROUNDING), vectors
 
     def _filtered(self, values: Array, power: float) -> Array:
-        """Return values (k, m) on a circle, filtered without delay by a power of the spectrum."""
-        m = values.shape[1]
+        """Return values (..., k, m) on a circle, filtered without delay by the spectrum."""
+        m = values.shape[-1]
         # The Hermitian root has no phase, so that nothing moves in time.
         roots = self._roots(power)
         omega = 2 * np.pi * np.arange(m // 2 + 1) / m
         transform = np.fft.rfft(values)
         result = np.zeros_like(transform)
         for i, j in np.ndindex(*roots.shape[1:]):
-            result[i] += np.interp(omega, self.omega, roots[:, i, j]) * transform[j]
+            root = np.interp(omega, self.omega, roots[:, i, j])
+            result[..., i, :] += root * transform[..., j, :]
         return np.fft.irfft(result, m)

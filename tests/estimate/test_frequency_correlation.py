@@ -75,7 +75,7 @@ def test_the_answer_says_that_the_standard_errors_account_for_it_or_are_rough():
     (told,) = [
         t for t in fitted(0.6, gb.RelativeError(), 1, n=60).warnings if "along frequency" in t
     ]
-    assert told.endswith("the standard errors account for that.")
+    assert told.endswith("account for the first, not for the second.")
     (rough,) = [
         t for t in fitted(0.9, gb.RelativeError(), 3, n=12).warnings if "along frequency" in t
     ]

@@ -15,13 +15,14 @@ def fit():
     return lag()
 
 
-def test_a_good_fit_in_three_sentences(fit):
+def test_a_good_fit_in_four_sentences(fit):
     good = replace(fit, warnings=())
     judged = verdict(good)
     assert judged.grade == "good"
-    assert judged.sentences[0] == "3 of 3 starts agree on the best minimum."
-    assert ": residual " in judged.sentences[1]
-    assert judged.sentences[2].startswith(
+    assert "explains the data" in judged.sentences[0]
+    assert judged.sentences[1] == "3 of 3 starts agree on the best minimum."
+    assert ": residual " in judged.sentences[2]
+    assert judged.sentences[3].startswith(
         "All 2 free parameters are well determined, with standard errors of at most "
     )
 
@@ -33,7 +34,7 @@ def test_a_minimum_that_was_found_once_is_in_doubt(fit, count):
     minima = (replace(fit.minima[0], runs=(first.index,), cost=first.cost),)
     judged = verdict(replace(fit, warnings=(), runs=runs, minima=minima))
     assert judged.grade == "doubt"
-    assert "another" in judged.sentences[0]
+    assert "another" in judged.sentences[1]
 
 
 def test_what_is_not_determined_is_named(fit):
@@ -46,12 +47,12 @@ def test_what_is_not_determined_is_named(fit):
     assert judged.grade == "doubt"
     assert (
         "0 are well determined: b0 and a0 are beyond the guidelines (20 % error"
-        in judged.sentences[2]
+        in judged.sentences[3]
     )
 
     bound = tuple(replace(q, at_bound=q.name == "a0") for q in fit.quantities)
     assert (
-        "a0 ended at a bound" in verdict(replace(fit, quantities=bound, warnings=())).sentences[2]
+        "a0 ended at a bound" in verdict(replace(fit, quantities=bound, warnings=())).sentences[3]
     )
 
 
@@ -70,6 +71,7 @@ def told(**parts):
         beyond=(), error=np.array([0.05, np.nan, 0.012]), names=("a", "b", "c")
     )
     given = {
+        "misfit": None,
         "responses": (),
         "records": (),
         "spectra": (),

@@ -13,6 +13,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import CorrelatedPoints
 from greybox.compiled.transient_part import TransientPart
 from greybox.estimate.covariance import Accuracy
+from greybox.estimate.misfit import Misfit
 from greybox.files.arrays import Array
 from greybox.files.text_table import counted
 from greybox.formulation.problem import Problem
@@ -28,16 +29,23 @@ UNLIKELY = 0.1
 FEWEST_LENGTHS = 8.0
 
 
-def correlated_frequencies(nlp: CompiledProblem, x: Array, accuracy: Accuracy) -> Iterator[str]:
-    """Name the responses and manoeuvres whose errors at the estimate `x` (p,) are correlated."""
+def correlated_frequencies(
+    nlp: CompiledProblem, x: Array, accuracy: Accuracy, misfit: Misfit | None
+) -> Iterator[str]:
+    """Name the responses and manoeuvres whose errors at the estimate `x` (p,) are correlated.
+
+    Residuals of a model that does not explain the data are no errors: nothing is said of them.
+    """
     for part, neighbors in zip(nlp.parts, accuracy.neighbors, strict=True):
-        if neighbors is not None:
+        if neighbors is not None and (misfit is None or misfit.explains):
             yield from _of_response(part.problem, neighbors)
         elif isinstance(part, TransientPart):
             yield from _of_manoeuvre(part, nlp.scaling.to_solver(x), alone=len(nlp.parts) == 1)
 
 
 def _of_response(problem: Problem, neighbors: CorrelatedPoints) -> Iterator[str]:
+    if neighbors.independent >= UNLIKELY:
+        return
     text = _correlated(f"the residuals of {problem.name!r}", neighbors.correlation)
     points = len(problem.data)
     # Without enough lengths the correction itself is rough, which matters more than its reason.
@@ -47,8 +55,8 @@ def _of_response(problem: Problem, neighbors: CorrelatedPoints) -> Iterator[str]
             f"{points / neighbors.lengths:.1f} of them cannot show the size of slow errors, "
             "and the standard errors are rough."
         )
-    elif neighbors.independent < UNLIKELY:
-        yield f"{text}; the standard errors account for that."
+    else:
+        yield f"{text}; the standard errors account for the first, not for the second."
 
 
 def _of_manoeuvre(part: TransientPart, z: Array, *, alone: bool) -> Iterator[str]:

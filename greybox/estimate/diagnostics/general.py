@@ -28,6 +28,7 @@ from greybox.estimate.diagnostics.not_finite import not_finite_warnings
 from greybox.estimate.diagnostics.outlying_points import outlying_points
 from greybox.estimate.diagnostics.prior_conflict import prior_conflicts
 from greybox.estimate.diagnostics.records import finding_warnings, record_warnings
+from greybox.estimate.diagnostics.unexplained import unexplained
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.result import Fit
 from greybox.solve.discretization_error import DiscretizationError
@@ -61,11 +62,14 @@ def warnings(
     pade_errors = [
         part.pade_error if isinstance(part, FittedResponse) else None for part in answer.parts
     ]
+    misfit = answer.misfit
+    explained = misfit is None or misfit.explains or misfit.is_mostly_noise
     return (
         *not_finite_warnings(nlp, search),
         *finding_warnings(nlp),
         *discretization_warnings(nlp, trajectories, error),
-        *record_warnings(nlp, answer.parts, trajectories, accuracy),
+        *unexplained(answer.misfit),
+        *record_warnings(nlp, answer.parts, trajectories, accuracy, explained=explained),
         *harmonic_warnings(nlp, best.estimate, accuracy),
         *not_determined(nlp, accuracy),
         *held_without_error(nlp, accuracy),
@@ -78,7 +82,7 @@ def warnings(
         *several_estimates_of_one_response(nlp, search, accuracy),
         *coarse_pade(nlp, pade_errors),
         *unlikely_noise(nlp, trajectories),
-        *correlated_frequencies(nlp, best.estimate, accuracy),
+        *correlated_frequencies(nlp, best.estimate, accuracy, answer.misfit),
         *discontinuous_costs(nlp),
         *outlying_points(nlp, best.estimate),
     )

@@ -42,8 +42,13 @@ def record_warnings(
     fitted: Sequence[FittedPart],
     trajectories: Sequence[Trajectory],
     accuracy: Accuracy,
+    *,
+    explained: bool,
 ) -> tuple[str, ...]:
-    """Return the warnings about the records of a fit."""
+    """Return the warnings about the records of a fit whose model has `explained` the data or not.
+
+    Residuals that follow the inputs look like feedback.
+    """
     pairs = [
         (part, answer)
         for part, answer in zip(nlp.parts, fitted, strict=True)
@@ -54,7 +59,7 @@ def record_warnings(
     return (
         *once(_short(nlp, accuracy)),
         *once(finding for pair in pairs for finding in unexplained_outputs(*pair, alone=alone)),
-        *biased_by_feedback(pairs),
+        *(biased_by_feedback(pairs) if explained else ()),
         *colored_predictions(pairs),
         *once(_bounded(nlp, trajectories, alone=alone)),
         *(_resting([part for part, _ in pairs]) if len(pairs) == len(nlp.parts) else ()),

@@ -1,0 +1,22 @@
+"""Whether the model explains the data, and what it may lack."""
+
+from collections.abc import Iterator
+
+from greybox.estimate.misfit import Misfit
+
+
+def unexplained(misfit: Misfit | None) -> Iterator[str]:
+    """Say that estimates and errors are those of a wrong model, and name what it may lack."""
+    if misfit is None or misfit.explains:
+        return
+    causes = [f"{cause.text} (explains {cause.explained})" for cause in misfit.likely]
+    yield (
+        "the model does not explain the data, so its estimates may be biased, and the standard "
+        f"errors are valid only if it did. It may lack {' or '.join(causes)}; all that was tried: "
+        "fit.misfit."
+    )
+    if misfit.is_mostly_noise:
+        yield (
+            "these terms take less than half of what the model leaves: under feedback, "
+            "disturbances such as gusts may look like them."
+        )

@@ -1,0 +1,118 @@
+"""A fit says whether its model explains the data, and what it lacks."""
+
+import numpy as np
+import pytest
+
+import greybox as gb
+
+SAMPLES, STEP = 500, 0.04
+
+
+class Spring(gb.StateSpace):
+    """A mass on a spring: x'' = b u - k x - d x'."""
+
+    states, inputs, outputs = ("x", "v"), ("u",), ("x",)
+    k = gb.Parameter(25.0, bounds=(0, 200))
+    d = gb.Parameter(2.0, bounds=(0, 50))
+    b = gb.Parameter(25.0, bounds=(0, 200))
+
+    def derivative(self, x, u, p):
+        return (x.v, p.b * u.u - p.k * x.x - p.d * x.v)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+class Cubic(Spring):
+    """A spring that becomes stiffer."""
+
+    def derivative(self, x, u, p):
+        v, a = super().derivative(x, u, p)
+        return (v, a - 20 * x.x**3)
+
+
+class Late(Spring):
+    """A command that is late."""
+
+    delays = {"u": "T"}
+    T = gb.Parameter(0.12, bounds=(0, 1), unit="s", fixed=True)
+
+
+def fitted(plant=Spring, color="white", seed=0):
+    """Fit the spring to a flight of another plant."""
+    random = np.random.default_rng(seed)
+    time = STEP * np.arange(SAMPLES)
+    u = sum(np.sin(w * time + random.uniform(0, 6)) for w in (1, 2, 3.3, 4.7, 6.1, 9)) / 2.5
+    flight = gb.Record(time, {"u": u}, hold={"u": np.inf})
+    x = gb.simulate(plant(), {"k": 25.0, "d": 2.0, "b": 25.0}, flight)["x"]
+    noise = random.normal(size=SAMPLES)
+    if color == "drift":
+        noise += 0.3 * np.cumsum(random.normal(size=SAMPLES))
+    flight = flight.with_signals(x=x + 0.02 * noise)
+    return gb.fit(gb.Problem(Spring(), flight), starts=1, progress=False)
+
+
+@pytest.mark.parametrize("color", ["white", "drift"])
+def test_a_right_model_explains_its_data(color):
+    fit = fitted(color=color)
+    assert fit.misfit.explains
+    assert "explains the data" in str(fit)
+    assert fit.to_dict()["misfit"]["explains"]
+
+
+@pytest.mark.parametrize(("plant", "cause"), [(Cubic, "x³"), (Late, "delay of u")])
+def test_a_wrong_model_does_not_and_what_it_lacks_is_named(plant, cause):
+    fit = fitted(plant)
+    assert not fit.misfit.explains
+    assert fit.misfit.noise < 0.4 * fit.misfit.left
+    assert any(cause in found.text for found in fit.misfit.likely[:2])
+    assert "valid only if" in str(fit)
+    assert any("does not explain" in text for text in fit.warnings)
+
+
+def test_a_missing_delay_has_its_size():
+    (delay,) = [cause for cause in fitted(Late).misfit.causes if "delay of u" in cause.text]
+    assert float(delay.text.split()[-2]) == pytest.approx(0.12, rel=0.3)
+
+
+class Resonance(gb.TransferFunction):
+    """b / (s² + d s + k)."""
+
+    input, output = "u", "y"
+    k = gb.Parameter(25.0, bounds=(0, 200))
+    d = gb.Parameter(2.0, bounds=(0, 50))
+    b = gb.Parameter(25.0, bounds=(0, 200))
+
+    def response(self, s, p):
+        return p.b / (s**2 + p.d * s + p.k)
+
+
+def of_response(defect, correlation=0.0, points=24):
+    """Fit a resonance to the response of one with a defect, errors of 4 %."""
+    random = np.random.default_rng(1)
+    s = 1j * np.geomspace(0.8, 30, points)
+    error = random.normal(size=(points, 2)) @ [1, 1j]
+    for k in range(1, points):
+        error[k] = correlation * error[k - 1] + np.sqrt(1 - correlation**2) * error[k]
+    response = 25 / (s**2 + 2 * s + 25) * defect(s) * (1 + 0.03 * error)
+    data = gb.FrequencyResponse(s.imag, response, "u", "y")
+    return gb.fit(gb.Problem(Resonance(), data), starts=2, progress=False).misfit
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.8])
+def test_errors_of_a_response_are_no_misfit(correlation):
+    assert of_response(lambda s: 1.0, correlation).explains
+
+
+@pytest.mark.parametrize(
+    ("defect", "cause"),
+    [
+        (lambda s: 1 / (1 + s / 15), "pole"),
+        (lambda s: 1 + s / 15, "zero"),
+        (lambda s: 1 - 0.3 * s**2 / (s**2 + 0.66 * s + 121), "mode near"),
+    ],
+)
+def test_what_the_model_of_a_response_lacks_is_named(defect, cause):
+    misfit = of_response(defect)
+    assert not misfit.explains
+    assert any(cause in found.text for found in misfit.likely[:2])
