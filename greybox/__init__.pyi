@@ -22,6 +22,7 @@ from greybox.data import FrequencyResponse as FrequencyResponse
 from greybox.data import Record as Record
 from greybox.data import read_response as read_response
 from greybox.estimate.fit import fit as fit
+from greybox.estimate.misfit_test import misfit as misfit
 from greybox.estimate.profile import contour as contour
 from greybox.estimate.profile import profile as profile
 from greybox.estimate.profiles import Contour as Contour

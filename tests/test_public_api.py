@@ -15,7 +15,7 @@ NAMES = """
 Bootstrap Collocation Contour Controller Criterion EquationError Fit FrequencyResponse Integrator MagnitudePhase
 MaximumLikelihood MultipleShooting OutputError Parameter PredictionError Problem Profiles Record RelativeError
 RelativeLikelihood Rosenbrock RungeKutta SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion
-Transcription TransferFunction batch bootstrap compare contour cost feedback fit frequency_response identify load margins
+Transcription TransferFunction batch bootstrap compare contour cost feedback fit frequency_response identify load margins misfit
 plot predict prepare profile read read_response report save several simulate stepwise
 structural_identifiability virtual_flight
 """.split()

@@ -327,21 +327,6 @@ class Segments:
         v = self.n + len(self.active)
         return A.reshape(v, self.n, columns), C.reshape(v, self.k, columns)
 
-    def along(
-        self, states: Array, q: Array, data: Array, direction: Array, step: float
-    ) -> tuple[Array, Array]:
-        """Return derivatives of next states (n, columns) and outputs (k, columns) by the data.
-
-        By central differences of this `step` along a `direction` (width, columns).
-        """
-        ends = []
-        for moved in (data + step * direction, data - step * direction):
-            outputs = self._evaluate(self._output, states, q, moved)[1]
-            following = self._evaluate(self._advance, states, q, moved)[0] if self.n else states
-            ends.append((following, outputs))
-        (up, y_up), (down, y_down) = ends
-        return (up - down) / (2 * step), (y_up - y_down) / (2 * step)
-
     def disturbed(self, A: Array, C: Array) -> tuple[Array, Array]:
         """Return derivatives of ends (s, n, v) and residuals (s, length, k, v).
 

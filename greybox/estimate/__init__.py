@@ -18,6 +18,7 @@ Begin with `fit`.
 | `structural_identifiability` | the same for a model structure, before there are data |
 | `response_band` | confidence band of a fitted response |
 | `misfit` | whether the model explains the data, and what it may lack |
+| `misfit_test` | the same of a fit that is at hand, with terms of your own |
 | `missing_terms` | the terms that are tried for that |
 | `profile`, `profiles` | likelihood profiles, and their values |
 | `held_quantity` | minima with a parameter or another quantity held |

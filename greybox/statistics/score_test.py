@@ -115,45 +115,37 @@ def _beside(basis: Array, values: Array) -> Array:
     return values - basis @ (basis.T @ values)
 
 
-def p_values_beside_correlation(
-    residuals: Array, fitted: Array, terms: Array, lengths: Sequence[int]
-) -> Array:
-    """Return the probabilities (c,) of terms if errors of neighboring rows may be correlated.
+def p_value_beside_correlation(
+    residuals: Array, fitted: Array, term: Array, lengths: Sequence[int]
+) -> float:
+    """Return the probability of a term if errors of neighboring rows may be correlated.
 
-    A term must explain more than an exponential correlation does, whose size is estimated without
-    and with the term: correlated errors look like a smooth term, and the other way round.
+    The term must explain more than an exponential correlation does, whose size is estimated without
+    and with it: correlated errors look like a smooth term, and the other way round.
 
     Parameters
     ----------
-    residuals, fitted, terms : as in `score_tests`
+    residuals, fitted, term : (N, 1), (N, p) and (N, 1) arrays
+        As in `score_tests`.
     lengths : sequence of int
         Numbers of rows in which neighbors are correlated.
     """
     from scipy.special import betainc  # noqa: PLC0415  (takes a tenth of a second to import)
 
-    numbers = len(residuals)
-    scores = np.full((len(CORRELATIONS), terms.shape[1] + 1), np.inf)
-    for row, rho in zip(scores, CORRELATIONS, strict=True):
-        values = _less_neighbor(np.column_stack([residuals, terms, fitted]), lengths, rho)
-        count = terms.shape[1] + 1
-        beside = _beside(column_basis(values[:, count:]), values[:, :count])
-        e, z = beside[:, 0], beside[:, 1:]
-        squares = float(e @ e)
-        lengths_of_terms = np.maximum(np.sum(z**2, axis=0), np.finfo(float).tiny)
-        remaining = squares - (z.T @ e) ** 2 / lengths_of_terms
+    numbers, firsts = len(residuals), np.cumsum([0, *lengths[:-1]])
+    values = np.hstack([residuals, term, fitted])
+    scores = []
+    for rho in CORRELATIONS:
+        # Less what the neighbor predicts.
+        white = (values - rho * np.roll(values, 1, axis=0)) / np.sqrt(1 - rho**2)
+        white[firsts] = values[firsts]
+        without, beside = (
+            np.sum(_beside(column_basis(white[:, begin:]), white[:, 0]) ** 2) for begin in (2, 1)
+        )
         determinant = (numbers - len(lengths)) * np.log(1 - rho**2)
-        left = np.append(squares, remaining)
-        row[:] = numbers * np.log(np.maximum(left, np.finfo(float).tiny)) + determinant
-    scores = scores.min(axis=0)
-    # The ratio of likelihoods as a share of squares, one more number for the correlation.
-    share = 1 - np.exp(-np.maximum(scores[0] - scores[1:], 0.0) / numbers)
-    remaining = max(numbers - fitted.shape[1] - 1, 2)
-    return np.asarray(betainc((remaining - 1) / 2, 0.5, 1 - share))
-
-
-def _less_neighbor(rows: Array, lengths: Sequence[int], rho: float) -> Array:
-    """Return rows (N, c) less what their neighbor predicts, of unit variance."""
-    result = (rows - rho * np.vstack([rows[:1], rows[:-1]])) / np.sqrt(1 - rho**2)
-    firsts = np.cumsum([0, *lengths[:-1]])
-    result[firsts] = rows[firsts]
-    return result
+        squares = np.maximum([without, beside], np.finfo(float).tiny)
+        scores.append(numbers * np.log(squares) + determinant)
+    without, beside = np.min(scores, axis=0)
+    # The ratio of likelihoods as a share of squares; the correlation is one more unknown.
+    remaining = max(numbers - fitted.shape[1] - 2, 1)
+    return float(betainc(remaining / 2, 0.5, np.exp(-max(without - beside, 0.0) / numbers)))

@@ -60,7 +60,7 @@ def test_a_right_model_explains_its_data(color):
     assert fit.to_dict()["misfit"]["explains"]
 
 
-@pytest.mark.parametrize(("plant", "cause"), [(Cubic, "x³"), (Late, "delay of u")])
+@pytest.mark.parametrize(("plant", "cause"), [(Cubic, "x**3"), (Late, "delay of u")])
 def test_a_wrong_model_does_not_and_what_it_lacks_is_named(plant, cause):
     fit = fitted(plant)
     assert not fit.misfit.explains
@@ -116,3 +116,21 @@ def test_what_the_model_of_a_response_lacks_is_named(defect, cause):
     misfit = of_response(defect)
     assert not misfit.explains
     assert any(cause in found.text for found in misfit.likely[:2])
+
+
+def test_terms_of_the_user_are_tried():
+    fit = fitted(Cubic)
+    candidates = {"stiffening": lambda x, u, p: x.x**5, "wind": lambda x, u, p: 1.0}
+    misfit = gb.misfit(fit, candidates=candidates)
+    names = [cause.text for cause in misfit.causes]
+    assert "stiffening in the equation of v" in names
+    assert not misfit.explains
+    by_fit = {cause.text: cause.share for cause in fit.misfit.causes}
+    (cubic,) = [cause for cause in misfit.causes if cause.text.startswith("x**3")]
+    assert cubic.share == pytest.approx(by_fit[cubic.text], rel=0.1)
+
+
+def test_misfit_is_stored_with_the_fit(tmp_path):
+    fit = fitted(Late)
+    gb.save(fit, tmp_path / "fit.h5")
+    assert gb.load(tmp_path / "fit.h5").misfit == fit.misfit

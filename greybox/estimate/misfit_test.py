@@ -1,0 +1,47 @@
+"""The test of misfit of a fit that is at hand, with terms of the user."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from greybox.compiled.compiled_problem import AnyProblem
+from greybox.estimate.covariance import assess
+from greybox.estimate.fitted_problem import compiled_again
+from greybox.estimate.misfit import Misfit, assessed_misfit
+from greybox.estimate.missing_terms import Formula
+from greybox.estimate.result import Fit
+from greybox.solve.multistart import BATCHED, solver_for
+
+
+def misfit(
+    fit: Fit,
+    problem: AnyProblem | None = None,
+    candidates: Mapping[str, Formula] = MappingProxyType({}),
+) -> Misfit | None:
+    """Test whether the model of a fit explains its data, and what it may lack, without another fit.
+
+    Parameters
+    ----------
+    fit : Fit
+    problem : Problem or a sum of problems, optional
+        The fitted one, where it does not follow from the fit (priors, ties, constraints).
+    candidates : mapping of name to function
+        Terms of your own, as functions ``lambda x, u, p: abs(x.v) * x.v`` of states, inputs and
+        parameters as arrays. They are tried in the equation of every state of a `StateSpace`.
+
+    Returns
+    -------
+    Misfit or None
+        None where that cannot be told, as for rows without a time. `Fit.misfit` is the same without
+        candidates.
+
+    Raises
+    ------
+    ValueError, LookupError
+        If the problem does not follow from the fit, or is another one.
+    """
+    fit.require_estimate()
+    nlp = compiled_again(fit, problem)
+    x = fit.minima[0].estimate
+    trajectories = solver_for(nlp, {}, BATCHED).profile(x, None).trajectories
+    accuracy = assess(nlp, x, trajectories)
+    return assessed_misfit(nlp, x, trajectories, accuracy.correlation, candidates)
