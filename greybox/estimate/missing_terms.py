@@ -5,6 +5,7 @@ states, late sensors, and parameters that change; responses with poles, zeros, d
 steps of the gain.
 """
 
+import itertools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -183,7 +184,8 @@ def _of_equations(record: DisturbedRecord, candidates: Mapping[str, Formula]) ->
     x = dict(zip(system.states, record.states, strict=True))
     u = dict(zip(system.inputs, record.inputs, strict=True))
     p = dict(zip(record.part.model.parameters, record.parameters, strict=True))
-    products = {f"{a} {b}": x[a] * row for a in x for b, row in (x | u).items() if a < b}
+    pairs = itertools.combinations((x | u).items(), 2)
+    products = {f"{a} * {b}": row * other for (a, row), (b, other) in pairs if a in x}
     shapes = {"a constant": np.ones(record.part.samples)} | u | products
     for name, row in x.items():
         shapes |= _shapes(name, row)
