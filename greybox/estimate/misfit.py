@@ -94,9 +94,9 @@ class Misfit:
         return not self.p_value < FALSE_ALARMS
 
     @property
-    def is_mostly_noise(self) -> bool:
-        """Whether the terms together leave more than half of what the model leaves."""
-        return self.noise > self.left / 2
+    def may_be_feedback(self) -> bool:
+        """Whether disturbances under feedback may look like the terms, which leave a part of it."""
+        return self.explains or self.noise > 0.1 * self.left
 
     @property
     def likely(self) -> tuple[Cause, ...]:

@@ -228,7 +228,8 @@ def _equations(record: DisturbedRecord) -> dict[int, set[str]]:
 
 
 def _rate(record: DisturbedRecord, row: Array) -> Array:
-    return record.by_stretch(np.gradient, row)
+    # A stretch may have one sample.
+    return record.by_stretch(lambda y, step: np.gradient(np.append(y, y[-1]), step)[:-1], row)
 
 
 def _delayed(piece: Array, step: float, T: float) -> Array:

@@ -63,13 +63,13 @@ def warnings(
         part.pade_error if isinstance(part, FittedResponse) else None for part in answer.parts
     ]
     misfit = answer.misfit
-    explained = misfit is None or misfit.explains or misfit.is_mostly_noise
+    feedback = misfit is None or misfit.may_be_feedback
     return (
         *not_finite_warnings(nlp, search),
         *finding_warnings(nlp),
         *discretization_warnings(nlp, trajectories, error),
         *unexplained(answer.misfit),
-        *record_warnings(nlp, answer.parts, trajectories, accuracy, explained=explained),
+        *record_warnings(nlp, answer.parts, trajectories, accuracy, feedback=feedback),
         *harmonic_warnings(nlp, best.estimate, accuracy),
         *not_determined(nlp, accuracy),
         *held_without_error(nlp, accuracy),

@@ -43,11 +43,11 @@ def record_warnings(
     trajectories: Sequence[Trajectory],
     accuracy: Accuracy,
     *,
-    explained: bool,
+    feedback: bool,
 ) -> tuple[str, ...]:
-    """Return the warnings about the records of a fit whose model has `explained` the data or not.
+    """Return the warnings about the records of a fit.
 
-    Residuals that follow the inputs look like feedback.
+    Residuals of a wrong model look like `feedback`, which is then not tested.
     """
     pairs = [
         (part, answer)
@@ -59,7 +59,7 @@ def record_warnings(
     return (
         *once(_short(nlp, accuracy)),
         *once(finding for pair in pairs for finding in unexplained_outputs(*pair, alone=alone)),
-        *(biased_by_feedback(pairs) if explained else ()),
+        *(biased_by_feedback(pairs) if feedback else ()),
         *colored_predictions(pairs),
         *once(_bounded(nlp, trajectories, alone=alone)),
         *(_resting([part for part, _ in pairs]) if len(pairs) == len(nlp.parts) else ()),

@@ -15,8 +15,3 @@ def unexplained(misfit: Misfit | None) -> Iterator[str]:
         f"errors are valid only if it did. It may lack {' or '.join(causes)}; all that was tried: "
         "fit.misfit."
     )
-    if misfit.is_mostly_noise:
-        yield (
-            "these terms take less than half of what the model leaves: under feedback, "
-            "disturbances such as gusts may look like them."
-        )
