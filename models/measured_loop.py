@@ -14,6 +14,10 @@ from greybox.experiment.loop_numbers import margin_numbers
 from greybox.experiment.margins import UNITS, Margin, Margins
 from greybox.files.text_table import listed
 
+# The least distance from -1 is less in noise, and less again in draws from it: these show the bias,
+# and their quantiles are reflected about the value (basic intervals).
+LEAST = ("modulus margin", "disturbance rejection peak")
+
 
 def broken_loop(sensitivity):
     """Return the gain of the broken loop, L = 1/S - 1, of negative feedback.
@@ -42,9 +46,12 @@ def measured_margins(loop, *, level=0.95):
 
     They are read between the measured points, where magnitude and phase are straight lines over the
     logarithm of frequency, and never beyond them: a note names what does not occur there. The
-    intervals are quantiles over draws from the errors of the points, wider by the error of the
-    interpolation, a third of what leaving out every second point changes. The loop is taken as
-    stable, because it flew.
+    intervals come from draws from the errors of the points, which also correct the bias of the
+    modulus margin, and are wider by the error of the interpolation, a third of what leaving out
+    every second point changes. The loop is taken as stable, because it flew.
+
+    Source: Davison and Hinkley (1997), Bootstrap Methods and their Application, section 5.2 (basic
+    intervals).
 
     Raises
     ------
@@ -57,19 +64,22 @@ def measured_margins(loop, *, level=0.95):
     gain, omega = _between(points, drawn)
     numbers = margin_numbers(gain, omega, np.ones(len(gain), dtype=bool))
     fewer = margin_numbers(*_between(points[::2], drawn[:1, ::2]), np.ones(1, dtype=bool))
-    ends = [(1 - level) / 2, (1 + level) / 2]
+    ends = [(1 - level) / 2, 0.5, (1 + level) / 2]
     rows, unmeasured = [], []
     for name, (values, places) in numbers.items():
         unit = UNITS[name.rstrip(" 0123456789")]
         row = Margin(name, unit, math.nan, math.nan, math.nan, math.nan, group="measured")
         if values[0] and omega[0] < places[0] < omega[-1]:
-            low, high = np.quantile(values[1:], ends, method="closest_observation")
+            value = float(values[0])
+            drawn_ends = np.quantile(values[1:], ends, method="closest_observation")
+            low, _, high = drawn_ends.tolist()
+            if name in LEAST:
+                high, value, low = (2 * value - drawn_ends).tolist()
             # Straight lines between twice as distant points are four times as wrong.
             change = abs(fewer[name].value[0] - values[0]) / 3 if name in fewer else 0.0
             error = float(change) if math.isfinite(change) else 0.0
-            value, place = float(values[0]), float(places[0])
-            low, high = float(low) - error, float(high) + error
-            row = replace(row, value=value, omega=place, low=low, high=high)
+            place = float(places[0])
+            row = replace(row, value=value, omega=place, low=low - error, high=high + error)
         else:
             unmeasured.append(name)
         rows.append(row)

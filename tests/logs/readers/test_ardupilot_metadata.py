@@ -39,6 +39,13 @@ def test_what_a_log_says_about_its_vehicle():
     assert metadata([]) == {}
 
 
+def test_parameters_that_change_in_flight_are_kept_with_their_times():
+    times, names, values = [0, 0, 5, 7], ["P", "I", "P", "I"], np.array([0.1, 0.2, 0.3, 0.2])
+    about = metadata([messages("PARM", times, {"Value": values}, {"Name": names})])
+    assert about["parameters"] == {"P": 0.3, "I": 0.2}
+    assert about["parameter_changes"] == ((5.0, "P", 0.1, 0.3),)
+
+
 def test_units_are_written_as_greybox_writes_them():
     assert [unit(u) for u in ("deg/s/s", "degheading", "UNKNOWN", "us", "m")] == [
         "deg/s²",

@@ -52,6 +52,8 @@ def test_metadata(saved):
     about = recording.metadata
     assert (about["vehicle"], about["firmware"]) == ("PX4", "v1.14.3 (29f5e2a1)")
     assert about["parameters"] == {"MC_PITCH_P": 7, "CBRK_IO": 4}
+    ((_, *change),) = about["parameter_changes"]
+    assert change == ["MC_PITCH_P", 6.5, 7.0]
     assert about["texts"] == ((2.1, "[commander] Takeoff detected"),)
     assert about["modes"] == ((2, "POSCTL"), (3, "STAB"))
 
