@@ -24,6 +24,7 @@ from greybox.identification.selection import Candidate, Selection, held_by_bound
 from greybox.identification.structure_fit import (
     fit_within_far_bounds,
     problem_of_structure,
+    require_parameters,
     stated_for,
 )
 from greybox.logs.known_filters import KnownFilter
@@ -164,7 +165,8 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     listed = [s if isinstance(s, Structure) else Structure(s, s.label) for s in structures]
     listed = listed or (family(vehicle, settings.names[1][0]) if vehicle else [])
     if listed:
-        _require_parameters(of_parameters, listed)
+        names = {name for structure in listed for name in structure.model.parameters}
+        require_parameters(of_parameters, names)
         candidates = [
             _candidate(s, responses, series, of_parameters, starts, seed, not structures)
             for s in listed
@@ -223,15 +225,6 @@ def _filters(
                 f"through={name} is no filter that the log states; it states {available}."
             )
     return {name: measurement.filters[name] for name in names}
-
-
-def _require_parameters(stated: Mapping[str, Any], structures: Sequence[Structure]) -> None:
-    names = {name for structure in structures for name in structure.model.parameters}
-    for name in chain.from_iterable(stated.values()):
-        if name not in names:
-            raise ValueError(
-                f"no structure has a parameter {name!r}; they have {', '.join(sorted(names))}."
-            )
 
 
 def _candidate(

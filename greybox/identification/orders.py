@@ -4,7 +4,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,7 +19,11 @@ from greybox.identification.selection import (
     held_by_bounds,
     select,
 )
-from greybox.identification.structure_fit import fit_within_far_bounds, stated_for
+from greybox.identification.structure_fit import (
+    fit_within_far_bounds,
+    require_parameters,
+    stated_for,
+)
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model_reference import included_model
 from greybox.modeling.transfer_function import TransferFunction
@@ -119,11 +122,7 @@ def select_orders(
         )
     names = [f"b{k}" for k in range(max(o.m for o in grid) + 1)]
     names += [f"a{k}" for k in range(max(o.n for o in grid))]
-    for name in chain.from_iterable(stated.values()):
-        if name not in (*names, "T_delay"):
-            raise ValueError(
-                f"no structure has a parameter {name!r}; they have {', '.join(names)} and T_delay."
-            )
+    require_parameters(stated, {*names, "T_delay"})
     # Linear least squares use the longest response only: they choose what is fitted by all.
     plant = _before(max(responses, key=len), through)
     linear = {orders: _linear_fit(plant, orders) for orders in grid}

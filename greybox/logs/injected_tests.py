@@ -13,7 +13,7 @@ import numpy as np
 
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment
-from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
+from greybox.files.arrays import Array, BoolArray, IntArray
 
 INJECTED = "injected "  # begins the source of such a test, and the signal follows
 AXES = ("roll", "pitch", "yaw")
@@ -42,29 +42,13 @@ def _chirps(record: Record) -> list[Segment]:
     phase = np.nan_to_num(record[PHASE]) / COUNTS
     tests = []
     for rows in _runs(record.time, phase > 0):
-        axis = _axis_of_chirp(record, rows, np.exp(1j * phase[rows]))
+        # Only firmware since 2026 logs the axis: it is the one whose control moves with the chirp.
+        turning = np.exp(1j * phase[rows])
+        controls = [record.signals.get(f"axisSum[{k}]", 0 * phase)[rows] for k in range(3)]
+        axis = AXES[np.argmax([abs(np.mean(control * turning)) for control in controls])]
         low, high, count = _band(record.time[rows], phase[rows])
-        used = rows[:count]
-        if axis in AXES:
-            tests.append(_segment(record, used, CHIRP, axis, "sweep", (low, high)))
+        tests.append(_segment(record, rows[:count], CHIRP, axis, "sweep", (low, high)))
     return tests
-
-
-def _axis_of_chirp(record: Record, rows: IntArray, turning: ComplexArray) -> str:
-    """Return the axis that the debug fields state, or else that of the setpoint that moves."""
-    # Firmware before 2026 logs only the phase, and the other fields are zero.
-    if np.any(record.signals.get("debug[2]", np.zeros(1))):
-        number = int(np.median(record.signals.get("debug[1]", np.full(len(record), -1.0))[rows]))
-        return dict(enumerate(AXES)).get(number, "")
-    for signal in ("setpoint", "axisSum", "gyroADC"):
-        moves = {
-            axis: abs(np.mean(signals[rows] * turning))
-            for k, axis in enumerate(AXES)
-            if (signals := record.signals.get(f"{signal}[{k}]")) is not None
-        }
-        if any(moves.values()):
-            return max(moves, key=moves.__getitem__)
-    return ""
 
 
 def _autotuning(record: Record) -> list[Segment]:
@@ -108,8 +92,6 @@ def _band(time: Array, phase: Array) -> tuple[float, float, int]:
     # Beyond half the sampling rate, steps of the phase are over half a turn.
     beyond = np.flatnonzero(np.convolve(steps > math.pi, np.ones(3), "valid") == 3)
     last = int(beyond[0]) if beyond.size else time.size
+    frequency = steps[: last - 1] / np.diff(time[:last])
     edge = max(last // 50, 2)
-    turned = np.concatenate([[0.0], np.cumsum(steps[: last - 1])])
-    low = (turned[edge] - turned[0]) / (time[edge] - time[0])
-    high = (turned[-1] - turned[-edge]) / (time[last - 1] - time[last - edge])
-    return float(low), float(high), last
+    return float(np.median(frequency[:edge])), float(np.median(frequency[-edge:])), last

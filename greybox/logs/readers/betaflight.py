@@ -9,7 +9,7 @@ common/chirp.c, with its debug fields as of pull requests 13105 and 15113.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +21,6 @@ from greybox.files.delimited_text import are_numbers
 from greybox.files.heading import Heading
 
 HEADER = re.compile(rb'^"?loopIteration"?\s*,', re.MULTILINE)
-FINE = re.compile(rb'^"?blackbox_high_resolution"?\s*,\s*"?1', re.MULTILINE)
 FINER = 10  # steps in a deg/s where the blackbox logs in high resolution
 DOUBT = (
     "gyro and setpoint were taken in deg/s: with blackbox_high_resolution, which only the settings "
@@ -71,7 +70,7 @@ def _unit(name: str) -> str:
     return "deg/s" if re.fullmatch(f"{GYRO}|{SETPOINT}", name) else ""
 
 
-def completed(record: Record, raw: bytes) -> Record:
+def completed(record: Record, settings: Mapping[str, float]) -> Record:
     """Return the record of a blackbox with the controls, the chirp and the holds of its signals.
 
     ``axisSum[0]`` to ``axisSum[2]`` are the outputs of the PID controllers, and ``chirp`` is the
@@ -81,11 +80,9 @@ def completed(record: Record, raw: bytes) -> Record:
         return record
     signals, findings = dict(record.signals), record.findings
     rates = [name for name in signals if re.fullmatch(f"{GYRO}|{SETPOINT}", name)]
-    header = HEADER.search(raw)
-    settings = raw[: header.start()] if header else b""
-    if FINE.search(settings):
+    if settings.get("blackbox_high_resolution"):
         signals |= {name: signals[name] / FINER for name in rates if record.units[name] == "deg/s"}
-    elif rates and not settings.strip():
+    elif rates and not settings:
         findings += (DOUBT,)
 
     for axis in range(3):

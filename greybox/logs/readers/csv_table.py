@@ -118,9 +118,10 @@ def read(
 
     findings = (*findings, *left_out, *restarts, *dropped)
     ((name, record),) = by_name.items()
-    record = completed(replace(record, findings=findings), raw)
+    about = metadata_of(raw)
+    record = completed(replace(record, findings=findings), about.get("parameters", {}))
 
-    return Recording({name: record}, path.name, checksum, metadata_of(raw), record.findings)
+    return Recording({name: record}, path.name, checksum, about, record.findings)
 
 
 def _headings(text: DelimitedText) -> list[Heading]:
