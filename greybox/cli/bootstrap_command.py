@@ -54,6 +54,7 @@ def run(options: argparse.Namespace) -> Answer:
                 executor=executor,
                 folder=options.out,
             )
+    # Replicates in a folder survive Ctrl-C; without a folder all of them are lost.
     except KeyboardInterrupt:
         resume = "" if options.out is None else f"; the same command continues in {options.out}"
         return {"error": f"interrupted{resume}."}, "", INTERRUPTED

@@ -65,7 +65,7 @@ def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
     attribute = name or "problem"
     problem = getattr(module, attribute, None)
     if problem is None:
-        near = nearest(attribute, (known for known in vars(module) if not known.startswith("_")))
+        near = nearest(attribute, (key for key in vars(module) if not key.startswith("_")))
         hint = f"did you mean {near!r}? Otherwise " if near else ""
         raise ValueError(
             f"{place} has no {attribute!r}: {hint}define {attribute}() that returns a gb.Problem."
@@ -83,8 +83,10 @@ def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
     settings = getattr(module, "settings", {})
     for name in settings:
         if name not in SETTINGS:
-            known = alternatives(name, SETTINGS)
-            raise ValueError(f"settings in {text} has {name!r}, which is not known; use {known}")
+            raise ValueError(
+                f"settings in {text} has {name!r}, which is not known; use "
+                f"{alternatives(name, SETTINGS)}"
+            )
 
     return problem.with_(name=label), dict(settings)
 

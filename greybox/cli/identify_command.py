@@ -140,6 +140,7 @@ def run(options: argparse.Namespace) -> Answer:
         save(replace(fit, command=options.arguments), result)
         text += [f"saved {result}", *save_figure(figure, "plot", fit)]
         answer["files"] = [*responses, result, figure]
+    # The fit is saved even if no structure explains the data: the user must see what is missing.
     if fit is None or not selection.explains:
         answer["error"] = selection.verdict
         return answer, "\n".join(text), FAILED
@@ -161,6 +162,7 @@ def _structure(word: str) -> Structure:
 def commands(result: Identification, options: argparse.Namespace, prefix: str) -> list[str]:
     """Return the commands that do the same step by step; files are named after `prefix`."""
     reading = ["--columns", *options.columns] if options.columns else []
+    # Commands name the files of one another, so that they can be pasted in this order.
     files = [str(path) for path in _response_files(prefix, len(options.logs))]
     lines = []
     for log, measurement, file in zip(options.logs, result.measurements, files, strict=True):
@@ -204,15 +206,15 @@ def _fitting(
     assert result.selection.chosen is not None
     through = ["--through", *result.through] if result.through else []
     if not (options.vehicle or options.structures):
-        stated = {name: getattr(options, name) for name in ("fix", "bounds", "start")}
-        return ["orders", *files, *through, *_flags(stated)]
+        words_by_option = {name: getattr(options, name) for name in ("fix", "bounds", "start")}
+        return ["orders", *files, *through, *_flags(words_by_option)]
 
     # Only what differs from the declaration of the model has to be on the command line.
     chosen = result.selection.chosen
     declared = find_model(chosen.label).parameters
     # Filters in front of the model have parameters that `--through` states, not these options.
     free = [q for q in chosen.fit.quantities if q.kind == "free" and q.name in declared]
-    stated = {
+    words_by_option = {
         "free": [q.name for q in free if declared[q.name].fixed],
         "bounds": [
             f"{q.name}={float(q.bounds[0])!r}:{float(q.bounds[1])!r}"
@@ -222,17 +224,19 @@ def _fitting(
     }
     for name in ("fix", "start"):
         words = [word for word in getattr(options, name) if word.partition("=")[0] in declared]
-        stated[name] = words
+        words_by_option[name] = words
 
     return [
-        *("fit", "--model", chosen.label, "--data", *files, *through, *_flags(stated)),
+        *("fit", "--model", chosen.label, "--data", *files, *through, *_flags(words_by_option)),
         *("--criterion", chosen.fit.criterion, "--starts", str(options.starts)),
         *("--seed", str(options.seed)),
     ]
 
 
-def _flags(stated: Mapping[str, Sequence[str]]) -> list[str]:
-    return [word for name, words in stated.items() if words for word in (f"--{name}", *words)]
+def _flags(words_by_option: Mapping[str, Sequence[str]]) -> list[str]:
+    return [
+        word for name, words in words_by_option.items() if words for word in (f"--{name}", *words)
+    ]
 
 
 def _json(result: Identification, lines: list[str]) -> dict[str, Any]:

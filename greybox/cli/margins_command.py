@@ -64,6 +64,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> Answer:
     """Read the fit, close the loop, and return the margins wherever it is broken."""
     fit, _ = stated_fit(options)
+    # A log has the controller that flew, with its gains and its rate.
     if options.log:
         signals = texts(options.signals, "--signals", "OWN=PLANT, e.g. q=theta_dot")
         firmware = shipped_module("models", "firmware")
@@ -85,6 +86,7 @@ def run(options: argparse.Namespace) -> Answer:
         for signal in options.broken_at
     ]
     summary: dict[str, Any] = {"loops": [answer.to_dict() for answer in answers]}
+    # A loop may be safe where it is broken at one signal, and not at another.
     usable = all(answer.is_safe for answer in answers)
     return summary, "\n\n".join(map(str, answers)), USABLE if usable else FAILED
 
@@ -102,6 +104,7 @@ def _controllers(options: argparse.Namespace) -> list[Controller]:
             f"--set {unknown[0]}: no controller has it; there are {', '.join(sorted(names))}."
         )
 
+    # In a cascade, every controller takes the gains and signals that it has.
     return [
         kind(
             {name: value for name, value in values.items() if name in kind.parameters},

@@ -101,6 +101,7 @@ def stated_band(words: list[str]) -> tuple[float, float] | None:
     in_hz = text.lower().endswith("hz")
     plain = text.lower().replace("rad/s", " ").replace("hz", " ").split()
     try:
+        # The library computes in rad/s.
         low, high = (float(word) * (2 * math.pi if in_hz else 1) for word in plain)
     except ValueError:
         raise UsageError(

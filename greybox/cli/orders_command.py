@@ -80,6 +80,7 @@ def run(options: argparse.Namespace) -> Answer:
         through=filters,
         **stated_values(options),
     )
+    # The table first: it shows which other orders fit nearly as well.
     answer = selection_json(selection)
     text = [str(selection)]
     if selection.fit is not None:

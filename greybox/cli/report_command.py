@@ -64,6 +64,7 @@ def run(options: argparse.Namespace) -> Answer:
     require_writable(out, options.force, (".html", ".htm"), "page")
     entries = _entries(options)
     write_page(entries, out, _held_out(options, entries), options.title)
+    # People mail such pages, and want to know their size.
     size = out.stat().st_size
     answer = {"page": out, "bytes": size, "results": [entry.label for entry in entries]}
     return answer, f"wrote {out} ({size / 1000:.0f} kB)", USABLE

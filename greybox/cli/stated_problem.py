@@ -121,6 +121,7 @@ def stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, A
     else:
         problem = _problem_of_model(options)
 
+    # Options of the whole problem first; those of single parameters need its final names.
     if options.delay is not None:
         problem = problem.with_(delay=options.delay)
     if options.criterion is not None:
@@ -156,6 +157,7 @@ def _problem_of_model(options: argparse.Namespace) -> AnyProblem:
             raise UsageError(f"--rate is for a table of signals, and {path} is something else.")
 
     at = assignments(options.at, "--at")
+    # Several files are one joint fit: all parameters are shared.
     parts = tuple(Problem(model, values, at=at) for values in data)
     return parts[0] if len(parts) == 1 else Sum(parts)
 

@@ -107,6 +107,7 @@ def _minus(text: str) -> str:
 def _cell(cell: Cell, is_number: bool) -> Element:
     text = cell.text
     classes = [cell.mark, "number" if is_number else ""]
+    # Numbers are never broken into lines; sentences must be, or they would widen the page.
     if isinstance(text, str):
         if len(text) > 24:  # characters from which a text is broken into lines
             classes.append("prose")

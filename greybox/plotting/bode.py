@@ -215,7 +215,7 @@ def phases(responses: Sequence[DrawnResponse]) -> list[Array]:
     # follow: each is shown within half a turn of its curve.
     first: dict[Pair, _Phase] = {}
     curves: dict[str | Pair, _Phase] = {}
-    shown = []
+    degrees = []
     for drawn in responses:
         alone = _unwrapped(drawn.response)
         phase = _moved(alone, first.setdefault(drawn.pair, alone))
@@ -224,9 +224,9 @@ def phases(responses: Sequence[DrawnResponse]) -> list[Array]:
         else:
             curves[drawn.checksum] = phase
             curves.setdefault(drawn.pair, phase)
-        shown.append(_wrapped_to(phase, drawn.response))
+        degrees.append(_wrapped_to(phase, drawn.response))
 
-    return shown
+    return degrees
 
 
 def _unwrapped(response: FrequencyResponse) -> _Phase:

@@ -323,11 +323,11 @@ def _write_labels(ax: Axes, panel: Panel) -> None:
             if any(abs(spot - at) < room * (1 + 2 * (text == name)) for name, at in written):
                 continue
 
-            before, after = spots[max(k - 1, 0)], spots[min(k + 1, len(spots) - 1)]
-            outward = 2 * spot - before - after
+            previous, following = spots[max(k - 1, 0)], spots[min(k + 1, len(spots) - 1)]
+            outward = 2 * spot - previous - following
             if 0 < k < len(spots) - 1:
                 # Both axes have one scale, so a normal of the curve is one on paper too.
-                normal = 1j * (after - before)
+                normal = 1j * (following - previous)
                 outward = normal * np.sign(np.real(np.conj(normal) * outward))
             outward /= abs(outward) or 1.0
             offset = outward.real * (7 + 2.2 * len(text)), outward.imag * 11  # points

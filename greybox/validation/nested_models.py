@@ -186,9 +186,9 @@ def with_independent_errors(fit: Fit) -> Fit:
     changed[rows] = np.where(np.isnan(changed[rows]), np.nan, covariance)
     directions = fit.directions
     if directions is not None:
-        known = directions.covariance.copy()
-        known[rows] = covariance
-        directions = replace(directions, covariance=known)
+        determined = directions.covariance.copy()
+        determined[rows] = covariance
+        directions = replace(directions, covariance=determined)
     return replace(fit, covariance=changed, dof=dof, directions=directions, independent=None)
 
 

@@ -85,18 +85,18 @@ def nested_values(small: Fit, large: Fit, labels: tuple[str, str]) -> dict[str, 
 
 def _require_same_assumptions(small: FittedPart, large: FittedPart, labels: Sequence[str]) -> None:
     """Raise if a part of the larger fit differs in more than parameters, or lacks noise terms."""
-    both = f"{labels[0]} and {labels[1]}"
+    models = f"{labels[0]} and {labels[1]}"
     # One of these two criteria is the other with gains of zero.
     for_records = {"greybox:OutputError", "greybox:PredictionError"}
     criteria = {small.criterion_class, large.criterion_class}
     if len(criteria) > 1 and not criteria <= for_records:
-        raise NotNestedError(f"{both} have different criteria")
+        raise NotNestedError(f"{models} have different criteria")
     for name, what in (("delay", "delays"), ("at", "operating points"), ("sine", "amplitudes")):
         if getattr(small, name, None) != getattr(large, name, None):
-            raise NotNestedError(f"{both} have different {what}")
+            raise NotNestedError(f"{models} have different {what}")
     if isinstance(small, FittedRecord) and isinstance(large, FittedRecord):
         if small.inputs != large.inputs:
-            raise NotNestedError(f"{both} have different inputs between samples")
+            raise NotNestedError(f"{models} have different inputs between samples")
         # Gains follow from process noise, where there is any, and are free otherwise.
         gains = (small.driven, large.driven) if large.driven else (small.gains, large.gains)
         same_kind = not small.gains or bool(small.driven) == bool(large.driven)
@@ -109,7 +109,7 @@ def _require_same_assumptions(small: FittedPart, large: FittedPart, labels: Sequ
         return values, part.weight, sorted(part.constraints)
 
     if settings(small) != settings(large):
-        raise NotNestedError(f"{both} also differ in noise, constraints or weights", True)
+        raise NotNestedError(f"{models} also differ in noise, constraints or weights", True)
     if large.tied and small.tied != large.tied:
         raise NotNestedError(f"{labels[1]} has ties that {labels[0]} lacks")
 
@@ -190,7 +190,7 @@ def _pairs(small: Fit, large: Fit) -> list[_Pair]:
             "their models are not available: give them to gb.load, models=[...]",
             undecided=set(small.free) <= set(large.estimate),
         ) from None
-    return [_Pair(*both) for both in zip(*models, *zip(*parts, strict=True), strict=True)]
+    return [_Pair(*pair) for pair in zip(*models, *zip(*parts, strict=True), strict=True)]
 
 
 def _counterparts(

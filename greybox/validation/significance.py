@@ -41,7 +41,7 @@ def verdicts(
     sentences: list[str] = []
     tests: list[NestedTest] = []
     for a, b in combinations(range(len(fits)), 2):
-        both = (labels[a], labels[b])
+        names = (labels[a], labels[b])
         if same_data:
             one_criterion = all(
                 x.has_criterion_of(y) for x, y in zip(fits[a].parts, fits[b].parts, strict=True)
@@ -49,11 +49,11 @@ def verdicts(
             # Costs by different criteria have no ratio: both fits move to the common likelihood.
             tested = likelihoods.fits if likelihoods is not None and not one_criterion else fits
             difference = aic[b] - aic[a] if aic else None
-            sentence, test = fit_verdict((tested[a], tested[b]), both, difference)
+            sentence, test = fit_verdict((tested[a], tested[b]), names, difference)
             sentences += [sentence] if sentence else []
             tests += [test] if test else []
         sentences += [
-            prediction_verdict(both, (of_fits[a], of_fits[b]), kind)
+            prediction_verdict(names, (of_fits[a], of_fits[b]), kind)
             for kind, of_fits in predictions.items()
         ]
 
@@ -122,20 +122,20 @@ def prediction_verdict(
     from scipy.special import stdtr  # noqa: PLC0415  (takes a tenth of a second to import)
 
     first_predictions = predictions[0]
-    squares = [mean_squares(*both) for both in zip(*predictions, strict=True)]
+    squares = [mean_squares(*pair) for pair in zip(*predictions, strict=True)]
     differences = [second - first for first, second, _ in squares]
     first, second, rounding = (
         float(np.mean(np.concatenate(values))) for values in zip(*squares, strict=True)
     )
     every = np.concatenate(differences)
     windows = counted(every.size, first_predictions[0].window)
-    both = " and ".join(labels)
+    models = " and ".join(labels)
     data = "their own data" if kind == IDENTIFICATION else "held-out data"
     if every.size < 3:  # with two windows the threshold of Student's t would be 12.7
         has_time = first_predictions[0].data.has_time
         cure = "a shorter window, or longer records" if has_time else "more rows"
-        return f"{windows} cannot show which of {both} predicts {data} better: give {cure}."
-    equal = f"{both} predict {data} equally well: their mean squared errors differ by"
+        return f"{windows} cannot show which of {models} predicts {data} better: give {cure}."
+    equal = f"{models} predict {data} equally well: their mean squared errors differ by"
     percent = f"{number(100 * abs(second - first) / max(first, second, 1e-300), 2)} %"
     # In a long record any difference is significant. One of 0.1 % (0.05 % in rms), or below the
     # accuracy of the simulations, makes no difference in use.
@@ -169,7 +169,7 @@ def prediction_verdict(
         if widest <= 0.1 * min(first, second):
             return f"{equal} less than 10 % ({windows}, {test})."
         return (
-            f"The data do not show which of {both} predicts {data} better: their mean squared "
+            f"The data do not show which of {models} predicts {data} better: their mean squared "
             f"errors differ by {percent} ({windows}, {test})."
         )
     better, worse = labels if mean > 0 else labels[::-1]
@@ -187,10 +187,12 @@ def _sign_test(differences: Sequence[Array], error: float) -> float:
     from scipy.special import stdtr  # noqa: PLC0415  (takes a tenth of a second to import)
 
     signs = [np.sign(part) for part in differences]
-    both = [(np.concatenate(differences), error), (np.concatenate(signs), mean_test(signs)[1])]
-    n = len(both[0][0])
-    inflation = [n * e**2 / max(float(np.var(v)), 1e-300) for v, e in both]
-    return float(2 * stdtr(n - 1, -abs(np.mean(both[1][0])) * math.sqrt(n / max(1.0, *inflation))))
+    series = [(np.concatenate(differences), error), (np.concatenate(signs), mean_test(signs)[1])]
+    n = len(series[0][0])
+    inflation = [n * e**2 / max(float(np.var(v)), 1e-300) for v, e in series]
+    return float(
+        2 * stdtr(n - 1, -abs(np.mean(series[1][0])) * math.sqrt(n / max(1.0, *inflation)))
+    )
 
 
 def mean_squares(first: Prediction, second: Prediction) -> tuple[Array, Array, Array]:
