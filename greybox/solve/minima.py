@@ -4,6 +4,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -141,8 +142,8 @@ def agreeing_runs(
     return tuple(sorted({*close.tolist(), *minima[0].runs}))
 
 
-def explains_nothing(cost: float, zero: float) -> bool:
-    """Tell whether a cost is that of a response of zero, to a percent."""
+def explains_nothing(cost: Any, zero: float) -> Any:
+    """Tell whether a cost (any shape) is that of a response of zero, to a percent."""
     return cost >= 0.99 * zero
 
 

@@ -20,12 +20,13 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import cached_property
-from greybox.solve.batched_newton import BatchedNewton
+from greybox.solve.batched_newton import BatchedNewton, Ends
 from greybox.solve.interruption import Response, one_run, reason_to_end, responding, stop_requested
-from greybox.solve.ipopt import CONVERGED, ROUNDED, WITHOUT_BARRIER, Ipopt
+from greybox.solve.ipopt import CONVERGED, ROUNDED, WARM, WITHOUT_BARRIER, Ipopt
 from greybox.solve.local_solver import LocalSolver, Profile, Screened
-from greybox.solve.minima import AT_ONCE, Minimum, Multistart, same_cost
+from greybox.solve.minima import AT_ONCE, Minimum, Multistart, explains_nothing, same_cost
 from greybox.solve.runs import CUT_SHORT, IMPROVED, STAGNATED, Outcome, Run, Runs, spent
+from greybox.solve.zero_response import costs_of_zero, walled
 
 AT_MINIMUM = "At_Minimum"  # status of a run whose projected gradient vanishes
 
@@ -33,6 +34,7 @@ AT_MINIMUM = "At_Minimum"  # status of a run whose projected gradient vanishes
 # up to 200. IPOPT continues those that need more.
 ITERATIONS = 300
 
+NO_OPTIONS: Mapping[str, Any] = MappingProxyType({})
 TOLERANCE = 1e-8  # on the projected gradient in the solver's variables, as in IPOPT
 
 
@@ -81,6 +83,10 @@ class ResponseSolver(LocalSolver):
             "ubx": self._upper,
             "lbg": limits,
             "ubg": limits + np.inf,
+        }
+        self._limits = {
+            "max_iterations": int(self._options.get("max_iter", ITERATIONS)),
+            "tolerance": float(self._options.get("tol", TOLERANCE)),
         }
         explicit = problem.programs[-1].explicit
         if batched and explicit and self.serves(problem):
@@ -171,12 +177,9 @@ class ResponseSolver(LocalSolver):
         z = problem.scaling.to_solver(starts).T
         iterations, arrived = np.zeros(len(starts), int), np.zeros(len(starts), bool)
         for k, batch in enumerate(self._batches):
-            ends = batch.minimize(
-                z,
-                max_iterations=int(self._options.get("max_iter", ITERATIONS)),
-                tolerance=float(self._options.get("tol", TOLERANCE)),
-                from_near=k > 0,
-            )
+            ends = batch.minimize(z, **self._limits, from_near=k > 0)
+            if k == 0:
+                ends = self._away_from_zero(z, ends)
             z, iterations, arrived = ends.z, iterations + ends.iterations, ends.at_minimum
 
         estimates = np.clip(problem.scaling.to_parameters(z.T), problem.lower, problem.upper)
@@ -190,6 +193,23 @@ class ResponseSolver(LocalSolver):
             outcomes.append(ended if ended.status else self._again(x, ended))
         return outcomes
 
+    def _away_from_zero(self, z: Array, ends: Ends) -> Ends:
+        """Search again, from the columns of z (p, m), what ended at a response of zero."""
+        costs = self._problem.programs[0].function(ends.z, SMOOTHING)[0].full().ravel()
+        zero = np.flatnonzero(explains_nothing(costs, costs_of_zero(self._problem).sum()))
+        if not zero.size or self._walled is None:
+            return ends
+
+        again = self._walled.minimize(z[:, zero], **self._limits)
+        ends.z[:, zero], ends.at_minimum[zero] = again.z, again.at_minimum
+        ends.iterations[zero] += again.iterations
+        return ends
+
+    @cached_property
+    def _walled(self) -> BatchedNewton | None:
+        program = walled(self._problem)
+        return None if program is None else BatchedNewton(program, self._lower, self._upper)
+
     @cached_property
     def _batches(self) -> list[BatchedNewton]:
         """Build the criterion that locates the minimum, if any, then the problem's own."""
@@ -199,10 +219,13 @@ class ResponseSolver(LocalSolver):
             if program.explicit is not None
         ]
 
-    def _again(self, x: Array, earlier: Outcome | Run) -> Outcome:
+    def _again(
+        self, x: Array, earlier: Outcome | Run, options: Mapping[str, Any] = NO_OPTIONS
+    ) -> Outcome:
         """Run IPOPT from x (p,), and add the iterations and seconds of the earlier run."""
+        stages = [stage.variant({**options, **self._options}) for stage in self._stages]
         with one_run():
-            return spent(self.run(x), earlier)
+            return spent(self._solved(stages, x, SMOOTHING), earlier)
 
     # --- the certificate
 
@@ -217,18 +240,24 @@ class ResponseSolver(LocalSolver):
             if np.any(runs.stage[np.array(minimum.runs)] != IMPROVED):
                 continue
             # One of the three best runs of a minimum must be confirmed.
-            if any(self._confirm(runs[k], certified) for k in minimum.runs[:3]):
+            # IPOPT moves starts inside the bounds: in a wide box that leaves a narrow valley, and
+            # only a run that begins at the very end returns to it.
+            if any(
+                self._confirm(runs[k], certified, options)
+                for options in (NO_OPTIONS, WARM)
+                for k in minimum.runs[:3]
+            ):
                 continue
             for k in minimum.runs:
                 if k not in certified and not stop_requested():
                     certified[k] = self._judged_run(runs[k], runs[k].start)
         return certified
 
-    def _confirm(self, run: Run, certified: dict[int, Outcome]) -> bool:
+    def _confirm(self, run: Run, certified: dict[int, Outcome], options: Mapping[str, Any]) -> bool:
         """Tell whether IPOPT stays at the end of a run; a lower minimum replaces the run."""
         if stop_requested():
             return True
-        outcome = self._judged_run(run, run.estimate)
+        outcome = self._judged_run(run, run.estimate, options)
 
         # A run that leaves its end for a lower one was at no minimum.
         higher = outcome.cost - run.cost
@@ -238,9 +267,9 @@ class ResponseSolver(LocalSolver):
         certified[run.index] = outcome
         return higher >= -tolerated
 
-    def _judged_run(self, run: Run, x: Array) -> Outcome:
+    def _judged_run(self, run: Run, x: Array, options: Mapping[str, Any] = NO_OPTIONS) -> Outcome:
         """Return where IPOPT gets to from x (p,) after an earlier run, with cost and signature."""
-        outcome = self._again(x, run)
+        outcome = self._again(x, run, options)
         [cost], [signature] = self.judged(outcome.estimate[None])
         return replace(outcome, cost=float(cost), signature=signature)
 

@@ -16,7 +16,7 @@ from greybox.estimate.diagnostics.global_minimum import (
 )
 from greybox.models.rate import DampedRate
 from greybox.problems import pitch_hover
-from greybox.solve.runs import SCREENED, TOO_COARSE
+from greybox.solve.runs import TOO_COARSE
 
 
 def said(is_likelihood, *costs):
@@ -153,16 +153,17 @@ def test_several_estimates_are_told_where_no_combination_is(variants, combinatio
     assert all("same response: b differ" in text for text in texts)
 
 
-def test_a_response_of_zero_explains_nothing_and_no_start_agrees_on_it():
+def test_a_response_of_zero_explains_nothing_and_the_default_search_leaves_it():
     """(2.7) in a wide box: at zero gain (4.26) costs the number of points, and most starts end there."""
     data = replace(pitch_hover.data().times_s(), input="u", output=DampedRate.output, units={})
-    wide = {"K_1": (0, 1e5), "T_1": (1e-4, 100), "xi": (-10, 10), "omega_p": (1e-3, 200)}
-    problem = gb.Problem(DampedRate(), data, bounds=wide)
+    wide = {"K_1": (0, 1e6), "T_1": (1e-4, 50), "xi": (-50, 50), "omega_p": (0.01, 500)}
+    problem = gb.Problem(DampedRate(), data, bounds=wide, fixed={"T_delay": 0.0042})
     fit = gb.fit(problem, [{"K_1": 0.0}], profiles=False, progress=False)
     assert fit.cost == pytest.approx(len(data), rel=1e-3)
     assert fit.agreeing == 0
     assert any("explains nothing" in text for text in fit.warnings)
-    # The default search does not stop at the few promising starts that all end there.
+
+    # Of 200 runs of IPOPT alone, 4 find this minimum.
     default = gb.fit(problem, profiles=False, progress=False)
-    assert not any(run.stage == SCREENED for run in default.runs)
-    assert default.agreeing < 20
+    assert default.cost == pytest.approx(7.8172, rel=1e-4)
+    assert default.agreeing >= 4

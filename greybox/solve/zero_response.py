@@ -1,0 +1,56 @@
+"""A wall around a response of zero, where searches with a wrong phase end.
+
+Most criteria have a finite cost there: over the measured magnitude, (4.26) is the number of points.
+If the phase of the model is wrong, a smaller gain lowers the cost. At a gain of zero no other
+parameter changes it, so a search that arrives there cannot leave: for (2.7) on the pitch rate, in a
+box of up to 1e6 for the gain, all of 200 searches end there. With the wall they find the phase
+first, and 199 of them end at the minimum.
+"""
+
+import casadi as ca
+import numpy as np
+
+from greybox.compiled.compiled_problem import CompiledProblem
+from greybox.compiled.response_part import SMOOTHING, ResponsePart
+from greybox.compiled.response_programs import solver_weights
+from greybox.files.arrays import Array
+from greybox.formulation.frequency_criteria import Criterion, cost_of_zero
+
+# Height of the wall at the first level of a search, as a share of the cost of a zero response. The
+# square root of the smoothing takes it down by ten from level to level. Of 1024 searches for (2.7)
+# in the box above, 99.9 % end at the minimum with 0.5, 93 % with 1 and 71 % with 0.2; in its
+# declared box 86 % do if it falls with the root, and half of them if it falls with the smoothing.
+WALL = 0.5
+
+
+def costs_of_zero(problem: CompiledProblem) -> Array:
+    """Return the cost of a zero response by part, as the first program of a problem weighs it."""
+    parts = [part.problem for part in problem.parts]
+    costs = []
+    for part in parts:
+        assert isinstance(part.criterion, Criterion)
+        costs.append(cost_of_zero(part.criterion.locator or part.criterion, part.response))
+    return np.array(solver_weights(parts)) * costs
+
+
+def walled(problem: CompiledProblem) -> ca.Function | None:
+    """Return the first program (z, smoothing) of a problem with a wall around zero responses.
+
+    None where a response is not an explicit function of z. The wall is a logarithmic barrier of the
+    mean square of the relative response; it vanishes at the smoothing of the last level.
+    """
+    program = problem.programs[0].explicit
+    if program is None or problem.programs[0].roots is not None:
+        return None
+
+    z, smoothing = ca.SX.sym("z", program.numel_in(0)), ca.SX.sym("smoothing")
+    cost, limits = program(z, smoothing)
+    share = WALL * ca.sqrt(ca.fmax(smoothing - SMOOTHING, 0))
+    for part, height in zip(problem.parts, costs_of_zero(problem), strict=True):
+        assert isinstance(part, ResponsePart)
+        relative = part.scaled_response(z) / np.tile(part.magnitude, 2)
+        square = ca.sumsqr(relative) / len(part.magnitude)
+        # At the last level a response may vanish, and its logarithm must still be finite.
+        cost -= share * float(height) * ca.log(square + 1e-30)
+
+    return ca.Function("walled", [z, smoothing], [cost, limits])
