@@ -155,10 +155,13 @@ class BatchedNewton:
         max_iterations: int,
         tolerance: float,
         from_near: bool = False,
+        smoothing: float | None = None,
         given: Array | None = None,
         bounds: tuple[Array, Array] | None = None,
     ) -> Ends:
         """Search from the columns of z (p, m); with `from_near` at the last level only.
+
+        A `smoothing` replaces those of the levels.
 
         A search ends where its projected gradient is at most the `tolerance`, relative to the cost
         where that is above one. The columns of `given` (g, m) are further inputs of the program for
@@ -174,7 +177,7 @@ class BatchedNewton:
         margin = np.where(np.isfinite(high - low) & (not from_near), 1e-2 * (high - low), 0.0)
         z = np.clip(z, low + margin, high - margin)
         searches = self._begun(z, low, high, LAST if from_near else 0, given)
-        self._advance(searches, tolerance)
+        self._advance(searches, tolerance, smoothing)
         for _ in range(max_iterations):
             ended = searches.live & (searches.numbers[END] != 0)
             if ended.any():
@@ -182,7 +185,7 @@ class BatchedNewton:
             if reason_to_end() or not searches.live.any():
                 break
             searches = _narrowed(searches)
-            self._advance(searches, tolerance)
+            self._advance(searches, tolerance, smoothing)
         self._end(searches, searches.live, ends)
         return ends
 
@@ -212,12 +215,13 @@ class BatchedNewton:
         ends.iterations[owner] = numbers[ITERATIONS]
         searches.live &= ~which
 
-    def _advance(self, searches: _Searches, tolerance: float) -> None:
+    def _advance(self, searches: _Searches, tolerance: float, smoothing: float | None) -> None:
         """Evaluate the trial of every search, accept it or not, and find the next trial."""
         numbers, rows, p = searches.numbers, self._rows, self._p
         trial = numbers[rows.trial]
         levels = (numbers[LEVEL] + numbers[SWITCHED]).astype(int)
-        inputs = [trial, SMOOTHINGS[levels][None]]
+        smoothings = SMOOTHINGS if smoothing is None else np.full(LAST + 1, smoothing)
+        inputs = [trial, smoothings[levels][None]]
         inputs += [] if self._roots is None else self._roots(trial)
         inputs += [searches.given] if len(searches.given) else []
         cost, gradient, hessian = self._function(*inputs)

@@ -34,6 +34,9 @@ AT_MINIMUM = "At_Minimum"  # status of a run whose projected gradient vanishes
 # up to 200. IPOPT continues those that need more.
 ITERATIONS = 300
 
+# Smoothings of the last digits. At a residual of zero the cost is too large by about 0.4 of the
+# root of the last one.
+FINER = (1e-10, 1e-12, 1e-14, 1e-16)
 NO_OPTIONS: Mapping[str, Any] = MappingProxyType({})
 TOLERANCE = 1e-8  # on the projected gradient in the solver's variables, as in IPOPT
 
@@ -281,28 +284,45 @@ class ResponseSolver(LocalSolver):
         After Ctrl-C only the best one is.
         """
         minima = search.minima
-        if not minima or not any(part.is_smoothed for part in self._problem.parts):
+        smoothed = any(part.is_smoothed for part in self._problem.parts)
+        if not minima or not (smoothed or self._batched):
             return search
-        # At a kink IPOPT can reach looser tolerances only.
-        options = {"acceptable_tol": 1e-4, "acceptable_iter": 3, **self._options}
-        stages = [stage.variant(options) for stage in self._stages]
         # Smoothing moves costs by 6e-5 and may change the order of close minima.
         close = [m for m in minima if m.cost <= 1.01 * minima[0].cost]
         close = minima[:1] if stop_requested() else close
+        # In steps: at the kink of a zero residual a search stalls when the smoothing falls at once.
+        steps = FINER if smoothed else FINER[:1]
         with responding(Response.FINISH):
-            polished = [*(self._polish(m, stages) for m in close), *minima[len(close) :]]
+            polished = [*(self._polish(m, steps) for m in close), *minima[len(close) :]]
         return replace(search, minima=tuple(sorted(polished, key=lambda m: m.cost)))
 
-    def _polish(self, best: Minimum, stages: Sequence[Ipopt]) -> Minimum:
+    def _polish(self, best: Minimum, steps: Sequence[float]) -> Minimum:
         """Return a minimum solved again with less smoothing, as long as the cost does not grow."""
-        # In steps: at the kink of a zero residual IPOPT stalls when the smoothing falls at once.
-        for smoothing in (1e-10, 1e-11, 1e-12, 1e-13):
-            outcome = self._solved(stages, best.estimate, smoothing)
-            cost = float(self._problem.costs(outcome.estimate[None])[0])
-            if outcome.status not in CONVERGED or not cost <= best.cost:
+        for smoothing in steps:
+            estimate = self._finer(best.estimate, smoothing)
+            cost = float(self._problem.costs(estimate[None])[0])
+            # The end of a rounding error decides no digits.
+            if not cost <= best.cost + 1e-13 * abs(best.cost):
                 break
-            best = replace(best, cost=cost, estimate=outcome.estimate)
+            best = replace(best, cost=cost, estimate=estimate)
         return best
+
+    def _finer(self, x: Array, smoothing: float) -> Array:
+        """Return the minimum (p,) with this smoothing near x (p,); NaN if IPOPT does not end."""
+        problem = self._problem
+        if self._batched and self.serves(problem):
+            z = problem.scaling.to_solver(x)[:, None]
+            ends = self._batches[-1].minimize(
+                z, max_iterations=100, tolerance=1e-13, from_near=True, smoothing=smoothing
+            )
+            z = problem.scaling.to_parameters(ends.z[:, 0])
+            return np.clip(z, problem.lower, problem.upper)
+
+        # At a kink IPOPT can reach looser tolerances only.
+        options = {"acceptable_tol": 1e-4, "acceptable_iter": 3, **self._options}
+        stages = [stage.variant(options) for stage in self._stages]
+        outcome = self._solved(stages, x, smoothing)
+        return outcome.estimate if outcome.status in CONVERGED else np.full(len(x), np.nan)
 
 
 def _statement(program: ca.Function) -> dict[str, Any]:
