@@ -285,7 +285,7 @@ class ResponseSolver(LocalSolver):
         """
         minima = search.minima
         smoothed = any(part.is_smoothed for part in self._problem.parts)
-        if not minima or not (smoothed or self._batched):
+        if not minima or not (smoothed or self.serves(self._problem)):
             return search
         # Smoothing moves costs by 6e-5 and may change the order of close minima.
         close = [m for m in minima if m.cost <= 1.01 * minima[0].cost]
@@ -310,7 +310,7 @@ class ResponseSolver(LocalSolver):
     def _finer(self, x: Array, smoothing: float) -> Array:
         """Return the minimum (p,) with this smoothing near x (p,); NaN if IPOPT does not end."""
         problem = self._problem
-        if self._batched and self.serves(problem):
+        if self.serves(problem):
             z = problem.scaling.to_solver(x)[:, None]
             ends = self._batches[-1].minimize(
                 z, max_iterations=100, tolerance=1e-13, from_near=True, smoothing=smoothing

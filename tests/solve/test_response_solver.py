@@ -363,3 +363,14 @@ def test_a_minimum_is_never_polished_to_a_higher_cost():
     [minimum] = ResponseSolver(nlp).polished(Multistart((), (claimed,), 0.0)).minima
     assert minimum.cost == 0.0
     assert_array_equal(minimum.estimate, x)
+
+
+def test_the_last_digits_do_not_depend_on_the_starts():
+    """One residual of pitch_5deg is zero at the minimum, a kink of the cost."""
+    fits = [
+        gb.fit(pitch_5deg.problem(), 12, seed=k, profiles=False, progress=False) for k in (0, 1)
+    ]
+    assert fits[0].cost == pytest.approx(0.6594461222, abs=1e-8)
+    assert list(fits[0].estimate.values()) == pytest.approx(
+        list(fits[1].estimate.values()), rel=1e-9
+    )
