@@ -140,7 +140,6 @@ CASES = {
 ALONE = {
     "predictor": ["riccati_gains", "simulated_predictors", "stability_constraints"],
     "jumping": ["held_discontinuous_delays"],
-    "long": ["stretches_first"],
     "failing": ["continued_runs"],  # from all starts of some seed
 }
 

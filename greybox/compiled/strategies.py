@@ -34,11 +34,6 @@ class Strategies:
 
     Without it the two models of tanks are never found (8 of 12 runs with it).
     """
-    stretches_first: bool = True
-    """A long record is first solved on a few stretches spread over it.
-
-    At 25 000 samples it gains nothing yet; of 600 000 a first pass takes a sixtieth.
-    """
     shared_runs: bool = True
     """All but the first of many starts are solved on excerpts; those that meet there merge.
 
@@ -146,7 +141,7 @@ class Strategies:
     assumed_error: float = 0.1
     """Output error while continuity is a penalty, as a share of a signal's standard deviation."""
     long_record: int = 20000
-    """Samples from which some stretches are solved first."""
+    """Twice the samples of the longest excerpt on which runs from many starts are made."""
     short_record: int = 2000
     """Samples up to which runs from many starts are made on whole records, each by itself."""
     negligible_shift: float = 0.1

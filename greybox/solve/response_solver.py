@@ -36,6 +36,7 @@ ITERATIONS = 300
 
 # Smoothings of the last digits. At a residual of zero the cost is too large by about 0.4 of the
 # root of the last one.
+AT_A_KINK = {"acceptable_tol": 1e-4, "acceptable_iter": 3}  # IPOPT reaches looser tolerances only
 FINER = (1e-10, 1e-12, 1e-14, 1e-16)
 NO_OPTIONS: Mapping[str, Any] = MappingProxyType({})
 TOLERANCE = 1e-8  # on the projected gradient in the solver's variables, as in IPOPT
@@ -109,11 +110,15 @@ class ResponseSolver(LocalSolver):
 
     def run(self, start: Array) -> Outcome:
         """Solve by IPOPT from the parameters `start` (p,)."""
-        return self._solved(self._stages, start, SMOOTHING)
+        return self._solved(start, SMOOTHING)
 
-    def _solved(self, stages: Sequence[Ipopt], start: Array, smoothing: float) -> Outcome:
+    def _solved(
+        self, start: Array, smoothing: float, options: Mapping[str, Any] = NO_OPTIONS
+    ) -> Outcome:
         began = time.perf_counter()
-        problem = self._problem
+        problem, stages = self._problem, self._stages
+        if options:
+            stages = [stage.variant({**options, **self._options}) for stage in stages]
         z = problem.scaling.to_solver(start)
         iterations, status, located = 0, "", False
         for stage in stages:
@@ -128,7 +133,7 @@ class ResponseSolver(LocalSolver):
                 break
 
         # IPOPT respects bounds to a tolerance only.
-        estimate = np.clip(problem.scaling.to_parameters(z), problem.lower, problem.upper)
+        [estimate] = self._estimates(z[:, None])
         converged = status in CONVERGED or (located and status == ROUNDED)
         return Outcome(estimate, status, iterations, time.perf_counter() - began, converged)
 
@@ -185,7 +190,7 @@ class ResponseSolver(LocalSolver):
                 ends = self._away_from_zero(z, ends)
             z, iterations, arrived = ends.z, iterations + ends.iterations, ends.at_minimum
 
-        estimates = np.clip(problem.scaling.to_parameters(z.T), problem.lower, problem.upper)
+        estimates = self._estimates(z)
         seconds = (time.perf_counter() - began) / len(starts)
         outcomes = []
         for x, count, at_minimum in zip(estimates, iterations.tolist(), arrived, strict=True):
@@ -226,9 +231,8 @@ class ResponseSolver(LocalSolver):
         self, x: Array, earlier: Outcome | Run, options: Mapping[str, Any] = NO_OPTIONS
     ) -> Outcome:
         """Run IPOPT from x (p,), and add the iterations and seconds of the earlier run."""
-        stages = [stage.variant({**options, **self._options}) for stage in self._stages]
         with one_run():
-            return spent(self._solved(stages, x, SMOOTHING), earlier)
+            return spent(self._solved(x, SMOOTHING, options), earlier)
 
     # --- the certificate
 
@@ -243,24 +247,19 @@ class ResponseSolver(LocalSolver):
             if np.any(runs.stage[np.array(minimum.runs)] != IMPROVED):
                 continue
             # One of the three best runs of a minimum must be confirmed.
-            # IPOPT moves starts inside the bounds: in a wide box that leaves a narrow valley, and
-            # only a run that begins at the very end returns to it.
-            if any(
-                self._confirm(runs[k], certified, options)
-                for options in (NO_OPTIONS, WARM)
-                for k in minimum.runs[:3]
-            ):
+            if any(self._confirm(runs[k], certified) for k in minimum.runs[:3]):
                 continue
             for k in minimum.runs:
                 if k not in certified and not stop_requested():
-                    certified[k] = self._judged_run(runs[k], runs[k].start)
+                    certified[k] = self._judged_run(runs[k], runs[k].start, NO_OPTIONS)
         return certified
 
-    def _confirm(self, run: Run, certified: dict[int, Outcome], options: Mapping[str, Any]) -> bool:
+    def _confirm(self, run: Run, certified: dict[int, Outcome]) -> bool:
         """Tell whether IPOPT stays at the end of a run; a lower minimum replaces the run."""
         if stop_requested():
             return True
-        outcome = self._judged_run(run, run.estimate, options)
+        # From inside its bounds IPOPT would leave a valley that is narrow in a wide box.
+        outcome = self._judged_run(run, run.estimate, WARM)
 
         # A run that leaves its end for a lower one was at no minimum.
         higher = outcome.cost - run.cost
@@ -270,7 +269,7 @@ class ResponseSolver(LocalSolver):
         certified[run.index] = outcome
         return higher >= -tolerated
 
-    def _judged_run(self, run: Run, x: Array, options: Mapping[str, Any] = NO_OPTIONS) -> Outcome:
+    def _judged_run(self, run: Run, x: Array, options: Mapping[str, Any]) -> Outcome:
         """Return where IPOPT gets to from x (p,) after an earlier run, with cost and signature."""
         outcome = self._again(x, run, options)
         [cost], [signature] = self.judged(outcome.estimate[None])
@@ -284,45 +283,40 @@ class ResponseSolver(LocalSolver):
         After Ctrl-C only the best one is.
         """
         minima = search.minima
-        smoothed = any(part.is_smoothed for part in self._problem.parts)
-        if not minima or not (smoothed or self.serves(self._problem)):
+        if not minima:
             return search
         # Smoothing moves costs by 6e-5 and may change the order of close minima.
         close = [m for m in minima if m.cost <= 1.01 * minima[0].cost]
         close = minima[:1] if stop_requested() else close
-        # In steps: at the kink of a zero residual a search stalls when the smoothing falls at once.
-        steps = FINER if smoothed else FINER[:1]
         with responding(Response.FINISH):
-            polished = [*(self._polish(m, steps) for m in close), *minima[len(close) :]]
+            polished = [*map(self._polish, close), *minima[len(close) :]]
         return replace(search, minima=tuple(sorted(polished, key=lambda m: m.cost)))
 
-    def _polish(self, best: Minimum, steps: Sequence[float]) -> Minimum:
+    def _polish(self, best: Minimum) -> Minimum:
         """Return a minimum solved again with less smoothing, as long as the cost does not grow."""
-        for smoothing in steps:
-            estimate = self._finer(best.estimate, smoothing)
-            cost = float(self._problem.costs(estimate[None])[0])
-            # The end of a rounding error decides no digits.
+        problem, is_served = self._problem, self.serves(self._problem)
+        # In steps: at the kink of a zero residual a search stalls when the smoothing falls at once.
+        for smoothing in FINER:
+            if is_served:
+                z = problem.scaling.to_solver(best.estimate)[:, None]
+                ends = self._batches[-1].minimize(
+                    z, max_iterations=100, tolerance=1e-13, from_near=True, smoothing=smoothing
+                )
+                estimate = self._estimates(ends.z)[0]
+            else:
+                estimate = self._solved(best.estimate, smoothing, AT_A_KINK).estimate
+            cost = float(problem.costs(estimate[None])[0])
+
+            # Rounding of the cost must not decide whether digits are refined.
             if not cost <= best.cost + 1e-13 * abs(best.cost):
                 break
             best = replace(best, cost=cost, estimate=estimate)
         return best
 
-    def _finer(self, x: Array, smoothing: float) -> Array:
-        """Return the minimum (p,) with this smoothing near x (p,); NaN if IPOPT does not end."""
+    def _estimates(self, z: Array) -> Array:
+        """Return the parameters (m, p) at the columns of z (p, m), within their bounds."""
         problem = self._problem
-        if self.serves(problem):
-            z = problem.scaling.to_solver(x)[:, None]
-            ends = self._batches[-1].minimize(
-                z, max_iterations=100, tolerance=1e-13, from_near=True, smoothing=smoothing
-            )
-            z = problem.scaling.to_parameters(ends.z[:, 0])
-            return np.clip(z, problem.lower, problem.upper)
-
-        # At a kink IPOPT can reach looser tolerances only.
-        options = {"acceptable_tol": 1e-4, "acceptable_iter": 3, **self._options}
-        stages = [stage.variant(options) for stage in self._stages]
-        outcome = self._solved(stages, x, smoothing)
-        return outcome.estimate if outcome.status in CONVERGED else np.full(len(x), np.nan)
+        return np.clip(problem.scaling.to_parameters(z.T), problem.lower, problem.upper)
 
 
 def _statement(program: ca.Function) -> dict[str, Any]:

@@ -38,8 +38,7 @@ The nodes follow the data, so an unstable plant does not diverge, whatever the p
    small in standard errors; or when a negligible step finds no decrease.
 
 **Far from the minimum** continuity is a penalty on the gaps instead, with a standard deviation that
-shrinks in stages to zero; the first iterations move the nodes alone. Long records are first solved
-on excerpts.
+shrinks in stages to zero; the first iterations move the nodes alone.
 
 **Many starts.** Of the default starts only the promising ones are run, from where short segments,
 evaluated for all starts at once, have led. Starts whose number the user chose are all run, on

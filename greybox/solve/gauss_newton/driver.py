@@ -25,7 +25,7 @@ from greybox.solve.gauss_newton.screening import can_screen, distinct, improved
 from greybox.solve.gauss_newton.stability import are_stable
 from greybox.solve.local_solver import LocalSolver, Profile, Screened
 from greybox.solve.minima import Multistart, same_cost
-from greybox.solve.runs import CUT_SHORT, Outcome, spent
+from greybox.solve.runs import Outcome, spent
 
 # Trial steps may overflow; they are then shortened.
 DIVERGING = np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -51,23 +51,16 @@ class GaussNewton(LocalSolver):
         *,
         settings: Strategies | None = None,
         parts: AllParts | None = None,
-        coarse: "GaussNewton | None" = None,
     ) -> None:
         """Build what every run shares.
 
-        `settings` replace those of the problem. With `parts`, excerpts of the problem's or the same
-        with other limits, runs begin on those of `coarse`, if any.
+        `settings` replace those of the problem, and `parts`, excerpts or with other limits, its
+        parts.
         """
         self.nlp = nlp
         self.settings = settings or nlp.strategies
         self._parts = parts or AllParts(nlp.parts, nlp.free, _limits(nlp), self.settings)
         self.limits, self.samples = self._parts.limits, self._parts.samples
-        self._coarse = coarse
-
-        # Excerpts are short enough to be solved directly.
-        is_long = self.samples > self.settings.long_record and self.settings.stretches_first
-        if parts is None and is_long:
-            self._coarse = self.on_excerpts(self.settings.long_record // 2)
 
     def __reduce__(self) -> tuple[Callable[..., "GaussNewton"], tuple[Any, ...]]:
         """Return what builds the same solver, of the whole problem."""
@@ -84,9 +77,7 @@ class GaussNewton(LocalSolver):
         limits = replace(self.limits, low=low, high=high)
         if equation is not None:
             limits = limits.with_equation(equation)
-        coarse = None if self._coarse is None else self._coarse.within(low, high, equation)
-        parts = self._parts.within(limits)
-        return GaussNewton(self.nlp, settings=self.settings, parts=parts, coarse=coarse)
+        return GaussNewton(self.nlp, settings=self.settings, parts=self._parts.within(limits))
 
     def refined(self, nlp: CompiledProblem) -> "GaussNewton":
         """Return the solver of the same problem with finer steps."""
@@ -97,14 +88,7 @@ class GaussNewton(LocalSolver):
     @DIVERGING
     def run(self, start: Array, iterations: int | None = None) -> Outcome:
         """Solve from the parameters `start` (p,) in so many `iterations`."""
-        if self._coarse is None:
-            return self.run_from(self._nearest(start), iterations)[0]
-        first = self._coarse.run(start, iterations)
-        if first.status in CUT_SHORT:  # its cost is that of the excerpts
-            return replace(first, cost=math.inf, signature=None, nodes=None)
-        z = self.nlp.scaling.to_solver(first.estimate)
-        outcome, _ = self.run_from(z, iterations, near_solution=True)
-        return spent(outcome, first)
+        return self.run_from(self._nearest(start), iterations)[0]
 
     @DIVERGING
     def run_from(
@@ -215,8 +199,6 @@ class GaussNewton(LocalSolver):
     @DIVERGING
     def is_finite_at(self, start: Array) -> bool:
         """Tell whether the model is finite at the parameters `start` (p,), near the data."""
-        if self._coarse is not None:
-            return self._coarse.is_finite_at(start)
         return self._parts.from_data(self._nearest(start)).finite
 
     @DIVERGING

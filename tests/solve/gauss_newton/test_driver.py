@@ -29,16 +29,12 @@ def record(seed, samples=300):
 HELD = gb.OutputError(inputs="held")
 
 
-def test_what_is_long_is_the_sum_of_all_records_and_is_first_solved_on_excerpts():
-    """Iterations on the excerpts count too, and the end is that of all samples."""
+def test_excerpts_are_taken_of_all_records_together():
     nlp = compile_problem(gb.Problem(Lag(), record(0), HELD) + gb.Problem(Lag(), record(1), HELD))
-    outcomes = [
-        GaussNewton(nlp, settings=replace(nlp.strategies, long_record=samples)).run(np.array([1.0]))
-        for samples in (400, 700)
-    ]
-    assert outcomes[0].estimate == pytest.approx(outcomes[1].estimate, rel=1e-5)
-    assert outcomes[0].iterations > outcomes[1].iterations
-    assert GaussNewton(nlp).on_excerpts(200).samples == pytest.approx(200, rel=0.15)
+    excerpts = GaussNewton(nlp).on_excerpts(200)
+    assert excerpts.samples == pytest.approx(200, rel=0.15)
+    ends = [solver.run(np.array([1.0])).estimate[0] for solver in (excerpts, GaussNewton(nlp))]
+    assert ends == pytest.approx([2.0, 2.0], rel=0.1)
 
 
 def test_a_polished_minimum_is_the_same_to_nine_digits_wherever_it_began():
@@ -131,10 +127,9 @@ class Gain(gb.StateSpace):
 
 
 def test_within_other_bounds_and_an_equation_runs_keep_to_them():
-    """Also those on excerpts; the solver that they were asked of keeps its own."""
+    """Also those on excerpts; the solver that they were asked of keeps its own limits."""
     nlp = compile_problem(gb.Problem(Gain(), record(0), HELD))
-    for settings in (nlp.strategies, replace(nlp.strategies, long_record=200)):
-        solver = GaussNewton(nlp, settings=settings)
+    for solver in (GaussNewton(nlp), GaussNewton(nlp).on_excerpts(100)):
         free = solver.run(np.array([1.0, 1.0]))
         low, high = solver.limits.low.copy(), solver.limits.high.copy()
         here = nlp.scaling.to_solver(free.estimate)
