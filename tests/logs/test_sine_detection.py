@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sine_schedules import STEP, schedule
 
-from greybox.data.test_segment import Segment, segment_table
+from greybox.data.test_segment import segment_table
 from greybox.logs.sine_detection import (
     sines_and_sweeps,
 )
@@ -228,8 +228,15 @@ def test_a_clean_sweep_is_found_from_its_first_half_wave_to_its_last(law, low, h
     assert run.band[1] == pytest.approx(high, rel=0.06)
 
 
-def sweep(start, end, low=1.0, high=8.0):
-    return Segment(start, end, "sweep", band=(low, high))
+@pytest.mark.parametrize(("pause", "kinds"), [(6.0, ["sweep"]), (9.0, ["sine", "sweep"])])
+def test_three_waves_within_twice_their_duration_of_a_sweep_belong_to_it(pause, kinds):
+    t, r, *_ = sweeping("linear", 1.0, 6.0, duration=40.0)
+    waves = 3 * 2 * np.pi / 5.0  # s
+    since = t - (20.0 - pause - waves)
+    runs = sines_and_sweeps(
+        t, r + np.where((since > 0) & (since < waves), 2 * np.sin(5 * since), 0)
+    )
+    assert [run.kind for run in runs] == kinds
 
 
 @pytest.mark.parametrize(

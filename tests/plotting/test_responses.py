@@ -43,8 +43,9 @@ def test_different_curves_have_the_color_of_their_data(two_points):
 def test_an_overlay_draws_shared_data_once(draw, pitch):
     other = gb.fit(gb.Problem(Tilt(), pitch.parts[0].data, fixed={"a1": 0.0}), **QUICK)
     axes = draw(pitch, other, labels=("published", "refitted"))[0]
-    assert len(points(axes)) == 1
+    (data,) = points(axes)
     assert len({(line.get_color(), line.get_linestyle()) for line in curves(axes)}) == 2
+    assert data.get_color() not in {line.get_color() for line in curves(axes)}
     assert legend(axes) == ["pitch", "published", "refitted", "95 % band"]
 
 
