@@ -132,6 +132,15 @@ def test_what_is_not_linear_is_not_taken_for_it(tmp_path):
         gb.interop.write_c(Friction(), tmp_path / "t.c", step=0)
 
 
+def test_a_limit_on_one_side_is_not_linear(tmp_path):
+    class Limited(Friction):
+        def derivative(self, x, u, p):
+            return (gb.maximum(u.u, -1.0) - p.c * x.v,)
+
+    _, header = gb.interop.write_c(Limited(), tmp_path / "limited.c", {"c": 0.5}, step=0.05)
+    assert "substeps of the classical Runge-Kutta" in header.read_text()
+
+
 def test_names_from_elsewhere_do_not_leave_the_comment(tmp_path):
     class Odd(Lag):
         pass
