@@ -10,6 +10,7 @@ AXES = {
         rates=(f"gyroUnfilt[{k}]", f"gyroADC[{k}]"),
         setpoints=(f"setpoint[{k}]",),
         terms=tuple(f"axis{term}[{k}]" for term in "PIDF"),
+        sticks=(f"rcCommand[{k}]",),
     )
     for k, axis in enumerate(("roll", "pitch", "yaw"))
 }

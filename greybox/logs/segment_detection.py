@@ -33,9 +33,9 @@ EDGE = 0.1
 
 # Share of the travel of a stick, peak to peak, above which it moved. A stick at rest wanders by 1
 # to 5 µs, a dead zone has 20 to 30 µs, and a hand that flies a sine moves the stick more. The
-# travel is in the unit of the message.
+# travel is in the unit of the message; Betaflight's table has no message, and rcCommand in µs.
 STICK_MOVES = 0.05
-STICK_TRAVEL = {"RCIN": 1000.0, "manual_control_setpoint": 2.0}
+STICK_TRAVEL = {"": 1000.0, "RCIN": 1000.0, "manual_control_setpoint": 2.0}
 
 
 def find_segments(
@@ -233,13 +233,15 @@ def _moving_stick(segment: Segment, data: Recording | Record) -> str:
     if not axis or not isinstance(data, Recording):
         return ""
     for stick in present(data, AXES[axis].sticks):
-        message, _, field = stick.rpartition(".")
-        record = data[message]
+        record, field = data.locate(stick)
         finite = np.isfinite(record[field])
         # Some logs have the stick at 10 Hz, and two samples do not show whether it moved.
         during = finite & (record.time >= segment.start) & (record.time <= segment.end)
         if during.sum() > 2:
-            travel = max(float(np.ptp(record[field][finite])), STICK_TRAVEL.get(message, 1.0))
+            travel = max(
+                float(np.ptp(record[field][finite])),
+                STICK_TRAVEL.get(stick.rpartition(".")[0], 1.0),
+            )
             if np.ptp(record[field][during]) > STICK_MOVES * travel:
                 return stick
 

@@ -66,3 +66,23 @@ def test_an_autotuning_of_px4_is_measured_without_options():
     assert (test.kind, test.axis) == ("noise", "pitch")
     assert result.signals["instrument"].endswith("rate_sp[1]")
     assert np.median(off_truth(result.response, GAIN)) < 0.02
+
+
+@pytest.mark.parametrize("by_hand", [True, False])
+def test_a_setpoint_that_follows_the_stick_is_no_test(tmp_path, by_hand):
+    """Betaflight's setpoint is the stick's, so that a sine in both is flown by hand."""
+    time = np.arange(0, 30, 0.01)
+    sine = 100 * np.sin(4 * time)
+    columns = {"loopIteration": 10 * np.arange(time.size), "time": 1e6 * time}
+    columns |= {"rcCommand[1]": by_hand * sine, "setpoint[1]": sine, "axisP[1]": sine}
+    path = tmp_path / "log.csv"
+    np.savetxt(
+        path,
+        np.transpose([*columns.values()]),
+        delimiter=",",
+        header=",".join(columns),
+        comments="",
+    )
+    tests = gb.logs.find_segments(gb.read(path))
+    assert tests
+    assert all(test.usable != by_hand for test in tests)
