@@ -23,7 +23,7 @@ def checked_array(name: str, values: ArrayLike, kind: type = float) -> NDArray:
     Raises
     ------
     ValueError
-        If the values are not a one-dimensional array of numbers; complex numbers are not real.
+        If the values are not a one-dimensional array of numbers, or complex but not expected to be.
     """
     try:
         # numpy would convert dates, and texts such as "1", to numbers without an error.

@@ -55,6 +55,7 @@ def complex_response(
         raise ValueError(
             f"the unit of magnitude is {magnitude_unit!r:.40}: give 'absolute' or 'dB'."
         )
+    # Decibels without their unit are the usual mistake, and mostly negative.
     negative = np.flatnonzero(size < 0)
     if negative.size:
         raise ValueError(

@@ -117,6 +117,7 @@ def segment_table(segments: Sequence[Segment]) -> str:
         times = (f"{s.start:.2f}", f"{s.end:.2f}", s.kind, s.axis, band, periods)
         sizes = (f"{number(s.amplitude, 3)} {s.unit}".rstrip(), number(round(s.offset, 9), 3))
         rows.append((str(k), *times, *sizes, "yes" if s.usable else "no", s.source))
+    # Findings are sentences, too long for a column.
     notes = [f"{k}: {text}" for k, s in enumerate(segments, start=1) for text in s.findings]
 
     return (

@@ -73,7 +73,7 @@ def times_in_seconds(name: str, unit: str, values: Array) -> tuple[Array, tuple[
 
     name = printable(name)
     step = float(np.median(np.diff(finite)))
-    # The absolute time decides first: it tells the unit whatever the rate.
+    # The absolute time decides first: it shows the unit at any rate.
     for ticks, first in EPOCHS.items():
         if first <= finite[0] < 4.1 * first:
             text = f"{name} was taken for {ticks} since 1970: times are from the first sample."

@@ -127,6 +127,7 @@ class TransientSpectrum:
     @property
     def checksum(self) -> str:
         """SHA-256 of the numbers and the signal names, whatever file they came from."""
+        # As for a response: the same numbers are the same data, whatever their name and source.
         digest = hashlib.sha256(f"{', '.join(self.inputs)}->{', '.join(self.outputs)}".encode())
         ends = [self.duration, self.step, *map(self.change, self.inputs)]
         for values in (self.omega, *self.inputs.values(), *self.outputs.values(), np.array(ends)):

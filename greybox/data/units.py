@@ -23,7 +23,7 @@ class _Unit(NamedTuple):
 
 
 def _units(table: Mapping[str, str], zero: float = 0.0) -> dict[str, _Unit]:
-    """Return the units by each of their names, from the value in SI of the names in a line."""
+    """Return units by name; every line of the table has the names of a unit and its value in SI."""
     units = {}
     for names, value in table.items():
         factor, _, si = value.partition(" ")

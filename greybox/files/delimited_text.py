@@ -1,6 +1,7 @@
 """Reads and writes tables of numbers as text, with facts in the comments before the header.
 
-A spreadsheet writes what its country does: semicolons or tabs between cells and commas in numbers.
+A spreadsheet follows the conventions of its country, often semicolons or tabs between cells and
+commas in numbers.
 The header line decides the separator, all numbers together decide the decimal mark. A table that
 can be read in two ways is refused, and the message names the line: a wrong number would be worse
 than no number.

@@ -40,4 +40,5 @@ def html_table(
 
 
 def _escaped(text: str) -> str:
+    # Names come from files, which must not write HTML into a notebook.
     return escape(printable(text))

@@ -2,7 +2,7 @@
 
 A file is made in memory and written in one piece under a temporary name, since the HDF5 library
 crashes when a disk is full. Its first 512 bytes are an HDF5 user block, which every HDF5 reader
-skips; it holds the kind of the file and the SHA-256 of everything after it.
+skips; it has the kind of the file and the SHA-256 of everything after it.
 
 The checksum finds damage. It is not a signature: whoever changes a file can seal it again. So the
 HDF5 library reads the file in a subprocess, see `subprocess_reader`, which returns plain numbers
@@ -101,7 +101,7 @@ def open_sealed(path: Path, kind: str) -> Iterator[Stored]:
 
 
 def _tree(items: list[dict[str, Any]], arrays: Iterator[Any]) -> Stored:
-    """Return the root of what was read; every group stands before its members."""
+    """Return the root of the file from its items, in which every group precedes its members."""
     root = Stored({})
     for item in items:
         values = next(arrays) if item["holds"] == "numbers" else item.get("texts")

@@ -347,7 +347,7 @@ class Problem:
         }
         if not shared:
             raise ValueError(
-                f"the Fit given as fixed has {', '.join(self.fixed.estimate)}, of which "
+                f"the Fit given as fixed has {', '.join(self.fixed.estimate)}; of these, "
                 f"{self.model.label} has none; its parameters are "
                 f"{', '.join(self.model.parameters)}."
             )

@@ -337,7 +337,7 @@ def bias_parameter(name: str, record: Record) -> Parameter:
     values = record[name][np.isfinite(record[name])]
     if not values.size:
         raise ValueError(
-            f"biases names {name!r}, of which the record has no measured value: leave it out."
+            f"biases names {name!r}, but the record has no measured value of it: leave it out."
         )
 
     span = float(np.ptp(values)) or 1.0  # a constant signal has no range

@@ -180,6 +180,7 @@ def _named(
 
 def _pulses(time: Array, deviation: Array, threshold: float) -> list[tuple[int, float]]:
     """Return sign and duration, s, of every pulse; pauses have the sign 0."""
+    # At half of the amplitude, actuators that need time lengthen no pulse.
     state = np.where(deviation > threshold, 1, np.where(deviation < -threshold, -1, 0))
     edges = np.concatenate([[0], np.flatnonzero(np.diff(state)) + 1, [state.size]])
     ends = np.append(time, time[-1])[edges]
@@ -259,7 +260,8 @@ def _band(
     low, high = 2 * math.pi / (t[-1] - t[0]), HIGHEST * 2 * math.pi / step
     omega = 2 * math.pi * np.fft.rfftfreq(FINER * t.size, step)
     inside = (omega >= low) & (omega <= max(high, 2 * low))
-    if not inside.any():  # hardly more samples than those of the rests
+    # A manoeuvre of a few samples has no frequency below the limit.
+    if not inside.any():
         return low, 2 * low
 
     omega, size = omega[inside], np.abs(np.fft.rfft(x, FINER * t.size))[inside]
@@ -287,6 +289,7 @@ def chosen_manoeuvre(segments: Sequence[Segment], wanted: str) -> Segment:
     ValueError
         If there is no such manoeuvre, or if several are of the kind.
     """
+    # A number before a kind: no kind is a number alone.
     if wanted.isdigit():
         if not 1 <= int(wanted) <= len(segments):
             raise ValueError(f"there is no manoeuvre {wanted}; the log has {len(segments)}.")

@@ -218,7 +218,7 @@ def _checked(segment: Segment, data: Recording | Record) -> Segment:
     stick = _moving_stick(segment, data) if segment.source.startswith("setpoint ") else ""
     if stick:
         texts.append(
-            f"flown by hand: the stick {stick} moves with it, and a hand has no one frequency"
+            f"flown by hand: the stick {stick} moves with it, and a hand varies in frequency"
         )
     for moment, mode in data.metadata.get("modes", ()):
         if segment.start + EDGE < moment < segment.end - EDGE and segment.source != "SIDS":

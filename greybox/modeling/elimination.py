@@ -22,7 +22,7 @@ ORDERS = 200  # random orders to try: of many states, many orders are good
 
 
 def solve(A: Sequence[Sequence[Any]], b: Sequence[Any], s: Any, order: Sequence[int]) -> list[Any]:
-    """Solve (s I - A) x = b; None in A stands for an entry that is always zero."""
+    """Solve (s I - A) x = b; None in A is an entry that is always zero."""
     n = len(b)
     # Entries that are always zero are not stored, which keeps the expressions short.
     rows: list[dict[int, Any]] = [{k: -a for k, a in enumerate(row) if a is not None} for row in A]

@@ -47,7 +47,7 @@ def module_from_file(path: Path) -> ModuleType:
     try:
         spec.loader.exec_module(module)
     except BaseException:
-        # Half of a module must not remain for the next import.
+        # A module that failed halfway must not satisfy the next import.
         del sys.modules[path.stem]
         raise
 

@@ -34,7 +34,7 @@ class cached_property(functools.cached_property[Result]):  # noqa: N801
     """
 
     def __get__(self, instance: Any, owner: type[Any] | None = None) -> Any:
-        """Return the value; what is built stays in the instance, where Python finds it first."""
+        """Return the value, stored in the instance, where Python finds it next time."""
         if instance is None:
             return self
         value = self.func(instance)

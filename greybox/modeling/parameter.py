@@ -1,4 +1,4 @@
-"""One unknown of a model: where it starts, where it may lie, what it means."""
+"""One unknown of a model: its start, bounds, unit and meaning."""
 
 import math
 from dataclasses import dataclass

@@ -9,7 +9,7 @@ import numpy as np
 from greybox.files.arrays import Array
 from greybox.files.text_table import counted, one_line
 
-# Five times what a strong kink needs, see `Sine`.
+# Five times the number that a strong kink needs, see `Sine`.
 MOST_HARMONICS = 50
 
 

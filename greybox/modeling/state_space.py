@@ -42,7 +42,7 @@ class StateSpace(Model):
                 )
             require_usable(names, cls.__name__)
 
-        # Formulas could not tell them apart, nor could data.
+        # Neither formulas nor data could distinguish them.
         twice = set(cls.states) & set(cls.inputs)
         if twice:
             raise ValueError(

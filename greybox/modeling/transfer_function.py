@@ -136,7 +136,7 @@ class SeriesConnection(TransferFunction):
         self.parameters = merged_parameters((first, second))
         self.input = first.input
         self.output = output or second.output
-        # A filter of the output keeps the unit of what it filters.
+        # A filter does not change the unit of the output.
         ends = ((first, first.input), (first if output == first.output else second, self.output))
         self.units = {name: model.units[name] for model, name in ends if name in model.units}
 

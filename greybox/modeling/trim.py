@@ -44,7 +44,7 @@ class Trimmed:
     function: ca.Function
 
     def closed(self) -> ca.Function:
-        """Return the function of (p, ...) alone."""
+        """Return the function of (p, ...), with the operating point inside."""
         kind: Any = ca.SX if self.root is None else ca.MX
         p, _, *arguments = (
             kind.sym("v", self.function.numel_in(k)) for k in range(self.function.n_in())

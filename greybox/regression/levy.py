@@ -187,6 +187,7 @@ def levy(
         size = np.abs(np.polyval(denominator, 1j * data.omega))
         numerator, denominator, condition = _solve(data, n, m, integrator, weights / size)
 
+    # A frozen value has frozen arrays.
     numerator.flags.writeable = False
     denominator.flags.writeable = False
 

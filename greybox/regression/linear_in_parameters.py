@@ -12,7 +12,7 @@ from greybox.modeling.realization import Dynamics
 
 Kind = Literal["derivative", "output"]
 Source = tuple[str, ca.SX, Literal["signal", "derivative"]]
-"""A name, the row of the model that it equals, and what it is."""
+"""A name, the row of the model that it equals, and whether it is a signal or a derivative."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ class Equations:
     simulated : casadi.Function
         (x, u, p) -> the derivative of the simulated states at zero (s,) and their matrix (s, s).
     delay : casadi.Function
-        (p) -> delay of every input, s. In all three `p` holds the free parameters.
+        (p) -> delay of every input, s. In all three functions, `p` are the free parameters.
     left_out : tuple of str
         What was left out, and why.
     """

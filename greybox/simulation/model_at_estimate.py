@@ -197,6 +197,7 @@ def _of_values(model: Model, given: Mapping[str, float], inputs: Inputs) -> Mode
             raise ValueError(
                 f"values gives {name!r} the value {value!r:.60}: give a finite number."
             )
+    # Parameters first, then biases and gains: the criterion expects this order.
     values = dict(model.values({n: v for n, v in given.items() if n in model.parameters}))
     values |= {name: float(given[name]) for name in added}
     criterion = criterion_of(inputs, tuple(b for b in biases if f"{b}_bias" in added), gains)

@@ -260,6 +260,7 @@ def _minimized(
     limits: Mapping[str, tuple[float, float]],
 ) -> tuple[ModelAtEstimate, _Information]:
     """Return the model at the best values of `places`, and the information there."""
+    # Bounds keep a value finite that the windows determine badly.
     low, high = np.array([*limits.values()]).reshape(-1, 2).T
     q = model.q.copy()
     q[places] = np.clip(q[places], low, high)

@@ -45,7 +45,7 @@ def simulate(
     Parameters
     ----------
     model : Model or Fit
-        A transfer function is realized as states. A `Fit` stands for its model and its estimate.
+        A transfer function is realized as states. A `Fit` gives both its model and its estimate.
     values : mapping of name to value, or Fit
         Parameters that a mapping leaves out have their declared starts; ``<signal>_bias`` is the
         constant error of a sensor. A `Fit` also gives covariance, biases, and how its inputs ran.
@@ -271,8 +271,8 @@ def _not_finite(
 def cure(called: str) -> str:
     """Return the cure for a model that is not finite; the user's horizon is `called` so."""
     return (
-        f"give a shorter {called} where the model is unstable, or keep its formulas within what "
-        "they are defined for, e.g. gb.sqrt(gb.maximum(x.level, 0))"
+        f"give a shorter {called} if the model is unstable, or keep its formulas within their "
+        "domains, e.g. gb.sqrt(gb.maximum(x.level, 0))"
     )
 
 
@@ -318,7 +318,7 @@ def _require_bounded(simulated: Mapping[str, Array], time: Array, model: ModelAt
         )
     raise ValueError(
         f"the simulation of {model.label} is not finite from {time[when]:.6g} s on, {name} first: "
-        "keep its formulas within what they are defined for, e.g. gb.sqrt(gb.maximum(x.level, 0)), "
+        "keep its formulas within their domains, e.g. gb.sqrt(gb.maximum(x.level, 0)), "
         "or give other initial states."
     )
 

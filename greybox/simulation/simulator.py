@@ -236,7 +236,7 @@ class Simulator:
         in_lead = np.isfinite(data["measured"]) & (np.arange(length) < lead)
         spread = np.array([_spread(windows.record[name]) for name in self._outputs])
 
-        # Innovations correct the states in the lead-in only: what follows is predicted.
+        # Innovations correct the states in the lead-in only: the rest is a prediction.
         mask = np.moveaxis(in_lead[:, :, :lead], 0, -1)
         past = np.where(mask, measured[:, :lead], np.nan)
 

@@ -95,6 +95,7 @@ def cut(
         max(1, math.floor(min(n / record.step, len(record)) + 0.5 - ROUNDING))
         for n in (lead, horizon)
     )
+    # The empty part gives the result its width if no stretch is long enough.
     parts = [np.zeros((0, lead_samples + horizon_samples), dtype=int)]
     for stretch in stretches:
         starts = np.arange(0, len(stretch) - lead_samples - horizon_samples + 1, horizon_samples)

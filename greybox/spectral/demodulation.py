@@ -53,6 +53,7 @@ def whole_periods(
         )
 
     # The last periods, in which transients have decayed most.
+    # Half a step more, so that rounding takes no sample twice.
     rows = time > time[-1] + step / 2 - count * period
     in_each = np.histogram(time[rows], count, (time[-1] - count * period, time[-1]))[0]
     if in_each.min() < LEAST_FILLED * period / step:

@@ -60,6 +60,7 @@ def response_at(
     response, variance, dof, coherence, weak = (
         np.array(column) for column in zip(*estimates, strict=True)
     )
+    # A response without a variance has no weight in a likelihood.
     good = np.isfinite(variance)
     input, output, name = names
     if not good.any() and weak.any():

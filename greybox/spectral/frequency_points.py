@@ -180,6 +180,7 @@ def averaged(points: list[FrequencyPoint]) -> FrequencyPoint:
     if variance > 0 and np.all(dof > 0):  # Welch, Satterthwaite
         effective_dof = float(variance**2 / np.sum(parts**2 / dof))
 
+    # The worst test decides: a nonlinearity does not average out.
     shares = [p.unexplained for p in points if not math.isnan(p.unexplained)]
     return replace(
         points[0],

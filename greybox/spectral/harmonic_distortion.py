@@ -107,6 +107,7 @@ def interpolated(omega: Array, response: ComplexArray, at: NDArray[np.floating])
     x_at = np.log(at)
     logs = np.log(np.abs(response)) + 1j * np.unwrap(np.angle(response))
 
+    # Beyond the highest frequency, the last slope continues.
     slope = (logs[-1] - logs[-2]) / (x[-1] - x[-2])
     beyond = logs[-1] + slope * (x_at - x[-1])
     between = np.interp(x_at, x, logs.real) + 1j * np.interp(x_at, x, logs.imag)

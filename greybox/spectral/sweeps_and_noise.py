@@ -66,7 +66,7 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
         resolution, about 8 / duration in Hz for a band of three points, the errors of neighbors are
         correlated.
     band : (low, high), rad/s, optional
-        Band of the estimate, as far as the record resolves it; by default, where the excitation is
+        Band of the estimate, within the resolution of the record; by default, where excitation is
         strong.
     points : int
         Approximate number of frequencies: fewer where the record does not resolve them, more at

@@ -34,7 +34,7 @@ SATURATED = (0.01, 0.2)
 LEVELS = (8, 4)
 
 # Periods of the lowest frequency. With two periods, the variance has two degrees of freedom and
-# Student's t is 4.3; in less than one, a sine cannot be told from a drift.
+# Student's t is 4.3; in less than one, a sine looks like a drift.
 PERIODS = (3, 1)
 
 # Samples per period of the highest frequency. Linear interpolation between ten samples takes 3 %
@@ -237,6 +237,7 @@ def _segments(segments: Sequence[Segment]) -> Iterator[Finding]:
 def _highest_lowest(
     response: FrequencyResponse | None, segments: Sequence[Segment]
 ) -> tuple[float, float]:
+    # A response shows what was measured, segments only what was planned.
     if response is not None:
         return float(response.omega.max()), float(response.omega.min())
     ends = [edge for segment in segments if segment.usable for edge in segment.band]

@@ -118,7 +118,7 @@ class FrequencyGrid:
                 part = slice(start, start + COLUMNS)
                 spread = self.spread_out(density, part) * self.weight[part]
                 columns = np.ascontiguousarray(transform[..., part])
-                # As pairs of reals, of which the product is the real part of the complex one.
+                # As pairs of reals, whose product is the real part of the complex product.
                 parts.append(products(columns.view(float), filtered(spread, columns).view(float)))
 
         total = np.sum(parts, axis=0)

@@ -187,7 +187,7 @@ def averaged_meat(
     n = known.points
     size = 1 << (2 * n - 1).bit_length()
     correlations = correlation(known.powers)
-    # Sums over all pairs of points by their distance are a correlation, which transforms speed up.
+    # Sums over all pairs of points at one distance: a correlation, fast by Fourier transforms.
     turned = np.fft.fft(scores @ root, size, axis=0)
     of_lags = np.fft.ifft(np.sum(np.abs(turned) ** 2, axis=1)).real[:n]
     of_lags[1:] *= 2

@@ -73,7 +73,7 @@ def vector_autoregressions(r: Array) -> Iterator[tuple[Array, Array]]:
     """
     k = r.shape[1]
     last_first = r[:0:-1].reshape(-1, k)
-    # The backward coefficients stand in reverse order, as the recursion uses them.
+    # The backward coefficients are in reverse order, as the recursion uses them.
     forward = backward = np.zeros((k, 0))
     ahead = behind = r[0]
     yield forward, ahead

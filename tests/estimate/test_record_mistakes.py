@@ -182,9 +182,7 @@ def test_a_model_that_diverges_from_every_start_is_a_result():
 
 def test_a_bias_of_a_signal_without_values_is_a_sentence():
     empty = record(x=np.full(100, np.nan))
-    with pytest.raises(
-        ValueError, match="biases names 'x', of which the record has no measured value"
-    ):
+    with pytest.raises(ValueError, match="biases names 'x', but the record has no measured value"):
         fit(gb.Problem(Spring(), empty, gb.OutputError(biases=("x",))))
 
 

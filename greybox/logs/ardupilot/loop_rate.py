@@ -78,7 +78,7 @@ def thinning(recording: Recording, signal: str, start: float, end: float) -> Thi
     logged = 1 / float(np.median(np.diff(time)))
     if loop < EVERY_PASS * logged:
         return None
-    # The rate of the log jitters; the loop logs every pass, every second, every third ...
+    # The rate of the log jitters, while the loop logs every pass, every second, every third ...
     kept = round(loop / logged)
     gyro = GYRO_RATE * 2 ** int(parameters.get("INS_GYRO_RATE", 0))
     count, age = _differences(gyro / loop, kept)

@@ -25,7 +25,7 @@ def is_truncated(signal: str, values: Array) -> bool:
     if message.partition("[")[0] not in MESSAGES or field not in FIELDS:
         return False
     steps = values[np.isfinite(values)] / STEP
-    # Single precision of a text or a table holds 180° to a hundred-thousandth.
+    # In single precision, 180° has an error of a hundred-thousandth of a degree, 1e-3 steps.
     return bool(steps.any() and np.abs(steps - np.round(steps)).max() < 2e-3)
 
 

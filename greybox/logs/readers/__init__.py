@@ -188,7 +188,7 @@ def _head(path: Path) -> bytes:
 
 
 def _looks(head: bytes) -> str:
-    """Say in words what a file looks like."""
+    """Return a description of a file's contents."""
     signatures = {
         b"PK": "a zip archive",
         b"\x1f\x8b": "a gzip archive",

@@ -40,7 +40,7 @@ def read(
     """Read a table with a header line into one record named after the file.
 
     The cells are separated by semicolons, tabs or commas; the numbers may have decimal commas, see
-    `greybox.files.delimited_text`. Units stand in the header: ``pitch [deg]`` or ``pitch (deg)``.
+    `greybox.files.delimited_text`. Units are in the header: ``pitch [deg]`` or ``pitch (deg)``.
     So does how a signal runs between its samples, where that is known: ``u [1 held]`` for the
     output of a controller, which holds it, and ``pitch [deg sampled]`` for samples of what is
     continuous. Lines that start with ``#`` or ``%`` are comments; empty cells, and words such as

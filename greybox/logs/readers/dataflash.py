@@ -156,7 +156,7 @@ def _numbers(values: NDArray[np.generic], scale: float | None) -> Array:
 def clock_column(layout: Layout) -> str:
     """Return the column with the vehicle's time: the first, or T in old GPS messages."""
     if layout.name in ("GPS", "GPS2") and "T" in layout.columns and layout.columns[0] != "TimeUS":
-        return "T"  # their TimeMS is that of the GPS week
+        return "T"  # TimeMS of these messages counts from the start of the GPS week
     return layout.columns[0] if layout.columns and layout.columns[0] in CLOCKS else ""
 
 

@@ -66,6 +66,7 @@ def _plausible(stamps: Array) -> Array:
     """Return the stamps of one boot, NaN if far outside those at its start and its end."""
     if not stamps.size:
         return stamps
+    # A damaged stamp would stretch the record over years.
     first, last = _edge(stamps[:WINDOW], -1), _edge(stamps[-WINDOW:], 1)
     plausible = (stamps >= first - SLACK) & (stamps <= last + SLACK)
     return (
