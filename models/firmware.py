@@ -182,7 +182,10 @@ def from_log(
     filters = []
     if outside.get("q", "").endswith("_dot") if raw_rate is None else raw_rate:
         raw = outside.get("q", "q")
-        filters = _in_series(_gyro_filters(recording, parameters), laws[-1].rate, raw)
+        # The filters, too, are those of the time of the test.
+        metadata = {**recording.metadata, "parameters": parameters}
+        known = _gyro_filters(replace(recording, metadata=metadata), parameters)
+        filters = _in_series(known, laws[-1].rate, raw)
         outside["q"] = filters[-1].outside("filtered") if filters else raw
     laws = [_renamed(law, outside) for law in laws]
     return FlownController((*filters, *laws), axis, *logged, start, end, tuple(notes))
@@ -232,7 +235,11 @@ def _betaflight(recording, parameters, axis, start, end):
 
 
 PREFIXES = {
-    _copter: lambda axis: [f"ATC_{kind}_{ardupilot.COPTER[axis]}_" for kind in ("RAT", "ANG")],
+    _copter: lambda axis: [
+        *(f"ATC_{kind}_{ardupilot.COPTER[axis]}_" for kind in ("RAT", "ANG")),
+        "INS_GYRO_FILTER",
+        "INS_HNTC",
+    ],
     _plane: lambda axis: [f"{name}_" for name in ardupilot.PLANE.get(axis, ())],
     _px4: lambda axis: [f"MC_{axis.upper()}RATE_", f"MC_{axis.upper()}_P"],
     _betaflight: lambda axis: [f"{axis}PID", "dterm_"],

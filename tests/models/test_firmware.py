@@ -122,6 +122,10 @@ def test_gains_that_changed_are_refused_with_names_and_times(flight):
     changed = replace(flight, metadata={**flight.metadata, "parameter_changes": changes})
     with pytest.raises(ValueError, match=r"PIT_P from 0.1 to 0.15 at 1.0 s, ATC_RAT_PIT_D from"):
         from_log(changed)
+    later = (*changes, (9.0, "INS_GYRO_FILTER", 25.0, 40.0))
+    of_filter = replace(flight, metadata={**flight.metadata, "parameter_changes": later})
+    earlier = from_log(of_filter, start=5, end=6, signals={"q": "theta_dot"})
+    assert earlier.controllers[0].values["cutoff"] == 25
     between = from_log(changed, start=2, end=3).controllers[-1]
     assert between.values["P"] == 0.15
     assert between.values["D"] == 0.003  # the last value came later
