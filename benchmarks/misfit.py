@@ -230,7 +230,7 @@ class Resonance(gb.TransferFunction):
     """b / (s² + d s + k)."""
 
     input, output = "u", "y"
-    k, d, b = (gb.Parameter(v, bounds=BOUNDS) for v in (25.0, 2.0, 25.0))
+    k, d, b = (gb.Parameter(v, bounds=(v / 5, 5 * v)) for v in (25.0, 2.0, 25.0))
 
     def response(self, s, p):
         return p.b / (s**2 + p.d * s + p.k)
@@ -240,7 +240,7 @@ class First(gb.TransferFunction):
     """b / (s + d)."""
 
     input, output = "u", "y"
-    d, b = gb.Parameter(3.0, bounds=BOUNDS), gb.Parameter(5.0, bounds=BOUNDS)
+    d, b = (gb.Parameter(v, bounds=(v / 5, 5 * v)) for v in (3.0, 5.0))
 
     def response(self, s, p):
         return p.b / (s + p.d)
@@ -249,7 +249,7 @@ class First(gb.TransferFunction):
 class Late(First):
     """The same with a delay."""
 
-    T = gb.Parameter(0.03, bounds=(0, 1))
+    T = gb.Parameter(0.03, bounds=(0, 0.2))
 
     def response(self, s, p):
         return super().response(s, p) * gb.exp(-s * p.T)

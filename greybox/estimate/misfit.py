@@ -47,6 +47,8 @@ class Cause:
     p_value : float
         Probability of such a share if the model explains the data, times the number of terms that
         were tried.
+    p_correlated : float
+        The same if errors of neighboring points of a response may be correlated.
     """
 
     text: str
@@ -55,6 +57,7 @@ class Cause:
     error: float
     share: float
     p_value: float
+    p_correlated: float
 
     @property
     def explained(self) -> str:
@@ -86,7 +89,7 @@ class Misfit:
     @property
     def p_value(self) -> float:
         """Probability of such residuals if the model explains the data."""
-        return min((cause.p_value for cause in self.causes), default=1.0)
+        return min((cause.p_correlated for cause in self.causes), default=1.0)
 
     @property
     def explains(self) -> bool:
@@ -100,13 +103,19 @@ class Misfit:
 
     @property
     def likely(self) -> tuple[Cause, ...]:
-        """The causes that are named: up to three, where the model does not explain the data."""
+        """The causes that are named: up to three, where the model may not explain the data."""
         likely = (cause for cause in self.causes if cause.p_value < FALSE_ALARMS)
         return tuple(itertools.islice(likely, NAMED))
 
     @property
     def verdict(self) -> str:
         """Whether the model explains the data, in a few words."""
+        if self.explains and self.likely:
+            return (
+                "explains the data only if errors of neighboring points are correlated: otherwise, "
+                f"{_percent(self.left)} of their variance is left and follows what drove the test; "
+                f"noise alone would leave about {_percent(self.noise)}"
+            )
         if self.explains:
             return f"explains the data: the residuals follow none of {self.tried} missing terms"
         return (
@@ -178,7 +187,7 @@ def assessed_misfit(
     responses, records = [], []
     for part, trajectory, colored in zip(nlp.parts, trajectories, correlation, strict=True):
         if isinstance(part, ResponsePart):
-            responses.append(_of_response(part, nlp.all_values(x), len(x)))
+            responses.append(_of_response(part, nlp.all_values(x), nlp.free))
         elif isinstance(part, RecordPart) and part.model.has_time and not part.model.is_prior:
             records.append(_of_record(part, trajectory, colored, candidates))
 
@@ -188,7 +197,11 @@ def assessed_misfit(
     if not lefts:
         return None
     causes = [
-        replace(cause, p_value=min(cause.p_value * tried, 1.0))
+        replace(
+            cause,
+            p_value=min(cause.p_value * tried, 1.0),
+            p_correlated=min(cause.p_correlated * tried, 1.0),
+        )
         for _, _, causes in results
         for cause in causes
     ]
@@ -239,7 +252,9 @@ def _of_group(
             chance = max(chance, p_value_beside_correlation(residuals, fitted, column, lengths))
         share = min(decrease / total, 1.0) if total > 0 else 0.0
         text, code = terms[key].described(value)
-        causes.append(Cause(text, code, float(value), float(error), float(share), chance))
+        causes.append(
+            Cause(text, code, float(value), float(error), float(share), float(p_value), chance)
+        )
     return tried, [part.left(together) for part in parts], causes
 
 
@@ -305,12 +320,12 @@ def _of_record(
     )
 
 
-def _of_response(part: ResponsePart, values: Array, free: int) -> _Regression:
+def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Regression:
     response = part.response(values)
     size = part.criterion.error_size(response, part.data)
     used = (size > 0) & (np.abs(response) > 0)
     # One wild point would look like a narrow mode.
-    worst = largest_deviation(part, values, free)
+    worst = largest_deviation(part, values, len(free))
     if worst is not None and len(used) * worst.probability < SIZE:
         used[worst.index] = False
     order = np.argsort(part.data.omega, kind="stable")
@@ -321,11 +336,16 @@ def _of_response(part: ResponsePart, values: Array, free: int) -> _Regression:
         scaled = columns[order] / (response * over)[order, None]
         return np.vstack([scaled.real, scaled.imag])
 
+    slope = part.sensitivity(values)[:, : len(free)]
+    own = [
+        Term("own", lambda k=k: slope[:, k] / response, name, part.name)
+        for k, name in enumerate(free)
+    ]
     return _Regression(
         response[:, None],
         (part.data.response - response)[:, None],
-        part.sensitivity(values)[:, :free],
-        _numbered(terms_of_response(part.data.omega)) if order.size else {},
+        slope,
+        _numbered([*terms_of_response(part.data.omega), *own]) if order.size else {},
         lambda terms: np.column_stack([response * term.effect() for term in terms]),
         rows,
     )

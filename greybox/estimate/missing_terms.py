@@ -8,6 +8,7 @@ steps of the gain.
 import itertools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import casadi as ca
@@ -64,6 +65,11 @@ TEXTS = {
         "{a} changes along the record",
         "{a} changes along the record",
         "two records, rename={{'{a}': '{a}_later'}} for the second",
+    ),
+    "own": (
+        "a value of {a} that is larger by {size} in '{b}'",
+        "a value of {a} that is smaller by {size} in '{b}'",
+        "rename={{'{a}': '{a}_own'}} in the problem '{b}'",
     ),
     "delay": ("a delay of {size} s", "a lead of {size} s", "response: * gb.exp(-s * p.T_delay)"),
     "zero": (
@@ -152,7 +158,10 @@ def terms_of_record(record: DisturbedRecord, candidates: Mapping[str, Formula]) 
     yield from _of_equations(record, candidates) if is_state_space else _of_feedback(record)
     for place, k in enumerate(part.model.active):
         name = part.model.outside_names[k]
-        yield Term("change", lambda place=place: record.by_parameter(place, samples), name)
+        # Beside other records, one may need values of its own.
+        for kind, row, b in (("change", samples, ""), ("own", np.ones_like(samples), part.name)):
+            effect = partial(record.by_parameter, place, row)
+            yield Term(kind, effect, name, b)
 
 
 def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Term]:

@@ -38,18 +38,23 @@ class Late(Spring):
     T = gb.Parameter(0.12, bounds=(0, 1), unit="s", fixed=True)
 
 
-def fitted(plant=Spring, color="white", seed=0):
-    """Fit the spring to a flight of another plant."""
+def problem(plant=Spring, color="white", seed=0, k=25.0):
+    """Return the spring with a flight of another plant."""
     random = np.random.default_rng(seed)
     time = STEP * np.arange(SAMPLES)
     u = sum(np.sin(w * time + random.uniform(0, 6)) for w in (1, 2, 3.3, 4.7, 6.1, 9)) / 2.5
     flight = gb.Record(time, {"u": u}, hold={"u": np.inf})
-    x = gb.simulate(plant(), {"k": 25.0, "d": 2.0, "b": 25.0}, flight)["x"]
+    x = gb.simulate(plant(), {"k": k, "d": 2.0, "b": 25.0}, flight)["x"]
     noise = random.normal(size=SAMPLES)
     if color == "drift":
         noise += 0.3 * np.cumsum(random.normal(size=SAMPLES))
     flight = flight.with_signals(x=x + 0.02 * noise)
-    return gb.fit(gb.Problem(Spring(), flight), starts=1, progress=False)
+    return gb.Problem(Spring(), flight, name=f"flight {seed}")
+
+
+def fitted(*arguments, **options):
+    """Fit the spring to a flight."""
+    return gb.fit(problem(*arguments, **options), starts=1, progress=False)
 
 
 @pytest.mark.parametrize("color", ["white", "drift"])
@@ -68,6 +73,15 @@ def test_a_wrong_model_does_not_and_what_it_lacks_is_named(plant, cause):
     assert any(cause in found.text for found in fit.misfit.likely[:2])
     assert "valid only if" in str(fit)
     assert any("does not explain" in text for text in fit.warnings)
+
+
+@pytest.mark.parametrize("k", [25.0, 26.0])
+def test_a_record_that_needs_a_value_of_its_own_is_named(k):
+    both = problem(seed=0) + problem(seed=1, k=k)
+    misfit = gb.fit(both, starts=1, progress=False).misfit
+    assert misfit.explains == (k == 25)
+    if k != 25:
+        assert "a value of k that is" in misfit.likely[0].text
 
 
 def test_a_missing_delay_has_its_size():
