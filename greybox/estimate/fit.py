@@ -381,7 +381,7 @@ def assemble(
         )
         directions = replace(directions, elsewhere=elsewhere)
 
-    misfit = assessed_misfit(nlp, best, trajectories, accuracy.correlation)
+    misfit = assessed_misfit(nlp, best, trajectories, accuracy.correlation, {})
     answer = replace(answer, misfit=misfit)
     answer = replace(
         answer,

@@ -3,7 +3,6 @@
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -178,7 +177,7 @@ def assessed_misfit(
     x: Array,
     trajectories: Sequence[Trajectory],
     correlation: Sequence[ColoredErrors | None],
-    candidates: Mapping[str, Formula] = MappingProxyType({}),
+    candidates: Mapping[str, Formula],
 ) -> Misfit | None:
     """Return whether a model explains its data at `x` (p,); None where that cannot be told.
 

@@ -22,7 +22,7 @@ from greybox.modeling.state_space import StateSpace
 
 Formula = Callable[[Names, Names, Names], Any]
 
-# What a term is for a positive and for a negative factor, and how a model gets it.
+# What a term is, for a negative factor too where that is something else, and how a model gets it.
 TEXTS = {
     "timing": (
         "a delay of {a} by {size} s",
@@ -41,11 +41,16 @@ TEXTS = {
     ),
     "direct": (
         "a direct effect of {a} on {b}, one more zero",
-        "a direct effect of {a} on {b}, one more zero",
         "the output {b} gets + p.direct * u.{a}",
     ),
-    "offset": ("an offset of {b}", "an offset of {b}", "OutputError(biases=['{b}'])"),
-    "trend": ("a trend of {b}", "a trend of {b}", "subtract the trend of {b}"),
+    "offset": (
+        "an offset of {b}",
+        "OutputError(biases=['{b}'])",
+    ),
+    "trend": (
+        "a trend of {b}",
+        "subtract the trend of {b}",
+    ),
     "sensor": (
         "a sensor of {b} that is late by {size} s",
         "a sensor of {b} that is early by {size} s",
@@ -53,16 +58,13 @@ TEXTS = {
     ),
     "equation": (
         "{a} in the equation of {b}",
-        "{a} in the equation of {b}",
         "the derivative of {b} gets + p.c * {a}",
     ),
     "feedback": (
         "{a} fed back to {b}",
-        "{a} fed back to {b}",
         "a StateSpace whose input {b} gets + p.c * {a}",
     ),
     "change": (
-        "{a} changes along the record",
         "{a} changes along the record",
         "two records, rename={{'{a}': '{a}_later'}} for the second",
     ),
@@ -71,7 +73,11 @@ TEXTS = {
         "a value of {a} that is smaller by {size} in '{b}'",
         "rename={{'{a}': '{a}_own'}} in the problem '{b}'",
     ),
-    "delay": ("a delay of {size} s", "a lead of {size} s", "response: * gb.exp(-s * p.T_delay)"),
+    "delay": (
+        "a delay of {size} s",
+        "a lead of {size} s",
+        "response: * gb.exp(-s * p.T_delay)",
+    ),
     "zero": (
         "one more zero",
         "one more zero, in the right half-plane",
@@ -84,11 +90,9 @@ TEXTS = {
     ),
     "mode": (
         "a lightly damped mode near {level} rad/s",
-        "a lightly damped mode near {level} rad/s",
         "response: * (1 + p.c * s**2 / (s**2 + 2 * p.zeta * p.omega * s + p.omega**2))",
     ),
     "step": (
-        "a gain that differs above {level} rad/s",
         "a gain that differs above {level} rad/s",
         "two responses, response.where(...)",
     ),
@@ -128,13 +132,11 @@ class Term:
 
     def described(self, factor: float) -> tuple[str, str]:
         """Return what it is for a factor, and how a model gets it."""
-        positive, negative, code = TEXTS[self.kind]
+        text, *opposite, code = TEXTS[self.kind]
         size, level = number(abs(factor) * self.scale, 2), number(self.level, 2)
-        text = positive if factor > 0 else negative
-        return (
-            text.format(a=self.a, b=self.b, size=size, level=level),
-            code.format(a=self.a, b=self.b),
-        )
+        text = opposite[0] if opposite and factor < 0 else text
+        texts = (text, code)
+        return tuple(t.format(a=self.a, b=self.b, size=size, level=level) for t in texts)
 
 
 def terms_of_record(record: DisturbedRecord, candidates: Mapping[str, Formula]) -> Iterator[Term]:

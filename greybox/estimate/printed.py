@@ -2,13 +2,12 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
-from greybox.estimate.misfit import Cause
 from greybox.estimate.response_band import t_quantile
 from greybox.files.html_text import html_list, html_table, html_text
 from greybox.files.text_table import counted, number, percent, some, text_table, with_error
@@ -73,8 +72,7 @@ def facts(fit: Any) -> list[tuple[str, str]]:
     )
 
     return [
-        *([] if fit.misfit is None else [("model", fit.misfit.verdict)]),
-        *(("to add", f"{cause.text}: {cause.code}") for cause in _likely(fit)),
+        *_misfit_texts(fit),
         (
             "starts",
             f"{tried.converged} of {len(tried.brought)} converged{only_screened}; "
@@ -88,8 +86,10 @@ def facts(fit: Any) -> list[tuple[str, str]]:
     ]
 
 
-def _likely(fit: Any) -> Sequence[Cause]:
-    return () if fit.misfit is None else fit.misfit.likely
+def _misfit_texts(fit: Any) -> Iterator[tuple[str, str]]:
+    if fit.misfit is not None:
+        yield "model", fit.misfit.verdict
+        yield from (("to add", f"{cause.text}: {cause.code}") for cause in fit.misfit.likely)
 
 
 def closeness(fit: Any) -> list[tuple[str, str]]:

@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from greybox.estimate.misfit import Misfit
 from greybox.estimate.verdict import verdict
 from greybox.files.json_numbers import plain
 from greybox.solve.runs import SCREENED, Runs
@@ -15,7 +14,7 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
     """Return the numbers of a `Fit`; None for one that is unknown or not finite."""
     parameters = [q for q in result.quantities if q.kind != "derived"]
     free = [q for q in parameters if q.kind == "free"]
-    runs = Runs.of(result.runs)
+    runs, misfit = Runs.of(result.runs), result.misfit
     answer = {
         "problem": result.name,
         "model": list(dict.fromkeys(part.label for part in result.parts)),
@@ -33,7 +32,8 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
         "costs": result.costs,
         "status": result.status,
         "verdict": verdict(result),
-        "misfit": None if result.misfit is None else _misfit(result.misfit),
+        "misfit": misfit
+        and vars(misfit) | {"explains": misfit.explains, "p_value": misfit.p_value},
         "estimate": result.estimate,
         "best_effort": result.best_effort,
         "standard_error": result.standard_error,
@@ -69,10 +69,6 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
         "versions": result.versions,
     }
     return plain(answer)
-
-
-def _misfit(misfit: Misfit) -> dict[str, Any]:
-    return vars(misfit) | {"explains": misfit.explains, "p_value": misfit.p_value}
 
 
 def _output(part: Any, name: str) -> dict[str, Any]:

@@ -13,7 +13,6 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import CorrelatedPoints
 from greybox.compiled.transient_part import TransientPart
 from greybox.estimate.covariance import Accuracy
-from greybox.estimate.misfit import Misfit
 from greybox.files.arrays import Array
 from greybox.files.text_table import counted
 from greybox.formulation.problem import Problem
@@ -29,15 +28,10 @@ UNLIKELY = 0.1
 FEWEST_LENGTHS = 8.0
 
 
-def correlated_frequencies(
-    nlp: CompiledProblem, x: Array, accuracy: Accuracy, misfit: Misfit | None
-) -> Iterator[str]:
-    """Name the responses and manoeuvres whose errors at the estimate `x` (p,) are correlated.
-
-    Residuals of a model that does not explain the data are no errors: nothing is said of them.
-    """
+def correlated_frequencies(nlp: CompiledProblem, x: Array, accuracy: Accuracy) -> Iterator[str]:
+    """Name the responses and manoeuvres whose errors at the estimate `x` (p,) are correlated."""
     for part, neighbors in zip(nlp.parts, accuracy.neighbors, strict=True):
-        if neighbors is not None and (misfit is None or misfit.explains):
+        if neighbors is not None:
             yield from _of_response(part.problem, neighbors)
         elif isinstance(part, TransientPart):
             yield from _of_manoeuvre(part, nlp.scaling.to_solver(x), alone=len(nlp.parts) == 1)

@@ -64,11 +64,13 @@ def warnings(
     ]
     misfit = answer.misfit
     feedback = misfit is None or misfit.may_be_feedback
+    # Residuals of a wrong model are no errors, whose correlation would matter.
+    errors = misfit is None or misfit.explains
     return (
         *not_finite_warnings(nlp, search),
         *finding_warnings(nlp),
         *discretization_warnings(nlp, trajectories, error),
-        *unexplained(answer.misfit),
+        *unexplained(misfit),
         *record_warnings(nlp, answer.parts, trajectories, accuracy, feedback=feedback),
         *harmonic_warnings(nlp, best.estimate, accuracy),
         *not_determined(nlp, accuracy),
@@ -82,7 +84,7 @@ def warnings(
         *several_estimates_of_one_response(nlp, search, accuracy),
         *coarse_pade(nlp, pade_errors),
         *unlikely_noise(nlp, trajectories),
-        *correlated_frequencies(nlp, best.estimate, accuracy, answer.misfit),
+        *(correlated_frequencies(nlp, best.estimate, accuracy) if errors else ()),
         *discontinuous_costs(nlp),
         *outlying_points(nlp, best.estimate),
     )
