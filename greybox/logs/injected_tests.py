@@ -59,7 +59,8 @@ def _autotuning(record: Record) -> list[Segment]:
         values = record.signals.get(name, np.zeros(len(record)))
         for rows in _runs(record.time, np.nan_to_num(values) != 0):
             lasts = float(record.time[rows[-1]] - record.time[rows[0]])
-            band = (2 * math.pi / lasts, math.pi / record.step)
+            # The message gives no band: from six periods, the fewest of an estimate, upward.
+            band = (12 * math.pi / lasts, math.pi / record.step)
             tests.append(_segment(record, rows, f"{AUTOTUNE}.{name}", axis, "noise", band))
     return tests
 
