@@ -35,6 +35,7 @@ from greybox.estimate.structural_identifiability import (
 )
 from greybox.experiment import Controller as Controller
 from greybox.experiment import margins as margins
+from greybox.experiment import safe_gains as safe_gains
 from greybox.experiment import virtual_flight as virtual_flight
 from greybox.formulation import Criterion as Criterion
 from greybox.formulation import EquationError as EquationError

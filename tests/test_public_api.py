@@ -16,7 +16,7 @@ Bootstrap Collocation Contour Controller Criterion EquationError Fit FrequencyRe
 MaximumLikelihood MultipleShooting OutputError Parameter PredictionError Problem Profiles Record RelativeError
 RelativeLikelihood Rosenbrock RungeKutta SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion
 Transcription TransferFunction batch bootstrap compare contour cost feedback fit frequency_response identify load margins misfit
-plot predict prepare profile read read_response report save several simulate stepwise
+plot predict prepare profile read read_response report safe_gains save several simulate stepwise
 structural_identifiability virtual_flight
 """.split()
 
@@ -27,8 +27,8 @@ arccos arcsin arctan arctan2 cos exp g log maximum minimum sign sin sqrt tan tan
 NAMESPACES = {
     "data": "FrequencyResponse Record Recording Segment Stretch TransientSpectrum read_response read_spectrum "
     "segment_table write_response write_responses write_spectrum",
-    "experiment": "ChosenTests Controller Excitation ExpectedErrors Margins SinePlan ardupilot_script choose_tests "
-    "expected_errors margins multisine plan_sines sine_schedule sweep systemid_parameters virtual_flight write_excitation",
+    "experiment": "ChosenTests Controller Excitation ExpectedErrors Margins SafeGains SinePlan ardupilot_script choose_tests "
+    "expected_errors margins multisine plan_sines safe_gains sine_schedule sweep systemid_parameters virtual_flight write_excitation write_gains",
     "formulation": "Criterion EquationError MagnitudePhase MaximumLikelihood OutputError PredictionError Problem "
     "RelativeError RelativeLikelihood SquaredRelativeError Starts Sum TimeCriterion several",
     "identification": "Identification ManoeuvreMeasurement MatrixMeasurement Measurement Selection Settings "

@@ -10,7 +10,7 @@
 | `fit_command`, `profile_command`, `bootstrap_command` | fits and their errors |
 | `stepwise_command`, `compare_command`, `report_command` | several fits |
 | `predict_command` | a fit on another log |
-| `margins_command` | the loop of a fit and a controller |
+| `margins_command`, `tune_command` | the loop of a fit and a controller, and safe gains |
 | `batch_command` | studies |
 | `options`, `workers` | options that several commands share |
 | `output` | what a command gives: answer, exit status, files, figures |

@@ -28,6 +28,7 @@ COMMANDS = {
     "profile": "compute intervals that need not be symmetric",
     "bootstrap": "compute errors and intervals from resampled data",
     "margins": "compute stability margins of a fit in the loop of a controller",
+    "tune": "compute which gains of a controller are safe, and the best of them",
     "stepwise": "choose terms of a model from a list of candidates, by tests",
     "batch": "fit many problems, and lose nothing when killed",
     "compare": "compare saved fits, or the fits of a study",

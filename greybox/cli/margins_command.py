@@ -28,20 +28,10 @@ EXAMPLES = (
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_fit_argument(parser)
-    parser.add_argument(
-        "--controller",
-        nargs="+",
-        default=(),
-        metavar="CLASS",
-        help="controller:AttitudeController or my.py:Class; several in the order in which they run",
-    )
+    add_controller_options(parser)
     about = "a log, whose controllers are checked; margins are also measured from it"
     parser.add_argument("--log", help=about)
     parser.add_argument("--axis", default="pitch", help="roll, pitch (default) or yaw of the log")
-    add_words(parser, "--set", "NAME=VALUE", "gains in place of the declared ones")
-    parser.add_argument("--rate", type=float, metavar="HZ", help="sampling rate of the controllers")
-    about = "a signal of a controller and its name in the plant, e.g. q=theta_dot"
-    add_words(parser, "--signals", "OWN=PLANT", about)
     parser.add_argument(
         "--broken-at",
         nargs="+",
@@ -61,6 +51,21 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     add_common_options(parser)
 
 
+def add_controller_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options that state the controllers of a loop."""
+    parser.add_argument(
+        "--controller",
+        nargs="+",
+        default=(),
+        metavar="CLASS",
+        help="controller:AttitudeController or my.py:Class; several in the order in which they run",
+    )
+    add_words(parser, "--set", "NAME=VALUE", "gains in place of the declared ones")
+    parser.add_argument("--rate", type=float, metavar="HZ", help="sampling rate of the controllers")
+    about = "a signal of a controller and its name in the plant, e.g. q=theta_dot"
+    add_words(parser, "--signals", "OWN=PLANT", about)
+
+
 def run(options: argparse.Namespace) -> Answer:
     """Read the fit, close the loop, and return the margins wherever it is broken."""
     fit, _ = stated_fit(options)
@@ -72,7 +77,7 @@ def run(options: argparse.Namespace) -> Answer:
             read(options.log), fit, options.axis, signals=signals, level=options.level
         )
         return loop.to_dict(), str(loop), USABLE if loop.is_safe else FAILED
-    controllers = _controllers(options)
+    controllers = stated_controllers(options)
     at = assignments(options.at, "--at") or None
     answers = [
         margins(
@@ -91,7 +96,7 @@ def run(options: argparse.Namespace) -> Answer:
     return summary, "\n\n".join(map(str, answers)), USABLE if usable else FAILED
 
 
-def _controllers(options: argparse.Namespace) -> list[Controller]:
+def stated_controllers(options: argparse.Namespace) -> list[Controller]:
     """Return the controllers with the gains and names of signals that the options state."""
     values = assignments(options.set, "--set")
     signals = texts(options.signals, "--signals", "OWN=PLANT, e.g. q=theta_dot")

@@ -12,6 +12,8 @@ tell).
 | `drawn_loops` | that loop at an estimate and at draws from its distribution |
 | `loop_numbers` | margins and closed-loop numbers of such loops |
 | `margins` | these numbers with their errors |
+| `safe_gains` | gains that meet requirements on them with a stated confidence |
+| `gain_file` | files of gains for ground stations |
 | `virtual_flight` | flights in simulation |
 | `expected_errors` | the standard errors that a planned test would give |
 | `sine_plan` | sines that reach the wanted errors in the shortest flight |
@@ -25,9 +27,12 @@ from greybox.experiment.controller import Controller as Controller
 from greybox.experiment.excitation import Excitation as Excitation
 from greybox.experiment.expected_errors import ExpectedErrors as ExpectedErrors
 from greybox.experiment.expected_errors import expected_errors as expected_errors
+from greybox.experiment.gain_file import write_gains as write_gains
 from greybox.experiment.margins import Margins as Margins
 from greybox.experiment.margins import margins as margins
 from greybox.experiment.multisine import multisine as multisine
+from greybox.experiment.safe_gains import SafeGains as SafeGains
+from greybox.experiment.safe_gains import safe_gains as safe_gains
 from greybox.experiment.scripts import ardupilot_script as ardupilot_script
 from greybox.experiment.scripts import systemid_parameters as systemid_parameters
 from greybox.experiment.scripts import write_excitation as write_excitation

@@ -1,0 +1,308 @@
+"""Gains of a controller that meet requirements on stability with a stated confidence.
+
+Begin with `safe_gains`.
+"""
+
+import copy
+import itertools
+import math
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from greybox.estimate.fitted_part import FittedRecord, FittedResponse
+from greybox.estimate.response_band import require_level
+from greybox.estimate.result import Fit
+from greybox.experiment.controller import Controller
+from greybox.experiment.drawn_loops import drawn_loops
+from greybox.experiment.loop_numbers import margin_numbers
+from greybox.experiment.sampled_loop import SampledLoop, linear_controller, require_signal
+from greybox.files.arrays import Array, BoolArray
+from greybox.files.json_numbers import plain
+from greybox.files.text_table import number, one_line, text_table
+from greybox.modeling.model import Names, require_known
+from greybox.spectral import spectral_response
+
+POINTS = {1: 41, 2: 17, 3: 9}  # values of each gain, by the number of gains
+DRAWS = 256  # of them 5 % are 13
+FREQUENCIES = 260  # over four decades below the Nyquist frequency: margins to 0.1 degrees
+
+# A point is measured well up to these limits of Tischler and Remple (2012), Aircraft and Rotorcraft
+# System Identification, sections 7.5 and 9.7: coherence, relative random error.
+COHERENCE, RANDOM_ERROR = 0.6, 0.2
+MISFIT = 0.3  # of the fitted response: 17 degrees
+SPACING = 2.0  # of the points that surround a crossover
+
+PROMISE = (
+    "Promised: the fitted models with their errors meet the requirements. Not promised: structural "
+    "modes, saturation, and flight conditions other than those of the fitted flights."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class SafeGains:
+    """Sets of gains on a grid, and whether they meet the requirements. It prints its verdict first.
+
+    Attributes
+    ----------
+    values : mapping of gain to (n,) array
+        The values that were tried; every combination is a set.
+    confidence : array (n of the first gain, n of the second ...)
+        Share of the draws that meet all requirements at once, of the flight with the smallest one;
+        NaN where a flight measured the response poorly at the crossover.
+    bandwidth : array, rad/s
+        The lowest disturbance rejection bandwidth of the estimates; NaN where an estimate does not
+        meet the requirements.
+    today : mapping of gain to float
+        The gains of the given controller.
+    today_confidence : float
+    requirements : mapping of name to float
+        ``phase margin`` in degrees, ``gain margin`` in dB, ``delay`` in s, ``level``.
+    cure : str
+        Which flight would measure the response at crossovers where it was measured poorly.
+    notes : tuple of str
+    """
+
+    values: Mapping[str, Array]
+    confidence: Array = field(repr=False)
+    bandwidth: Array = field(repr=False)
+    today: Mapping[str, float]
+    today_confidence: float
+    requirements: Mapping[str, float]
+    cure: str
+    notes: tuple[str, ...]
+
+    @property
+    def allowed(self) -> BoolArray:
+        """Which sets meet the requirements with the stated confidence."""
+        return self.confidence >= self.requirements["level"]
+
+    @property
+    def best(self) -> dict[str, float]:
+        """The allowed gains with the highest disturbance rejection bandwidth; empty if none is."""
+        if not self.allowed.any():
+            return {}
+        place = np.where(self.allowed, self.bandwidth, -math.inf).argmax()
+        index = np.unravel_index(place, self.allowed.shape)
+        return {
+            name: float(row[k]) for (name, row), k in zip(self.values.items(), index, strict=True)
+        }
+
+    @property
+    def verdict(self) -> str:
+        """The answer in one sentence."""
+        if self.cure and not self.best:
+            return f"refused: the response was measured poorly at the crossover. {self.cure}"
+        wanted = self.requirements
+        return (
+            f"{self.allowed.sum()} of {self.allowed.size} sets of gains have a phase margin of "
+            f"{wanted['phase margin']:g} deg and gain margins of {wanted['gain margin']:g} dB with "
+            f"{100 * wanted['level']:g} % confidence."
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the numbers as plain values."""
+        more = {"verdict": self.verdict, "best": self.best, "promise": PROMISE}
+        return plain(self) | more | {"allowed": self.allowed.tolist()}
+
+    def __repr__(self) -> str:
+        return one_line(self, self.verdict)
+
+    def __str__(self) -> str:
+        rows = []
+        for k, (name, row) in enumerate(self.values.items()):
+            used = row[np.moveaxis(self.allowed, k, 0).reshape(len(row), -1).any(axis=1)]
+            ends = (used[0], used[-1]) if used.size else (math.nan, math.nan)
+            chosen = (self.best.get(name, math.nan), self.today[name])
+            rows.append((name, *(number(v, 3) for v in (*ends, *chosen))))
+        header = ("allowed, not in every combination", "from", "to", "best", "today")
+        some = f"Some sets were refused: {self.cure}" if self.cure and self.best else ""
+        today = number(100 * self.today_confidence, 3)
+        lines = [
+            self.verdict[0].upper() + self.verdict[1:],
+            text_table(header, rows),
+            some,
+            f"Today's gains meet the requirements with {today} % confidence.",
+            PROMISE,
+            *self.notes,
+        ]
+        return "\n".join(filter(None, lines))
+
+
+def safe_gains(
+    fits: Fit | Sequence[Fit],
+    controller: Controller | Sequence[Controller],
+    gains: Mapping[str, tuple[float, float]],
+    *,
+    phase_margin: float = 45.0,
+    gain_margin: float = 6.0,
+    delay: float = 0.0,
+    level: float = 0.95,
+    broken_at: str = "",
+) -> SafeGains:
+    """Return which gains meet requirements on the margins with a stated confidence.
+
+    A set of gains is allowed if the loops of at least a share `level` of the draws from the
+    distribution of the estimates are stable and have all the margins at once, in every flight; and
+    if the response was measured well at the crossover: by points within a factor of two of each
+    other, with a coherence of 0.6, a random error of 20 %, and within 30 % of the fitted response.
+    Otherwise the set is refused, and `SafeGains.cure` says which flight would measure it.
+
+    Parameters
+    ----------
+    fits : Fit or several
+        Of the same vehicle: different batteries, payloads, speeds.
+    controller : Controller or several
+        With today's gains.
+    gains : mapping of gain to (low, high)
+        One to three parameters of the controllers, as ``"K_P"`` or, if several have it,
+        ``"RateController.P"``. Positive ranges are divided in equal ratios.
+    phase_margin : float, degrees
+    gain_margin : float, dB
+        For larger and for smaller gains.
+    delay : float, s
+        An additional delay, that of what was not identified, with which the requirements must hold,
+        too.
+    level : float
+    broken_at : str
+        Where the loop is broken, as for `greybox.margins`.
+
+    Raises
+    ------
+    ValueError
+        For gains that no controller has, ranges that are not increasing, or what `greybox.margins`
+        refuses.
+    """
+    require_level(level)
+    if len(gains) not in POINTS:
+        raise ValueError(f"{len(gains)} gains were given: give one, two or three.")
+    flights = [fits] if isinstance(fits, Fit) else fits
+    controllers = [controller] if isinstance(controller, Controller) else controller
+    owners = _owners(controllers)
+    require_known(gains, owners, "gain", "the list of controllers")
+    values = {name: _divided(name, *ends, POINTS[len(gains)]) for name, ends in gains.items()}
+    places = [owners[name] for name in gains]
+    today = {name: controllers[k].values[own] for name, (k, own) in zip(gains, places, strict=True)}
+
+    laws = []
+    for row in (*itertools.product(*values.values()), today.values()):
+        law = [copy.copy(c) for c in controllers]
+        for (k, own), value in zip(places, row, strict=True):
+            law[k].values = Names({**law[k].values, own: float(value)}, type(law[k]).__name__)
+        laws.append(law)
+    wanted = {"phase margin": phase_margin, "gain margin": gain_margin, "delay": delay}
+    answers = [_judged(fit, controllers, laws, wanted, broken_at) for fit in flights]
+    confidences, bandwidths, cures = zip(*answers, strict=True)
+    confidence, bandwidth = np.min(confidences, axis=0), np.min(bandwidths, axis=0)
+    shape = [*map(len, values.values())]
+    return SafeGains(
+        values,
+        confidence[:-1].reshape(shape),
+        bandwidth[:-1].reshape(shape),
+        today,
+        float(confidence[-1]),
+        wanted | {"level": level},
+        " ".join(filter(None, cures)),
+        tuple(f"The fit warns: {text}" for fit in flights for text in fit.warnings),
+    )
+
+
+def _owners(controllers: Sequence[Controller]) -> dict[str, tuple[int, str]]:
+    """Return the controller of each gain, and its own name; gains of one name have a prefix."""
+    counts = Counter(name for c in controllers for name in c.parameters)
+    return {
+        name if counts[name] == 1 else f"{type(c).__name__}.{name}": (k, name)
+        for k, c in enumerate(controllers)
+        for name in c.parameters
+    }
+
+
+def _divided(name: str, low: float, high: float, count: int) -> Array:
+    if not -math.inf < low < high < math.inf:
+        raise ValueError(f"the range of {name} must be increasing: got {low:g} to {high:g}.")
+    return (np.geomspace if low > 0 else np.linspace)(low, high, count)
+
+
+def _judged(
+    fit: Fit,
+    controllers: Sequence[Controller],
+    laws: Sequence[Sequence[Controller]],
+    wanted: Mapping[str, float],
+    broken_at: str,
+) -> tuple[Array, Array, str]:
+    """Return confidence and bandwidth (sets,) of a flight, and what cures poor measurements."""
+    loops = drawn_loops(fit, controllers).of(slice(1 + DRAWS))
+    signal = broken_at or loops.inputs[0]
+    require_signal(signal, loops.signals)
+    omega = np.geomspace(1e-4, 0.999, FREQUENCIES) * math.pi / loops.period
+    late = np.exp(-1j * omega * wanted["delay"])[:, None, None]
+    plants = loops.plant_response(omega)
+    points, is_good = _measured_points(fit, loops)
+
+    def judged(loop: SampledLoop) -> tuple[BoolArray, float, list[float]]:
+        """Return which plants meet the requirements, bandwidth and crossovers of the first."""
+        plant = plants[: len(loop.A)]
+        first, second = (
+            margin_numbers(loop.broken_at(signal, omega, response), omega, loop.is_stable)
+            for response in (plant, plant * late)
+        )
+        # A loop that is stable without the delay is so with less than its delay margin.
+        meets = loop.is_stable & (first["delay margin"].value >= wanted["delay"])
+        for numbers in (first, second):
+            for name, least in (("phase", "phase"), ("gain", "gain"), ("gain reduction", "gain")):
+                meets &= numbers[f"{name} margin"].value >= wanted[f"{least} margin"]
+        places = [first[name].first[1] for name in ("phase margin", "crossover")]
+        return meets, first["disturbance rejection bandwidth"].first[0], places
+
+    confidence, bandwidth = np.zeros(len(laws)), np.full(len(laws), math.nan)
+    poor: list[float] = []
+    for k, law in enumerate(laws):
+        control = linear_controller(law, loops.sensors, loops.inputs)
+        # Where the estimate fails, the draws need not be asked.
+        meets, rejection, places = judged(replace(loops.first, controller=control))
+        if meets[0]:
+            bandwidth[k] = rejection
+            confidence[k] = np.mean(judged(replace(loops, controller=control))[0][1:])
+            # Without a crossover it is below the lowest frequency, if anywhere.
+            bad = [w for w in places if not _is_between(points, is_good, w)]
+            confidence[k] = math.nan if bad else confidence[k]
+            poor += [w for w in bad if w > 0]
+
+    cure = f"{min(poor) / SPACING:.2g} to {max(poor) * SPACING:.2g} rad/s." if poor else ""
+    begin = f"In the conditions of {fit.name!r}, fly a sweep or sines from "
+    return confidence, bandwidth, begin + cure if poor else ""
+
+
+def _measured_points(fit: Fit, loops: SampledLoop) -> tuple[Array, BoolArray]:
+    """Return the frequencies (n,) of a flight's response, and at which it was measured well."""
+    part, nothing = fit.parts[0], (np.zeros(0), np.zeros(0, dtype=bool))
+    if isinstance(part, FittedResponse):
+        data, fitted = part.data, part.response
+    elif isinstance(part, FittedRecord):
+        try:
+            data = spectral_response(part.data, loops.inputs[0], part.outputs[0])
+        except ValueError:  # too short
+            return nothing
+        place = loops.sensors.index(part.outputs[0])
+        fitted = loops.first.plant_response(data.omega)[0, :, place, 0]
+    else:
+        return nothing
+
+    is_good = np.abs(data.response / fitted - 1) <= MISFIT
+    if data.coherence is not None:
+        is_good &= data.coherence >= COHERENCE
+    if data.variance is not None:
+        is_good &= np.sqrt(data.variance / 2) <= RANDOM_ERROR * np.abs(data.response)
+    order = np.argsort(data.omega)
+    return data.omega[order], is_good[order]
+
+
+def _is_between(points: Array, is_good: BoolArray, omega: float) -> bool:
+    """Return whether good points, not far from each other, lie on both sides of a frequency."""
+    k = int(np.searchsorted(points, omega))
+    if not 0 < k < len(points):
+        return False
+    return bool(is_good[k - 1] and is_good[k] and points[k] <= SPACING * points[k - 1])

@@ -1,0 +1,133 @@
+"""Safe gains, held against the true loops of python-control."""
+
+import functools
+
+import control
+import numpy as np
+import pytest
+
+import greybox as gb
+
+RATE = 100.0
+TRUTH = {"K": 40.0, "a": 2.0, "T": 0.05, "tau": 0.03}
+
+
+class RateDynamics(gb.TransferFunction):
+    """Angular rate per control: K e^(-tau s) / ((s + a) (T s + 1))."""
+
+    input, output = "u", "q"
+    K = gb.Parameter(40.0, bounds=(0, 1000))
+    a = gb.Parameter(2.0, bounds=(-20, 50))
+    T = gb.Parameter(0.05, bounds=(0.001, 1))
+    tau = gb.Parameter(0.02, bounds=(0, 0.2))
+
+    def response(self, s, p):
+        return p.K * gb.exp(-p.tau * s) / ((s + p.a) * (p.T * s + 1))
+
+
+class RateLoop(gb.Controller):
+    """Proportional control of the rate."""
+
+    inputs, outputs, rate = ("q",), ("u",), RATE
+    K_P = gb.Parameter(0.15, bounds=(0, 10))
+
+    def update(self, x, u, p):
+        return (), (p.K_P * (u.reference - u.q),)
+
+
+@functools.cache
+def fitted(seed, noise=0.03, lowest=0.5, highest=40.0):
+    """A fit to a measured response, whose delay includes half a sample of the held control."""
+    omega = np.geomspace(lowest, highest, 40)
+    exact = gb.frequency_response(
+        RateDynamics(), {**TRUTH, "tau": TRUTH["tau"] + 0.5 / RATE}, omega
+    )
+    rng = np.random.default_rng(seed)
+    errors = noise * (rng.normal(size=omega.size) + 1j * rng.normal(size=omega.size))
+    variance = 2 * noise**2 * np.abs(exact.response) ** 2
+    data = gb.FrequencyResponse(
+        omega, exact.response * (1 + errors), "u", "q", variance=variance, name=f"flight {seed}"
+    )
+    return gb.fit(
+        gb.Problem(RateDynamics(), data, gb.MaximumLikelihood()), starts=2, progress=False
+    )
+
+
+def truly_safe(gain, phase_margin=45, gain_margin=6, delay=0.0):
+    """Whether the true loop has the margins: plant by zero-order hold and three samples of delay."""
+    denominator = np.polymul([1, TRUTH["a"]], [TRUTH["T"], 1])
+    plant = control.c2d(control.tf([TRUTH["K"]], denominator), 1 / RATE)
+    loop = gain * plant * control.tf([1], [1, 0, 0, 0], 1 / RATE)
+    if np.any(np.abs(control.feedback(loop, 1).poles()) >= 1):
+        return False
+    omega = np.geomspace(0.05, 0.99 * np.pi * RATE, 5000)
+    response = loop(np.exp(1j * omega / RATE)) * np.exp(-1j * omega * delay)
+    crosses = np.flatnonzero(np.diff(np.abs(response) > 1))
+    phase = 180 - np.abs(np.degrees(np.angle(response[crosses])))
+    real = np.flatnonzero(np.diff(response.imag > 0) & (response.real[:-1] < 0))
+    decibels = np.abs(20 * np.log10(np.abs(response[real])))
+    return bool(np.all(phase >= phase_margin) and np.all(decibels >= gain_margin))
+
+
+@pytest.fixture(scope="module")
+def answers():
+    return [gb.safe_gains(fitted(seed), RateLoop(), {"K_P": (0.02, 1.0)}) for seed in range(3)]
+
+
+def test_allowed_gains_meet_the_requirements_in_truth_and_others_are_refused(answers):
+    gains = answers[0].values["K_P"]
+    safe = np.array([truly_safe(gain) for gain in gains])
+    allowed = np.array([answer.allowed for answer in answers])
+    assert np.mean(~safe[np.nonzero(allowed)[1]]) <= 0.05
+    assert np.mean(~allowed[:, ~safe]) >= 0.95
+    # Safe gains that are refused lie beside the limit.
+    inside = safe & (gains < 0.85 * gains[safe].max())
+    assert allowed[:, inside & (gains > 0.1)].all()
+
+
+def test_the_best_gain_rejects_disturbances_best(answers):
+    answer = answers[0]
+    assert answer.best["K_P"] == answer.values["K_P"][answer.allowed][-1]
+    assert answer.today == {"K_P": 0.15}
+    assert answer.today_confidence == 1.0
+    assert "Not promised: structural modes" in str(answer)
+
+
+def test_unmodeled_delay_and_a_second_flight_leave_fewer_gains(answers):
+    late = gb.safe_gains(fitted(0), RateLoop(), {"K_P": (0.02, 1.0)}, delay=0.03)
+    assert late.allowed.sum() < answers[0].allowed.sum()
+    highest = late.best["K_P"]
+    assert truly_safe(0.95 * highest, delay=0.03)
+    assert not truly_safe(1.2 * highest, delay=0.03)
+    both = gb.safe_gains([fitted(0), fitted(1)], RateLoop(), {"K_P": (0.02, 1.0)})
+    assert np.array_equal(both.allowed, answers[0].allowed & answers[1].allowed)
+
+
+@pytest.mark.parametrize("data", [{"noise": 0.4}, {"lowest": 0.2, "highest": 1.5}])
+def test_a_response_that_was_measured_poorly_at_the_crossover_is_refused(data):
+    answer = gb.safe_gains(fitted(0, **data), RateLoop(), {"K_P": (0.1, 0.2)})
+    assert not answer.allowed.any()
+    assert answer.best == {}
+    assert answer.verdict.startswith("refused")
+    assert "In the conditions of 'flight 0', fly a sweep or sines from" in answer.cure
+
+
+@pytest.mark.parametrize(
+    ("gains", "message"),
+    [
+        ({"K_Q": (0, 1)}, "no gain 'K_Q'"),
+        ({"K_P": (1, 0.1)}, "must be increasing: got 1 to 0.1"),
+        ({}, "0 gains were given"),
+    ],
+)
+def test_what_cannot_be_tried_is_refused(gains, message):
+    with pytest.raises(ValueError, match=message):
+        gb.safe_gains(fitted(0), RateLoop(), gains)
+
+
+def test_files_of_gains_are_those_of_the_ground_stations(tmp_path):
+    gb.experiment.write_gains({"ATC_RAT_PIT_P": 0.14}, tmp_path / "pitch.param")
+    assert (tmp_path / "pitch.param").read_text(encoding="utf-8") == "ATC_RAT_PIT_P,0.14\n"
+    gb.experiment.write_gains({"MC_PITCHRATE_P": 0.14}, tmp_path / "pitch.params")
+    lines = (tmp_path / "pitch.params").read_text(encoding="utf-8").splitlines()
+    assert lines[-1].split("\t") == ["1", "1", "MC_PITCHRATE_P", "0.14", "9"]
