@@ -302,9 +302,7 @@ def _plants(
     model: Model, system: Dynamics, sensors: tuple[str, ...], values: Array, at: Mapping[str, float]
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Return A, B, and C, D of the sensors, and the delays (plants, inputs)."""
-    p = ca.SX.sym("p", len(system.parameters))
-    x = ca.SX.sym("x", len(system.states))
-    u = ca.SX.sym("u", len(system.inputs))
+    x, u, p = system.symbols
     f = system.derivative(x, u, p)
     y = ca.vertcat(*[measured_signal(model.label, system, name, x, u, p) for name in sensors])
     blocks = [ca.jacobian(e, v) for e in (f, y) for v in (x, u)]

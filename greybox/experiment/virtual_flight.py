@@ -254,7 +254,7 @@ def _step(loop: _Loop, substeps: int) -> tuple[ca.Function, list[str]]:
     """
     system = loop.system
     delays = loop.delays
-    x = ca.SX.sym("x", len(system.states))
+    x, *_ = system.symbols
     memory = [ca.SX.sym("c", len(c.states)) for c in loop.controllers]
     past = [
         ca.SX.sym(name, periods + 1)

@@ -130,7 +130,7 @@ def write_c(
 def _discretized(system: Dynamics, p: Array, step: float) -> tuple[ca.Function, int]:
     """Return (x, u) -> x one substep later and the number of substeps, 0 where it is exact."""
     n, m = len(system.states), len(system.inputs)
-    x, u = ca.SX.sym("x", n), ca.SX.sym("u", m)
+    x, u, _ = system.symbols
     z = ca.vertcat(x, u)
     f = system.derivative(x, u, p)
     linearized = ca.Function("linearized", [z], [f, ca.jacobian(f, z)])
@@ -198,7 +198,7 @@ def _comment(text: str) -> str:
 def _source(
     system: Dynamics, p: Array, step: ca.Function, substeps: int, file: str, name: str
 ) -> str:
-    x, u = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs))
+    x, u, _ = system.symbols
     formulas = {
         "derivative": ("dx", system.derivative(x, u, p)),
         "output": ("y", system.output(x, u, p)),

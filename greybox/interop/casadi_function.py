@@ -50,9 +50,9 @@ def to_casadi(
     """
     source = given_model(thing, values, None, part)
     system, p = source.ode(pade)
-    x, u = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs))
+    x, u, symbol = system.symbols
     # Estimators of parameters, such as an extended Kalman filter, need them as an argument.
-    q = ca.SX.sym("p", len(p)) if with_parameters else p
+    q = symbol if with_parameters else p
     arguments = {"x": x, "u": u} | ({"p": q} if with_parameters else {})
     outputs = [system.derivative(x, u, q), system.output(x, u, q)]
     # CasADi accepts only names that C accepts.

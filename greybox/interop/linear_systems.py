@@ -79,7 +79,7 @@ class GivenModel:
                 for k, value in enumerate(pade_steady(point[name], pade or 0)):
                     point[f"{name}_delay_{k}"] = value
 
-        x, u = ca.SX.sym("x", len(system.states)), ca.SX.sym("u", len(system.inputs))
+        x, u, _ = system.symbols
         formulas = (system.derivative(x, u, p), system.output(x, u, p))
         jacobians = [ca.jacobian(formula, z) for formula in formulas for z in (x, u)]
         at_point = [[point[name] for name in names] for names in (system.states, system.inputs)]

@@ -50,16 +50,27 @@ class Dynamics:
     delay: ca.Function
 
     @property
+    def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """New symbols of states (n,), inputs (m,) and parameters."""
+        x, u, p = (
+            ca.SX.sym(letter, len(names))
+            for letter, names in zip(
+                "xup", (self.states, self.inputs, self.parameters), strict=True
+            )
+        )
+        return x, u, p
+
+    @property
     def delayed(self) -> bool:
         """True if some input has a delay."""
-        return not self.delay(ca.SX.sym("p", len(self.parameters))).is_zero()
+        return not self.delay(self.symbols[2]).is_zero()
 
     def later(self, seconds: Sequence[float]) -> "Dynamics":
         """Return the same dynamics with inputs that act later by these seconds (m,)."""
         # The same object, so that its functions are compiled once.
         if not any(seconds):
             return self
-        p = ca.SX.sym("p", len(self.parameters))
+        _, _, p = self.symbols
         return replace(
             self, delay=ca.Function("delay", [p], [self.delay(p) + ca.DM(list(seconds))])
         )
@@ -177,9 +188,7 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
     """Replace every delay by the states of its Padé approximation if an order is given."""
     if pade is None or not exact.delayed:
         return exact
-    m = len(exact.inputs)
-    p = ca.SX.sym("p", len(exact.parameters))
-    u = ca.SX.sym("u", m)
+    x, u, p = exact.symbols
     delays: Any = ca.vertsplit(exact.delay(p))
     added: list[tuple[str, ca.SX]] = []
     rows = []
@@ -195,7 +204,6 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
         rows += derivative
         delayed_inputs.append(output)
 
-    x = ca.SX.sym("x", len(exact.states))
     full = ca.vertcat(x, *[symbol for _, symbol in added])
     delayed = ca.vertcat(*delayed_inputs)
     return Dynamics(
@@ -207,5 +215,5 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
             "derivative", [full, u, p], [ca.vertcat(exact.derivative(x, delayed, p), *rows)]
         ),
         output=ca.Function("output", [full, u, p], [exact.output(x, delayed, p)]),
-        delay=ca.Function("delay", [p], [ca.SX.zeros(m)]),
+        delay=ca.Function("delay", [p], [ca.SX.zeros(u.numel())]),
     )
