@@ -441,6 +441,30 @@ def test_runs_on_workers_are_kept_and_the_size_of_tasks_follows_their_speed():
     assert 5 < len(executor.handed[-2]) < 20
 
 
+def test_runs_of_a_later_task_are_stored_while_an_earlier_one_is_waited_for():
+    """The first task ends at the third look."""
+    kept, looks, futures = [], [], []
+    memory = Memory()
+    memory.keep = lambda number, start, outcome: kept.append(number)
+    late = Future()
+
+    class Late(Recorder):
+        def submit(self, *arguments):
+            futures.append(super().submit(*arguments))
+            return futures[-1] if len(futures) > 1 else late
+
+    def look():
+        looks.append(len(kept))
+        if len(looks) == 3:
+            late.set_result(futures[0].result())
+
+    memory.look = look
+    executor = Late()
+    list(run_all(Lasting(TASK_SECONDS / 2.5), enumerate(STARTS), len(STARTS), executor, memory))
+    assert sorted(kept) == [*range(50)]
+    assert kept.index(3) < kept.index(1)
+
+
 def test_tasks_whose_worker_was_lost_are_tried_one_by_one_in_their_order():
     executor = Recorder(lost=2.0)
     runs = list(run_all(Lasting(TASK_SECONDS / 2.5), enumerate(STARTS), len(STARTS), executor))
