@@ -143,6 +143,8 @@ def test_errors_of_constants_from_an_earlier_fit_are_drawn(lag):
     assert "T" not in found.names  # what is fixed has no replicates
     assert_allclose(found.standard_error["K"], fit.standard_error["K"], rtol=0.2)
     assert_allclose(found.standard_error["bandwidth"], lag.standard_error["bandwidth"], rtol=0.2)
+    low, high = found.interval()["bandwidth"]
+    assert high - low == pytest.approx(4 * lag.standard_error["bandwidth"], rel=0.25)
 
 
 def test_errors_that_are_correlated_in_time_are_drawn_so():
