@@ -149,7 +149,8 @@ def data_text(fit: Any) -> str:
 def error_statement(fit: Any) -> str:
     """Say what ± means, and for which errors of the data."""
     conditions = "; ".join(dict.fromkeys(part.condition for part in fit.parts))
-    if fit.independent is not None:
+    # With every parameter at a bound, there is no interval to compare.
+    if fit.independent is not None and np.any(fit.covariance.diagonal() > 0):
         conditions += (
             "; correlated along frequency like the residuals (intervals for independent errors "
             f"would be {_narrower(fit):.2g} times as wide)"
