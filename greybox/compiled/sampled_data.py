@@ -229,6 +229,7 @@ def sampled_data(
     stretches = gapless(
         record, inputs, outputs, lead=lead, complete=complete, shortest=min(shortest, 2)
     )
+    # A system at rest with a constant input shows its noise alone, which any parameters explain.
     constant = bool(inputs) and all(_is_constant(record[name]) for name in inputs)
     if (
         constant
@@ -311,6 +312,7 @@ def gapless(
         y = np.array([piece[name] for name in outputs]).reshape(len(outputs), len(piece))
         y = np.where(np.all(np.isfinite(y), axis=0), y, np.nan) if complete else y
         complete_inputs = np.all(np.isfinite(u), axis=0)
+        # Rows without a time have no neighbors: a row that lacks an input is no gap.
         if not record.has_time:
             rows = np.flatnonzero(complete_inputs)
             return [Stretch(u[:, rows], y[:, rows], rows, record.step)] if rows.size else []

@@ -107,6 +107,7 @@ class SegmentedPart(Part):
         The same array as the last time, as long as no delay has passed a whole sample: simulation
         and linearization recognize it.
         """
+        # The fraction of a delay enters through q; only its whole samples select other data.
         steps = np.array([stretch.step for stretch in self.data.stretches])
         whole = np.floor(self.data.by_stretch(delays) / steps[:, None] + 1e-9)
         if self._placed_data is None or not np.array_equal(self._placed_data[0], whole):

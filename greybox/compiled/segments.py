@@ -129,6 +129,7 @@ class Segments:
     @one_thread_at_a_time
     def _columns(self, name: str, results: Callable[[Any, Any, Any], list[Any]]) -> Columns:
         """Return a function of x, q and d, the same for all segments with this step."""
+        # Excerpts and refits share the step, and so the functions that take longest to build.
         key = (name, tuple(self.active.tolist()), self._own)
         evaluated = self._step.evaluated
         if key not in evaluated:
@@ -248,6 +249,7 @@ class Segments:
             return values.sum(axis=0)[None]
         result = np.zeros((self.number, *values.shape[1:]))
         records = self.records[batch]
+        # A batch may begin or end within a record, or lack some records.
         starts = np.flatnonzero(np.diff(records, prepend=-1))
         if starts.size:
             result[records[starts]] = np.add.reduceat(values, starts, axis=0)
@@ -344,6 +346,7 @@ class Segments:
         Not finite from where the simulation is not.
         """
         A, C = self._evaluate(self._output_derivatives, states, q, data)
+        # The sums are finite if all entries are, which costs less than testing each.
         if not math.isfinite(A.sum() + C.sum()):
             lost = ~(np.isfinite(A).all(axis=0) & np.isfinite(C).all(axis=0)) & np.isfinite(
                 states
@@ -399,6 +402,7 @@ class Segments:
         for i in range(length):
             np.einsum("jac,jvc->avc", rows[:n, :, i], S, out=J[i])
             S = np.einsum("jac,jvc->avc", transitions[:n, :, i], S)
+            # The parameters also act at this very sample, besides through the state.
             J[i, :, n:] += rows[n:, :, i].swapaxes(0, 1)
             S[:, n:] += transitions[n:, :, i].swapaxes(0, 1)
 

@@ -246,6 +246,7 @@ def _are_apart(z: Array, reference: Array) -> NDArray[np.bool_]:
 def count_variants(nlp: CompiledProblem, ends: Array) -> int:
     """Count the clearly different parameter vectors (r, p) of one minimum."""
     z = nlp.scaling.to_solver(ends)
+    # Each pass counts one vector, and leaves those that are clearly different from it.
     distinct = 0
     while len(z):
         z = z[_are_apart(z, z[0])]
