@@ -22,7 +22,7 @@ from greybox.experiment.safe_gains import safe_gains
 EXAMPLES = (
     "pitch.h5 --controller controller:AttitudeController --signals q=theta_dot "
     "--gains K_P=0.02:0.5 K_D=0.001:0.02",
-    "light.h5 heavy.h5 --controller my.py:RateLoop --gains K_P=0.05:0.5 --delay 0.004 "
+    "light.h5 heavy.h5 --controller my.py:Loop --gains K_P=0.05:0.5 "
     "--names K_P=ATC_RAT_PIT_P --parameters pitch.param",
 )
 
