@@ -5,7 +5,7 @@ simulated by a Runge-Kutta loop of their own, with a dozen defects, and fitted b
 them; and three responses with six defects. Counted are the wrong models that are called so, among
 those whose misfit exceeds the noise, how often the right cause is among the first two, the right
 models that are called wrong in white, colored and drifting noise, and the time over that of the fit
-alone. Two draws take three minutes.
+alone. One draw takes three minutes.
 """
 
 # ruff: noqa: D102  (formulas of models)
@@ -293,10 +293,10 @@ def table(name, rows):
     return np.array([len(large), called, named])
 
 
-def main(draws=2):
+def main(draws=1):
     """Print the tables."""
     began, shares = time.perf_counter(), []
-    print(f"greybox {gb.__version__ if hasattr(gb, '__version__') else ''}, {draws} draws")
+    print(f"{draws} draws")
     total = np.zeros(3, dtype=int)
     print("wrong models of records:")
     for defect, words in DEFECTS.items():

@@ -1,5 +1,7 @@
 """A fit says whether its model explains the data, and what it lacks."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -52,6 +54,7 @@ def problem(plant=Spring, color="white", seed=0, k=25.0):
     return gb.Problem(Spring(), flight, name=f"flight {seed}")
 
 
+@cache
 def fitted(*arguments, **options):
     """Fit the spring to a flight."""
     return gb.fit(problem(*arguments, **options), starts=1, progress=False)
