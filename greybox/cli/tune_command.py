@@ -14,7 +14,7 @@ from greybox.cli.options import (
     positive_number,
     texts,
 )
-from greybox.cli.output import FAILED, USABLE, Answer, require_writable
+from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
 from greybox.cli.saved_fits import add_model_option, saved_fit
 from greybox.experiment.gain_file import write_gains
 from greybox.experiment.safe_gains import safe_gains
@@ -62,7 +62,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         help="write the best gains to a file for a ground station: .param for ArduPilot, .params "
         "for PX4",
     )
-    add_common_options(parser, writes=True)
+    add_common_options(parser, "the allowed gains", writes=True)
 
 
 def run(options: argparse.Namespace) -> Answer:
@@ -75,6 +75,7 @@ def run(options: argparse.Namespace) -> Answer:
     require_writable(
         options.parameters, options.force, (".param", ".parm", ".params"), "parameter file"
     )
+    require_figure(options.plot, options.force)
     answer = safe_gains(
         [saved_fit(path, options) for path in options.fits],
         controllers,
@@ -90,4 +91,5 @@ def run(options: argparse.Namespace) -> Answer:
     if options.parameters and answer.best:
         write_gains({names.get(n, n): v for n, v in answer.best.items()}, options.parameters)
         text += f"\nThe best gains are in {options.parameters}."
+    text = "\n".join([text, *save_figure(options.plot, "gains", answer)])
     return summary, text, USABLE if answer.best else FAILED

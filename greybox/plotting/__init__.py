@@ -20,6 +20,7 @@ and returns the Figure.
 | `time_history`, `residuals` | fitted and predicted records |
 | `spectrum` | transforms of manoeuvres |
 | `profile` | profiles of the likelihood |
+| `loops` | the loop of margins, with bands; safe gains |
 | `flight_log` | logs and their tests |
 | `signals` | units, symbols, labels and shaded tests |
 | `long_lines` | draws no more points than can be seen |
@@ -29,6 +30,8 @@ and returns the Figure.
 from greybox.plotting.bode import bode as bode
 from greybox.plotting.flight_log import recording as recording
 from greybox.plotting.flight_log import traces as traces
+from greybox.plotting.loops import gains as gains
+from greybox.plotting.loops import loop as loop
 from greybox.plotting.nyquist import nyquist as nyquist
 from greybox.plotting.overview import plot as plot
 from greybox.plotting.profile import contour as contour

@@ -1,0 +1,144 @@
+"""Loops with confidence bands, as Bode, Nichols, Nyquist diagram and step; and safe gains."""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from greybox.experiment.drawn_loops import DRAWN
+from greybox.experiment.loop_numbers import loop_frequencies, step_responses
+from greybox.experiment.margins import Margins
+from greybox.experiment.safe_gains import SafeGains
+from greybox.files.arrays import Array
+from greybox.plotting.figure import ANGLES, CROSS, GRAY, INK, Figure, Panel, Series, band, rule
+from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw_grid
+
+SHOWN = (1e-2, 1e2)  # gains of the broken loop that are drawn
+CURVES = 60  # draws in the Nichols and Nyquist diagrams, where a band has no direction
+
+
+def loop(margins: Margins, axes: GivenAxes | None = None) -> AxesArray:
+    """Draw the broken loop (magnitude, phase, Nichols, Nyquist) and the step of its setpoint.
+
+    Shaded are bands at the level of the margins; in the Nichols and Nyquist diagrams thin curves
+    are draws from the distribution of the estimates, and the critical point is marked.
+
+    Parameters
+    ----------
+    margins : Margins
+    axes : array-like of Axes, optional
+        Four for the broken loop, and one more for the step. By default a new figure is made.
+
+    Returns
+    -------
+    numpy.ndarray of Axes, shape (n,)
+    """
+    figures = loop_figures(margins)
+    return draw_grid(figures, axes, columns=3, size=(4.2, 3.6), title=margins.plant)
+
+
+def loop_figures(margins: Margins) -> list[Figure]:
+    """Return the Bode, Nichols and Nyquist diagrams, and the step if there is a setpoint."""
+    loops, signal = margins.loop, margins.signal
+    omega = loop_frequencies(loops)
+    size = np.abs(loops.first.broken_at(signal, omega)[0])
+    omega = omega[(size > SHOWN[0]) & (size < SHOWN[1])]
+    gain = loops.broken_at(signal, omega)
+    decibel, phase = 20 * np.log10(np.abs(gain)), np.degrees(np.unwrap(np.angle(gain), axis=1))
+    phase -= 360 * np.round((phase - phase[0]).mean(axis=1, keepdims=True) / 360)
+    curves = [Panel("Gain, dB", [*_banded(margins, omega, decibel), rule()])]
+    curves += [Panel("Phase, °", [*_banded(margins, omega, phase), rule(-180.0)], steps=ANGLES)]
+    label = f"broken at {signal}"
+    figures = [
+        Figure(f"Loop {label}", "ω, rad/s", curves, is_logarithmic=True),
+        _plane("Nichols diagram", ("Phase, °", "Gain, dB"), phase, decibel, (-180.0, 0.0)),
+        _plane(
+            "Nyquist diagram", ("Real part", "Imaginary part"), gain.real, gain.imag, (-1.0, 0.0)
+        ),
+    ]
+    if margins.setpoint:
+        time, steps = step_responses(loops, margins.setpoint, margins.response)
+        series = [*_banded(margins, time, steps), rule(1.0)]
+        label = f"{margins.response} over its final value"
+        figures.append(Figure(f"Step of {margins.setpoint}", "Time, s", [Panel(label, series)]))
+    return figures
+
+
+def _banded(margins: Margins, x: Array, values: Array) -> list[Series]:
+    """Return the curve of the estimate, and the band between quantiles of the draws."""
+    curve = [Series("estimate", "line", x, values[0])]
+    if len(values) == 1:
+        return curve
+    tail = (1 - margins.level) / 2
+    return [band("", x, *np.quantile(values[DRAWN], [tail, 1 - tail], axis=0)), *curve]
+
+
+def _plane(
+    title: str, labels: tuple[str, str], x: Array, y: Array, critical: tuple[float, float]
+) -> Figure:
+    draws = [
+        Series("", "line", a, b, 5, width=0.3)
+        for a, b in zip(x[DRAWN][:CURVES], y[DRAWN][:CURVES], strict=True)
+    ]
+    point = Series("critical point", "points", *np.array(critical)[:, None], color=1)
+    panel = Panel(labels[1], [*draws, Series("estimate", "line", x[0], y[0]), point])
+    if title.startswith("Nichols"):
+        return Figure(title, labels[0], [panel])
+    # Low frequencies are far away; what matters is around the critical point.
+    return Figure(
+        title,
+        labels[0],
+        [Panel(panel.label, panel.series, limits=(-2.0, 2.0))],
+        limits=(-2.5, 1.5),
+        is_plane=True,
+    )
+
+
+def gains(safe: SafeGains, axes: GivenAxes | None = None) -> AxesArray:
+    """Draw which sets of gains are allowed, with today's gains and the best ones.
+
+    A single gain has its confidence above it. Of three gains, the first two are drawn at the best
+    value of the third, or today's if none is allowed.
+
+    Parameters
+    ----------
+    safe : SafeGains
+    axes : Axes, optional
+        By default a new figure is made.
+
+    Returns
+    -------
+    numpy.ndarray of Axes, shape (1,)
+    """
+    return draw_grid([gains_figure(safe)], axes, columns=1, size=(5.0, 4.0), legend=True)
+
+
+def gains_figure(safe: SafeGains) -> Figure:
+    """Return the region of allowed gains."""
+    names, rows = [*safe.values], [*safe.values.values()]
+    chosen = safe.best or safe.today
+    allowed, confidence = safe.allowed, safe.confidence
+    for name, row in zip(names[2:], rows[2:], strict=True):
+        nearest = np.abs(row - chosen[name]).argmin()
+        allowed, confidence = allowed[..., nearest], confidence[..., nearest]
+
+    def place(gains: Mapping[str, float], height: float) -> tuple[Array, Array]:
+        return np.array([gains[names[0]]]), np.array([gains.get([*names, ""][1], height)])
+
+    if len(names) == 1:
+        series = [
+            Series("confidence", "line", rows[0], confidence),
+            rule(safe.requirements["level"]),
+        ]
+        label, is_logarithmic = "Confidence", False
+    else:
+        x, y = np.meshgrid(*rows[:2], indexing="ij")
+        series = [
+            Series("refused", "points", x[~allowed], y[~allowed], GRAY, CROSS),
+            Series("allowed", "points", x[allowed], y[allowed], 2),
+        ]
+        label, is_logarithmic = names[1], bool(rows[1][0] > 0)
+    series.append(Series("today", "points", *place(safe.today, safe.today_confidence), INK, 3))
+    if safe.best:
+        series.append(Series("best", "points", *place(safe.best, 1.0), 1, 1))
+    panel = Panel(label, series, is_logarithmic=is_logarithmic)
+    return Figure("Gains", names[0], [panel], is_logarithmic=bool(rows[0][0] > 0))

@@ -1,0 +1,50 @@
+"""Figures of loops and of safe gains have the numbers of their answers."""
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.models.rate import BasicRate
+from greybox.plotting.loops import gains_figure, loop_figures
+
+
+class RateLoop(gb.Controller):
+    """Proportional control of the rate."""
+
+    inputs, outputs = ("p",), ("u",)
+    K_P = gb.Parameter(0.05, bounds=(0, 10))
+
+    def update(self, x, u, p):
+        return (), (p.K_P * (u.reference - u.p),)
+
+
+@pytest.fixture(scope="module")
+def fit():
+    omega = np.geomspace(2, 60, 30)
+    exact = gb.frequency_response(BasicRate(), {}, omega)
+    errors = 1 + 0.03 * np.random.default_rng(0).normal(size=(2, 30)).T @ [1, 1j]
+    data = gb.FrequencyResponse(omega, exact.response * errors, "u", "p")
+    return gb.fit(gb.Problem(BasicRate(), data), starts=2, progress=False)
+
+
+def test_the_loop_crosses_where_its_margins_say_within_its_band(fit):
+    answer = gb.margins(fit, RateLoop())
+    bode, nichols, nyquist, step = loop_figures(answer)
+    band, curve, _ = bode.panels[0].series
+    assert np.interp(answer["crossover"].omega, curve.x, curve.y) == pytest.approx(0, abs=0.01)
+    assert np.all((band.low <= curve.y) & (curve.y <= band.high))
+    assert np.interp(answer["crossover"].low, band.x, band.low) == pytest.approx(0, abs=0.1)
+    for figure, critical in ((nichols, (-180, 0)), (nyquist, (-1, 0))):
+        point = figure.panels[0].series[-1]
+        assert (point.x[0], point.y[0]) == critical
+    curve = step.panels[0].series[1]
+    assert curve.y.max() == pytest.approx(1 + answer["overshoot"].value / 100)
+    assert gb.plotting.loop(answer).size == 5
+
+
+def test_allowed_gains_todays_and_the_best_are_drawn(fit):
+    safe = gb.safe_gains(fit, RateLoop(), {"K_P": (0.01, 0.5)})
+    confidence, _, today, best = gains_figure(safe).panels[0].series
+    assert np.array_equal(confidence.y, safe.confidence, equal_nan=True)
+    assert (today.x[0], best.x[0]) == (0.05, safe.best["K_P"])
+    assert gb.plotting.gains(safe).size == 1
