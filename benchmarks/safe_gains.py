@@ -61,10 +61,12 @@ def judged(plant, noise, seed):
     """Return the counts (wrong, tried) of sets inside, at the edge, and of unsafe ones allowed."""
     values, gains, rate, band = PLANTS[plant]
     record = flown(values, gains, rate, band, noise, seed)
-    response = gb.spectral.spectral_response(record, "u", "q", instrument="reference", band=band)
-    fit = gb.fit(gb.Problem(Rate(), response, gb.MaximumLikelihood()), starts=3, progress=False)
     ranges = {name: (value / SPREAD, value * SPREAD) for name, value in gains.items()}
     try:
+        response = gb.spectral.spectral_response(
+            record, "u", "q", instrument="reference", band=band
+        )
+        fit = gb.fit(gb.Problem(Rate(), response, gb.MaximumLikelihood()), starts=3, progress=False)
         safe = gb.safe_gains(
             fit,
             RateLoop(gains, rate=rate),
@@ -72,7 +74,7 @@ def judged(plant, noise, seed):
             phase_margin=PHASE_MARGIN,
             gain_margin=GAIN_MARGIN,
         )
-    except ValueError as error:  # no covariance: nothing is allowed
+    except ValueError as error:  # no response or no covariance: nothing is allowed
         return np.zeros((3, 2), dtype=int), str(error)
 
     rng = np.random.default_rng(seed)

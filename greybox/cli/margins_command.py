@@ -12,7 +12,7 @@ from greybox.cli.options import (
     assignments,
     texts,
 )
-from greybox.cli.output import FAILED, USABLE, Answer
+from greybox.cli.output import FAILED, USABLE, Answer, require_figure, save_figure
 from greybox.cli.saved_fits import add_fit_argument, stated_fit
 from greybox.experiment.controller import Controller
 from greybox.experiment.margins import margins
@@ -48,7 +48,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
     add_words(parser, "--at", "NAME=VALUE", "operating point of an ODE")
     add_level_option(parser)
-    add_common_options(parser)
+    add_common_options(parser, "the loop, broken at the first signal,")
 
 
 def add_controller_options(parser: argparse.ArgumentParser) -> None:
@@ -78,6 +78,7 @@ def run(options: argparse.Namespace) -> Answer:
         )
         return loop.to_dict(), str(loop), USABLE if loop.is_safe else FAILED
     controllers = stated_controllers(options)
+    require_figure(options.plot, options.force)
     at = assignments(options.at, "--at") or None
     answers = [
         margins(
@@ -93,7 +94,8 @@ def run(options: argparse.Namespace) -> Answer:
     summary: dict[str, Any] = {"loops": [answer.to_dict() for answer in answers]}
     # A loop may be safe where it is broken at one signal, and not at another.
     usable = all(answer.is_safe for answer in answers)
-    return summary, "\n\n".join(map(str, answers)), USABLE if usable else FAILED
+    lines = save_figure(options.plot, "loop", answers[0])
+    return summary, "\n\n".join([*map(str, answers), *lines]), USABLE if usable else FAILED
 
 
 def stated_controllers(options: argparse.Namespace) -> list[Controller]:

@@ -55,6 +55,13 @@ def test_the_controller_comes_from_a_log(capsys, pitch):
     assert answer["measured"] == []  # the response of the paper has no variance
 
 
+def test_the_loop_is_drawn(capsys, pitch, tmp_path):
+    drawn = tmp_path / "loop.png"
+    _, out, _ = run(capsys, "margins", pitch, *LOOP, "--plot", drawn)
+    assert drawn.stat().st_size > 10_000
+    assert "loop.png" in out
+
+
 def test_a_loop_that_is_not_stable_fails(capsys, pitch):
     status, out, _ = run(capsys, "margins", pitch, *LOOP, "--set", "K_P=5")
     assert status == 1
