@@ -151,6 +151,17 @@ class Margins:
             f"and a gain margin of {_with_interval(gain)} dB{beyond}."
         )
 
+    def uncertainty(self, omega: Array) -> Array:
+        """Return the relative error (n,) of the broken loop at `omega` (n,), rad/s.
+
+        It is the radius of the disk around the estimate that holds the share `level` of the draws:
+        a multiplicative weight for robust design. NaN without errors.
+        """
+        gain = self.loop.broken_at(self.signal, omega)
+        if len(gain) == 1:
+            return np.full(len(omega), math.nan)
+        return np.quantile(np.abs(gain[DRAWN] / gain[0] - 1), self.level, axis=0)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the numbers as plain values; None where unknown or infinite."""
         scalars = ("verdict", "plant", "setpoint", "response", "level", "notes")

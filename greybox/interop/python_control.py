@@ -7,6 +7,8 @@ from typing import Any, Literal
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.experiment.loop_numbers import loop_frequencies
+from greybox.experiment.margins import Margins
 from greybox.files.optional_package import required
 from greybox.interop.linear_systems import given_model
 from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
@@ -28,8 +30,9 @@ def to_control(
 
     Parameters
     ----------
-    thing : FrequencyResponse, Fit or Model
-        A response becomes a `control.FrequencyResponseData`.
+    thing : FrequencyResponse, Fit, Model or Margins
+        A response becomes a `control.FrequencyResponseData`, and so does the broken loop of
+        `greybox.margins` at its estimate, of negative feedback.
     values : mapping of name to float, optional
         Values of a model's parameters, by default the declared starts.
     kind : "transfer-function" or "state-space"
@@ -68,6 +71,12 @@ def to_control(
         return control.FrequencyResponseData(
             response, thing.omega[order], **names, **_named(thing.name)
         )
+
+    if isinstance(thing, Margins):
+        omega = loop_frequencies(thing.loop)
+        response = thing.loop.first.broken_at(thing.signal, omega)[0]
+        loop = FrequencyResponse(omega, response, thing.signal, thing.signal, name=thing.plant)
+        return to_control(loop)
 
     source = given_model(thing, values, at, part)
     linear = source.converted(kind, pade, input, output)

@@ -183,3 +183,10 @@ def test_a_loop_of_little_gain_rejects_no_disturbance():
 
     answer = gb.margins(RateDynamics(), Proportional({"K_P": 0.01}))
     assert answer["disturbance rejection bandwidth"].value == 0
+
+
+def test_python_control_takes_the_broken_loop():
+    answer = gb.margins(RateDynamics(), RateLoop())
+    gain, phase, *_ = control.margin(gb.interop.to_control(answer))
+    assert phase == pytest.approx(answer["phase margin"].value, rel=1e-3)
+    assert 20 * np.log10(gain) == pytest.approx(answer["gain margin"].value, rel=1e-3)

@@ -206,3 +206,14 @@ def test_signals_that_are_not_in_the_loop_are_refused(fit):
         gb.margins(fit, RateLoop(), broken_at="theta")
     with pytest.raises(ValueError, match="level"):
         gb.margins(fit, RateLoop(), level=95)
+
+
+def test_the_uncertainty_holds_the_true_loop_and_grows_outside_the_data(fit):
+    omega = np.geomspace(1, 200, 20)
+    radius = gb.margins(fit, RateLoop()).uncertainty(omega)
+    loop = gb.margins(fit, RateLoop()).loop.first.broken_at("u", omega)[0]
+    values = {**TRUTH, "tau": TRUTH["tau"] - 0.5 / RATE}
+    truth = gb.margins(RateDynamics(), RateLoop(), values).loop.broken_at("u", omega)[0]
+    assert np.mean(np.abs(truth / loop - 1) < 1.5 * radius) > 0.9
+    assert radius[-1] > 2 * radius[np.searchsorted(omega, 10)]
+    assert np.isnan(gb.margins(RateDynamics(), RateLoop()).uncertainty(omega)).all()
