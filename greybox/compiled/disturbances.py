@@ -5,6 +5,7 @@ parameter. No other model is compiled, and models that are unstable without feed
 """
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any
 
 import casadi as ca
@@ -66,14 +67,20 @@ class DisturbedRecord:
 
     def by_input(self, place: int, values: Array) -> Effect:
         """Return the effect of values (samples,) that add to an input."""
+        n = self.part.states
+        changes = self._through_inputs[:, place] * values
+        return self._by_derivatives(changes[:n]), self.part.segments.columns(changes[n:])
+
+    @cached_property
+    def _through_inputs(self) -> Array:
+        """The derivatives of the states' derivatives and the outputs by the inputs."""
         system = self.part.system
         x, u, p = self.symbols()
         rows = [system.outputs.index(name) for name in self.part.outputs]
         through = ca.vertcat(system.derivative(x, u, p), system.output(x, u, p)[rows])
-        slope = ca.Function("slope", [x, u, p], [ca.densify(ca.jacobian(through, u[place]))])
-        changes = slope(self.states, self.inputs, self._placed.q[: p.numel()]).full() * values
-        n = self.part.states
-        return self._by_derivatives(changes[:n]), self.part.segments.columns(changes[n:])
+        slope = ca.Function("slope", [x, u, p], [ca.vec(ca.densify(ca.jacobian(through, u)))])
+        slopes = slope(self.states, self.inputs, self._placed.q[: p.numel()]).full()
+        return slopes.reshape(u.numel(), through.numel(), -1).swapaxes(0, 1)
 
     def _by_derivatives(self, derivatives: Array) -> Array:
         """Return the mean of additional derivatives over a step, carried on for half of it."""

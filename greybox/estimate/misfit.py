@@ -3,6 +3,7 @@
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,9 @@ NAMED = 3  # causes that are printed with a fit
 # Terms that together stand for all of the misfit: more would take up noise.
 TOGETHER = 5
 COLUMNS = 2_000_000  # numbers of all terms at once in memory, 16 MB
+# Samples of all records that are tested, in excerpts: with more, a fit would wait for the test.
+MOST = 3000
+FEWEST = 500  # of each
 
 Key = tuple[tuple[str, str, str], int]  # the family of a term, and its number in it
 
@@ -153,10 +157,15 @@ class _Regression:
     changes: Callable[[Sequence[Term]], Array]
     rows: Callable[[Array, bool], Array]
 
+    @cached_property
+    def size(self) -> int:
+        """The number of rows."""
+        return len(self.rows(self.residuals, False))
+
     def columns(self, keys: Sequence[Key], *, white: bool = True) -> Array:
         """Return the rows (N, c) of terms, zero for those that this part does not have."""
         present = [k for k, key in enumerate(keys) if key in self.terms]
-        result = np.zeros((len(self.rows(self.residuals, white)), len(keys)))
+        result = np.zeros((self.size, len(keys)))
         if present:
             values = self.changes([self.terms[keys[k]] for k in present])
             result[:, present] = self.rows(values, white)
@@ -188,7 +197,10 @@ def assessed_misfit(
         if isinstance(part, ResponsePart):
             responses.append(_of_response(part, nlp.all_values(x), nlp.free))
         elif isinstance(part, RecordPart) and part.model.has_time and not part.model.is_prior:
-            records.append(_of_record(part, trajectory, colored, candidates))
+            records.append((part, trajectory, colored))
+
+    most = max(MOST // max(len(records), 1), FEWEST)
+    records = [_of_record(*record, candidates, most) for record in records]
 
     results = [_of_group(responses, in_time=False), _of_group(records, in_time=True)]
     tried = sum(count for count, _, _ in results)
@@ -276,7 +288,11 @@ def _of_record(
     trajectory: Trajectory,
     colored: ColoredErrors | None,
     candidates: Mapping[str, Formula],
+    most: int,
 ) -> _Regression:
+    residuals = part.residuals(trajectory)
+    if part.samples > most:
+        part, trajectory, residuals = _on_excerpts(part, trajectory, residuals, most)
     record = DisturbedRecord(part, trajectory)
     weight, data = part.residual_weight(trajectory), part.data
     slopes = sensitivity(part, trajectory, weight)
@@ -311,12 +327,28 @@ def _of_record(
     count = np.maximum(record.present.sum(axis=1, keepdims=True), 1)
     return _Regression(
         np.nan_to_num(measured - np.nansum(measured, axis=1, keepdims=True) / count)[:, None],
-        part.residuals(trajectory)[:, None],
+        residuals[:, None],
         np.einsum("ab,bpn->apn", noise, slopes.weighted),
         _numbered(terms_of_record(record, candidates)),
         lambda terms: record.followed_by([term.effect() for term in terms]),
         rows,
     )
+
+
+def _on_excerpts(
+    part: RecordPart, trajectory: Trajectory, residuals: Array, samples: int
+) -> tuple[RecordPart, Trajectory, Array]:
+    """Return the part on excerpts of so many samples, with its trajectory and residuals there."""
+    excerpt = part.excerpt(samples)
+    values = np.vstack([part.segments.in_order(trajectory.states), residuals])
+    whole = np.zeros((len(values), 1 + max(stretch.rows[-1] for stretch in part.data.stretches)))
+    for stretch, row in zip(part.data.stretches, part.data.unpadded(values), strict=True):
+        whole[:, stretch.rows] = row
+
+    pieces = [whole[:, stretch.rows] for stretch in excerpt.data.stretches]
+    states, residuals = np.split(excerpt.data.padded(pieces, None), [part.states])
+    nodes = states[:, :: excerpt.data.segment_length].T
+    return excerpt, excerpt.trajectory(trajectory.z, nodes), residuals
 
 
 def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Regression:
