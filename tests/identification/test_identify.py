@@ -363,7 +363,7 @@ def test_a_structure_that_does_not_explain_the_data_says_so():
     assert not found.selection.explains
     assert "does not explain the data" in found.fit.warnings[0]
     assert "No structure explains the data" in str(found)
-    assert "at its bound" in str(found.selection)  # its gain is bounded to positive values
+    assert "at their bound" in str(found.selection)  # the lag and the delay
 
 
 def test_an_ode_is_a_structure():
