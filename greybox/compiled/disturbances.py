@@ -92,7 +92,7 @@ class DisturbedRecord:
     def followed_by(self, effects: Sequence[Effect]) -> Array:
         """Return how the outputs (k, c, samples) follow effects, the initial states along."""
         part, n = self.part, self.part.states
-        present = part.segments.columns(self.present)
+        present = part.segments.columns(self.present.astype(float))
         A, C = (slope[:n] for slope in self._slopes)
         ends, J = part.segments.disturbed(
             np.concatenate([A, [following for following, _ in effects]]),

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.disturbances import DisturbedRecord
@@ -16,7 +17,7 @@ from greybox.compiled.record_sensitivity import sensitivity
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.diagnostics.outlying_points import SIZE, largest_deviation
 from greybox.estimate.missing_terms import Formula, Term, terms_of_record, terms_of_response
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, BoolArray
 from greybox.files.text_table import number, text_table, with_error
 from greybox.statistics.column_space import column_basis
 from greybox.statistics.score_test import p_value_beside_correlation, score_tests
@@ -32,6 +33,7 @@ COLUMNS = 2_000_000  # numbers of all terms at once in memory, 16 MB
 MOST = 3000
 FEWEST = 500  # of each
 
+Numbers = NDArray[np.inexact]  # real, or complex for a response
 Key = tuple[tuple[str, str, str], int]  # the family of a term, and its number in it
 
 
@@ -150,12 +152,12 @@ class _Regression:
     terms.
     """
 
-    measured: Array
-    residuals: Array
-    fitted: Array
+    measured: Numbers
+    residuals: Numbers
+    fitted: Numbers
     terms: Mapping[Key, Term]
-    changes: Callable[[Sequence[Term]], Array]
-    rows: Callable[[Array, bool], Array]
+    changes: Callable[[Sequence[Term]], Numbers]
+    rows: Callable[[Any, bool], Array]
 
     @cached_property
     def size(self) -> int:
@@ -297,10 +299,10 @@ def _of_record(
     weight, data = part.residual_weight(trajectory), part.data
     slopes = sensitivity(part, trajectory, weight)
     noise = np.linalg.inv(weight.T @ weight)
-    present = data.unpadded(record.present)
+    present = [row > 0 for row in data.unpadded(record.present.astype(float))]
     spectrum = None if colored is None else colored.spectrum
 
-    def rows_of_stretch(values: Array, measured: Array, white: bool) -> Array:
+    def rows_of_stretch(values: Array, measured: BoolArray, white: bool) -> Array:
         values = values.swapaxes(0, 1)
         if white and spectrum is not None:
             result = np.nan_to_num(spectrum.whitened(np.where(measured, values, np.nan)))

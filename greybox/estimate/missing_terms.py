@@ -171,8 +171,8 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
     change = float(np.std(u) / max(np.std(rate), 1e-300))
     about = u - np.median(u)
 
-    def term(kind: str, row: Array, **sizes: float) -> Term:
-        return Term(kind, lambda: record.by_input(j, row), a, **sizes)
+    def term(kind: str, row: Array, level: float = 0.0, scale: float = 1.0) -> Term:
+        return Term(kind, lambda: record.by_input(j, row), a, level=level, scale=scale)
 
     yield term("timing", -rate)
     for T in change * np.array(TIMES):

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -113,7 +113,7 @@ def regressions(
     return _Analysis(model, set(signals), fixed, start).result()
 
 
-def _column(entries: Sequence[ca.SX]) -> ca.SX:
+def _column(entries: Sequence[Any]) -> ca.SX:
     # Without the last one, no entries would make a DM instead of an SX.
     return ca.vertcat(*entries, ca.SX(0, 1))
 

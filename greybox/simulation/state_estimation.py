@@ -219,7 +219,7 @@ def information_of(e: Array, S: Array, R: Array) -> tuple[Array, Array]:
 
 def whitening(covariance: Array) -> Array:
     """Return W (k, k) such that the elements of W e are independent and of variance one."""
-    return np.linalg.inv(np.linalg.cholesky(covariance))
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64)
 
 
 def _inverse(H: Array, precision: Array) -> Array:
