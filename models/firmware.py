@@ -16,7 +16,7 @@ from greybox.logs.flight_controllers import AXES, named_filters
 from greybox.logs.named_columns import in_si
 from greybox.logs.px4 import AXES as PX4_AXES
 from greybox.models import ardupilot, betaflight, px4
-from greybox.models.control_check import check_controller
+from greybox.models.control_check import ControlCheck, check_controller
 from greybox.models.digital_filters import SampledLag, SampledLowPass, SampledNotch
 from greybox.models.measured_loop import broken_loop, measured_margins
 
@@ -263,8 +263,8 @@ class LoopOfLog:
     """
 
     flown: FlownController
-    check: object
-    model: object
+    check: ControlCheck
+    model: gb.experiment.Margins
     measured: tuple
     notes: tuple
 
@@ -425,10 +425,10 @@ def _gyro_filters(recording, parameters):
     """Return the filters between the gyro and the rate controller: (class, values)."""
     known = named_filters(recording)
     filters = [
-        (SampledNotch, {"center": f.center, "quality": f.quality, "attenuation": f.attenuation})
+        (SampledNotch, dict(zip(("center", "quality", "attenuation"), f.values, strict=True)))
         for f in known.get("gyro-notch", ())
     ]
-    filters += [(SampledLowPass, {"cutoff": f.cutoff}) for f in known.get("gyro-filter", ())]
+    filters += [(SampledLowPass, {"cutoff": f.values[0]}) for f in known.get("gyro-filter", ())]
     for n in (1, 2):  # Betaflight's
         cutoff = parameters.get(f"gyro_lpf{n}_static_hz", 0)
         kind = int(parameters.get(f"gyro_lpf{n}_type", betaflight.PT1))

@@ -116,7 +116,7 @@ class Margins:
     is_stable: bool
     instability: float
     level: float
-    loop: SampledLoop = field(repr=False)
+    loop: SampledLoop | None = field(repr=False)
     notes: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> Margin:
@@ -151,13 +151,22 @@ class Margins:
             f"and a gain margin of {_with_interval(gain)} dB{beyond}."
         )
 
+    def require_loop(self) -> SampledLoop:
+        """Return the loop; ValueError for margins of a measured response."""
+        if self.loop is None:
+            raise ValueError(
+                f"the margins of {self.plant} are measured, and cannot be evaluated elsewhere: "
+                "use those of a model."
+            )
+        return self.loop
+
     def uncertainty(self, omega: Array) -> Array:
         """Return the relative error (n,) of the broken loop at `omega` (n,), rad/s.
 
         It is the radius of the disk around the estimate that holds the share `level` of the draws:
         a multiplicative weight for robust design. NaN without errors.
         """
-        gain = self.loop.broken_at(self.signal, omega)
+        gain = self.require_loop().broken_at(self.signal, omega)
         if len(gain) == 1:
             return np.full(len(omega), math.nan)
         return np.quantile(np.abs(gain[DRAWN] / gain[0] - 1), self.level, axis=0)
@@ -325,10 +334,11 @@ def margins(
 def _with_rows(answer: Margins, groups: Mapping[str, LoopNumbers], band: Array | None) -> Margins:
     """Return an answer with its rows, whose intervals are quantiles over the draws."""
     tail = (1 - answer.level) / 2
+    loop = answer.require_loop()
     rows, undetermined, missing = [], [], {}
     for group, numbers in groups.items():
-        exact = refined(answer.loop, numbers)
-        for name, (value, _) in numbers(answer.loop, loop_frequencies(answer.loop)).items():
+        exact = refined(loop, numbers)
+        for name, (value, _) in numbers(loop, loop_frequencies(loop)).items():
             first, omega = exact[name].first
             if math.isnan(first):
                 continue

@@ -73,8 +73,9 @@ def to_control(
         )
 
     if isinstance(thing, Margins):
-        omega = loop_frequencies(thing.loop)
-        response = thing.loop.first.broken_at(thing.signal, omega)[0]
+        loop = thing.require_loop()
+        omega = loop_frequencies(loop)
+        response = loop.first.broken_at(thing.signal, omega)[0]
         loop = FrequencyResponse(omega, response, thing.signal, thing.signal, name=thing.plant)
         return to_control(loop)
 

@@ -38,7 +38,7 @@ def loop(margins: Margins, axes: GivenAxes | None = None) -> AxesArray:
 
 def loop_figures(margins: Margins) -> list[Figure]:
     """Return the Bode, Nichols and Nyquist diagrams, and the step if there is a setpoint."""
-    loops, signal = margins.loop, margins.signal
+    loops, signal = margins.require_loop(), margins.signal
     omega = loop_frequencies(loops)
     size = np.abs(loops.first.broken_at(signal, omega)[0])
     omega = omega[(size > SHOWN[0]) & (size < SHOWN[1])]
