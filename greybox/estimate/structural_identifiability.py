@@ -347,7 +347,7 @@ def _of_trajectory(
     whole = np.vstack(rows)
     by_states, jacobian = whole[:, :-p], whole[:, -p:]
     by_states = by_states / np.maximum(np.linalg.norm(by_states, axis=0), 1e-300)
-    initial = np.linalg.lstsq(by_states, jacobian)[0].reshape(-1, n, p)
+    initial = np.linalg.lstsq(by_states, jacobian, rcond=None)[0].reshape(-1, n, p)
     basis = np.linalg.qr(by_states)[0]
     reach = np.linalg.norm(jacobian, axis=0)
     # The second time takes out what rounding left the first time.

@@ -306,7 +306,8 @@ def step_responses(loop: SampledLoop, setpoint: str, response: str) -> tuple[Arr
         for _ in range(length - 1):
             rows.append(rows[-1] @ between)
             columns.append(across @ columns[-1])
-        steps = np.concatenate(columns, axis=2).mT @ np.concatenate(rows, axis=1).mT
+        steps = np.concatenate(rows, axis=1) @ np.concatenate(columns, axis=2)
+        steps = steps.swapaxes(1, 2)
     rest = loop.gains(setpoint, [response], REST / loop.period)[:, 0, 0].real
     time = loop.period * stride * np.arange(length**2, dtype=float)
     # Both begin at zero, before the step.
