@@ -3,42 +3,16 @@
 import control
 import numpy as np
 import pytest
+from rate_control import RATE, RateDynamics, RateLoop
 from scipy.optimize import brentq
 
 import greybox as gb
 
-RATE = 100.0
 
+class Measured(RateDynamics):
+    """The same with a unit of the rate."""
 
-class RateDynamics(gb.TransferFunction):
-    """Angular rate per control: K e^(-tau s) / ((s + a) (T s + 1))."""
-
-    input, output, units = "u", "q", {"q": "rad/s"}
-    K = gb.Parameter(40.0, bounds=(0, 1000))
-    a = gb.Parameter(2.0, bounds=(-20, 50))
-    T = gb.Parameter(0.05, bounds=(0.001, 1))
-    tau = gb.Parameter(0.02, bounds=(0, 0.2))
-
-    def response(self, s, p):
-        return p.K * gb.exp(-p.tau * s) / ((s + p.a) * (p.T * s + 1))
-
-
-class RateLoop(gb.Controller):
-    """A proportional-integral controller of the rate, whose integral is one sample late."""
-
-    states, inputs, outputs, rate = ("integral",), ("q",), ("u",), RATE
-    K_P = gb.Parameter(0.15, bounds=(0, 10))
-    K_I = gb.Parameter(0.3, bounds=(0, 10))
-
-    def update(self, x, u, p):
-        error = u.reference - u.q
-        return (x.integral + error / self.rate,), (p.K_P * error + p.K_I * x.integral,)
-
-
-class Quiet(RateDynamics):
-    """The same without a unit of the rate."""
-
-    units = {}
+    units = {"q": "rad/s"}
 
 
 def random_loops(number):
@@ -51,7 +25,7 @@ def random_loops(number):
             "tau": rng.integers(0, 5) / RATE,
         }
         gains = {"K_P": rng.uniform(0.05, 0.4), "K_I": rng.uniform(0.2, 1)}
-        answer = gb.margins(RateDynamics(), RateLoop(gains), values)
+        answer = gb.margins(Measured(), RateLoop(gains), values)
         if answer.is_stable:
             yield answer, in_python_control(values, gains)
 
@@ -127,16 +101,16 @@ def test_numbers_of_the_closed_loop_are_those_of_python_control():
 
 
 def test_the_criteria_of_ads_33_need_an_attitude():
-    names = [margin.name for margin in gb.margins(Quiet(), RateLoop()).margins]
+    names = [margin.name for margin in gb.margins(RateDynamics(), RateLoop()).margins]
     assert "bandwidth" in names
     assert not any("ADS" in name for name in names)
 
 
 def test_steps_are_those_of_a_flight_with_a_fraction_of_a_sample_of_delay():
     values = {"K": 40.0, "a": 2.0, "T": 0.05, "tau": 0.023}
-    answer = gb.margins(RateDynamics(), RateLoop(), values)
+    answer = gb.margins(Measured(), RateLoop(), values)
     flight = gb.virtual_flight(
-        RateDynamics(), values, {"reference": np.ones(600)}, controller=RateLoop()
+        Measured(), values, {"reference": np.ones(600)}, controller=RateLoop()
     )
     assert answer["overshoot"].value == pytest.approx(100 * (flight["q"].max() - 1), rel=1e-6)
 
@@ -168,10 +142,10 @@ def test_every_crossing_is_listed_and_the_smallest_decides():
 
 
 def test_what_tracks_what_can_be_chosen():
-    answer = gb.margins(RateDynamics(), RateLoop(), tracking=("reference", "u"))
+    answer = gb.margins(Measured(), RateLoop(), tracking=("reference", "u"))
     assert answer.response == "u"
     with pytest.raises(ValueError, match="no 'theta' in the loop"):
-        gb.margins(RateDynamics(), RateLoop(), tracking=("reference", "theta"))
+        gb.margins(Measured(), RateLoop(), tracking=("reference", "theta"))
 
 
 def test_a_loop_of_little_gain_rejects_no_disturbance():
@@ -181,12 +155,12 @@ def test_a_loop_of_little_gain_rejects_no_disturbance():
         def update(self, x, u, p):
             return (), (p.K_P * (u.reference - u.q),)
 
-    answer = gb.margins(RateDynamics(), Proportional({"K_P": 0.01}))
+    answer = gb.margins(Measured(), Proportional({"K_P": 0.01}))
     assert answer["disturbance rejection bandwidth"].value == 0
 
 
 def test_python_control_takes_the_broken_loop():
-    answer = gb.margins(RateDynamics(), RateLoop())
+    answer = gb.margins(Measured(), RateLoop())
     gain, phase, *_ = control.margin(gb.interop.to_control(answer))
     assert phase == pytest.approx(answer["phase margin"].value, rel=1e-3)
     assert 20 * np.log10(gain) == pytest.approx(answer["gain margin"].value, rel=1e-3)

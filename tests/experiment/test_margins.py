@@ -3,37 +3,10 @@
 import control
 import numpy as np
 import pytest
+from rate_control import RATE, RateDynamics, RateLoop
 
 import greybox as gb
 from greybox.experiment.sampled_loop import sampled_loop
-
-RATE = 100.0
-
-
-class RateDynamics(gb.TransferFunction):
-    """Angular rate per control: K e^(-tau s) / ((s + a) (T s + 1))."""
-
-    input, output = "u", "q"
-    K = gb.Parameter(40.0, bounds=(0, 1000))
-    a = gb.Parameter(2.0, bounds=(-20, 50))
-    T = gb.Parameter(0.05, bounds=(0.001, 1))
-    tau = gb.Parameter(0.02, bounds=(0, 0.2))
-
-    def response(self, s, p):
-        return p.K * gb.exp(-p.tau * s) / ((s + p.a) * (p.T * s + 1))
-
-
-class RateLoop(gb.Controller):
-    """A proportional-integral controller of the rate, whose integral is one sample late."""
-
-    states, inputs, outputs, rate = ("integral",), ("q",), ("u",), RATE
-    K_P = gb.Parameter(0.15, bounds=(0, 10))
-    K_I = gb.Parameter(0.3, bounds=(0, 10))
-
-    def update(self, x, u, p):
-        error = u.reference - u.q
-        return (x.integral + error / self.rate,), (p.K_P * error + p.K_I * x.integral,)
-
 
 TRUTH = {"K": 40.0, "a": 2.0, "T": 0.05, "tau": 0.023}
 OMEGA = np.geomspace(1, 40, 30)

@@ -5,24 +5,11 @@ import functools
 import control
 import numpy as np
 import pytest
+from rate_control import RATE, RateDynamics
 
 import greybox as gb
 
-RATE = 100.0
 TRUTH = {"K": 40.0, "a": 2.0, "T": 0.05, "tau": 0.03}
-
-
-class RateDynamics(gb.TransferFunction):
-    """Angular rate per control: K e^(-tau s) / ((s + a) (T s + 1))."""
-
-    input, output = "u", "q"
-    K = gb.Parameter(40.0, bounds=(0, 1000))
-    a = gb.Parameter(2.0, bounds=(-20, 50))
-    T = gb.Parameter(0.05, bounds=(0.001, 1))
-    tau = gb.Parameter(0.02, bounds=(0, 0.2))
-
-    def response(self, s, p):
-        return p.K * gb.exp(-p.tau * s) / ((s + p.a) * (p.T * s + 1))
 
 
 class RateLoop(gb.Controller):
