@@ -1,8 +1,10 @@
 """The frequency responses of a problem as programs: cost and constraints for a solver.
 
-Responses exist in one of three forms. Most are one SX expression. Large ones are a formula of one
-frequency, mapped over all (`response_map`); the operating point of some is found by Newton's method
-(`explicit_program`). The last two are MX functions, and bring derivatives of their own.
+Most responses are one SX expression. Large ones are a formula of one frequency, mapped over all
+(`response_map`). The operating point of some is found by Newton's method: a root finder is not an
+SX function, and CasADi's derivatives through one take several times as long as those of the cost.
+With the roots as inputs the program is an SX function whose derivatives hold them (see
+`modeling.trim.Trimmed`), so that it can be evaluated for many points at once.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -12,7 +14,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.explicit_program import derivatives_at, explicit_program, roots_of
 from greybox.compiled.limits import Limit, limits_of, stacked
 from greybox.compiled.response_map import LARGE, Mapped, lagrangian_hessian
 from greybox.compiled.response_part import ResponsePart
@@ -39,7 +40,7 @@ class CostProgram:
     function : casadi.Function
         (z, smoothing) -> the cost with `solver_weights`, and what must be >= 0.
     derivatives : dict of casadi.Function
-        Options of `casadi.nlpsol`, where CasADi's own derivatives take longer.
+        Options of `casadi.nlpsol` for large responses: CasADi's own derivatives take longer.
     explicit : casadi.Function or None
         The same as an SX function (z, smoothing), or (z, smoothing, w) with the `roots` given; None
         where responses exist as MX functions only.
@@ -87,30 +88,22 @@ def compile_responses(
     z, smoothing = kind.sym("z", point.numel()), kind.sym("smoothing")
     scaled = responses_at(values_at(z))
     scaled_limits = stacked(limits, values_at(z), kind)
-    roots = None
-    trimmed = [formula for formula in formulas or () if isinstance(formula, Trimmed)]
-    if kind is ca.MX and trimmed and len(trimmed) == len(formulas):
-        roots = ca.Function("roots", [z], [roots_of(parts, trimmed, values_at(z))])
+    trimmed = [formula for formula in formulas if isinstance(formula, Trimmed)]
+    has_roots = kind is ca.MX and len(trimmed) == len(parts)
 
     def program(choose: ChooseCriterion) -> CostProgram:
-        total = _weighted(parts, _costs(parts, scaled, smoothing, choose))
-        function = ca.Function("program", [z, smoothing], [kind(total), scaled_limits])
+        def cost(responses: Sequence[Complex], smoothing: Any) -> Any:
+            return _weighted(parts, _costs(parts, responses, smoothing, choose))
+
+        if has_roots:
+            return _program_at_roots(parts, trimmed, values_at, point, cost, limits)
+
+        total = kind(cost(scaled, smoothing))
+        function = ca.Function("program", [z, smoothing], [total, scaled_limits])
         if mapped:
             hessian = _mapped_hessian(parts, mapped, values_at(point), point, limits, choose)
             return CostProgram(function, {"hess_lag": hessian})
-
-        if roots is None:
-            return CostProgram(function, explicit=function if kind is ca.SX else None)
-        explicit = explicit_program(
-            parts,
-            trimmed,
-            values_at(point),
-            point,
-            lambda found, smoothing: _weighted(parts, _costs(parts, found, smoothing, choose)),
-            stacked(limits, values_at(point), ca.SX),
-        )
-
-        return CostProgram(function, derivatives_at(roots, explicit), explicit, roots)
+        return CostProgram(function, explicit=function if kind is ca.SX else None)
 
     is_located = any(_own_criterion(part).locator is not None for part in parts)
     criteria = (_locator, _own_criterion) if is_located else (_own_criterion,)
@@ -213,6 +206,44 @@ def _mapped_hessian(
     ]
 
     return lagrangian_hessian(terms, z, stacked(limits, named, ca.SX))
+
+
+def _program_at_roots(
+    parts: Sequence[Problem],
+    formulas: Sequence[Trimmed],
+    values_at: Callable[[Any], Named],
+    point: ca.SX,
+    cost: Callable[[Sequence[Complex], Any], Any],
+    limits: Sequence[Limit],
+) -> CostProgram:
+    """Return the program of responses at operating points that Newton's method finds."""
+    z, smoothing = ca.MX.sym("z", point.numel()), ca.MX.sym("smoothing")
+    sizes = [formula.function.numel_in(1) for formula in formulas]
+    roots = [
+        ca.MX(0, 1) if formula.root is None else formula.root(_values(part, values_at(z)))
+        for part, formula in zip(parts, formulas, strict=True)
+    ]
+
+    # As an SX function of the point and the roots.
+    named, s, w = values_at(point), ca.SX.sym("smoothing"), ca.SX.sym("w", sum(sizes))
+    pieces = ca.vertsplit(w, np.cumsum([0, *sizes]).tolist())
+    responses = [
+        Complex(*formula.function(ca.SX(_values(part, named)), piece))
+        for part, formula, piece in zip(parts, formulas, pieces, strict=True)
+    ]
+    explicit = ca.Function(
+        "explicit",
+        [point, s, w],
+        [ca.SX(cost(responses, s)), stacked(limits, named, ca.SX)],
+        {"cse": True},
+    )
+
+    # The derivatives of `explicit` hold the roots: CasADi must not differentiate them too.
+    at_roots = ca.Function("roots", [z], [ca.vertcat(*roots)])
+    function = ca.Function(
+        "program", [z, smoothing], explicit(z, smoothing, ca.stop_diff(at_roots(z), 1))
+    )
+    return CostProgram(function, explicit=explicit, roots=at_roots)
 
 
 # --- the costs
