@@ -187,7 +187,7 @@ def equation_error(
     if memory(equations, slower) > 1.1 * memory(equations, start):
         cutoffs = data.cutoffs
         shorter = regressors(equations, record, slower, longest_delays, between, cutoffs=cutoffs)
-        if shorter.blocks(slower):  # else the record is too short for that
+        if shorter.rows(slower).target.size:  # else the record is too short for that
             data = shorter
             start = slower
             projection = project(data, unknown, start)

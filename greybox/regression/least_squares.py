@@ -1,11 +1,10 @@
 """Linear least squares over several equations, with bounds."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, IntArray
 
 # Singular value of the matrix with unit columns, below which a combination is undetermined: about
 # the root of the rounding error, where normal equations would lose it.
@@ -17,19 +16,48 @@ ROUNDING = 1e-24  # of the power of a target: smaller squares of residuals are r
 
 
 @dataclass(frozen=True, eq=False)
-class Block:
-    """One equation over one stretch: ``target = base + slopes @ unknowns``, (n,), (n,), (n, k)."""
+class Rows:
+    """Rows of regressions, ``target = base + slopes @ unknowns``.
 
-    equation: int
+    Attributes
+    ----------
+    equation : (n,) array of int
+        The number of the equation of every row.
+    target, base : (n,) arrays
+    slopes : (n, k) array
+    """
+
+    equation: IntArray
     target: Array
     base: Array
     slopes: Array
 
+    def errors(self, unknowns: Array) -> Array:
+        """Return the residuals (n,) at the unknowns (k,)."""
+        return self.target - self.base - self.slopes @ unknowns
 
-def undetermined(blocks: Sequence[Block]) -> list[tuple[int, ...]]:
+    def solution(self, weights: Array, low: Array, high: Array) -> Array:
+        """Return the unknowns of least squares within bounds, with a weight for each equation."""
+        of_rows = weights[self.equation]
+        return solve(of_rows[:, None] * self.slopes, of_rows * (self.target - self.base), low, high)
+
+    def spread(self, errors: Array, count: int) -> Array:
+        """Return the rms error of `count` equations, at least the rounding error of their targets.
+
+        It is one for an equation whose target and errors are zero: any other number would do.
+        """
+        size, squares, power = (
+            np.bincount(self.equation, values, minlength=count)
+            for values in (None, errors**2, self.target**2)
+        )
+        total = squares + ROUNDING * power
+        return np.sqrt(np.where(total > 0, total / np.maximum(size, 1), 1.0))
+
+
+def undetermined(slopes: Array) -> list[tuple[int, ...]]:
     """Return the columns without effect, and sets of columns with a combination without effect."""
     # The triangular factor has the singular values of all rows, which may be many thousands.
-    triangle = _triangle(blocks, np.ones(1 + max(b.equation for b in blocks)))[:, 1:]
+    triangle = np.linalg.qr(slopes, mode="r")
     sizes = np.linalg.norm(triangle, axis=0)
     zero = [(int(k),) for k in np.flatnonzero(sizes == 0)]
     nonzero = np.flatnonzero(sizes)
@@ -43,15 +71,14 @@ def undetermined(blocks: Sequence[Block]) -> list[tuple[int, ...]]:
     return [*zero, combined] if combined else zero
 
 
-def solve(blocks: Sequence[Block], weights: Array, low: Array, high: Array) -> Array:
-    """Return the unknowns (k,) of least weighted squares within the bounds."""
+def solve(slopes: Array, right: Array, low: Array, high: Array) -> Array:
+    """Return the unknowns (k,) of least squares within the bounds."""
     from scipy.optimize import lsq_linear  # noqa: PLC0415  (imports slowly)
 
-    triangle = _triangle(blocks, weights)
-    right = triangle[:, 0]
-    matrix = triangle[:, 1:]
-    if not matrix.shape[1]:
+    if not slopes.shape[1]:
         return np.zeros(0)
+    triangle = np.linalg.qr(np.column_stack([right, slopes]), mode="r")
+    right, matrix = triangle[:, 0], triangle[:, 1:]
     sizes = np.linalg.norm(matrix, axis=0)
     # The least-norm solution of columns of length one does not depend on units.
     sizes[sizes == 0] = 1.0
@@ -64,35 +91,3 @@ def solve(blocks: Sequence[Block], weights: Array, low: Array, high: Array) -> A
     )
     at_low, at_high = bounded.active_mask < 0, bounded.active_mask > 0
     return np.where(at_low, low, np.where(at_high, high, np.clip(bounded.x / sizes, low, high)))
-
-
-def residuals(blocks: Sequence[Block], unknowns: Array) -> list[Array]:
-    """Return target minus model of every block."""
-    return [block.target - block.base - block.slopes @ unknowns for block in blocks]
-
-
-def spread(blocks: Sequence[Block], errors: Sequence[Array]) -> Array:
-    """Return the rms error of every equation, at least the rounding error of its target.
-
-    It is one for an equation whose target and errors are zero: any other number would do.
-    """
-    count = 1 + max(block.equation for block in blocks)
-    squares = np.zeros(count)
-    power = np.zeros(count)
-    size = np.zeros(count)
-    for block, error in zip(blocks, errors, strict=True):
-        squares[block.equation] += error @ error
-        power[block.equation] += block.target @ block.target
-        size[block.equation] += error.size
-    total = squares + ROUNDING * power
-    return np.sqrt(np.where(total > 0, total / np.maximum(size, 1), 1.0))
-
-
-def _triangle(blocks: Sequence[Block], weights: Array) -> Array:
-    """Return the triangular factor of the weighted [right side, slopes] of all blocks."""
-    result = np.zeros((0, 1 + blocks[0].slopes.shape[1]))
-    # Block by block, so that no matrix of all rows is formed.
-    for block in blocks:
-        rows = np.column_stack([block.target - block.base, block.slopes]) * weights[block.equation]
-        result = np.asarray(np.linalg.qr(np.vstack([result, rows]), mode="r"))
-    return result

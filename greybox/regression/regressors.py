@@ -10,7 +10,7 @@ from greybox.data.intersample import Intersample
 from greybox.data.record import Record
 from greybox.files.arrays import Array
 from greybox.modeling.held_inputs import held_response
-from greybox.regression.least_squares import Block
+from greybox.regression.least_squares import Rows
 from greybox.regression.linear_in_parameters import Equations
 from greybox.regression.smoothing import (
     differentiate,
@@ -33,7 +33,7 @@ FEWEST = 4  # remaining rows of a stretch: fewer add nothing to the thousands of
 
 @dataclass(frozen=True, eq=False)
 class Regressors:
-    """The signals of a record as the equations need them; `blocks` makes the regressions.
+    """The signals of a record as the equations need them; `rows` makes the regressions.
 
     Attributes
     ----------
@@ -41,8 +41,6 @@ class Regressors:
         Uniform but for gaps.
     states, derivatives : mapping of name to (n,) array
         States that are known without simulation, and their derivatives; NaN where unknown.
-    inputs : mapping of name to (n,) array
-        As they act without their delay: a held input acts half a sample late, see `acting`.
     between : mapping of name to Intersample
     outputs : mapping of name to (n,) array
         Left sides of output equations.
@@ -53,13 +51,15 @@ class Regressors:
         smoothed.
     lateness : float, s
         Time at the beginning of a stretch for which delayed inputs or simulated states are unknown.
+    splines : mapping of name to list of (slice, function)
+        The inputs as they act without their delay, for every stretch: a held input acts half a
+        sample late, see `acting`.
     """
 
     equations: Equations
     time: Array
     states: Mapping[str, Array]
     derivatives: Mapping[str, Array]
-    inputs: Mapping[str, Array]
     between: Mapping[str, Intersample]
     outputs: Mapping[str, Array]
     cutoffs: Mapping[str, float]
@@ -73,24 +73,27 @@ class Regressors:
         """Sampling interval, s."""
         return float(np.median(np.diff(self.time)))
 
-    def blocks(self, p: Array) -> list[Block]:
+    def rows(self, p: Array) -> Rows:
         """Return every equation over every stretch, at the values `p` of the free parameters.
 
-        Empty where a simulated state grows without bound.
+        There are no rows where a simulated state grows without bound.
         """
         u = self.delayed_inputs(np.asarray(self.equations.delay(p)).ravel())
         x = np.full((len(self.equations.state_names), self.time.size), np.nan)
         for name, values in self.states.items():
             x[self.equations.state_names.index(name)] = values
-        # An unstable state would grow beyond all numbers within a record.
-        if not self.simulate(x, u, p):
-            return []
+        # An unstable state would grow beyond all numbers within a record: it stays unknown.
+        self.simulate(x, u, p)
         parameters = np.tile(np.reshape(p, (-1, 1)), (1, self.time.size))
         base, slopes = (np.asarray(value) for value in self.equations.rows(x, u, parameters))
         slopes = slopes.reshape(len(base), self.time.size, -1)
-        return [block for k in range(len(base)) for block in self._blocks(k, base[k], slopes[k])]
+        filtered = [self._filtered(k, base[k], slopes[k]) for k in range(len(base))]
+        equation = np.repeat(np.arange(len(base)), [len(columns) for columns in filtered])
+        columns = np.vstack(filtered)
+        return Rows(equation, columns[:, 0], columns[:, 1], columns[:, 2:])
 
-    def _blocks(self, k: int, base: Array, slopes: Array) -> list[Block]:
+    def _filtered(self, k: int, base: Array, slopes: Array) -> Array:
+        """Return target, base and slopes of an equation (rows, 2 + parameters), filtered."""
         equation = self.equations.equations[k]
         band = self.bands[k]
         target = (self.derivatives if equation.kind == "derivative" else self.outputs)[
@@ -102,46 +105,40 @@ class Regressors:
         # settled at its beginning.
         edge = math.ceil(reach(band) / self.step)
         late = math.ceil(self.lateness / self.step)
-        result = []
+        result = [columns[:0]]
         for rows in stretches(self.time, columns.sum(axis=1)):
             if rows.stop - rows.start < 2 * edge + late + FEWEST:
                 continue
             part = columns[rows]
             if math.isfinite(band):
                 part = low_pass(part, self.step, band)
-            part = part[edge + late : len(part) - edge]
-            result.append(Block(k, part[:, 0], part[:, 1], part[:, 2:]))
-        return result
+            result.append(part[edge + late : len(part) - edge])
+        return np.vstack(result)
 
     def delayed_inputs(self, delays: Array) -> Array:
         """Return the inputs (m, n) after their delays."""
-        rows = []
-        for name, longer in zip(self.equations.input_names, delays, strict=True):
-            late = self.inputs[name]
-            delay = longer + self.between[name].late
-            if delay != 0:
-                late = np.full(self.time.size, np.nan)
-                for part, spline in self.splines[name]:
-                    time = self.time[part]
-                    late[part] = spline(np.clip(time - delay, time[0], time[-1]))
-            rows.append(late)
-        return np.array(rows).reshape(len(rows), self.time.size)
+        rows = np.full((len(delays), self.time.size), np.nan)
+        for row, name, delay in zip(rows, self.equations.input_names, delays, strict=True):
+            late = delay + self.between[name].late
+            for part, spline in self.splines[name]:
+                time = self.time[part]
+                row[part] = spline(np.clip(time - late, time[0], time[-1]))
+        return rows
 
-    def simulate(self, x: Array, u: Array, p: Array) -> bool:
-        """Fill in the simulated states; False where they are not stable."""
+    def simulate(self, x: Array, u: Array, p: Array) -> None:
+        """Fill in the simulated states if they are stable."""
         names = self.equations.simulated_names
         if not names:
-            return True
+            return
         parameters = np.tile(np.reshape(p, (-1, 1)), (1, self.time.size))
         drive, matrix = (np.asarray(value) for value in self.equations.simulated(x, u, parameters))
         matrix = matrix[:, : len(names)]
         if not np.all(np.isfinite(matrix)) or np.max(np.linalg.eigvals(matrix).real) >= 0:
-            return False
+            return
         places = [self.equations.state_names.index(name) for name in names]
         for rows in stretches(self.time, *drive):
             if rows.stop - rows.start > 1:
                 x[places, rows] = _linear_response(matrix, drive[:, rows], self.step)
-        return True
 
 
 def regressors(
@@ -188,12 +185,8 @@ def regressors(
             x = np.array([states.get(name, nothing) for name in equations.state_names])
             signal = np.asarray(state.value(x, signal[None, :])).ravel()
         states[state.name] = signal
-        derivatives[state.name] = _derivative(time, states[state.name])
+        derivatives[state.name] = differentiate(time, states[state.name])
 
-    inputs = {
-        name: acting(time, without_holes(time, record[name]), between[name].held)
-        for name in equations.input_names
-    }
     longest = [
         delay + (record.step if between[n].held else between[n].late)
         for n, delay in zip(equations.input_names, latest, strict=True)
@@ -211,14 +204,16 @@ def regressors(
         time=time,
         states=states,
         derivatives=derivatives,
-        inputs=inputs,
         between=between,
         outputs=outputs,
         cutoffs=used,
         noise=noise,
         bands=tuple(bands),
         lateness=max(longest, default=0.0) + memory(equations, p),
-        splines=_splines(time, inputs, between),
+        splines={
+            name: _splines(time, without_holes(time, record[name]), between[name].held)
+            for name in equations.input_names
+        },
     )
 
 
@@ -246,30 +241,19 @@ def acting(time: Array, values: Array, held: bool) -> Array:
 
 
 def _splines(
-    time: Array, inputs: Mapping[str, Array], between: Mapping[str, Intersample]
-) -> dict[str, list[tuple[slice, Callable[[Array], Array]]]]:
-    """Return interpolating splines for every stretch of the inputs.
+    time: Array, values: Array, held: bool
+) -> list[tuple[slice, Callable[[Array], Array]]]:
+    """Return an interpolating spline for every stretch of an input.
 
-    They are cubic, but linear for held inputs: if the delay is a fraction of a step, the driven
-    state sees two neighboring values, each for its share of the step.
+    It is cubic, but linear for a held input: if the delay is a fraction of a step, the driven state
+    sees two neighboring values, each for its share of the step.
     """
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415  (takes a quarter of a second)
 
-    splines = {}
-    for name, values in inputs.items():
-        rows = [s for s in stretches(time, values) if s.stop > s.start + 3]
-        order = 1 if between[name].held else 3
-        splines[name] = [(s, make_interp_spline(time[s], values[s], k=order)) for s in rows]
-    return splines
-
-
-def _derivative(time: Array, values: Array) -> Array:
-    step = float(np.median(np.diff(time)))
-    result = np.full(values.size, np.nan)
-    for rows in stretches(time, values):
-        if rows.stop - rows.start > 3:
-            result[rows] = differentiate(values[rows], step)
-    return result
+    values = acting(time, values, held)
+    order = 1 if held else 3
+    rows = [s for s in stretches(time, values) if s.stop > s.start + 3]
+    return [(s, make_interp_spline(time[s], values[s], k=order)) for s in rows]
 
 
 def memory(equations: Equations, p: Array) -> float:

@@ -108,11 +108,15 @@ def low_pass(values: Array, step: float, cutoff: float) -> Array:
     return line
 
 
-def differentiate(values: Array, step: float) -> Array:
-    """Differentiate one smooth stretch (n,) by the cubic spline through it, of order step⁴."""
+def differentiate(time: Array, values: Array) -> Array:
+    """Differentiate a smooth signal (n,), stretch by stretch, by cubic splines of order step⁴."""
     from scipy.interpolate import CubicSpline  # noqa: PLC0415  (imports slowly)
 
-    return CubicSpline(step * np.arange(len(values)), values)(step * np.arange(len(values)), 1)
+    result = np.full(values.size, np.nan)
+    for rows in stretches(time, values):
+        if rows.stop - rows.start > 3:
+            result[rows] = CubicSpline(time[rows], values[rows])(time[rows], 1)
+    return result
 
 
 def reach(cutoff: float) -> float:

@@ -2,20 +2,14 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from greybox.files.arrays import Array
 from greybox.formulation.starts import Sobol
 from greybox.modeling.parameter import Parameter
-from greybox.regression.least_squares import (
-    Block,
-    residuals,
-    solve,
-    spread,
-    undetermined,
-)
+from greybox.regression.least_squares import Rows, solve, undetermined
 from greybox.regression.regressors import Regressors
 from greybox.regression.smoothing import reach, stretches
 
@@ -57,28 +51,18 @@ class Projection:
 
     def step(self, data: Regressors) -> Array:
         """Return the Gauss-Newton step (k,) from here for other data of the same equations."""
-        search = self.search.on(data)
-        blocks = search.full(self.point, self.unknowns)
-        free = [
-            k for k, n in enumerate(search.columns) if n in self.names and n not in self.at_bound
-        ]
-        linear = slice(len(self.unknowns))
-        remaining = [
-            Block(
-                b.equation,
-                b.target - b.base - b.slopes[:, linear] @ self.unknowns,
-                0 * b.base,
-                b.slopes[:, free],
-            )
-            for b in blocks
-        ]
+        search = replace(self.search, data=data, last={})
+        rows = search.rows(self.point)
+        weights = self.weights[rows.equation]
+        columns = search.columns
         # Values at their bounds are held; a bound would cut the small steps of the others.
+        free = [k for k, n in enumerate(columns) if n in self.names and n not in self.at_bound]
         unbounded = np.full(len(free), np.inf)
-        step = np.zeros(len(search.columns))
-        step[free] = (
-            solve(remaining, self.weights, -unbounded, unbounded) if remaining else math.nan
-        )
-        return step[[search.columns.index(n) for n in self.names]]
+        slopes = search.slopes(self.point, self.unknowns)[:, free]
+        errors = rows.errors(self.unknowns)
+        step = np.zeros(len(columns))
+        step[free] = solve(weights[:, None] * slopes, weights * errors, -unbounded, unbounded)
+        return step[[columns.index(n) for n in self.names]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +72,8 @@ class _Search:
     data: Regressors
     parameters: Mapping[str, Parameter]
     start: Array
-    last: dict[bytes, list[Block]] = field(default_factory=dict)  # the regressions asked for last
+    size: int = 0  # number of rows, the same wherever simulated states are stable
+    last: dict[bytes, Rows] = field(default_factory=dict)  # the rows that were needed last
 
     @property
     def linear(self) -> tuple[str, ...]:
@@ -102,51 +87,50 @@ class _Search:
     def columns(self) -> tuple[str, ...]:
         return (*self.linear, *self.nonlinear)
 
-    def on(self, data: Regressors) -> "_Search":
-        return _Search(data, self.parameters, self.start)
-
     def bounds(self, names: tuple[str, ...]) -> tuple[Array, Array]:
         low, high = np.reshape([self.parameters[n].bounds for n in names], (-1, 2)).T
         return low, high
 
-    def blocks(self, point: Array) -> list[Block]:
+    def rows(self, point: Array) -> Rows:
         """Return the regressions at the nonlinear values `point`, in their own units."""
         if point.tobytes() not in self.last:
             self.last.clear()
-            self.last[point.tobytes()] = self.data.blocks(self.vector(point))
+            self.last[point.tobytes()] = self.data.rows(self.vector(point))
         return self.last[point.tobytes()]
 
     def vector(self, point: Array) -> Array:
         """Return all free parameters, the linear ones at their start."""
         p = self.start.copy()
-        for name, value in zip(self.nonlinear, point, strict=True):
-            p[self.data.equations.free.index(name)] = value
+        p[[self.data.equations.free.index(name) for name in self.nonlinear]] = point
         return p
 
-    def full(self, point: Array, unknowns: Array) -> list[Block]:
-        """Return the regressions with slopes to the nonlinear unknowns appended."""
-        blocks = self.blocks(point)
-        slopes: list[list[Array]] = []
+    def linear_unknowns(self, point: Array, weights: Array) -> Array:
+        return self.rows(point).solution(weights, *self.bounds(self.linear))
+
+    def weights(self, point: Array, unknowns: Array | None = None) -> Array:
+        """Return one over the rms error of every equation, without unknowns of its target."""
+        rows = self.rows(point)
+        errors = rows.target if unknowns is None else rows.errors(unknowns)
+        return 1 / rows.spread(errors, len(self.data.equations.equations))
+
+    def slopes(self, point: Array, unknowns: Array) -> Array:
+        """Return the slopes of the rows to the linear and the nonlinear unknowns."""
+        rows = self.rows(point)
+        columns = [rows.slopes]
         widths = _widths(*self.bounds(self.nonlinear), point)
         for k, width in enumerate(widths):
             # Central differences err by the square of 1e-4, and rounding by 1e-12.
             size = 1e-4 * min(width, max(abs(point[k]), 1e-3 * width))
-            ends = [
-                self.blocks(point + sign * size * (np.arange(len(point)) == k)) for sign in (1, -1)
-            ]
-            if any([len(b.base) for b in end] != [len(b.base) for b in blocks] for end in ends):
+            moves = [sign * size * (np.arange(len(point)) == k) for sign in (1, -1)]
+            ends = [self.rows(point + move) for move in moves]
+            if any(end.target.size != rows.target.size for end in ends):
                 # A simulated state becomes unstable there, or rows are lost: a difference of these
                 # residuals does not exist.
-                slopes.append([0 * b.base for b in blocks])
+                columns.append(np.zeros((rows.target.size, 1)))
                 continue
-            above, below = ([b.base + b.slopes @ unknowns for b in end] for end in ends)
-            slopes.append([(a - b) / (2 * size) for a, b in zip(above, below, strict=True)])
-        return [
-            Block(
-                b.equation, b.target, b.base, np.column_stack([b.slopes, *(s[k] for s in slopes)])
-            )
-            for k, b in enumerate(blocks)
-        ]
+            above, below = (end.base + end.slopes @ unknowns for end in ends)
+            columns.append((above - below)[:, None] / (2 * size))
+        return np.hstack(columns)
 
 
 def project(data: Regressors, parameters: Mapping[str, Parameter], start: Array) -> Projection:
@@ -158,23 +142,20 @@ def project(data: Regressors, parameters: Mapping[str, Parameter], start: Array)
         If no stretch is long enough, a simulated state is not stable, or nothing is determined.
     """
     search = _Search(data, parameters, start)
-    first = search.blocks(np.array([parameters[n].start for n in search.nonlinear]))
-    if not first:
+    first = np.array([parameters[n].start for n in search.nonlinear])
+    search = replace(search, size=search.rows(first).target.size)
+    if not search.size:
         raise ValueError(_too_short(data))
-    point = _located(search)
+    point = _located(search, first)
 
     # The equations are weighted by the sizes of their residuals, known only after a first solution.
-    blocks = search.blocks(point)
-    weights = _weights(blocks, [b.target for b in blocks])
-    weights = _weights(blocks, residuals(blocks, _inner(search, blocks, weights)))
+    weights = search.weights(point)
+    weights = search.weights(point, search.linear_unknowns(point, weights))
     # Weights and estimate determine one another; each pass changes the weights less.
     for _ in range(3 if len(weights) > 1 else 1):
         point = _refine(search, point, weights)
-        blocks = search.blocks(point)
-        unknowns = _inner(search, blocks, weights)
-        weights = _weights(blocks, residuals(blocks, unknowns))
-    unknowns = _inner(search, blocks, weights)
-    return _judged(search, point, unknowns, weights)
+        weights = search.weights(point, search.linear_unknowns(point, weights))
+    return _judged(search, point, search.linear_unknowns(point, weights), weights)
 
 
 def _widths(low: Array, high: Array, point: Array) -> Array:
@@ -192,44 +173,29 @@ def _too_short(data: Regressors) -> str:
     )
 
 
-def _inner(search: _Search, blocks: list[Block], weights: Array) -> Array:
-    return solve(blocks, weights, *search.bounds(search.linear))
+def _errors(search: _Search, point: Array, weights: Array) -> Array:
+    """Return the weighted residuals at `point`."""
+    rows = search.rows(point)
+    # Rows are lost where a simulated state is unstable.
+    if rows.target.size != search.size:
+        return np.full(search.size, 1e3)  # worse than any that exist
+    return weights[rows.equation] * rows.errors(search.linear_unknowns(point, weights))
 
 
-def _weights(blocks: list[Block], errors: list[Array]) -> Array:
-    return 1 / spread(blocks, errors)
-
-
-def _errors(search: _Search, point: Array, weights: Array) -> Array | None:
-    """Return the weighted residuals at `point`; None where the model has none."""
-    blocks = search.blocks(point)
-    if not blocks:
-        return None
-    errors = residuals(blocks, _inner(search, blocks, weights))
-    return np.concatenate([weights[b.equation] * e for b, e in zip(blocks, errors, strict=True)])
-
-
-def _located(search: _Search) -> Array:
+def _located(search: _Search, start: Array) -> Array:
     """Return the best result of searches from the start and from a good point."""
-    start = np.array([search.parameters[n].start for n in search.nonlinear])
     if not start.size:
         return start
-    blocks = search.blocks(start)
-    weights = _weights(blocks, [b.target for b in blocks])
-    size = sum(b.target.size for b in blocks)
+    weights = search.weights(start)
 
     def cost(point: Array) -> float:
-        errors = _errors(search, point, weights)
-        # Rows are lost where a simulated state is unstable.
-        return math.inf if errors is None or errors.size != size else float(np.mean(errors**2))
+        return float(np.mean(_errors(search, point, weights) ** 2))
 
     # There are one to three nonlinear unknowns, delays and lags: eight points are enough.
     boxes = {n: search.parameters[n] for n in search.nonlinear}
     is_bounded = all(np.all(np.isfinite(p.box)) for p in boxes.values())
-    points = sorted(Sobol(8).draw(boxes), key=cost)[:1] if is_bounded else []
-    ends = [
-        _refine(search, point, weights) for point in [start, *points] if math.isfinite(cost(point))
-    ]
+    points = [min(Sobol(8).draw(boxes), key=cost)] if is_bounded else []
+    ends = [_refine(search, point, weights) for point in [start, *points]]
     return min(ends, key=cost)
 
 
@@ -242,17 +208,17 @@ def _refine(search: _Search, point: Array, weights: Array) -> Array:
     low, high = search.bounds(search.nonlinear)
     width = _widths(low, high, point)
     begin = _errors(search, point, weights)
-    assert begin is not None
-
-    def errors(values: Array) -> Array:
-        residual = _errors(search, values, weights)
-        if residual is None or residual.size != begin.size:
-            return np.full(begin.size, 1e3)  # worse than any that exist
-        return residual
 
     # `least_squares` begins strictly within the bounds.
     inside = np.clip(point, low + TOUCHING * width, high - TOUCHING * width)
-    end = least_squares(errors, inside, bounds=(low, high), x_scale=width, xtol=1e-8, ftol=1e-10)
+    end = least_squares(
+        lambda values: _errors(search, values, weights),
+        inside,
+        bounds=(low, high),
+        x_scale=width,
+        xtol=1e-8,
+        ftol=1e-10,
+    )
     values = np.where(end.x - low < 2 * TOUCHING * width, low, end.x)
     values = np.where(high - values < 2 * TOUCHING * width, high, values)
     return values if 2 * end.cost <= begin @ begin else point
@@ -261,7 +227,7 @@ def _refine(search: _Search, point: Array, weights: Array) -> Array:
 def _judged(search: _Search, point: Array, unknowns: Array, weights: Array) -> Projection:
     values = np.concatenate([unknowns, point])
     low, high = search.bounds(search.columns)
-    groups = undetermined(search.full(point, unknowns))
+    groups = undetermined(search.slopes(point, unknowns))
     in_groups = {k for group in groups for k in group}
     determined = [k for k in range(len(values)) if k not in in_groups]
     if not determined:
@@ -270,16 +236,16 @@ def _judged(search: _Search, point: Array, unknowns: Array, weights: Array) -> P
             "multiply are constant, or only a combination of them is determined; fix some."
         )
 
-    blocks = search.blocks(point)
-    errors = residuals(blocks, unknowns)
-    rows, r_squared = _explained(blocks, errors, len(search.data.equations.equations))
+    rows = search.rows(point)
+    errors = rows.errors(unknowns)
+    of_equations = [rows.equation == k for k in range(len(weights))]
     return Projection(
         names=tuple(search.columns[k] for k in determined),
         values=values[determined],
         at_bound=tuple(search.columns[k] for k in determined if not low[k] < values[k] < high[k]),
-        r_squared=r_squared,
-        rows=rows,
-        spread=tuple(spread(blocks, errors)),
+        r_squared=tuple(explained(rows.target[of], errors[of]) for of in of_equations),
+        rows=tuple(int(of.sum()) for of in of_equations),
+        spread=tuple(1 / search.weights(point, unknowns)),
         undetermined=tuple(tuple(search.columns[k] for k in group) for group in groups),
         search=search,
         point=point,
@@ -288,18 +254,7 @@ def _judged(search: _Search, point: Array, unknowns: Array, weights: Array) -> P
     )
 
 
-def _explained(
-    blocks: list[Block], errors: list[Array], count: int
-) -> tuple[tuple[int, ...], tuple[float, ...]]:
-    """Return the number of rows and the explained share of variance of every equation."""
-    rows = []
-    shares = []
-    for k in range(count):
-        target = np.concatenate([np.zeros(0), *(b.target for b in blocks if b.equation == k)])
-        error = np.concatenate(
-            [np.zeros(0), *(e for b, e in zip(blocks, errors, strict=True) if b.equation == k)]
-        )
-        rows.append(target.size)
-        variance = float(np.sum((target - np.mean(target)) ** 2)) if target.size else 0.0
-        shares.append(1 - float(error @ error) / variance if variance > 0 else math.nan)
-    return tuple(rows), tuple(shares)
+def explained(target: Array, errors: Array) -> float:
+    """Return the explained share of the variance of an equation; NaN if it is constant."""
+    variance = float(np.sum((target - np.mean(target)) ** 2)) if target.size else 0.0
+    return 1 - float(errors @ errors) / variance if variance > 0 else math.nan

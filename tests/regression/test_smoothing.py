@@ -34,7 +34,7 @@ def noisy(size, seed=0):
 
 
 def slope(values, time=TIME, **options):
-    return differentiate(smooth(time, values, **options).values, STEP)
+    return differentiate(time, smooth(time, values, **options).values)
 
 
 def derivative_error(derivative):
@@ -85,7 +85,7 @@ def test_a_straight_line_has_no_noise_and_its_own_slope(unit):
     known = smooth(TIME, unit * (3 - 0.5 * TIME))
     assert known.cutoff == pytest.approx(np.pi * 1498 / TIME[-1])  # all passes
     assert known.noise < 1e-12 * unit
-    assert_allclose(differentiate(known.values, STEP), -0.5 * unit, rtol=1e-9)
+    assert_allclose(differentiate(TIME, known.values), -0.5 * unit, rtol=1e-9)
     assert smooth(TIME, unit * noisy(0.01)).cutoff == pytest.approx(
         smooth(TIME, noisy(0.01)).cutoff
     )
@@ -98,7 +98,7 @@ def test_all_that_passes_leaves_no_noise():
 def test_a_lower_cutoff_passes_less():
     known = smooth(TIME, noisy(0.01), cutoff=3.0)
     assert known.cutoff == 3.0
-    assert np.std(differentiate(known.values, STEP)) < 0.8 * np.std(truth(1))
+    assert np.std(differentiate(TIME, known.values)) < 0.8 * np.std(truth(1))
 
 
 def test_the_filter_halves_its_cutoff_and_passes_a_line():
@@ -275,7 +275,7 @@ def test_a_derivative_has_the_order_of_a_cubic_spline():
     errors = []
     for count in (81, 161):
         time = np.linspace(0, 4, count)
-        found = differentiate(np.sin(3 * time), time[1])
+        found = differentiate(time, np.sin(3 * time))
         errors.append(np.abs(found - 3 * np.cos(3 * time))[count // 4 : -(count // 4)].max())
     assert errors[0] / errors[1] == pytest.approx(16, rel=0.1)
 

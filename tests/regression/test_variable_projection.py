@@ -12,10 +12,10 @@ from scipy.optimize import minimize
 import greybox as gb
 from greybox.data.intersample import Intersample
 from greybox.modeling.realization import dynamics
-from greybox.regression.least_squares import Block, residuals, solve
+from greybox.regression.least_squares import Rows
 from greybox.regression.linear_in_parameters import regressions
 from greybox.regression.regressors import regressors
-from greybox.regression.variable_projection import _explained, project
+from greybox.regression.variable_projection import explained, project
 
 START = np.array([-2.0, 1.0, 0.12, 0.01])  # a, b, tau, T
 
@@ -49,16 +49,17 @@ def noisy():
 
 def scatter(found):
     """Standard errors of all unknowns for white residuals."""
-    blocks = found.search.full(found.point, found.unknowns)
-    rows = np.vstack([found.weights[b.equation] * b.slopes for b in blocks])
-    return np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)))
+    equation = found.search.rows(found.point).equation
+    slopes = found.search.slopes(found.point, found.unknowns)
+    weighted = found.weights[equation][:, None] * slopes
+    return np.sqrt(np.diag(np.linalg.inv(weighted.T @ weighted)))
 
 
 def cost(data, tau, delay):
     """The sum of squares with the best linear parameters."""
-    blocks = data.blocks(np.array([0.0, 0.0, tau, delay]))
-    unknowns = solve(blocks, np.ones(1), np.full(2, -np.inf), np.full(2, np.inf))
-    return sum(float(e @ e) for e in residuals(blocks, unknowns))
+    rows = data.rows(np.array([0.0, 0.0, tau, delay]))
+    errors = rows.errors(rows.solution(np.ones(1), np.full(2, -np.inf), np.full(2, np.inf)))
+    return float(errors @ errors)
 
 
 def test_noise_free_data_give_the_truth():
@@ -86,9 +87,8 @@ def test_no_point_of_a_grid_is_better(noisy):
 
 def test_linear_parameters_are_those_of_least_squares(noisy):
     data, _, found = noisy
-    blocks = data.blocks(found.vector)
-    X = np.vstack([b.slopes for b in blocks])
-    y = np.concatenate([b.target - b.base for b in blocks])
+    rows = data.rows(found.vector)
+    X, y = rows.slopes, rows.target - rows.base
     assert_allclose(found.values[:2], np.linalg.lstsq(X, y, rcond=None)[0], rtol=1e-8)
     error = y - X @ found.values[:2]
     assert found.spread[0] == pytest.approx(np.sqrt(np.mean(error**2)))
@@ -167,13 +167,13 @@ class Decay:
         equations=(SimpleNamespace(left="p"), SimpleNamespace(left="q")),
     )
 
-    def blocks(self, p):
+    def rows(self, p):
         _, tau, _, w = p
-        made = []
-        for equation, t, target in zip(EQUATIONS, TIMES, self.targets, strict=True):
-            base, slopes = MODELS[equation](t, tau, w)
-            made.append(Block(equation, target, base, slopes))
-        return made if tau < 30 else []
+        made = [MODELS[k](t, tau, w) for k, t in zip(EQUATIONS, TIMES, strict=True)]
+        base, slopes = (np.concatenate(part) for part in zip(*made, strict=True))
+        numbers = np.repeat(EQUATIONS, [t.size for t in TIMES])
+        columns = numbers, np.concatenate(self.targets), base, slopes
+        return Rows(*(column if tau < 30 else column[:0] for column in columns))
 
 
 EQUATIONS = (0, 1, 0)
@@ -230,9 +230,9 @@ def test_the_projection_is_the_likeliest_of_all_unknowns_at_once(options):
 
     def errors(values):
         a, b, tau, w = values
-        blocks = data.blocks((b, tau, a, w))
-        each = residuals(blocks, np.array([a, b]))
-        return np.concatenate([each[0], each[2]]), each[1]
+        rows = data.rows((b, tau, a, w))
+        each = rows.errors(np.array([a, b]))
+        return each[rows.equation == 0], each[rows.equation == 1]
 
     def likelihood(values):
         return sum(e.size * np.log(e @ e) for e in errors(values))
@@ -251,13 +251,8 @@ def test_the_projection_is_the_likeliest_of_all_unknowns_at_once(options):
     ]
     assert_allclose(found.r_squared, wanted)
 
-    by_hand = [
-        Block(k, y, 0 * y, J)
-        for k, y, J in zip(EQUATIONS, data.targets, jacobian(found.values), strict=True)
-    ]
-    full = found.search.full(found.point, found.unknowns)
-    for block, exact in zip(full, by_hand, strict=True):
-        assert_allclose(block.slopes, exact.slopes, rtol=1e-5, atol=1e-6)
+    slopes = found.search.slopes(found.point, found.unknowns)
+    assert_allclose(slopes, np.vstack(jacobian(found.values)), rtol=1e-5, atol=1e-6)
     assert_allclose(found.weights, 1 / np.array(found.spread), rtol=1e-6)
 
 
@@ -274,17 +269,12 @@ def test_a_step_is_that_of_gauss_and_newton():
     assert found.at_bound == ("a",)
     assert found.values[0] == 1.9
     other = decay(seed=1)
-    errors = [
-        y - b.base - b.slopes @ found.unknowns
-        for y, b in zip(other.targets, other.blocks(found.vector), strict=True)
-    ]
-    rows = [
-        found.weights[k] * J[:, 1:] for k, J in zip(EQUATIONS, jacobian(found.values), strict=True)
-    ]
-    right = np.concatenate([found.weights[k] * e for k, e in zip(EQUATIONS, errors, strict=True)])
-    assert_allclose(
-        found.step(other), [0, *np.linalg.lstsq(np.vstack(rows), right, rcond=None)[0]], rtol=1e-3
-    )
+    rows = other.rows(found.vector)
+    weights = found.weights[rows.equation]
+    slopes = weights[:, None] * np.vstack(jacobian(found.values))[:, 1:]
+    right = weights * rows.errors(found.unknowns)
+    wanted = [0, *np.linalg.lstsq(slopes, right, rcond=None)[0]]
+    assert_allclose(found.step(other), wanted, rtol=1e-3)
 
 
 @pytest.mark.parametrize(("high", "reached"), [(1.5, True), (4.0, False)])
@@ -318,10 +308,7 @@ def test_how_much_is_missing_of_a_record_that_is_too_short():
 
 
 def test_a_target_that_is_constant_has_no_share_that_is_explained():
-    made = [
-        Block(0, np.array([2.0, 4.0, 9.0]), np.zeros(3), np.zeros((3, 1))),
-        Block(2, *np.ones((2, 4)), np.ones((4, 1))),
-    ]
-    rows, shares = _explained(made, [np.array([1.0, -1.0, 2.0]), np.zeros(4)], 3)
-    assert rows == (3, 0, 4)
-    assert_allclose(shares, [1 - 6 / 26, np.nan, np.nan])
+    share = explained(np.array([2.0, 4.0, 9.0]), np.array([1.0, -1.0, 2.0]))
+    assert share == pytest.approx(1 - 6 / 26)
+    assert np.isnan(explained(np.ones(4), np.zeros(4)))
+    assert np.isnan(explained(np.zeros(0), np.zeros(0)))
