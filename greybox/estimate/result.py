@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.pandas_frames import Frame, frame_of
-from greybox.data.record import Record
+from greybox.data.record import NOT_STORED, Record
 from greybox.estimate.at_estimate import at_estimate, part_index
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.identifiability import (
@@ -156,8 +156,8 @@ class Fit:
     starts: str
     seconds: float
     versions: Mapping[str, str]
-    models: tuple[Model, ...] | None = field(default=None, repr=False)
-    given: tuple[Model | type[Model], ...] = field(default=(), repr=False)
+    models: tuple[Model, ...] | None = field(default=None, repr=False, metadata=NOT_STORED)
+    given: tuple[Model | type[Model], ...] = field(default=(), repr=False, metadata=NOT_STORED)
     white: Array | None = field(default=None, repr=False)
     independent: tuple[Array, float] | None = field(default=None, repr=False)
     notes: tuple[str, ...] = ()

@@ -1,16 +1,15 @@
-"""Fits in HDF5: one file holds the whole answer, in a layout that any HDF5 reader understands.
+"""Fits in HDF5: one file holds the whole answer.
 
-Every field of a `Fit` stands under its name, see `greybox.estimate.stored_values`: arrays and lists
-of texts as datasets, numbers and texts as attributes, the rest as groups or as JSON. Three tables
-are columns: ``/quantities``, ``/runs`` (a row for each start) and ``/minima``, where ``members``
-lists the runs of all minima, best first, and ``count`` says how many belong to each. ``/parts/0``
-and so on hold the problems of a sum with their data.
+The text ``/fit`` has every field of a `Fit` in JSON, except the numbers of its arrays: these are
+datasets, such as ``/covariance``, ``/runs/cost`` or ``/parts/0/data/omega``, see
+`greybox.estimate.stored_values`.
 
 The file is sealed, see `greybox.files.sealed_files`. NaN means "not known". A file may come from
 anyone: nothing in it is executed, nothing that it names is imported, and what is loaded fits
 together (SECURITY.md).
 """
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,42 +18,19 @@ from typing import Any
 
 import numpy as np
 
-from greybox.estimate.fitted_part import (
-    AnyFittedPart,
-    FittedRecord,
-    FittedResponse,
-    FittedSpectrum,
-)
+from greybox.estimate.fitted_part import AnyFittedPart, FittedResponse, FittedSpectrum
 from greybox.estimate.identifiability import KnownDirections
-from greybox.estimate.result import Fit, Quantity
-from greybox.estimate.stored_values import (
-    fields_of,
-    read_fields,
-    read_table,
-    require,
-    write_fields,
-    write_table,
-)
+from greybox.estimate.result import Fit
+from greybox.estimate.stored_values import fields_of, read, require, write
 from greybox.files.safe_files import HDF5
-from greybox.files.sealed_files import Node, Stored, open_sealed, write_sealed
+from greybox.files.sealed_files import Node, open_sealed, write_sealed
 from greybox.formulation.prior import normal_prior
 from greybox.modeling.model import Model
 from greybox.modeling.model_file import models_of, module_from_file
-from greybox.solve.minima import Minimum
 from greybox.solve.runs import Runs
 
 KIND = "fit"
-LAYOUT = 5
-
-# What is not stored (the models), or not field by field.
-TABLES = ("parts", "quantities", "minima")
-FIELDS = {
-    name: kind for name, kind in fields_of(Fit).items() if name not in (*TABLES, "models", "given")
-}
-MINIMUM = {"cost": float, "variants": int}
-
-# The kind of a part follows from the first of these fields that it has.
-PARTS = {"simulated": FittedRecord, "fitted": FittedSpectrum, "response": FittedResponse}
+LAYOUT = 6
 
 
 def save(fit: Fit, path: str | Path) -> None:
@@ -101,10 +77,10 @@ def load(
     with open_sealed(path, KIND) as file:
         # An older layout is refused, not converted: fits are cheap to repeat.
         layout = int(file.attrs["layout"])
-        if file.attrs["format"] != "greybox fit":
-            raise ValueError(f"its format is {file.attrs['format']!r:.60}")
         if layout == LAYOUT:
-            return replace(_read(file), given=given)
+            fit = read(json.loads(file["fit"][()][0]), Fit, file)
+            _require_consistent(fit, file.attrs["checksum"])
+            return replace(fit, given=given)
 
     cure = "install a newer greybox" if layout > LAYOUT else "fit again"
     raise ValueError(f"{path} has layout {layout} and this version reads {LAYOUT}: {cure}.")
@@ -125,71 +101,15 @@ def _models(entry: Model | type[Model] | ModuleType | str | Path) -> Sequence[Mo
 
 
 def _write(file: Node, fit: Fit) -> None:
-    file.attrs["format"] = "greybox fit"
+    import h5py  # noqa: PLC0415  (reading does not need it)
+
     file.attrs["layout"] = LAYOUT
-    # Other readers find these here; `load` computes them again.
-    for name in ("criterion", "delay", "status", "checksum"):
-        file.attrs[name] = getattr(fit, name)
-
-    write_fields(file, replace(fit, runs=Runs.of(fit.runs)), FIELDS)
-    write_table(file.create_group("quantities"), fit.quantities, fields_of(Quantity))
-
-    minima = file.create_group("minima")
-    write_table(minima, fit.minima, MINIMUM)
-    # Minima have different numbers of runs: one flat list and their counts need no padding.
-    members = [run for minimum in fit.minima for run in minimum.runs]
-    minima["members"] = np.array(members, dtype=int)
-    minima["count"] = np.array([len(minimum.runs) for minimum in fit.minima], dtype=int)
-    shape = (len(fit.minima), len(fit.free))
-    minima["estimate"] = np.reshape([minimum.estimate for minimum in fit.minima], shape)
-
-    for k, part in enumerate(fit.parts):
-        group = file.create_group(f"parts/{k}")
-        write_fields(group, part, fields_of(type(part)))
-        group.attrs["checksum"] = part.data.checksum
+    file.attrs["checksum"] = fit.checksum
+    text = json.dumps(write(replace(fit, runs=Runs.of(fit.runs)), file))
+    file.create_dataset("fit", data=[text], dtype=h5py.string_dtype())
 
 
-def _read(file: Stored) -> Fit:
-    parts = file["parts"]
-    fit = Fit(
-        **read_fields(file, FIELDS),
-        parts=tuple(_read_part(parts[str(k)]) for k in range(len(parts))),
-        quantities=tuple(
-            Quantity(**row) for row in read_table(file["quantities"], fields_of(Quantity))
-        ),
-        minima=_read_minima(file["minima"]),
-    )
-    _require_consistent(fit)
-
-    return fit
-
-
-def _read_minima(group: Stored) -> tuple[Minimum, ...]:
-    members = np.split(group["members"][()], np.cumsum(group["count"][()]).astype(int))[:-1]
-    rows = zip(read_table(group, MINIMUM), group["estimate"][()], members, strict=True)
-    return tuple(
-        Minimum(**row, estimate=estimate, runs=tuple(runs.astype(int).tolist()))
-        for row, estimate, runs in rows
-    )
-
-
-def _read_part(group: Stored) -> AnyFittedPart:
-    # The kind follows from a field: a class name in a file of a stranger could be anything.
-    kind = next(kind for name, kind in PARTS.items() if name in group)
-    part = kind(**read_fields(group, fields_of(kind)))
-    model = part.model
-    require(isinstance(model["class"], str), "its model has no class")
-    require(isinstance(model["arguments"], list), "the arguments of its model are not a list")
-    require(isinstance(model["keywords"], dict), "the keywords of its model have no names")
-    require(
-        part.data.checksum == group.attrs["checksum"],
-        f"the data of part {part.name!r:.60} do not match their checksum",
-    )
-
-    return part
-
-
-def _require_consistent(fit: Fit) -> None:
+def _require_consistent(fit: Fit, checksum: str) -> None:
     """Require that the values of a fit agree with one another, so that it can be printed and used.
 
     Raises
@@ -228,6 +148,7 @@ def _require_consistent(fit: Fit) -> None:
         require(len(ends) > 2, "no run ended at one of its minima")
         require(sorted(ends) == [*ends], "a minimum belongs to a run that it does not have")
 
+    require(fit.checksum == checksum, "its data do not match their checksum")
     for part in fit.parts:
         _require_consistent_part(part)
     if fit.profiles is not None:
@@ -243,6 +164,11 @@ def _require_consistent_directions(directions: KnownDirections | None, size: int
 
 
 def _require_consistent_part(part: AnyFittedPart) -> None:
+    model = part.model
+    require(isinstance(model["class"], str), "its model has no class")
+    require(isinstance(model["arguments"], list), "the arguments of its model are not a list")
+    require(isinstance(model["keywords"], dict), "the keywords of its model have no names")
+
     # Arrays of other shapes would be broadcast silently, and printed as if they belonged together.
     sizes = {"n": len(part.data)}
     if isinstance(part, FittedResponse):

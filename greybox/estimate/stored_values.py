@@ -1,31 +1,22 @@
-"""Frozen values in groups of an HDF5 file, written and read by the annotations of their fields.
+"""Frozen values as JSON with arrays beside it, written by their fields and read by annotations.
 
-| annotation | in the file |
-| --- | --- |
-| `str`, `float`, `int`, `bool`, `Literal` | attribute |
-| array, tuple of floats | dataset of numbers; a complex one has two parts, real and imaginary |
-| tuple or array of `str` | dataset of texts |
-| dataclass, mapping of arrays | group with a member for each field or name |
-| tuple of values of different kinds, or of dataclasses | group with members 0, 1 ... |
-| other mappings, tuples and a `Sine` | attribute in JSON, in which null is NaN |
-
-None is left out. What is read has the annotated kind, and its texts can be printed.
+A dataclass and a mapping are objects in JSON, a tuple is a list. An array of numbers is null there:
+its numbers are a dataset at the path of its names, such as ``/parts/0/response``. A complex one has
+two parts, real and imaginary. What is read has the annotated kind, and its texts can be printed.
 """
 
 import dataclasses
-import json
-import math
 import types
 from collections.abc import Mapping
 from functools import cache
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
+from urllib.parse import quote
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greybox.files.sealed_files import Node, Stored
 from greybox.files.text_table import printable
-from greybox.modeling.sine import Sine
 
 ITEMS = {np.bool_: bool, np.integer: int, np.floating: float}
 LINES = "\n\t"  # control characters of docstrings, source and warnings
@@ -45,128 +36,91 @@ def fields_of(kind: type) -> dict[str, Any]:
     return {field.name: hints[field.name] for field in stored}
 
 
-def write_fields(group: Node, value: Any, kinds: Mapping[str, Any]) -> None:
-    """Write these attributes of a value by their annotations."""
-    for name, kind in kinds.items():
-        write(group, name, getattr(value, name), kind)
-
-
-def read_fields(group: Stored, kinds: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what `write_fields` wrote, by name."""
-    return {name: read(group, name, kind) for name, kind in kinds.items()}
-
-
-def write(group: Node, name: str, value: Any, kind: Any) -> None:
-    """Write a value of an annotated kind under a name."""
-    # The annotation decides, not the value: an empty tuple does not show what it would contain.
-    kind = _without_none(kind)
-    if value is None:
-        return
-    if _is_scalar(kind):
-        group.attrs[name] = value
-    elif _is_text_list(kind):
-        _write_texts(group, name, value)
-    elif _is_array(kind):
+def write(value: Any, file: Node, path: str = "") -> Any:
+    """Return a value for JSON, and write the arrays in it to datasets below a path."""
+    if isinstance(value, np.ndarray) and value.dtype != object:
         # Two real parts: not every reader of HDF5 knows the compound type of complex numbers.
-        array: Any = np.asarray(value)
-        group[name] = np.array([array.real, array.imag]) if array.dtype.kind == "c" else array
-    elif (members := _members(kind, value)) is not None:
-        inner = group.create_group(name, track_order=True)
-        for key, member, member_kind in members:
-            write(inner, escaped(key), member, member_kind)
-    else:
-        group.attrs[name] = json.dumps(_plain(value))
+        parts = np.array([value.real, value.imag]) if np.iscomplexobj(value) else value
+        file[path] = parts
+        return None
+    if dataclasses.is_dataclass(value):
+        value = {name: getattr(value, name) for name in fields_of(type(value))}  # type: ignore[arg-type]
+
+    if isinstance(value, Mapping):
+        return {name: write(item, file, f"{path}/{_key(name)}") for name, item in value.items()}
+    if isinstance(value, tuple | list | np.ndarray):
+        return [write(item, file, f"{path}/{k}") for k, item in enumerate(value)]
+    return value.item() if isinstance(value, np.generic) else value
 
 
-def read(group: Stored, name: str, kind: Any) -> Any:
-    """Return the value that `write` wrote; None where it was left out.
+def read(value: Any, kind: Any, place: Stored | None) -> Any:
+    """Return a value of an annotated kind from JSON, and from the group or dataset at its path.
 
     Raises
     ------
     LookupError, TypeError, ValueError
         If it is of another kind.
     """
-    inner = _without_none(kind)
-    if name not in group:
-        if inner is not kind and name not in group.attrs:
-            return None
-        value = group.attrs[name]
-        return as_kind(value if _is_scalar(inner) else json.loads(value), inner)
-
-    stored = group[name]
-    if _is_text_list(inner):
-        texts = [as_kind(text, str) for text in stored[()]]
-        return np.array(texts, dtype=object) if _item(inner) is not None else tuple(texts)
-    return _read_array(stored[()], inner) if _is_array(inner) else _read_group(stored, inner)
-
-
-def _read_group(group: Stored, kind: Any) -> Any:
-    """Return a dataclass, a mapping of arrays or a tuple from the members of its group."""
-    if dataclasses.is_dataclass(kind):
-        return kind(**read_fields(group, fields_of(kind)))  # type: ignore[operator, arg-type]
-    kinds = get_args(kind)
-    if get_origin(kind) is Mapping:
-        arrays = read_fields(group, dict.fromkeys(group.members, kinds[1]))
-        return {as_kind(unescaped(key), str): array for key, array in arrays.items()}
-
-    if kinds[-1] is Ellipsis:
-        kinds = kinds[:1] * len(group)
-    return tuple(read(group, str(k), member) for k, member in enumerate(kinds))
-
-
-def write_table(group: Node, rows: Any, kinds: Mapping[str, Any]) -> None:
-    """Write values of one dataclass by columns: a dataset for each of these fields."""
-    for name, kind in kinds.items():
-        column = [getattr(row, name) for row in rows]
-        if _holds_text(kind):
-            _write_texts(group, name, column)
-        else:
-            empty = np.zeros((0, 2) if get_origin(kind) is tuple else 0)
-            group[name] = np.array(column) if column else empty
-
-
-def read_table(group: Stored, kinds: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return the rows of a table as mappings by column."""
-    # Whole columns at once: HDF5 reads single numbers slowly.
-    columns = [group[name][()] for name in kinds]
-    return [
-        {
-            name: as_kind(
-                value.tolist() if isinstance(value, np.generic | np.ndarray) else value, kind
-            )
-            for (name, kind), value in zip(kinds.items(), row, strict=True)
-        }
-        for row in zip(*columns, strict=True)
-    ]
-
-
-def as_kind(value: Any, kind: Any) -> Any:
-    """Return a plain value as one of the annotated kind.
-
-    Raises
-    ------
-    ValueError, TypeError
-        If it is something else.
-    """
+    if get_origin(kind) in (Union, types.UnionType):
+        kind = _alike(get_args(kind), value, place)
     # Settings of criteria are plain values; the classes of the criteria check them.
-    if kind is Any:
+    if kind is Any or (value is None and kind is type(None)):
         return value
-    if _is_scalar(kind):
-        return _as_scalar(value, kind)
+    if (item := _item(kind)) is not None:
+        return _array(value, item, place)
+    if dataclasses.is_dataclass(kind) or get_origin(kind) in (tuple, Mapping, dict):
+        return _container(value, kind, {} if place is None else place.members)
+    return _scalar(value, kind)
 
-    members = get_args(kind)
+
+def _container(value: Any, kind: Any, inner: Mapping[str, Stored]) -> Any:
+    """Return a dataclass, a tuple or a mapping."""
+    kinds = get_args(kind)
     if get_origin(kind) is tuple:
         require(isinstance(value, list), f"{value!r:.40} is not a list")
-        kinds = members[:1] * len(value) if members[-1] is Ellipsis else members
-        return tuple(as_kind(item, k) for item, k in zip(value, kinds, strict=True))
+        if kinds[-1] is Ellipsis:
+            kinds = kinds[:1] * len(value)
+        pairs = zip(value, kinds, strict=True)
+        return tuple(read(item, k, inner.get(str(n))) for n, (item, k) in enumerate(pairs))
 
     require(isinstance(value, dict), f"{value!r:.40} has no names")
-    if kind is Sine:
-        return Sine(**value)
-    return {printable(name): as_kind(item, members[1]) for name, item in value.items()}
+    if dataclasses.is_dataclass(kind):
+        fields = fields_of(kind).items()  # type: ignore[arg-type]
+        return kind(**{n: read(value[n], k, inner.get(n)) for n, k in fields})  # type: ignore[operator]
+    return {printable(n): read(item, kinds[1], inner.get(_key(n))) for n, item in value.items()}
 
 
-def _as_scalar(value: Any, kind: Any) -> Any:
+def _alike(kinds: tuple[Any, ...], value: Any, place: Stored | None) -> Any:
+    """Return the kind among several that a stored value has."""
+    # A class name in a file of a stranger could be anything: the names of the fields decide.
+    for kind in kinds:
+        if dataclasses.is_dataclass(kind):
+            is_alike = isinstance(value, dict) and {*value} == {*fields_of(kind)}  # type: ignore[arg-type]
+        elif _item(kind) is not None:
+            is_alike = place is not None
+        else:
+            is_alike = (value is None) == (kind is type(None))
+        if is_alike:
+            return kind
+    raise ValueError(f"{value!r:.40} is of no kind that it may have")
+
+
+def _array(value: Any, item: Any, place: Stored | None) -> Any:
+    """Return an array of the annotated items."""
+    if item is np.object_:
+        require(isinstance(value, list), f"{value!r:.40} is not a list")
+        return np.array([_scalar(text, str) for text in value], dtype=object)
+
+    values = None if place is None else place.values
+    if not isinstance(values, np.ndarray):
+        raise ValueError("numbers are missing")
+    if issubclass(item, np.complexfloating):
+        require(values.ndim > 1 and len(values) == 2, "complex numbers have two parts")
+        return values[0] + 1j * values[1]
+    return values.astype(next(kind for scalar, kind in ITEMS.items() if issubclass(item, scalar)))
+
+
+def _scalar(value: Any, kind: Any) -> Any:
     if kind is str:
         require(isinstance(value, str), f"{value!r:.40} is not text")
         return printable(value, LINES)
@@ -174,53 +128,7 @@ def _as_scalar(value: Any, kind: Any) -> Any:
         options = get_args(kind)
         require(value in options, f"{value!r:.40} is none of {', '.join(map(repr, options))}")
         return value
-    # JSON has no NaN: null stands for it.
-    return math.nan if value is None and kind is float else kind(value)
-
-
-def _members(kind: Any, value: Any) -> list[tuple[str, Any, Any]] | None:
-    """Return name, value and kind of the members of a group; None for what is written as JSON."""
-    inner = get_args(kind)
-    if dataclasses.is_dataclass(kind) and kind is not Sine:
-        kinds = fields_of(type(value))
-        return [(name, getattr(value, name), inner) for name, inner in kinds.items()]
-    if _is_mapping_of_arrays(kind):
-        return [(name, array, inner[1]) for name, array in value.items()]
-    if get_origin(kind) is tuple and any(
-        _is_array(k) or dataclasses.is_dataclass(k) for k in inner
-    ):
-        kinds = inner[:1] * len(value) if inner[-1] is Ellipsis else inner
-        return [(str(k), v, kind) for k, (v, kind) in enumerate(zip(value, kinds, strict=True))]
-
-    return None
-
-
-def _without_none(kind: Any) -> Any:
-    """Return X of the annotation `X | None`."""
-    # None is left out of the file: HDF5 has no such value.
-    if get_origin(kind) in (Union, types.UnionType) and type(None) in get_args(kind):
-        return next(member for member in get_args(kind) if member is not type(None))
-    return kind
-
-
-def _is_scalar(kind: Any) -> bool:
-    return kind in (str, float, int, bool) or get_origin(kind) is Literal
-
-
-def _holds_text(kind: Any) -> bool:
-    return kind is str or get_origin(kind) is Literal
-
-
-def _is_array(kind: Any) -> bool:
-    return _item(kind) is not None or kind == tuple[float, float]
-
-
-def _is_mapping_of_arrays(kind: Any) -> bool:
-    return get_origin(kind) is Mapping and _item(get_args(kind)[1]) is not None
-
-
-def _is_text_list(kind: Any) -> bool:
-    return kind == tuple[str, ...] or _item(kind) is np.object_
+    return kind(value)
 
 
 def _item(kind: Any) -> Any:
@@ -230,42 +138,6 @@ def _item(kind: Any) -> Any:
     return get_args(get_args(kind)[1])[0] if get_origin(kind) is np.ndarray else None
 
 
-def _read_array(values: Any, kind: Any) -> Any:
-    """Return an array of the annotated items, or a pair of floats."""
-    require(isinstance(values, np.ndarray), "numbers are missing")
-    if get_origin(kind) is tuple:
-        low, high = values.tolist()
-        return float(low), float(high)
-
-    item = _item(kind)
-    if issubclass(item, np.complexfloating):
-        require(values.ndim > 1 and len(values) == 2, "complex numbers have two parts")
-        return values[0] + 1j * values[1]
-    return values.astype(next(kind for scalar, kind in ITEMS.items() if issubclass(item, scalar)))
-
-
-def _plain(value: Any) -> Any:
-    """Return what JSON can hold, null for NaN."""
-    if isinstance(value, Sine):
-        return value.plain
-    if isinstance(value, Mapping):
-        return {name: _plain(item) for name, item in value.items()}
-    if isinstance(value, float | np.floating):
-        return None if math.isnan(value) else float(value)
-    return value.item() if isinstance(value, np.integer) else value
-
-
-def escaped(name: str) -> str:
+def _key(name: str) -> str:
     """Return a name without the slash, which HDF5 reads as a path."""
-    return name.replace("%", "%25").replace("/", "%2F")
-
-
-def unescaped(key: str) -> str:
-    """Return the name that was escaped."""
-    return key.replace("%2F", "/").replace("%25", "%")
-
-
-def _write_texts(group: Node, name: str, texts: Any) -> None:
-    import h5py  # noqa: PLC0415  (reading does not need it)
-
-    group.create_dataset(name, data=list(texts), dtype=h5py.string_dtype(), shape=(len(texts),))
+    return quote(name, safe=" ")

@@ -11,7 +11,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
-from greybox.compiled.segmented_part import Placed
+from greybox.compiled.record_sensitivity import sensitivity
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.estimate.covariance import informations
@@ -25,9 +25,9 @@ from greybox.formulation.sum import Sum
 from greybox.formulation.time_criteria import OutputError
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
-from greybox.modeling.parameter import Parameter
 from greybox.modeling.realization import dynamics
 from greybox.modeling.transfer_function import TransferFunction
+from greybox.statistics.column_space import column_basis
 
 POINTS = 3  # at which the rank is computed: at one of them it may be smaller by chance
 FREQUENCIES = 40  # random ones for each pair: more numbers than any structure has parameters
@@ -266,8 +266,8 @@ def _of_responses(
             )
 
     problem: AnyProblem = problems[0] if len(problems) == 1 else Sum(tuple(problems))
-    nlp = _without_bounds(compile_problem(problem))
-    x = _point(nlp, values)
+    nlp = compile_problem(problem)
+    x = np.array([values[name] for name in nlp.free])
     # A response of zero at all frequencies would count every parameter as lost.
     seen = np.asarray(nlp.responses(nlp.all_values(x)))
     if not (np.all(np.isfinite(seen)) and np.any(seen)):
@@ -297,8 +297,8 @@ def _of_record(
         signals |= dict(zip(outputs, measured, strict=True))
         signals = {name: np.where(gaps, np.nan, values) for name, values in signals.items()}
         record = Record(time, signals, name="random inputs", has_time=not model.is_static)
-        nlp = _without_bounds(compile_problem(Problem(model, record, criterion, **options)))
-        x = _point(nlp, values)
+        nlp = compile_problem(Problem(model, record, criterion, **options))
+        x = np.array([values[name] for name in nlp.free])
         (part,) = nlp.parts
         assert isinstance(part, RecordPart)
         nodes = size * random.normal(size=(part.data.segments, part.states))
@@ -323,40 +323,20 @@ def _of_trajectory(
     An orthogonal basis takes their effect out. By the normal equations of a fit, directions with
     1e-5 of the effect of the others could not be told from rounding.
     """
-    data, n, p = part.data, part.states, len(x)
-    placed: Placed = trajectory.detail
-    slope = placed.slope * nlp.scaling.slope(x)
-    S, J, _ = part.segments.sensitivities(trajectory.states, placed.q, placed.data, slice(None))
-    first = np.cumsum(data.begins_stretch) - 1
-    known = part.model.known_states
+    slopes = sensitivity(part, trajectory, np.eye(len(part.outputs)))
+    pairs = zip(*map(part.data.unpadded, (slopes.weighted, slopes.by_initial)), strict=True)
     rows = []
-    follow = np.zeros((n, 0))
-    for k in range(data.segments):
-        if data.begins_stretch[k]:
-            follow = np.zeros((n, n * (first[-1] + 1) + p))
-            follow[:, n * first[k] : n * (first[k] + 1)] = np.eye(n)
-        if data.begins_record[k]:
-            follow[known] = 0
-            follow[known, -p:] = placed.initial_slope[known] @ slope
-        row = J[:, :, :n, k] @ follow
-        row[..., -p:] += J[:, :, n:, k] @ slope
-        rows.append(row.reshape(-1, follow.shape[1]))
-        follow = S[:, :n, k] @ follow
-        follow[:, -p:] += S[:, n:, k] @ slope
+    for stretch in pairs:
+        jacobian, by_states = (J.swapaxes(1, 2).reshape(-1, J.shape[1]) for J in stretch)
+        basis = column_basis(by_states)
+        # The second time takes out what rounding left the first time.
+        for _ in range(2):
+            jacobian = jacobian - basis @ (basis.T @ jacobian)
+        rows.append(jacobian)
 
-    whole = np.vstack(rows)
-    by_states, jacobian = whole[:, :-p], whole[:, -p:]
-    by_states = by_states / np.maximum(np.linalg.norm(by_states, axis=0), 1e-300)
-    initial = np.linalg.lstsq(by_states, jacobian, rcond=None)[0].reshape(-1, n, p)
-    basis = np.linalg.qr(by_states)[0]
-    reach = np.linalg.norm(jacobian, axis=0)
-    # The second time takes out what rounding left the first time.
-    for _ in range(2):
-        jacobian = jacobian - basis @ (basis.T @ jacobian)
-    states = part.system.states
-    return _Sensitivity.of(
-        nlp, x, jacobian, reach, {name: initial[:, i] for i, name in enumerate(states)}
-    )
+    scale = nlp.scaling.slope(x)
+    initial = {state: follow * scale for state, follow in slopes.initial.items()}
+    return _Sensitivity.of(nlp, x, np.vstack(rows) * scale, slopes.reach * scale, initial)
 
 
 @one_thread_at_a_time
@@ -384,16 +364,6 @@ def _times(
 
     gaps = np.arange(STRETCHES * (length + 1)) % (length + 1) == length
     return step * np.arange(gaps.size), gaps
-
-
-def _without_bounds(nlp: CompiledProblem) -> CompiledProblem:
-    """Return the problem without bounds: nothing is estimated, so none may hold a parameter."""
-    return replace(nlp, lower=np.full(len(nlp.free), -np.inf), upper=np.full(len(nlp.free), np.inf))
-
-
-def _point(nlp: CompiledProblem, values: Mapping[str, float]) -> Array:
-    declared: Mapping[str, Parameter] = nlp.problem.parameters
-    return np.array([values.get(name, declared[name].start) for name in nlp.free])
 
 
 def _determined(

@@ -9,11 +9,11 @@ import subprocess
 import sys
 from functools import cache
 from pathlib import Path
-from types import SimpleNamespace
 
 import h5py
 import numpy as np
 import pytest
+from crafted_results import model, rewritten, values
 from declared_models import (
     ROTOR,
     ROTOR_OMEGA,
@@ -29,7 +29,7 @@ from numpy.testing import assert_array_equal, assert_equal
 
 import greybox as gb
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
-from greybox.estimate.stored_values import read_fields, write_fields
+from greybox.estimate.stored_values import read, write
 from greybox.files.sealed_files import open_sealed, seal, write_sealed
 from greybox.models.polynomial import Polynomial
 from greybox.models.rotor import Rotor
@@ -238,14 +238,13 @@ def test_names_units_and_holds_of_a_record_come_back(tmp_path):
         hold={"a": np.inf},
         findings=("a gap",),
     )
-    kinds = {"record": gb.Record}
     write_sealed(
         tmp_path / "a.h5",
         "fit",
-        lambda file: write_fields(file, SimpleNamespace(record=record), kinds),
+        lambda file: file.attrs.__setitem__("record", json.dumps(write(record, file))),
     )
     with open_sealed(tmp_path / "a.h5", "fit") as file:
-        back = read_fields(file, kinds)["record"]
+        back = read(json.loads(file.attrs["record"]), gb.Record, file)
     assert list(back.signals) == ["b/c%2F", "a"]
     assert_array_equal(back["b/c%2F"], record["b/c%2F"])
     assert (back.units, back.hold, back.findings) == ({"a": "m/s"}, {"a": np.inf}, ())
@@ -287,12 +286,10 @@ def test_numbers_of_numpy_in_the_operating_point_are_stored(tmp_path):
 def test_any_hdf5_reader_understands_the_file(tmp_path):
     gb.save(LAG, tmp_path / "a.h5")
     with h5py.File(tmp_path / "a.h5") as file:
-        names = file["quantities/name"].asstr()[()].tolist()
-        assert (
-            dict(zip(names, file["quantities/value"][()].tolist(), strict=True))["T"]
-            == LAG.estimate["T"]
-        )
-        assert file.attrs["format"] == "greybox fit"
+        text = json.loads(file["fit"].asstr()[0])
+        values = {q["name"]: q["value"] for q in text["quantities"]}
+        assert values["T"] == LAG.estimate["T"]
+        assert_array_equal(file["covariance"][()], LAG.covariance)
         assert_array_equal(file["parts/0/data/omega"][()], TWO_LAGS_OMEGA)
 
 
@@ -327,7 +324,7 @@ def test_a_file_that_was_changed_is_refused(tmp_path):
     path = tmp_path / "a.h5"
     gb.save(LAG, path)
     with h5py.File(path, "a") as file:
-        file["quantities/value"][0] = 1.0
+        file["covariance"][0] = 1.0
     with pytest.raises(ValueError, match="is damaged or was changed since it was saved") as caught:
         gb.load(path)
     assert str(path) in str(caught.value)
@@ -359,16 +356,17 @@ def forget(place):
         (lambda file: file.attrs.__setitem__("layout", 3), "has layout 3 .* fit again"),
         (lambda file: file.attrs.__setitem__("layout", "x"), "damaged"),
         (lambda file: file.attrs.__delitem__("layout"), "damaged"),
-        (lambda file: file.attrs.__delitem__("format"), "not a greybox fit or is damaged"),
-        (lambda file: file.attrs.__setitem__("format", "else"), "not a greybox fit or is damaged"),
-        (lambda file: file.attrs.__setitem__("versions", "{"), "damaged"),
+        (lambda file: file.attrs.__delitem__("checksum"), "not a greybox fit or is damaged"),
+        (rewritten("{"), "damaged"),
+        (values(versions="{"), "damaged"),
         (forget("runs"), "damaged"),
         (forget("parts"), "damaged"),
-        (forget("quantities/unit"), "damaged"),
-        (shifted, "the data of part 'made' do not match their checksum"),
-        (replace("warnings", np.zeros(2)), "damaged"),
+        (forget("fit"), "damaged"),
+        (values(quantities=[{}]), "damaged"),
+        (shifted, "its data do not match their checksum"),
+        (values(warnings=[0.0, 0.0]), "damaged"),
         (replace("runs/cost", np.zeros(1)), "damaged"),
-        (replace("quantities/value", np.zeros(1)), "damaged"),
+        (replace("covariance", np.zeros(1)), "damaged"),
         (replace("parts/0/data/response", np.full((2, 30), np.nan)), "damaged"),
         (replace("parts/0/data/response", np.zeros((2, 3))), "damaged"),
     ],
@@ -503,13 +501,8 @@ def test_nothing_that_a_file_names_is_imported(tmp_path, monkeypatch, name):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(tmp_path)
 
-    def craft(file):
-        file["parts/0"].attrs["model"] = json.dumps(
-            {"class": f"{name}:Lag", "arguments": [], "keywords": {}}
-        )
-
     before = {*sys.modules}
-    loaded = gb.load(edited(tmp_path, craft))
+    loaded = gb.load(edited(tmp_path, model(f"{name}:Lag")))
     assert str(loaded) == str(LAG)
     with pytest.raises(LookupError, match="is needed and was not found"):
         loaded.response([1.0])

@@ -25,10 +25,21 @@ def replaced(place, **options):
     return change
 
 
-def attributes(place="/", **values):
+def rewritten(text):
+    """Put another text in the place of the JSON."""
+    return lambda file: file["fit"].__setitem__(0, text)
+
+
+def values(*place, **values):
+    """Put other values into the JSON, into the object at a place."""
+
     def change(file):
-        for name, value in values.items():
-            file[place].attrs[name] = value
+        fit = json.loads(file["fit"].asstr()[0])
+        item = fit
+        for key in place:
+            item = item[key]
+        item.update(values)
+        file["fit"][0] = json.dumps(fit)
 
     return change
 
@@ -43,7 +54,7 @@ def linked(place, link):
 
 def model(target, arguments=(), keywords=None):
     stored = {"class": target, "arguments": arguments, "keywords": keywords or {}}
-    return attributes("parts/0", model=json.dumps(stored))
+    return values("parts", 0, model=stored)
 
 
 def virtual(file):
@@ -115,25 +126,23 @@ def deep(file):
 
 
 def escapes(file):
-    file.attrs["name"] = "\x1b]0;PWNED\x07\x1b[2J\x1b[31mhello"
-    file.attrs["starts"] = "\u202efdp.\x9b2J"
-    file["quantities/unit"][0] = "\x1b[8m"
-    for key in file["parts"]:
-        file[f"parts/{key}"].attrs["label"] = "\x1b]52;c;ZXZpbA==\x07x\x1b[1A\x1b[2Kfake"
-        file[f"parts/{key}"].attrs["rule"] = "rule\r\n\x08\x7f"
+    values(name="\x1b]0;PWNED\x07\x1b[2J\x1b[31mhello", starts="\u202efdp.\x9b2J")(file)
+    values("quantities", 0, unit="\x1b[8m")(file)
+    for k in range(len(file["parts"])):
+        label = "\x1b]52;c;ZXZpbA==\x07x\x1b[1A\x1b[2Kfake"
+        values("parts", k, label=label, rule="rule\r\n\x08\x7f")(file)
 
 
-def written(place, value):
-    return lambda file: file[place].__setitem__(0, value)
+def two_equal_names(file):
+    name = json.loads(file["fit"].asstr()[0])["quantities"][1]["name"]
+    values("quantities", 0, name=name)(file)
 
 
 ARRAY = "covariance"
 CRAFTED = {
     "external link": linked(ARRAY, h5py.ExternalLink("other.h5", "x")),
     "external link to a group": linked("parts", h5py.ExternalLink("other.h5", "/")),
-    "external text": replaced(
-        "warnings", shape=(1,), dtype="S64", external=[("secret.txt", 0, 64)]
-    ),
+    "external text": replaced("fit", shape=(1,), dtype="S64", external=[("secret.txt", 0, 64)]),
     "external numbers": external_numbers("secret.txt"),
     "external pipe": external_numbers("pipe"),
     "virtual dataset": virtual,
@@ -152,28 +161,29 @@ CRAFTED = {
     "many attributes": many_attributes,
     "deep groups": deep,
     "escapes": escapes,
-    "a text of 100 MB": written("quantities/unit", "m" * 10**8),
-    "a name of 1 MB": attributes(name="\x1b" * 2**15),
-    "a million texts": replaced("warnings", shape=(10**6,), dtype=h5py.string_dtype()),
+    "a text of 100 MB": values("quantities", 0, unit="m" * 10**8),
+    "a name of 1 MB": values(name="\x1b" * 2**20),
+    "a million texts": replaced("fit", shape=(10**6,), dtype=h5py.string_dtype()),
     "a module": model("evil_side_effect:X"),
     "a standard module": model("this:X"),
     "a model of order 1e6": model("greybox.models.polynomial:Polynomial", [10**6, 1]),
     "no class": model("nothing"),
-    "deep JSON": attributes("parts/0", model="[" * 60_000 + "]" * 60_000),
-    "a list for a model": attributes("parts/0", model="[1, 2]"),
+    "deep JSON": rewritten("[" * 60_000 + "]" * 60_000),
+    "a number of a million digits": rewritten("1" * 10**6),
+    "a list for a model": values("parts", 0, model=[1, 2]),
     "names for arguments": model("greybox.models.tilt:Tilt", {"a": 1}),
-    "a list for versions": attributes(versions="[1]"),
-    "texts for costs": attributes(costs='{"a": "b"}'),
-    "a number for names": replaced("notes", data=5),
-    "numbers for names": replaced("warnings", data=np.arange(6)),
-    "bytes for a name": attributes(name=np.void(b"abc")),
-    "a layout below zero": attributes(layout=-1),
-    "no finite cost": attributes(cost=float("nan"), seconds=float("inf")),
-    "two equal names": lambda file: file["quantities/name"].__setitem__(
-        0, file["quantities/name"][1]
-    ),
-    "a minimum that is not there": written("minima/members", 99),
-    "a minimum far away": written("minima/members", 2**40),
+    "a list for versions": values(versions=[1]),
+    "texts for costs": values(costs={"a": "b"}),
+    "a number for names": values(notes=5),
+    "numbers for names": values(warnings=[1, 2]),
+    "a number for a fit": replaced("fit", data=np.arange(6)),
+    "bytes for a fit": replaced("fit", data=np.void(b"abc")),
+    "no kind of part": values("parts", 0, fitted=None),
+    "a layout below zero": lambda file: file.attrs.__setitem__("layout", -1),
+    "no finite cost": values(cost=float("nan"), seconds=float("inf")),
+    "two equal names": two_equal_names,
+    "a minimum that is not there": values("minima", 0, runs=[99]),
+    "a minimum far away": values("minima", 0, runs=[2**40]),
     "complex numbers": replaced(ARRAY, data=np.ones((4, 4)) * 1j),
     "references": lambda file: replaced(ARRAY, data=np.array([file.ref] * 4, dtype=h5py.ref_dtype))(
         file
@@ -182,9 +192,9 @@ CRAFTED = {
         ARRAY, data=np.array([(1, b"a")], dtype=[("a", "f8"), ("b", "S1")])
     ),
     "another shape": replaced(ARRAY, data=np.ones((1, 1))),
-    "another rank": replaced("quantities/value", data=np.ones((3, 2, 2))),
+    "another rank": replaced("runs/start", data=np.ones((3, 2, 2))),
     "a group for numbers": lambda file: (file.__delitem__(ARRAY), file.create_group(ARRAY)),
-    "not finite": replaced("quantities/value", data=np.full(3, np.inf)),
+    "not finite": replaced(ARRAY, data=np.full((3, 3), np.inf)),
 }
 
 
