@@ -69,7 +69,7 @@ def times_in_seconds(name: str, unit: str, values: Array) -> tuple[Array, tuple[
     times = values.astype(float)
     finite = times[np.isfinite(times)]
     if unit or name.lower() not in TIMES or finite.size < 2:
-        return times * (seconds(name, unit) or 1.0), ()
+        return times * (seconds(name, unit) or tick(unit) or 1.0), ()
 
     name = printable(name)
     step = float(np.median(np.diff(finite)))

@@ -9,6 +9,7 @@ than no number.
 
 import csv
 import io
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -108,13 +109,12 @@ class DelimitedText:
         table = np.empty((len(rows), len(places)))
         for k, (number, cells) in enumerate(rows):
             for j, (cell, place) in enumerate(zip(cells, places.values(), strict=True)):
-                try:
-                    table[k, j] = parsed(cell, comma)
-                except ValueError:
+                table[k, j] = number_in(cell, comma)
+                if np.isnan(table[k, j]):
                     raise ValueError(
                         f"{self.path}, line {number}: {self.header[place]} is {cell!r}, which is "
                         "not a number."
-                    ) from None
+                    )
 
         return dict(zip(places, table.T, strict=True))
 
@@ -251,11 +251,11 @@ def has_decimal_comma(path: Path, rows: Iterable[tuple[int, Iterable[str]]]) -> 
     return comma is not None
 
 
-def parsed(cell: str, decimal_comma: bool) -> float:
-    """Return the number in a cell; ValueError if it is not a number."""
-    if "_" in cell:  # Python reads 1_5 as 15
-        raise ValueError(cell)
-    return float(cell.replace(",", ".") if decimal_comma else cell)
+def number_in(cell: str, decimal_comma: bool) -> float:
+    """Return the number in a cell; NaN if it is not a number."""
+    plain = cell.replace(",", ".") if decimal_comma else cell
+    # Python reads 1_5 as 15.
+    return float(plain) if is_number(plain) and "_" not in plain else math.nan
 
 
 def _decoded(raw: bytes) -> str:

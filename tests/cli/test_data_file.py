@@ -21,7 +21,7 @@ DRAG = ("fit", "--model", "drag:Drag", "--data")
 @pytest.mark.parametrize(
     ("table", "words"),
     [
-        ("omega_rad_s,alpha,beta\n1,2,nan\n", "response is"),
+        ("omega_rad_s,alpha,beta\n1,2,nan\n", "line 2: beta is 'nan'"),
         ("omega_rad_s,alpha,beta\n1,2,x\n", "line 2: beta is 'x'"),
         ("omega_rad_s,alpha,beta\n1,0,0\n2,1,1\n", "zero at omega = 1"),
         ("omega_rad_s,alpha,beta\n-1,1,0\n", "above 0 rad/s"),

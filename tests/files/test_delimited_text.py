@@ -117,7 +117,7 @@ def test_digits_with_underscores_are_no_numbers(tmp_path):
     recording = gb.read(saved(tmp_path, "t [s],x\n0,1\n1,1_5\n2,2\n"))
     assert_array_equal(recording["flight"]["x"], [1, np.nan, 2])
     assert recording.findings == (
-        "cells that are not numbers, which count as missing: x (1 cell, the first '1_5' in line 3).",
+        "cells that are not finite numbers, which count as missing: x (1 cell, the first '1_5' in line 3).",
     )
 
 

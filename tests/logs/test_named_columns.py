@@ -52,7 +52,7 @@ def test_lines_are_counted_from_the_first_without_a_header_too(tmp_path, before)
     path = tmp_path / "flight.txt"
     path.write_text("% made for a test\n" * before + "0 1\n1 oops\n2 3\n3 4\n")
     log = gb.read(path, columns={"time": "1:s", "u": "2"})
-    found = f"cells that are not numbers, which count as missing: 2 (1 cell, the first 'oops' in line {before + 2})."
+    found = f"cells that are not finite numbers, which count as missing: 2 (1 cell, the first 'oops' in line {before + 2})."
     assert log.findings == (found,)
     np.testing.assert_array_equal(log["flight"]["u"], [1, np.nan, 3, 4])
 

@@ -17,9 +17,7 @@ loads neither pymavlink nor h5py nor scipy.
 | `ulog` | PX4 logs |
 | `csv_table` | tables as text |
 | `betaflight` | tables of Betaflight's blackbox |
-| `hdf5` | HDF5 and MATLAB 7.3 files |
-| `matlab` | MATLAB files up to version 7 |
-| `named_arrays` | records of the groups in HDF5, MATLAB and PX4 files |
+| `named_arrays` | HDF5 and MATLAB files, and records of the groups in them and in PX4 logs |
 | `table_columns` | the time column, the units and the holds of a table |
 | `messages` | messages of one type, and the records made of them |
 | `time_stamps` | clock restarts, impossible and repeated stamps, gaps |
@@ -82,8 +80,12 @@ FORMATS = (
         "dataflash", "ArduPilot DataFlash, binary", (".bin",), lambda h: h.startswith(b"\xa3\x95")
     ),
     Format("ulog", "PX4 ULog", (".ulg",), lambda h: h.startswith(b"ULog\x01\x12\x35")),
-    Format("hdf5", "HDF5 or MATLAB 7.3", (".h5", ".hdf5", ".hdf"), _is_hdf5),
-    Format("matlab", "MATLAB", (".mat",), lambda h: h.startswith(b"MATLAB 5.0 MAT-file")),
+    Format(
+        "named_arrays",
+        "HDF5 or MATLAB",
+        (".h5", ".hdf5", ".hdf", ".mat"),
+        lambda h: _is_hdf5(h) or h.startswith(b"MATLAB 5.0 MAT-file"),
+    ),
     Format("telemetry", "MAVLink telemetry", (".tlog",), _is_telemetry),
     Format(
         "dataflash_text",

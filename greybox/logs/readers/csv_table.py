@@ -1,6 +1,5 @@
 """Tables of measured signals as text: a header line, a time column, and numeric columns."""
 
-import hashlib
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
@@ -9,24 +8,23 @@ from pathlib import Path
 import numpy as np
 
 from greybox.data.record import Recording
-from greybox.data.time_column import TIMES, seconds, tick
+from greybox.data.time_column import TIMES, seconds
 from greybox.files.arrays import Array
 from greybox.files.delimited_text import (
     MISSING,
     DelimitedText,
     are_numbers,
     has_decimal_comma,
+    number_in,
     numbered,
-    parsed,
     read_delimited,
 )
 from greybox.files.heading import Heading, heading
 from greybox.files.progress import counted_off
 from greybox.files.text_table import counted, printable, some
-from greybox.logs.named_columns import renamed
 from greybox.logs.readers.betaflight import completed, metadata_of, with_units, without_settings
-from greybox.logs.readers.messages import on_one_clock, records
-from greybox.logs.readers.table_columns import of_rows, table
+from greybox.logs.readers.named_arrays import Contents, Variable, recording
+from greybox.logs.readers.table_columns import time_column
 
 LONGEST = 30  # characters of a cell that is shown in a finding
 
@@ -67,7 +65,8 @@ def read(
     -------
     Recording
         One record. The findings name columns without numbers, which are left out, lines with fewer
-        cells than the header, which are skipped, and cells with text or infinite values.
+        cells than the header, which are skipped, and cells with text or infinite values, which are
+        missing samples.
 
     Raises
     ------
@@ -79,7 +78,6 @@ def read(
     """
     path = Path(path)
     raw = path.read_bytes()
-    checksum = hashlib.sha256(raw).hexdigest()
     text = read_delimited(path, without_settings(raw))
     if not text.lines:
         raise ValueError(
@@ -90,38 +88,29 @@ def read(
     text = numbered(text) if stated else text
     headings = with_units(_headings(text))
     columns, findings = _columns(headings, text)
-    units = {h.name: h.unit for h in headings}
-    if stated:
-        columns, units = renamed(columns, units, stated, path.name)
-        headings = [Heading(name, units.get(name, "")) for name in columns]
-    columns = _time_first(headings, columns, path)
-    # A first column in a unit of time was renamed to time.
-    units.setdefault("time", "s")
-    # After the new names, since the user may have named the time.
-    has_time = any(seconds(name, units.get(name, "")) for name in columns)
-    if has_time and rate:
+    is_timed = time_column(columns, {h.name: h.unit for h in headings}) or "time" in (stated or ())
+    if is_timed and rate:
         raise ValueError(f"{path} has a time column: leave out the rate, which follows from it.")
-
-    # Rows without a time serve static models: they are not an error.
-    if columns and not has_time and not rate:
-        record = of_rows(
-            path.stem, columns, units, source=path.name, checksum=checksum, findings=findings
-        )
-        return Recording({path.stem: record}, path.name, checksum, {}, findings)
-    group, left_out = table(path.stem, columns, units, rate)
-    clocked, restarts = on_one_clock([group] if group else [])
-    by_name, dropped = records(clocked, path.name, checksum)
-    if not by_name:
+    # Of rows without a time, the samples would count as independent.
+    unread = next((h for h in headings if h.name.lower() in TIMES or seconds(*h)), None)
+    if unread and not (is_timed or rate):
+        unit = f" [{unread.unit}]" if unread.unit else ""
         raise ValueError(
-            f"{path} has no numeric column beside the time: it needs one for each signal."
+            f"{path} has the column '{unread.name}{unit}', which is no time in numbers and a known "
+            "unit: give it in seconds as 'time [s]', or another name if it is no time."
         )
 
-    findings = (*findings, *left_out, *restarts, *dropped)
-    ((name, record),) = by_name.items()
+    variables = [
+        Variable("", h.name, h.unit, columns[h.name]) for h in headings if h.name in columns
+    ]
+    contents = Contents(variables, findings, {})
+    # Rows without a time are for static models.
+    log = recording(path, contents, stated=stated, rate=rate, rows_allowed=True)
+    ((name, record),) = log.items()
     about = metadata_of(raw)
-    record = completed(replace(record, findings=findings), about.get("parameters", {}))
+    record = completed(replace(record, findings=log.findings), about.get("parameters", {}))
 
-    return Recording({name: record}, path.name, checksum, about, record.findings)
+    return replace(log, records={name: record}, metadata=about, findings=record.findings)
 
 
 def _headings(text: DelimitedText) -> list[Heading]:
@@ -146,7 +135,7 @@ def _headings(text: DelimitedText) -> list[Heading]:
 
 def _columns(
     headings: Sequence[Heading], text: DelimitedText
-) -> tuple[dict[str, Array], tuple[str, ...]]:
+) -> tuple[dict[str, Array], list[str]]:
     """Return the numeric columns by name, and findings."""
     try:
         lines = counted_off(text.lines, f"reading {printable(text.path.name)}", "line")
@@ -154,30 +143,26 @@ def _columns(
         clean = np.loadtxt(lines, delimiter=text.separator, comments=None, ndmin=2)
     except ValueError:
         clean = np.empty((0, 0))
-    if clean.shape[1] == len(headings):
-        columns = {h.name: clean[:, i] for i, h in enumerate(headings) if h.name}
-        return columns, _infinite(columns, text.line_numbers)
+    if clean.shape[1] == len(headings) and not np.isinf(clean).any():
+        return {h.name: clean[:, i] for i, h in enumerate(headings) if h.name}, []
 
     rows = list(text.rows())
     short = [number for number, row in rows if len(row) < len(headings)]
     complete = [(number, row) for number, row in rows if len(row) == len(headings)]
-    numbers = [number for number, _ in complete]
     # One decision for the whole table: a column of integers shows no decimal mark.
     comma = has_decimal_comma(text.path, complete)
 
     columns = {}
     not_numeric = []
-    text_cells: list[str] = []
-    for k, (name, _) in enumerate(
-        counted_off(headings, f"reading {printable(text.path.name)}", "column")
-    ):
+    odd_cells: list[str] = []
+    for k, (name, _) in enumerate(headings):
         cells = [row[k] for _, row in complete]
         values, odd = _numbers(cells, comma)
         if name and values is not None:
             columns[name] = values
             if odd:
-                first = f"the first {cells[odd[0]][:LONGEST]!r} in line {numbers[odd[0]]}"
-                text_cells.append(f"{name} ({counted(len(odd), 'cell')}, {first})")
+                first = f"the first {cells[odd[0]][:LONGEST]!r} in line {complete[odd[0]][0]}"
+                odd_cells.append(f"{name} ({counted(len(odd), 'cell')}, {first})")
         elif name and any(cells):
             not_numeric.append(name)
 
@@ -187,75 +172,22 @@ def _columns(
             f"{len(short)} of {len(rows)} lines have fewer cells than the header and were skipped, "
             f"the first is line {short[0]}."
         )
-    if text_cells:
+    if odd_cells:
         findings.append(
-            f"cells that are not numbers, which count as missing: {some(text_cells, 12)}."
+            f"cells that are not finite numbers, which count as missing: {some(odd_cells, 12)}."
         )
     if not_numeric:
         findings.append(f"columns without numbers were left out: {some(not_numeric, 12)}.")
 
-    return columns, (*findings, *_infinite(columns, numbers))
+    return columns, findings
 
 
 def _numbers(cells: Sequence[str], comma: bool) -> tuple[Array | None, list[int]]:
-    """Return the numbers of a column (NaN: missing; None: it is text), and the rows with text."""
-    values = np.full(len(cells), np.nan)
-    odd = []
-    filled = 0
-    for k, cell in enumerate(cells):
-        if cell.lower() in MISSING:
-            filled += bool(cell)
-            continue
-        filled += 1
-        try:
-            values[k] = parsed(cell, comma)
-        except ValueError:
-            odd.append(k)
+    """Return the numbers of a column (NaN: missing; None: it is text), and the odd rows."""
+    values = np.array([number_in(cell, comma) for cell in cells])
+    values[np.isinf(values)] = np.nan
+    missing = np.flatnonzero(np.isnan(values)).tolist()
+    odd = [k for k in missing if cells[k].lower() not in MISSING]
     # Some damaged cells do not make a column one of text.
-    if not filled or len(odd) > filled / 2:
-        return None, []
-
-    return values, odd
-
-
-def _infinite(columns: Mapping[str, Array], line_numbers: Sequence[int]) -> tuple[str, ...]:
-    """Return a finding on the columns with infinite values."""
-    places = {name: np.flatnonzero(np.isinf(values)) for name, values in columns.items()}
-    named = [
-        f"{name} ({counted(rows.size, 'cell')}, the first in line {line_numbers[rows[0]]})"
-        for name, rows in places.items()
-        if rows.size
-    ]
-    return (
-        (f"infinite values, which count as missing in a fit: {some(named, 12)}.",) if named else ()
-    )
-
-
-def _time_first(
-    headings: Sequence[Heading], columns: Mapping[str, Array], path: Path
-) -> dict[str, Array]:
-    """Return the columns; without a named time, an increasing first one in a unit of time is it.
-
-    Raises
-    ------
-    ValueError
-        For a time that cannot be read: taken as rows without one, its samples would count as
-        independent.
-    """
-    if any(seconds(h.name, h.unit) and h.name in columns for h in headings):
-        return dict(columns)
-    name, unit = headings[0]
-    step = tick(unit)
-    # Dates in words, or times that fall, are no time base.
-    if name in columns and step and np.all(np.diff(columns[name]) > 0):
-        remaining = {key: values for key, values in columns.items() if key not in (name, "time")}
-        return {"time": columns[name] * step, **remaining}
-    unread = next((h for h in headings if h.name.lower() in TIMES or seconds(h.name, h.unit)), None)
-    if unread:
-        unit = f" [{unread.unit}]" if unread.unit else ""
-        raise ValueError(
-            f"{path} has the column '{unread.name}{unit}', which is no time in numbers and a known "
-            "unit: give it in seconds as 'time [s]', or another name if it is no time."
-        )
-
-    return dict(columns)
+    filled = sum(map(bool, cells))
+    return (values, odd) if len(odd) <= filled / 2 > 0 else (None, [])

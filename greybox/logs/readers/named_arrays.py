@@ -1,17 +1,23 @@
-"""Makes records of the groups in files of named arrays: HDF5, MATLAB, PX4."""
+"""Files of named arrays: HDF5 (.h5), MATLAB (.mat, up to version 7 and 7.3, which is HDF5).
+
+The same records are made of the topics of PX4 logs and of tables of text.
+"""
 
 import hashlib
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from greybox.data.record import Recording
+from greybox.data.record import Record, Recording
 from greybox.files.arrays import Array
 from greybox.files.subprocess_reader import read_in_subprocess
 from greybox.logs.named_columns import renamed
 from greybox.logs.readers.controller_outputs import with_holds
 from greybox.logs.readers.messages import on_one_clock, records
 from greybox.logs.readers.table_columns import table
+
+HEAD = 4096  # bytes, in which HDF5 has its signature: MATLAB 7.3 puts a text before it
+SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
 class Variable(NamedTuple):
@@ -29,6 +35,66 @@ class Contents(NamedTuple):
     variables: list[Variable]
     findings: list[str]
     about: dict[str, Any]
+
+
+def read(
+    path: str | Path,
+    messages: Collection[str] | None = None,
+    stated: Mapping[str, str] | None = None,
+    rate: float | None = None,
+) -> Recording:
+    """Read every group or struct that has a time into a record.
+
+    The time is a vector ``time`` (or t, tout, timestamp, time_ms ...; see
+    `greybox.data.time_column`); without it, ``Ts`` is the sampling interval, s. Vectors of the same
+    length are signals. Matrices with one sample per row (as MATLAB shows them, in MATLAB's files)
+    give one signal per column. Simulink's "structure with time" is read, too. A record has the name
+    of its group (``flight/ATT``), at the root or in the workspace that of the file.
+
+    Units are attributes ``unit`` or ``units`` of HDF5's datasets, followed by the word held or
+    sampled if it is known how the signal runs between its samples; those of MATLAB's files are
+    unknown.
+
+    Parameters
+    ----------
+    path : str or Path
+    messages : collection of str, optional
+        Groups to read; all by default.
+    stated : mapping of str to str, optional
+        Columns of the only group by new name, see `greybox.logs.read`.
+    rate : float, Hz, optional
+        The sampling rate where there is neither a time vector nor an interval ``Ts``.
+
+    Returns
+    -------
+    Recording
+        The findings name the timetables and other objects, which only MATLAB can read: save them as
+        structs.
+
+    Raises
+    ------
+    ValueError
+        If the file is damaged, or nothing in it has a time vector.
+    OSError
+        If the file cannot be opened.
+    """
+    path = Path(path)
+    with open(path, "rb") as file:
+        head = file.read(HEAD)
+    is_hdf5 = SIGNATURE in head
+    contents = read_contents("hdf5" if is_hdf5 else "matlab", path)
+    # MATLAB 7.3 stores matrices transposed.
+    turned = is_hdf5 and head.startswith(b"MATLAB")
+    rows = [v._replace(values=_rows(v.values, turned)) for v in contents.variables]
+
+    return recording(path, contents._replace(variables=rows), messages, None, stated, rate)
+
+
+def _rows(values: Array, turned: bool) -> Array:
+    """Return an array with the samples in rows."""
+    if values.ndim == 2 and 1 in values.shape:
+        return values.ravel()
+    return values.T if turned else values
 
 
 def read_contents(kind: str, path: Path, *wanted: str) -> Contents:
@@ -58,30 +124,31 @@ def read_contents(kind: str, path: Path, *wanted: str) -> Contents:
 def recording(
     path: Path,
     contents: Contents,
-    messages: Collection[str] | None,
+    messages: Collection[str] | None = None,
     parameters: Mapping[str, float] | None = None,
     stated: Mapping[str, str] | None = None,
     rate: float | None = None,
+    *,
+    rows_allowed: bool = False,
 ) -> Recording:
     """Make a record of every group that has a time; the root is named after the file.
 
     With the `parameters` of a vehicle, the groups are messages of its flight controller. The
-    `stated` columns and the `rate` are those of the only group, see `greybox.logs.read`.
+    `stated` columns and the `rate` are those of the only group, see `greybox.logs.read`. With
+    `rows_allowed`, a group without a time becomes a record of rows; otherwise, since it has
+    settings and the like, a finding.
     """
     with open(path, "rb") as file:
         checksum = hashlib.file_digest(file, "sha256").hexdigest()
-    columns: dict[str, dict[str, Array]] = {}
-    units: dict[str, dict[str, str]] = {}
+    groups: dict[str, dict[str, Variable]] = {}
     for variable in contents.variables:
-        name = variable.group or path.stem
-        columns.setdefault(name, {})[variable.name] = variable.values
-        units.setdefault(name, {})[variable.name] = variable.unit
+        groups.setdefault(variable.group or path.stem, {})[variable.name] = variable
 
     by_name = {}
     findings = list(contents.findings)
-    findings += [f"there is no group {name}." for name in messages or () if name not in columns]
-    # Groups without a time, such as settings, are findings, not errors.
-    groups = {n: group for n, group in columns.items() if messages is None or n in messages}
+    findings += [f"there is no group {name}." for name in messages or () if name not in groups]
+    present = ", ".join(groups)
+    groups = {n: group for n, group in groups.items() if messages is None or n in messages}
     if stated and len(groups) != 1:
         raise ValueError(
             f"{path.name} has {len(groups)} groups, but `columns` names the columns of one table."
@@ -89,19 +156,26 @@ def recording(
 
     # Every group has a clock of its own.
     for name, group in groups.items():
-        labels = units[name]
+        columns = {key: variable.values for key, variable in group.items()}
+        units = {key: variable.unit for key, variable in group.items()}
         if stated:
-            group, labels = renamed(group, labels, stated, path.name)  # noqa: PLW2901
-        part, problems = table(name, group, labels, rate)
-        clocked, restarts = on_one_clock([part] if part else [])
+            columns, units = renamed(columns, units, stated, path.name)
+        part, problems = table(name, columns, units, rate)
+        if part.time is None and part.columns and rows_allowed:
+            about = (name, path.name, checksum)
+            by_name[name] = Record(None, part.columns, part.units, *about)  # type: ignore[arg-type]
+            continue
+        clocked, restarts = on_one_clock([part])
         clocked = clocked if parameters is None else with_holds(clocked, parameters)
         records_of_group, dropped = records(clocked, path.name, checksum)
         by_name.update(records_of_group)
         findings += [*problems, *restarts, *dropped]
     if not by_name:
         raise ValueError(
-            f"{path} has no group with a vector 'time' (or t, timestamp) and vectors of its "
-            f"length; it holds {', '.join(columns) or 'no vectors at all'}."
+            f"{path} has no numeric column beside the time: it needs one for each signal."
+            if rows_allowed
+            else f"{path} has no group with a vector 'time' (or t, timestamp) and vectors of its "
+            f"length; it holds {present or 'no vectors at all'}."
         )
 
     return Recording(by_name, path.name, checksum, {}, tuple(findings))

@@ -7,8 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.intersample import CONTINUOUS, HELD
-from greybox.data.record import Record
-from greybox.data.time_column import seconds, times_in_seconds
+from greybox.data.time_column import seconds, tick, times_in_seconds
 from greybox.files.arrays import Array
 from greybox.files.text_table import some
 from greybox.logs.readers.messages import Messages
@@ -20,11 +19,12 @@ WIDEST = 64
 
 def table(
     name: str, columns: Mapping[str, Array], units: Mapping[str, str], rate: float | None = None
-) -> tuple[Messages | None, tuple[str, ...]]:
-    """Make messages of columns that share a time; None without a time or without signals.
+) -> tuple[Messages, tuple[str, ...]]:
+    """Make messages of columns that share a time, and findings on those that were left out.
 
     Without a time column the samples are `rate` Hz apart, or ``Ts`` seconds where the table has
-    this sampling interval, as in System Identification Toolbox.
+    this sampling interval, as in System Identification Toolbox. Without these, the messages have no
+    time.
 
     Parameters
     ----------
@@ -36,68 +36,52 @@ def table(
     units : mapping of str to str
         A word behind the unit may state how the signal runs between its samples, ``1 held`` or
         ``rad sampled``.
-
-    Returns
-    -------
-    messages : Messages or None
-    findings : tuple of str
-        Columns that were left out.
     """
-    timer = next(
-        (key for key in columns if seconds(key, units.get(key, "")) and columns[key].ndim == 1), ""
-    )
+    timer = time_column(columns, units)
+    signals = {key: values for key, values in columns.items() if key != timer}
     # MATLAB's iddata and many scripts store one interval instead of a vector of times.
     interval = np.ravel(columns.get("Ts", np.empty(0)))
-    if timer and columns[timer].size:
+    has_interval = not timer and (rate or interval.size == 1)
+    if has_interval:
+        signals.pop("Ts", None)
+    size = len(columns[timer]) if timer else max(map(len, signals.values()), default=0)
+    time, assumed = None, ()
+    if timer:
         time, assumed = times_in_seconds(timer, units.get(timer, ""), columns[timer])
-    elif rate or interval.size == 1:
-        columns = {key: values for key, values in columns.items() if key != "Ts"}
-        count = max((len(values) for values in columns.values()), default=0)
-        step = 1 / rate if rate else float(interval[0])
-        time, assumed = np.arange(count, dtype=float) * step, ()
-    else:
-        return None, (
-            f"{name or 'the file'}: {len(columns)} variables without a time were left out.",
-        )
+    elif has_interval:
+        time = np.arange(size, dtype=float) * (1 / rate if rate else float(interval[0]))
 
-    signals = {}
+    split = {}
     labels = {}
     hold = {}
-    wrong_length = []
-    for key, values in columns.items():
-        if key == timer:
-            continue
+    for key, values in signals.items():
         unit, seconds_held = _unit_and_hold(units.get(key, ""))
-        for label, column in _split(key, values, time.size):
-            signals[label] = column
-            labels[label] = unit
-            if seconds_held is not None:
-                hold[label] = seconds_held
-        if values.shape[:1] != time.shape:
-            wrong_length.append(key)
-
-    findings = [*assumed]
-    if wrong_length:
-        findings.append(
-            f"{name}: left out, because their length is not that of the time: "
-            f"{some(wrong_length, 12)}."
-        )
-    messages = (
-        Messages(name, np.arange(time.size), time, signals, {}, labels, hold=hold)
-        if signals
-        else None
+        parts = _split(key, values, size)
+        split |= parts
+        labels |= dict.fromkeys(parts, unit)
+        if seconds_held is not None:
+            hold |= dict.fromkeys(parts, seconds_held)
+    odd = [key for key, values in signals.items() if len(values) != size]
+    left_out = (
+        (f"{name}: left out, because their length is not that of the time: {some(odd, 12)}.",)
+        if odd and time is not None
+        else ()
     )
 
-    return messages, tuple(findings)
+    return Messages(name, np.arange(size), time, split, {}, labels, hold=hold), (
+        *assumed,
+        *left_out,
+    )
 
 
-def of_rows(
-    name: str, columns: Mapping[str, Array], units: Mapping[str, str], **about: Any
-) -> Record:
-    """Return a record of rows without a time; `about` are its source, checksum and findings."""
-    named = {key: _unit_and_hold(units.get(key, ""))[0] for key in columns}
-    stated = {key: unit for key, unit in named.items() if unit}
-    return Record(None, columns, stated, name, **about)  # type: ignore[arg-type]
+def time_column(columns: Mapping[str, NDArray[Any]], units: Mapping[str, str]) -> str:
+    """Return the name of the time: a vector of this name, or a first one that is a clock."""
+    vectors = [key for key, values in columns.items() if values.ndim == 1 and values.size]
+    timer = next((key for key in vectors if seconds(key, units.get(key, ""))), "")
+    # Of another name, a first column that increases and has a unit of time.
+    first = next(iter(columns), "")
+    is_clock = first in vectors and tick(units.get(first, ""))
+    return timer or (first if is_clock and np.all(np.diff(columns[first]) > 0) else "")
 
 
 def _unit_and_hold(text: str) -> tuple[str, float | None]:
@@ -107,12 +91,12 @@ def _unit_and_hold(text: str) -> tuple[str, float | None]:
     return (text, None) if hold is None else (unit.strip(), hold)
 
 
-def _split(name: str, values: NDArray[np.generic], size: int) -> list[tuple[str, Array]]:
+def _split(name: str, values: NDArray[Any], size: int) -> dict[str, Array]:
     """Return the signals of a variable of the right length: itself, or the columns of a matrix."""
     if values.shape[:1] != (size,):
-        return []
+        return {}
     if values.ndim == 1:
-        return [(name, values.astype(float, copy=False))]
+        return {name: values.astype(float, copy=False)}
     if values.ndim == 2 and values.shape[1] <= WIDEST:
-        return [(f"{name}[{i}]", values[:, i].astype(float)) for i in range(values.shape[1])]
-    return []
+        return {f"{name}[{i}]": column.astype(float) for i, column in enumerate(values.T)}
+    return {}

@@ -57,7 +57,7 @@ def test_times_in_other_units_tables_and_matrices(made, tmp_path):
     np.testing.assert_array_equal(recording["b"]["z"], T**2)
     assert recording.findings == (
         "a: left out, because their length is not that of the time: odd.",
-        "c: 1 variables without a time were left out.",
+        "c: its 200 messages have no time and were left out.",
     )
 
 

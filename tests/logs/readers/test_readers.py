@@ -134,7 +134,7 @@ STAMP = 1_700_000_000_000_000  # µs since 1970
         (b"FMT, 128, 89, FMT\n", "dataflash_text"),
         (b"FMT, 128,\x00 89, FMT\n", ""),
         (b"ULog\x01\x12\x35\x01", "ulog"),
-        (b"MATLAB 5.0 MAT-file, Platform: GLNXA64", "matlab"),
+        (b"MATLAB 5.0 MAT-file, Platform: GLNXA64", "named_arrays"),
     ],
 )
 def test_the_first_bytes_tell_the_format(head, module):

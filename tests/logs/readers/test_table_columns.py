@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from greybox.files.heading import Heading, heading
-from greybox.logs.readers.table_columns import WIDEST, of_rows, seconds, table
+from greybox.logs.readers.table_columns import WIDEST, seconds, table
 
 TIME = np.arange(5) * 20.0  # ms
 
@@ -52,9 +52,18 @@ def test_a_table_has_a_time_signals_and_a_word_on_what_was_left_out():
     assert findings == ("flight: left out, because their length is not that of the time: short.",)
 
 
-def test_without_a_time_or_without_anything_else_there_is_no_table():
-    assert table("a", {"x": TIME}, {}) == (None, ("a: 1 variables without a time were left out.",))
-    assert table("a", {"t": TIME}, {"t": "s"}) == (None, ())
+def test_without_a_time_the_messages_have_none():
+    messages, findings = table("a", {"x": TIME, "Ts": TIME[:2]}, {})
+    assert (messages.time, list(messages.columns), findings) == (None, ["x"], ())
+    messages, _ = table("a", {"t": TIME}, {"t": "s"})
+    assert dict(messages.columns) == {}
+
+
+def test_a_first_column_that_increases_in_a_unit_of_time_is_the_time():
+    for elapsed, is_time in ((TIME, True), (-TIME, False), (0 * TIME, False)):
+        messages, _ = table("a", {"elapsed": elapsed, "x": TIME**2}, {"elapsed": "ms", "x": "s"})
+        assert (messages.time is not None) == is_time
+        assert ("elapsed" in messages.columns) != is_time
 
 
 def test_a_matrix_of_64_columns_is_signals_and_one_of_65_an_image():
@@ -77,8 +86,6 @@ def test_a_unit_may_say_how_a_signal_runs():
     messages, _ = table("a", columns, units)
     assert messages.units == {"u": "1", "x": "m/s", "y": "m s", "z": ""}
     assert messages.hold == {"u": np.inf, "x": 0.0, "z": np.inf}
-    rows = of_rows("a", {"u": TIME, "y": TIME, "w": TIME}, units | {"w": ""})
-    assert (rows.units, rows.has_time, rows.name) == ({"u": "1", "y": "m s"}, False, "a")
 
 
 def test_of_two_times_the_first_vector_is_the_time():
@@ -86,10 +93,6 @@ def test_of_two_times_the_first_vector_is_the_time():
     messages, _ = table("a", columns, {"t": "min"})
     np.testing.assert_array_equal(messages.time, 60 * TIME)
     assert [*messages.columns] == ["time[0]", "time[1]", "timestamp"]
-    assert table("", {"t": TIME[:0], "x": TIME[:0]}, {}) == (
-        None,
-        ("the file: 2 variables without a time were left out.",),
-    )
 
 
 @pytest.mark.parametrize(
