@@ -29,65 +29,17 @@ from greybox.simulation.windows import Windows, cut
 BLIND = 1e-9  # relative eigenvalue of the information below which a direction is not determined
 
 
-@dataclass(frozen=True, eq=False)
-class OwnValues:
-    """Values that belong to a record, estimated from it.
-
-    Attributes
-    ----------
-    names : tuple of str
-        Names of the estimated values.
-    values, errors : (a,) arrays
-        Their standard errors include those of the model's parameters.
-    units : tuple of str
-    undetermined : tuple of str
-        Names of values that the record does not determine.
-    numbers : int
-        Number of measurements from which they were estimated.
-    """
-
-    names: tuple[str, ...]
-    values: Array
-    errors: Array
-    units: tuple[str, ...]
-    undetermined: tuple[str, ...]
-    numbers: int
-
-    @property
-    def by_name(self) -> dict[str, tuple[float, float]]:
-        """Values and standard errors by name."""
-        pairs = zip(self.values.tolist(), self.errors.tolist(), strict=True)
-        return dict(zip(self.names, pairs, strict=True))
-
-    def notes(self, record: str) -> tuple[str, ...]:
-        """Return sentences on the values that were estimated from the record, and on the others."""
-        notes = []
-        texts = []
-        for (name, pair), unit in zip(self.by_name.items(), self.units, strict=True):
-            number, deviation = with_error(*pair)
-            texts.append(f"{name} = {number} ± {deviation} {'' if unit == '1' else unit}".rstrip())
-        if texts:
-            notes.append(
-                f"{listed(texts)} {'was' if len(texts) == 1 else 'were'} estimated from {record} "
-                f"itself: {counted(len(texts), 'value')} from {counted(self.numbers, 'number')}, "
-                "so the record is not held out in them."
-            )
-        if self.undetermined:
-            notes.append(
-                f"{listed(self.undetermined)}: not determined by {record}, the value of the fit is "
-                "used."
-            )
-        return tuple(notes)
-
-
 def with_own_values(
     model: ModelAtEstimate,
     windows: Windows,
     outputs: tuple[str, ...],
     integrator: Integrator,
     own: Sequence[str],
-) -> tuple[ModelAtEstimate, OwnValues | None]:
-    """Return the model with the values `own` estimated from the windows, and these, if any.
+) -> tuple[ModelAtEstimate, dict[str, tuple[float, float]], tuple[str, ...]]:
+    """Return the model with the values `own` estimated from the windows.
+
+    Also returned are these values with their standard errors, which include those of the model's
+    parameters, and sentences on what was estimated and what could not be.
 
     Raises
     ------
@@ -95,58 +47,102 @@ def with_own_values(
         If the model does not have a name, or the signal of a bias.
     """
     if not own:
-        return model, None
+        return model, {}, ()
     biased = _with_biases(model, own)
-    names = tuple(dict.fromkeys(own))
+    limits = {name: _limits(biased, windows, name) for name in own}
     simulator = Simulator(biased, biased.criterion, outputs, integrator)
 
     # Short windows come first: they follow the record even with wrong values.
-    solution = _determined(simulator, biased, windows, names)
+    estimate = _determined(simulator, biased, windows, limits)
     for longer in _longer(biased, windows, outputs):
-        candidate = _determined(simulator, solution.model, longer, names)
+        candidate = _determined(simulator, estimate.model, longer, limits)
         # Up to a tenth more in rms is due to slow errors of the model. With more, the free
         # simulation no longer follows the record.
-        reference = solution.information.mean_square if solution.names else math.inf
-        follows = candidate.information.mean_square <= 1.2 * max(reference, 1.0)
-        if not candidate.names or not follows:
+        reference = estimate.mean_square if estimate.names else math.inf
+        if not candidate.names or candidate.mean_square > 1.2 * max(reference, 1.0):
             break
-        if candidate.certainty > solution.certainty:
-            solution = candidate
+        if candidate.certainty > estimate.certainty:
+            estimate = candidate
 
-    undetermined = tuple(name for name in names if name not in solution.names)
-    if not solution.names:
-        return model, OwnValues((), np.zeros(0), np.zeros(0), (), undetermined, 0)
-    covariance = _covariance(simulator, solution)
-    rows = np.unique(solution.windows.rows)
-    values = OwnValues(
-        names=solution.names,
-        values=solution.model.q[solution.places],
-        errors=np.sqrt(np.diag(covariance)[solution.places]),
-        units=tuple(_unit(biased, windows, name) for name in solution.names),
-        undetermined=undetermined,
-        numbers=sum(int(np.isfinite(windows.record[name][rows]).sum()) for name in outputs),
+    record = windows.record.name or "the record"
+    undetermined = [name for name in limits if name not in estimate.names]
+    notes: tuple[str, ...] = ()
+    if undetermined:
+        notes = (
+            f"{listed(undetermined)}: not determined by {record}, the value of the fit is used.",
+        )
+    if not estimate.names:
+        return model, {}, notes
+
+    covariance = _covariance(simulator, estimate)
+    errors = np.sqrt(np.diag(covariance)[estimate.places]).tolist()
+    values = dict(
+        zip(estimate.names, zip(estimate.values.tolist(), errors, strict=True), strict=True)
     )
-    return replace(solution.model, covariance=covariance), values
+    units = [_unit(biased, windows, name) for name in estimate.names]
+    rows = np.unique(estimate.windows.rows)
+    numbers = sum(int(np.isfinite(windows.record[name][rows]).sum()) for name in outputs)
+    note = _note(values, units, numbers, record)
+    return replace(estimate.model, covariance=covariance), values, (note, *notes)
+
+
+def _note(
+    values: Mapping[str, tuple[float, float]], units: Sequence[str], numbers: int, record: str
+) -> str:
+    texts = []
+    for (name, pair), unit in zip(values.items(), units, strict=True):
+        number, deviation = with_error(*pair)
+        texts.append(f"{name} = {number} ± {deviation} {'' if unit == '1' else unit}".rstrip())
+    return (
+        f"{listed(texts)} {'was' if len(texts) == 1 else 'were'} estimated from {record} "
+        f"itself: {counted(len(texts), 'value')} from {counted(numbers, 'number')}, "
+        "so the record is not held out in them."
+    )
 
 
 @dataclass(frozen=True, eq=False)
-class _Solution:
-    """The model with the values `names` that windows determine, and the information on them."""
+class _Estimate:
+    """A model with the values at `places`, and the normal equations of these there.
+
+    `matrix` (a, a) and `gradient` (a,) have the first states and their mean eliminated; `squares`
+    is the sum of the remaining weighted residuals, `numbers` their count.
+    """
 
     model: ModelAtEstimate
     windows: Windows
-    names: tuple[str, ...]
-    information: "_Information"
+    places: IntArray
+    matrix: Array
+    gradient: Array
+    squares: float
+    numbers: int
 
     @property
-    def places(self) -> IntArray:
-        return np.array([self.model.names.index(name) for name in self.names], dtype=int)
+    def names(self) -> tuple[str, ...]:
+        return tuple(self.model.names[k] for k in self.places)
 
     @property
-    def certainty(self) -> tuple[float, float]:
-        """Number of determined values, and minus the sum of the logarithms of their variances."""
-        variances = np.diag(self.information.covariance)
-        return len(self.names), -float(np.sum(np.log(variances[: len(self.names)])))
+    def values(self) -> Array:
+        return self.model.q[self.places]
+
+    @property
+    def mean_square(self) -> float:
+        return self.squares / max(self.numbers, 1)
+
+    @property
+    def inverse(self) -> Array:
+        return pseudo_inverse(self.matrix)
+
+    @property
+    def covariance(self) -> Array:
+        """The covariance (a, a) by the noise of the fit, or by the residuals if they are larger."""
+        # The lead-in of a window is the horizon of another: measurements are used more than once.
+        overlap = (self.windows.lead + self.windows.horizon) / self.windows.horizon
+        return self.inverse * overlap * max(self.mean_square, 1.0)
+
+    @property
+    def certainty(self) -> tuple[int, float]:
+        """Number of values, and minus the sum of the logarithms of their variances."""
+        return len(self.places), -float(np.sum(np.log(np.diag(self.covariance))))
 
 
 def _longer(
@@ -173,20 +169,19 @@ def _longer(
 
 
 def _determined(
-    simulator: Simulator, model: ModelAtEstimate, windows: Windows, own: Sequence[str]
-) -> _Solution:
-    """Estimate those of the values `own` that the windows determine; the others stay."""
-    limits = {name: _limits(model, windows, name) for name in own}
+    simulator: Simulator,
+    model: ModelAtEstimate,
+    windows: Windows,
+    limits: Mapping[str, tuple[float, float]],
+) -> _Estimate:
+    """Estimate those of the values in `limits` that the windows determine; the others stay."""
     while True:
-        places = np.array([model.names.index(name) for name in limits], dtype=int)
-        solved, information = _minimized(simulator, model, windows, places, limits)
-
+        estimate = _minimized(simulator, model, windows, limits)
         # One at a time: without that value, the record may determine the others.
-        lost = _not_determined(information, limits) if limits and information.numbers else ""
+        lost = _not_determined(estimate, limits) if limits else ""
         if not lost:
-            names = tuple(limits) if information.numbers else ()
-            return _Solution(solved if names else model, windows, names, information)
-        del limits[lost]
+            return estimate
+        limits = {name: pair for name, pair in limits.items() if name != lost}
 
 
 def _with_biases(model: ModelAtEstimate, own: Sequence[str]) -> ModelAtEstimate:
@@ -194,8 +189,6 @@ def _with_biases(model: ModelAtEstimate, own: Sequence[str]) -> ModelAtEstimate:
     possible = {f"{signal}_bias" for signal in (*model.system.outputs, *model.system.inputs)}
     new = [name for name in dict.fromkeys(own) if name in possible and name not in model.names]
     require_known(own, (*model.names, *new), "parameter", model.label)
-    if not new:
-        return model
     biases = (*model.criterion.biases, *(name.removesuffix("_bias") for name in new))
     covariance = model.covariance
 
@@ -205,7 +198,7 @@ def _with_biases(model: ModelAtEstimate, own: Sequence[str]) -> ModelAtEstimate:
     return replace(
         model,
         names=(*model.names, *new),
-        q=np.append(model.q, np.zeros(len(new))),
+        q=np.pad(model.q, (0, len(new))),
         covariance=covariance,
         criterion=replace(model.criterion, biases=biases),
     )
@@ -228,154 +221,109 @@ def _unit(model: ModelAtEstimate, windows: Windows, name: str) -> str:
     return windows.record.units.get(name.removesuffix("_bias"), "")
 
 
-@dataclass(frozen=True, eq=False)
-class _Information:
-    """Normal equations of the active values, with the states and their mean eliminated.
-
-    `matrix` (a, a) and `gradient` (a,); `squares` is the sum of the remaining weighted residuals,
-    `numbers` their count, `overlap` how often a measurement is used on average.
-    """
-
-    matrix: Array
-    gradient: Array
-    squares: float
-    numbers: int
-    overlap: float
-
-    @property
-    def mean_square(self) -> float:
-        return self.squares / max(self.numbers, 1)
-
-    @property
-    def covariance(self) -> Array:
-        """The covariance (a, a) by the noise of the fit, or by the residuals if they are larger."""
-        return pseudo_inverse(self.matrix) * self.overlap * max(self.mean_square, 1.0)
-
-
 def _minimized(
     simulator: Simulator,
     model: ModelAtEstimate,
     windows: Windows,
-    places: IntArray,
     limits: Mapping[str, tuple[float, float]],
-) -> tuple[ModelAtEstimate, _Information]:
-    """Return the model at the best values of `places`, and the information there."""
+) -> _Estimate:
+    """Return the best values of the names in `limits`."""
     # Bounds keep a value finite that the windows determine badly.
     low, high = np.array([*limits.values()]).reshape(-1, 2).T
-    q = model.q.copy()
-    q[places] = np.clip(q[places], low, high)
-    information = _information(simulator.at(q), windows, places)
+    places = np.array([model.names.index(name) for name in limits], dtype=int)
+
+    def at(values: Array) -> _Estimate:
+        q = model.q.copy()
+        q[places] = np.clip(values, low, high)
+        return _linearized(simulator, replace(model, q=q), windows, places)
+
+    best = at(model.q[places])
     # Biases and trims are nearly linear: two or three iterations are enough.
     for _ in range(15):
-        inverse = pseudo_inverse(information.matrix)
-        step = inverse @ information.gradient
+        inverse = best.inverse
+        step = inverse @ best.gradient
         # Halve a step that predicts worse by more than rounding, or leaves fewer numbers finite.
         for _ in range(8):
-            trial = q.copy()
-            trial[places] = np.clip(q[places] + step, low, high)
-            at_trial = _information(simulator.at(trial), windows, places)
-            is_worse = at_trial.mean_square > information.mean_square * (1 + 1e-6)
-            if at_trial.numbers >= information.numbers and not is_worse:
+            trial = at(best.values + step)
+            is_worse = trial.mean_square > best.mean_square * (1 + 1e-6)
+            if trial.numbers >= best.numbers and not is_worse:
                 break
             step = step / 2
         else:
             break
-        change = np.abs(trial - q)[places]
-        q = trial
-        information = at_trial
+        change = np.abs(trial.values - best.values)
+        best = trial
         if np.all(change <= 0.01 * np.sqrt(np.diag(inverse))):
             break
-    return replace(model, q=q), information
+    return best
 
 
-def _information(simulator: Simulator, windows: Windows, places: IntArray) -> _Information:
-    """Return the normal equations at the simulator's values.
+def _linearized(
+    simulator: Simulator, model: ModelAtEstimate, windows: Windows, places: IntArray
+) -> _Estimate:
+    """Return the normal equations of the values at `places`.
 
     The first state of a window is an unknown mean of all windows plus a deviation with the spread
     of the prior.
     """
-    simulated = simulator.windows(windows, places)
+    simulated = simulator.at(model.q).windows(windows, places)
     initial, slopes = simulated.initial, simulated.slopes
     residuals, present = simulated.measured - simulated.outputs, np.isfinite(simulated.measured)
     finite = ~initial.not_finite & np.all(np.isfinite(slopes), axis=(1, 2, 3))
     finite &= np.all(np.isfinite(residuals) | ~present, axis=(1, 2))
     used = present & finite[:, None, None]
 
-    n = initial.states.shape[1]
-    weight = whitening(initial.noise)
-    w = len(residuals)
-    r = (np.where(used, residuals, 0.0) @ weight.T).reshape(w, -1)
-    J = (weight @ np.where(used[..., None], slopes, 0.0)).reshape(w, r.shape[1], -1)
-    by_state = J[..., :n]
-    # A change of the mean moves the first states of all windows: it has the same derivatives.
-    columns = np.concatenate([J[..., n:], by_state], axis=2)
-    matrix = np.einsum("wma,wmb->ab", columns, columns)
-    gradient = np.einsum("wma,wm->a", columns, r)
-    squares = float(np.sum(r**2))
+    # The residuals are the last column of the values, for one product with both.
+    w, n = initial.states.shape
+    a = len(places)
+    columns = np.concatenate([slopes, residuals[..., None]], axis=3)
+    columns = whitening(initial.noise) @ np.where(used[..., None], columns, 0.0)
+    columns = columns.reshape(w, -1, n + a + 1)
 
-    if n:
-        usable = np.any(used, axis=(1, 2))
-        precision = np.nan_to_num(initial.precision)
-        deviation = np.where(usable[:, None], initial.states - np.nan_to_num(initial.mean), 0.0)
-        H = by_state.transpose(0, 2, 1) @ by_state + np.diag(precision)
-        slope = np.einsum("wmn,wm->wn", by_state, r) - precision * deviation
-        cross = by_state.transpose(0, 2, 1) @ columns
-        matrix = matrix - np.einsum("wna,wnb->ab", cross, np.linalg.solve(H, cross))
-        step = np.linalg.solve(H, slope[..., None])[..., 0]
-        gradient = gradient - np.einsum("wna,wn->a", cross, step)
-        squares += float(np.sum(precision * deviation**2) - np.sum(slope * step))
+    # The prior of the deviations adds rows, in which the mean of all states has no part.
+    root = np.sqrt(np.nan_to_num(initial.precision))
+    deviation = np.where(used.any(axis=(1, 2))[:, None], initial.states - initial.mean, 0.0)
+    prior = np.zeros((w, n, n + a + 1))
+    prior[..., -1] = -root * deviation
+    by_state = np.concatenate([columns[..., :n], np.broadcast_to(np.diag(root), (w, n, n))], axis=1)
+    columns = np.concatenate([columns, prior], axis=1)
+    basis = np.linalg.qr(by_state)[0]
+    columns = columns - basis @ (basis.transpose(0, 2, 1) @ columns)
 
     # The deviations of single windows were eliminated above; now the mean is.
-    a = len(places)
-    mean = pseudo_inverse(matrix[a:, a:])
-    gain = matrix[:a, a:] @ mean
-    return _Information(
-        matrix[:a, :a] - gain @ matrix[a:, :a],
-        gradient[:a] - gain @ gradient[a:],
-        squares - float(gradient[a:] @ mean @ gradient[a:]),
-        int(used.sum()),
-        (windows.lead + windows.horizon) / windows.horizon,
-    )
-
-
-def _eigen(matrix: Array) -> tuple[Array, Array, Array]:
-    """Return eigenvalues and vectors of the matrix scaled to a diagonal of ones, and the scales."""
-    diagonal = np.diag(matrix)
-    scale = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
-    values, vectors = np.linalg.eigh(matrix * np.outer(scale, scale))
-    return values, vectors, scale
+    flat = columns.reshape(-1, n + a + 1)
+    gram = flat.T @ flat
+    mean = pseudo_inverse(gram[:n, :n])
+    gram = gram[n:, n:] - gram[n:, :n] @ mean @ gram[:n, n:]
+    numbers = int(used.sum())
+    return _Estimate(model, windows, places, gram[:a, :a], gram[:a, a], float(gram[a, a]), numbers)
 
 
 def pseudo_inverse(matrix: Array) -> Array:
     """Return the inverse of an information matrix (a, a), zero along undetermined directions."""
-    if not len(matrix):
-        return matrix
-    values, vectors, scale = _eigen(matrix)
-    determined = values > BLIND * max(float(values[-1]), 0.0)
-    root = vectors[:, determined] / np.sqrt(values[determined])
-    return (root @ root.T) * np.outer(scale, scale)
+    # A diagonal of ones makes the result independent of units.
+    diagonal = np.diag(matrix)
+    scale = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
+    scales = np.outer(scale, scale)
+    return np.asarray(np.linalg.pinv(matrix * scales, BLIND, hermitian=True) * scales)
 
 
-def _not_determined(information: _Information, limits: Mapping[str, tuple[float, float]]) -> str:
+def _not_determined(estimate: _Estimate, limits: Mapping[str, tuple[float, float]]) -> str:
     """Return the name of the least determined value if it is undetermined, else ""."""
-    # The samples do not change with such a value, or its error exceeds half of its bounds.
-    names = list(limits)
-    values, vectors, scale = _eigen(information.matrix)
-    blind = np.flatnonzero(values <= BLIND * max(float(values[-1]), 0.0))
-    if blind.size:
-        share = np.where(scale > 0, np.max(np.abs(vectors[:, blind]), axis=1), 2.0)
-        if np.max(share) > 0.01:
-            return names[int(np.argmax(share))]
+    # The share of a value in combinations that change no sample.
+    blind = 1 - np.diag(estimate.inverse @ estimate.matrix)
+    if blind.max() > 1e-4:
+        return estimate.names[int(np.argmax(blind))]
+    # Its error exceeds half of its bounds.
     low, high = np.array(list(limits.values())).T
-    ratio = np.sqrt(np.diag(information.covariance)) / ((high - low) / 2)
-    return names[int(np.argmax(ratio))] if ratio.max() > 1 else ""
+    ratio = np.sqrt(np.diag(estimate.covariance)) / ((high - low) / 2)
+    return estimate.names[int(np.argmax(ratio))] if ratio.max() > 1 else ""
 
 
-def _covariance(simulator: Simulator, solution: _Solution) -> Array:
+def _covariance(simulator: Simulator, estimate: _Estimate) -> Array:
     """Return the covariance of all values, with those that were estimated from the record."""
-    model = solution.model
-    places = solution.places
-    information = solution.information
+    model = estimate.model
+    places = estimate.places
     covariance = np.zeros((len(model.names),) * 2)
     if model.covariance is not None:
         covariance = model.covariance.copy()
@@ -383,14 +331,12 @@ def _covariance(simulator: Simulator, solution: _Solution) -> Array:
     # The estimates follow the model's parameters, and share their errors.
     covariance[places] = 0.0
     covariance[:, places] = 0.0
-    model_places = np.flatnonzero(np.isfinite(np.diag(covariance)) & (np.diag(covariance) > 0))
+    given = np.flatnonzero(np.nan_to_num(np.diag(covariance)) > 0)
+    joint = np.concatenate([places, given])
     a = len(places)
-    joint = _information(
-        simulator.at(model.q), solution.windows, np.concatenate([places, model_places])
-    ).matrix
-    follow = -pseudo_inverse(information.matrix) @ joint[:a, a:]
-    shared = covariance[np.ix_(model_places, model_places)]
-    covariance[np.ix_(places, model_places)] = follow @ shared
-    covariance[np.ix_(model_places, places)] = (follow @ shared).T
-    covariance[np.ix_(places, places)] = information.covariance + follow @ shared @ follow.T
+    matrix = _linearized(simulator, model, estimate.windows, joint).matrix
+    follow = np.vstack([-estimate.inverse @ matrix[:a, a:], np.eye(len(given))])
+    shared = follow @ covariance[np.ix_(given, given)] @ follow.T
+    shared[:a, :a] += estimate.covariance
+    covariance[np.ix_(joint, joint)] = shared
     return covariance

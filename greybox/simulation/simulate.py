@@ -215,13 +215,12 @@ def predict_windows(
             else model.own
         )
     integrator = integrator or RungeKutta()
-    model, estimated = with_own_values(
+    model, values, notes = with_own_values(
         model, windows, outputs, integrator, (own,) if isinstance(own, str) else own
     )
     simulator = Simulator(model, model.criterion, outputs, integrator)
     simulated = simulator.windows(windows)
     error, unknown = simulator.standard_errors(simulated)
-    notes = estimated.notes(windows.record.name or "the record") if estimated else ()
     notes += (f"{_not_known(unknown, model)}.",) if unknown else ()
 
     # Lead-ins were used for the states, and would look too good.
@@ -241,7 +240,7 @@ def predict_windows(
         trajectory=np.moveaxis(simulated.states[:, ahead], -1, 0),
         one_step=np.moveaxis(simulator.one_step(simulated)[:, ahead], -1, 0),
         notes=notes,
-        own=estimated.by_name if estimated else {},
+        own=values,
     )
     return prediction, simulated.not_finite, _not_finite(simulated, windows, outputs, model)
 

@@ -3,7 +3,6 @@
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -24,11 +23,11 @@ from greybox.modeling.step_size import (
 )
 from greybox.simulation.model_at_estimate import ModelAtEstimate
 from greybox.simulation.state_estimation import (
+    TINY,
     StateEstimates,
     estimate_states,
     one_step_errors,
     whitening,
-    without_states,
 )
 from greybox.simulation.windows import Windows, sample_data
 
@@ -125,7 +124,6 @@ class Simulator:
         self._integrator = integrator
         self._substeps = integrator.substeps or 0
         self._steps: dict[int, SampleStep] = {}
-        self._segments: dict[tuple[int, int, int, bytes], Segments] = {}
 
     def at(self, q: Array) -> "Simulator":
         """Return the same simulator at other values (declared,)."""
@@ -156,14 +154,25 @@ class Simulator:
         result = self._accurate(stretch.step, run)
         signals = dict(zip(model.system.states, result.states, strict=True))
         signals |= dict(zip(self._outputs, result.outputs, strict=True))
-        unknown: tuple[str, ...] = ()
-        if model.covariance is not None and not diverged(signals).any():
-            slopes = result.segments.output_sensitivities(result.states, model.q, data)[0]
-            by_value, variance = _free_run_sensitivities(
-                model, stretch, slopes, self._outputs, fitted_initial
-            )
-            error, unknown = _standard_errors(by_value, variance, model)
-            signals |= {name + ERROR: row for name, row in zip(self._outputs, error.T, strict=True)}
+        if model.covariance is None or diverged(signals).any():
+            return signals, ()
+
+        slopes = result.segments.output_sensitivities(result.states, model.q, data)
+        n = len(model.system.states)
+        by_value = slopes[..., n:]
+        variance = np.zeros(slopes.shape[:-1])
+        part = model.part
+        # Products of three larger slopes would overflow.
+        if not np.all(np.abs(slopes) < 1e100):
+            by_value = np.full_like(by_value, np.nan)
+        elif fitted_initial and part is not None and n:
+            rows = stretch.rows
+            compared = np.array([np.isfinite(part.residual(name)[rows]) for name in part.outputs]).T
+            places = [self._outputs.index(name) for name in part.outputs]
+            informing = np.where(compared[..., None], slopes[:, :, places], 0.0)
+            by_value, variance = with_implied_states(slopes, informing, part.noise, np.zeros(n))
+        error, unknown = _standard_errors(by_value[0], variance[0], model)
+        signals |= {name + ERROR: row for name, row in zip(self._outputs, error.T, strict=True)}
         return signals, unknown
 
     def windows(self, windows: Windows, active: IntArray | None = None) -> WindowSimulations:
@@ -171,34 +180,61 @@ class Simulator:
 
         Derivatives are by the `active` values, by default the uncertain ones.
         """
-        active = self._model.uncertain if active is None else active
-        data, in_lead, result = self._from_lead_ins(windows, active)
+        model = self._model
+        active = model.uncertain if active is None else active
+        w, length = windows.rows.shape
+        # Rows have no states, but a noise, to which all of their errors belong.
+        lead = windows.lead or length
+        data = sample_data(windows, model.system.inputs, self._outputs, model.delays)
+        # Innovations correct the states in the lead-in only: the rest is a prediction.
+        present = np.isfinite(data["measured"]) & (np.arange(length) < lead)
+        measured, in_lead = (np.moveaxis(v, 0, -1) for v in (data["measured"], present))
+        past = np.where(in_lead, measured, np.nan)[:, :lead]
+        informing = in_lead[:, :lead, :, None]
+        # A constant signal has no size of its own.
+        spread = np.array([np.nanstd(windows.record[name]) or 1.0 for name in self._outputs])
+
+        def run(step: SampleStep) -> _Run:
+            # States are estimated at given values: no derivatives by these are needed.
+            segments = Segments(step, w, lead, np.zeros(0, dtype=int))
+            columns = _columns(segments, data, present)
+
+            def outputs(x: Array) -> Array:
+                return segments.by_segment(_Run.of(segments, x, model.q, columns).outputs)
+
+            def sensitivities(x: Array) -> Array:
+                states, _ = segments.simulate(x, model.q, columns)
+                slopes = segments.output_sensitivities(states, model.q, columns)
+                return np.where(informing, slopes, 0.0)
+
+            guesses = _initial_guesses(model, self._outputs, past)
+            noise = model.noise(self._outputs)
+            estimates = estimate_states(outputs, sensitivities, past, guesses, noise, spread)
+            whole = Segments(step, w, length, active)
+            columns_of_all = _columns(whole, data, present)
+            return _Run.of(whole, estimates.states, model.q, columns_of_all, estimates)
+
+        result = self._accurate(windows.record.step, run)
         assert result.estimates is not None
         segments = result.segments
         return WindowSimulations(
             initial=result.estimates,
-            measured=np.moveaxis(data["measured"], 0, -1),
+            measured=measured,
             outputs=segments.by_segment(result.outputs),
             states=segments.by_segment(result.states),
-            in_lead=np.moveaxis(in_lead, 0, -1),
-            slopes=segments.output_sensitivities(result.states, self._model.q, result.data),
+            in_lead=in_lead,
+            slopes=segments.output_sensitivities(result.states, model.q, result.data),
             segments=segments,
             data=data,
         )
 
     def standard_errors(self, simulated: WindowSimulations) -> tuple[Array, tuple[str, ...]]:
         """Return standard errors (w, samples, k) of the outputs, and values without such errors."""
-        n = len(self._model.system.states)
-        covariance = simulated.initial.covariance
-        by_state, by_value = simulated.slopes[..., :n], simulated.slopes[..., n:]
-        masked = np.where(simulated.in_lead[..., None], simulated.slopes, 0.0)
-        J = whitening(simulated.initial.noise) @ masked
-        mixed = np.einsum("wtin,wtia->wna", J[..., :n], J[..., n:])
-
-        # A change of a value changes the state that the lead-in implies, and so the prediction.
-        state_by_value = -np.einsum("wij,wja->wia", covariance, mixed)
-        variance = np.einsum("wtkn,wnm,wtkm->wtk", by_state, covariance, by_state, optimize=True)
-        by_value = by_value + np.einsum("wtkn,wna->wtka", by_state, state_by_value)
+        initial = simulated.initial
+        informing = np.where(simulated.in_lead[..., None], simulated.slopes, 0.0)
+        by_value, variance = with_implied_states(
+            simulated.slopes, informing, initial.noise, initial.precision
+        )
         return _standard_errors(by_value, variance, self._model)
 
     def one_step(self, simulated: WindowSimulations) -> Array:
@@ -220,62 +256,6 @@ class Simulator:
             estimates.precision,
             estimates.noise,
         )
-
-    def _from_lead_ins(
-        self, windows: Windows, active: IntArray
-    ) -> tuple[dict[str, Array], BoolArray, _Run]:
-        """Run every window from the state that its lead-in gives, with the `active` values.
-
-        Returns the data, which outputs were measured within lead-ins (k, w, samples), and the run.
-        """
-        model = self._model
-        w, length = windows.rows.shape
-        lead = windows.lead
-        data = sample_data(windows, model.system.inputs, self._outputs, model.delays)
-        measured = np.moveaxis(data["measured"], 0, -1)
-        in_lead = np.isfinite(data["measured"]) & (np.arange(length) < lead)
-        spread = np.array([_spread(windows.record[name]) for name in self._outputs])
-
-        # Innovations correct the states in the lead-in only: the rest is a prediction.
-        mask = np.moveaxis(in_lead[:, :, :lead], 0, -1)
-        past = np.where(mask, measured[:, :lead], np.nan)
-
-        def of_rows(step: SampleStep) -> _Run:
-            segments = self._segments_of(step, w, length, active)
-            result = _Run.of(segments, np.zeros((w, 0)), model.q, _columns(segments, data, in_lead))
-            errors = measured - segments.by_segment(result.outputs)
-            return replace(
-                result, estimates=without_states(errors, model.noise(self._outputs), spread)
-            )
-
-        def run(step: SampleStep) -> _Run:
-            # States are estimated at given values: no derivatives by these are needed.
-            lead_in = self._segments_of(step, w, lead, np.zeros(0, dtype=int))
-            lead_data = _columns(lead_in, data, in_lead)
-
-            def simulate(x: Array) -> Array:
-                return lead_in.by_segment(_Run.of(lead_in, x, model.q, lead_data).outputs)
-
-            def sensitivities(x: Array) -> Array:
-                states, _ = lead_in.simulate(x, model.q, lead_data)
-                return np.where(
-                    mask[..., None], lead_in.output_sensitivities(states, model.q, lead_data), 0.0
-                )
-
-            estimates = estimate_states(
-                simulate,
-                sensitivities,
-                past,
-                _initial_guesses(model, self._outputs, past),
-                model.noise(self._outputs),
-                spread,
-            )
-            segments = self._segments_of(step, w, length, active)
-            return _Run.of(
-                segments, estimates.states, model.q, _columns(segments, data, in_lead), estimates
-            )
-
-        return data, in_lead, self._accurate(windows.record.step, run if lead else of_rows)
 
     def _accurate(self, step: float, run: Callable[[SampleStep], _Run]) -> _Run:
         """Run with more and more substeps until halved ones change no sample noticeably."""
@@ -309,13 +289,6 @@ class Simulator:
         )
         change = fine - coarse
         return relative_change(np.where(np.isfinite(change), change, 0.0), state_sizes(x))
-
-    def _segments_of(self, step: SampleStep, count: int, length: int, active: IntArray) -> Segments:
-        """Return segments of this shape, whose functions are compiled once."""
-        key = (id(step), count, length, active.tobytes())
-        if key not in self._segments:
-            self._segments[key] = Segments(step, count, length, active)
-        return self._segments[key]
 
     def _step(self, substeps: int) -> SampleStep:
         if substeps not in self._steps:
@@ -371,47 +344,34 @@ def _columns(segments: Segments, data: Mapping[str, Array], present: BoolArray) 
     return segments.columns(np.concatenate(joined))
 
 
-def _free_run_sensitivities(
-    model: ModelAtEstimate,
-    stretch: Stretch,
-    slopes: Array,
-    outputs: tuple[str, ...],
-    fitted_initial: bool,
+def with_implied_states(
+    slopes: Array, informing: Array, noise: Array, precision: Array
 ) -> tuple[Array, Array]:
-    """Return derivatives (samples, k, a) of the outputs by the uncertain values, and variances.
+    """Return derivatives (w, samples, k, a) of outputs by values, and variances by first states.
 
-    The variances are those due to fitted initial states, which also follow the parameters.
+    A change of a value also changes the first state (n,) that the measurements imply. The `slopes`
+    are by state and value, (w, samples, k, n + a); `informing` (w, samples, j, n + a) are those of
+    the measurements, whose errors have the covariance `noise` (j, j). `precision` (n,) is that of
+    the states' prior. The variances are NaN where the states are not determined.
     """
-    n = len(model.system.states)
-    part = model.part
-    by_state = slopes[..., :n]
-    by_value = slopes[..., n:]
-    no_variance = np.zeros(slopes.shape[:2])
-    # Products of three larger slopes would overflow.
-    if not np.all(np.abs(slopes) < 1e100):
-        return np.full_like(by_value, np.nan), no_variance
-    if not fitted_initial or part is None or not n:
-        return by_value, no_variance
-
-    rows = stretch.rows
-    compared = np.array([np.isfinite(part.residual(name)[rows]) for name in part.outputs]).T
-    places = [outputs.index(name) for name in part.outputs]
+    w, n = len(slopes), precision.size
+    if not n:
+        return slopes, np.zeros(slopes.shape[:-1])
     # Whitened, so that least squares weight every output by its noise.
-    weight = whitening(part.noise)
-    x = (weight @ np.where(compared[..., None], by_state[:, places], 0.0)).reshape(-1, n)
-    q = weight @ np.where(compared[..., None], by_value[:, places], 0.0)
-    size = np.maximum(np.linalg.norm(x, axis=0), 1e-300)
-    _, singular, directions = np.linalg.svd(x / size, full_matrices=False)
+    J = (whitening(noise) @ informing).reshape(w, -1, slopes.shape[-1])
+    prior = np.broadcast_to(np.diag(np.sqrt(precision)), (w, n, n))
+    # Without finite slopes, an output has no finite error either.
+    by_state = np.nan_to_num(np.concatenate([J[..., :n], prior], axis=1), posinf=0.0, neginf=0.0)
+    size = np.maximum(np.linalg.norm(by_state, axis=1, keepdims=True), TINY)
+    inverse = np.linalg.pinv(by_state / size, 1e-10) / np.swapaxes(size, 1, 2)
+    covariance = inverse @ np.swapaxes(inverse, 1, 2)
 
+    outputs_by_state = slopes[..., :n]
+    variance = np.sum(outputs_by_state @ covariance[:, None] * outputs_by_state, axis=-1)
     # Too few samples do not determine all initial states: no variance would be right.
-    if len(x) < n or singular[-1] < 1e-10 * singular[0]:
-        return by_value, no_variance * np.nan
-
-    root = directions.T / singular / size[:, None]
-    covariance = root @ root.T
-    state_by_value = -covariance @ x.T @ q.reshape(len(x), -1)
-    variance = np.einsum("tkn,nm,tkm->tk", by_state, covariance, by_state)
-    return by_value + by_state @ state_by_value, variance
+    variance[np.linalg.matrix_rank(by_state / size, 1e-10) < n] = np.nan
+    state_by_value = -inverse[..., : J.shape[1]] @ J[..., n:]
+    return slopes[..., n:] + outputs_by_state @ state_by_value[:, None], variance
 
 
 def _standard_errors(
@@ -470,10 +430,3 @@ def _initial_guesses(model: ModelAtEstimate, outputs: tuple[str, ...], past: Arr
             for guess in guesses:
                 guess[:, i] = np.nan_to_num(values[np.arange(len(values)), first])
     return guesses
-
-
-def _spread(values: Any) -> float:
-    present = values[np.isfinite(values)]
-
-    # A constant signal has no size of its own.
-    return float(present.std()) or 1.0

@@ -28,13 +28,11 @@ TINY = 1e-300  # instead of a division by zero
 
 @dataclass(frozen=True, eq=False)
 class StateEstimates:
-    """States of all windows at the first sample of their lead-ins, with covariance and prior.
+    """States of all windows at the first sample of their lead-ins, with their prior.
 
     Attributes
     ----------
     states : (w, n) array
-    covariance : (w, n, n) array
-        Covariance of their errors, given the parameters.
     noise : (k, k) array
         Covariance of the outputs' errors, given or estimated from the lead-ins.
     mean, precision : (n,) arrays
@@ -44,7 +42,6 @@ class StateEstimates:
     """
 
     states: Array
-    covariance: Array
     noise: Array
     mean: Array
     precision: Array
@@ -79,7 +76,7 @@ def estimate_states(
         e, S, finite = lead_ins.linearized(x)
     if not finite.any():
         unknown = np.full(n, np.nan)
-        return StateEstimates(x, np.full((w, n, n), np.nan), R, unknown, unknown, ~finite)
+        return StateEstimates(x, R, unknown, unknown, ~finite)
     if not finite.all():
         # Begin the other windows where these are on average.
         x = np.where(finite[:, None], x, x[finite].mean(axis=0))
@@ -112,8 +109,7 @@ def estimate_states(
         if not adapting and np.all(np.abs(step) <= 1e-3 * deviation):
             break
 
-    H, _ = information_of(e, S, R)
-    return StateEstimates(x, _inverse(H, precision), R, mean, precision, ~finite)
+    return StateEstimates(x, R, mean, precision, ~finite)
 
 
 def _halved(
@@ -136,18 +132,6 @@ def _halved(
             break
         step = np.where(worse[:, None], step / 2, step)
     return np.where(worse[:, None], 0.0, step)
-
-
-def without_states(errors: Array, noise: Array | None, spread: Array) -> StateEstimates:
-    """Return estimates without states: the noise, given or that of the errors (w, samples, k)."""
-    w, k = len(errors), errors.shape[-1]
-    if noise is None:
-        squares = np.nansum(errors.reshape(-1, k) ** 2, axis=0)
-        noise = np.diag(squares / np.maximum(np.isfinite(errors.reshape(-1, k)).sum(axis=0), 1))
-    R = noise + np.diag((ROUNDING * spread) ** 2)
-    return StateEstimates(
-        np.zeros((w, 0)), np.zeros((w, 0, 0)), R, np.zeros(0), np.zeros(0), np.zeros(w, dtype=bool)
-    )
 
 
 def one_step_errors(

@@ -234,16 +234,3 @@ def test_the_error_of_the_model_is_in_that_of_an_own_value_that_follows_it():
     # The output is known where the input has its mean: there the errors of both cancel.
     size = np.sqrt(alone.own["y_bias"][1] ** 2 + 0.01 * (u - u.mean()) ** 2)
     assert_allclose(found.error[0, :, 0], size[found.rows[:, 0]], atol=2e-3)
-
-
-def test_own_values_are_told_with_errors_and_units():
-    of = own_values.OwnValues
-    found = of(("a", "b"), np.array([0.5, -2.0]), np.array([0.1, 0.25]), ("m", "1"), ("c", "d"), 1)
-    assert found.by_name == {"a": (0.5, 0.1), "b": (-2.0, 0.25)}
-    first, second = found.notes("r")
-    assert first.startswith("a = 0.50 ± 0.10 m and b = -2.00 ± 0.25 were estimated from r")
-    assert "2 values from 1 number" in first
-    assert second == "c and d: not determined by r, the value of the fit is used."
-    alone = of(("a",), np.array([0.5]), np.array([0.1]), ("m",), (), 40)
-    (said,) = alone.notes("r")
-    assert "m was estimated from r itself: 1 value from 40 numbers, so the record" in said

@@ -16,11 +16,10 @@ from greybox.simulation.simulator import (
     Simulator,
     _depends,
     _first_substeps,
-    _free_run_sensitivities,
     _initial_guesses,
-    _spread,
     _standard_errors,
     diverged,
+    with_implied_states,
 )
 from greybox.simulation.windows import cut
 
@@ -69,11 +68,6 @@ def test_a_model_without_states_needs_no_substeps():
             return (p.rate * gb.sqrt(x.x - 1),)
 
     assert _first_substeps(model_at(Rooted(), {"rate": -80.0}), 0.1) == 1
-
-
-def test_the_spread_of_a_signal_that_does_not_change_is_one():
-    assert _spread(np.array([1.0, np.nan, 5.0])) == 2.0
-    assert _spread(np.array([3.0, 3.0, np.nan])) == 1.0
 
 
 @pytest.mark.parametrize("integrator", [gb.RungeKutta(), gb.Rosenbrock()], ids=repr)
@@ -145,44 +139,35 @@ def test_errors_of_predictions_follow_the_parameters_through_the_state_that_they
     assert np.all(alone.error < 0.3 * found.error)
 
 
-def test_a_free_simulation_takes_its_fitted_initial_states_along():
-    """Derivatives and variance of least squares for the states, over the samples that were compared."""
+def test_outputs_follow_the_states_that_measurements_imply():
+    """Derivatives and variance of least squares for the states, over what was measured."""
     random = np.random.default_rng(0)
     t, n, a = 12, 2, 3
-    slopes = random.normal(size=(t, 2, n + a))
-    residual = random.normal(size=(2, t + 4))
-    residual[0, 5], residual[1, 7:9] = np.nan, np.nan
+    slopes = random.normal(size=(1, t, 2, n + a))
+    measured = random.uniform(size=(1, t, 2, 1)) > 0.2
     noise = np.array([[0.5, 0.2], [0.2, 0.4]])
-    part = SimpleNamespace(
-        outputs=("y", "z"), noise=noise, residual=lambda name: residual["yz".index(name)]
-    )
-    model = SimpleNamespace(system=SimpleNamespace(states=("p", "q")), part=part)
-    stretch = SimpleNamespace(rows=np.arange(2, 2 + t))
-    outputs = ("z", "y")  # in another order than those of the fit
-    found, variance = _free_run_sensitivities(model, stretch, slopes, outputs, True)
+    informing = np.where(measured, slopes, 0.0)
+    found, variance = with_implied_states(slopes, informing, noise, np.zeros(n))
 
-    there = np.isfinite(residual[:, 2 : 2 + t]).T[..., None]
-    of_part = np.where(there, slopes[:, [1, 0]], 0.0)
-    whitened = (np.linalg.inv(np.linalg.cholesky(noise)) @ of_part).reshape(-1, n + a)
+    whitened = (np.linalg.inv(np.linalg.cholesky(noise)) @ informing).reshape(-1, n + a)
     X, Q = whitened[:, :n], whitened[:, n:]
     assert_allclose(found, slopes[..., n:] - slopes[..., :n] @ np.linalg.lstsq(X, Q, rcond=None)[0])
     covariance = np.linalg.inv(X.T @ X)
-    assert_allclose(
-        variance, np.einsum("tkn,nm,tkm->tk", slopes[..., :n], covariance, slopes[..., :n])
-    )
+    by_state = slopes[..., :n]
+    assert_allclose(variance, np.einsum("wtkn,nm,wtkm->wtk", by_state, covariance, by_state))
 
-    one = SimpleNamespace(rows=np.arange(2, 3))  # two numbers tell two states
-    assert np.isfinite(_free_run_sensitivities(model, one, slopes[:1], outputs, True)[1]).all()
+    # A prior is one more measurement of every state.
+    _, known = with_implied_states(slopes, informing, noise, np.array([4.0, 9.0]))
+    covariance = np.linalg.inv(X.T @ X + np.diag([4.0, 9.0]))
+    assert_allclose(known, np.einsum("wtkn,nm,wtkm->wtk", by_state, covariance, by_state))
 
-    given, nothing = _free_run_sensitivities(model, stretch, slopes, outputs, False)
-    assert_allclose(given, slopes[..., n:])
-    assert np.all(nothing == 0)
-    unseen = slopes.copy()
+    # Two numbers determine two states, one does not.
+    _, enough = with_implied_states(slopes, informing[:, :1], noise, np.zeros(n))
+    assert np.isfinite(enough).all() == measured[0, 0].all()
+    unseen = informing.copy()
     unseen[..., 1] = 3 * unseen[..., 0]
-    _, unknown = _free_run_sensitivities(model, stretch, unseen, outputs, True)
+    _, unknown = with_implied_states(slopes, unseen, noise, np.zeros(n))
     assert np.isnan(unknown).all()
-    unseen[3, 0, 4] = np.inf
-    assert np.isnan(_free_run_sensitivities(model, stretch, unseen, outputs, True)[0]).all()
 
 
 def test_guesses_begin_with_what_was_measured():
