@@ -42,7 +42,7 @@ from greybox.formulation.frequency_criteria import evaluate
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.prior_part import stated_priors
 from greybox.formulation.problem import Problem
-from greybox.formulation.starts import Chained, Listed, Sobol, Starts, as_starts
+from greybox.formulation.starts import Listed, Starts, as_starts
 from greybox.formulation.sum import Sum
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
@@ -111,11 +111,11 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     ----------
     problem : Problem or a sum of problems
     starts : int, Starts, or list
-        A number of Sobol points, with records the declared values and one point less; a rule such
-        as `LatinHypercube(200)`; or a list of ``{name: value}``. By default the 8 most promising of
-        200, with records 4 of 20; all of them if few of these runs agree. With records, a start at
-        which the model is not finite moves toward one at which it is finite. Extra runs begin at
-        the best end of several runs, with positive parameters four times larger and smaller.
+        A number: the declared values, then Sobol points. Or a rule such as `LatinHypercube(200)`,
+        or a list of ``{name: value}``. By default the 8 most promising of 200, with records 4 of
+        20; all of them if few of these runs agree. With records, a start at which the model is not
+        finite moves toward one at which it is finite. Extra runs begin at the best end of several
+        runs, with positive parameters four times larger and smaller.
     seed : int, optional
         Seed of the Sobol points, 0 by default; a rule has its own. More starts with the same seed
         include the same points.
@@ -244,7 +244,7 @@ def fit_keeping(
     began = time.perf_counter()
     by = by or SolverChoice()
     nlp, solver = by.compiled(problem)
-    rule = _rule(starts, seed, solver)
+    rule = as_starts(solver.starts if starts is None else starts, seed)
     points = rule.draw({name: nlp.problem.parameters[name] for name in nlp.free})
     run = partial(
         multistart,
@@ -422,17 +422,6 @@ def _parts(
         fitted_part(part, trajectory, values, dict(part.problem.local_values(named)))
         for part, trajectory in zip(nlp.parts, trajectories, strict=True)
     )
-
-
-def _rule(starts: Any, seed: int | None, solver: LocalSolver) -> Starts:
-    """Return the rule for starts; by default the first one may be the declared values."""
-    number = solver.starts if starts is None else starts
-    rule = as_starts(number, seed)
-    if isinstance(number, Starts | Sequence) or not solver.declared_first:
-        return rule
-    # A run on records takes seconds, and the declared values are usually a good guess.
-    declared = Listed(({},))
-    return Chained((declared, Sobol(number - 1, rule.seed or 0))) if number > 1 else declared
 
 
 def _all_costs(parts: Sequence[AnyFittedPart]) -> dict[str, float]:

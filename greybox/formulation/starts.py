@@ -105,7 +105,8 @@ class Listed(Starts):
         return one_line(self, counted(len(self.points), "point"))
 
     def __str__(self) -> str:
-        return f"{len(self.points)} listed"
+        is_declared = list(self.points) == [{}]
+        return "the declared values" if is_declared else f"{len(self.points)} listed"
 
     def draw(self, parameters: Mapping[str, Parameter]) -> Array:
         """Return the listed points, (number, p)."""
@@ -149,7 +150,10 @@ class Chained(Starts):
 def as_starts(
     starts: "int | Starts | Sequence[Mapping[str, float] | Starts]", seed: int | None = None
 ) -> Starts:
-    """Return the rule for a number of Sobol points, a rule, or a list of points and rules.
+    """Return the rule for a number of starts, a rule, or a list of points and rules.
+
+    A number of starts begins with the declared values, which are often a good guess: a model of 31
+    parameters is fitted from there, and from one Sobol point in twenty. Sobol points follow.
 
     Raises
     ------
@@ -159,7 +163,8 @@ def as_starts(
         For a seed together with a rule, which has its own.
     """
     if isinstance(starts, (int, np.integer)) and not isinstance(starts, bool):
-        return Sobol(int(starts), 0 if seed is None else seed)
+        drawn, declared = Sobol(int(starts), 0 if seed is None else seed), Listed(({},))
+        return Chained((declared, Sobol(starts - 1, drawn.seed))) if starts > 1 else declared
     if seed is not None:
         raise ValueError(
             f"seed = {seed} goes with a number of starts: give it to the rule, e.g. Sobol(200, "

@@ -74,14 +74,11 @@ class LocalSolver(Runner):
     ----------
     starts : int
         Default number of starts.
-    declared_first : bool
-        Whether the declared values are the first of a number of starts.
     promising : tuple of int
         How many of the screened starts are run first, and how many of these must agree.
     """
 
     starts: ClassVar[int] = 20
-    declared_first: ClassVar[bool] = True
     promising: ClassVar[tuple[int, int]] = (4, 3)
 
     @abstractmethod

@@ -60,10 +60,7 @@ class ResponseSolver(LocalSolver):
     Where another criterion locates the minimum, IPOPT solves with that one first.
     """
 
-    # A run takes some milliseconds, and the declared values of a transfer function are rarely
-    # better than random ones.
-    starts = 200
-    declared_first = False
+    starts = 200  # a run takes some milliseconds
     promising = (8, 4)
 
     def __init__(

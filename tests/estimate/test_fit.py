@@ -21,9 +21,8 @@ from scipy import stats
 
 import greybox as gb
 from greybox.estimate.diagnostics.discretization import discretization_warnings
-from greybox.estimate.fit import _cut_short, _rule
+from greybox.estimate.fit import _cut_short
 from greybox.estimate.fitted_values import refined_curve
-from greybox.formulation.starts import Chained, Listed, Sobol
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import PAPER_G, LinearTilt, NonlinearTilt, Tilt
 from greybox.solve.interruption import TimeLimits, limited
@@ -350,17 +349,6 @@ def test_what_ctrl_c_and_time_limits_left_out_is_said():
                 f"{cut} of 5 starts {verb} cut at 2.5 s, the time limit of a start: on a faster machine it may end "
                 "at a lower cost."
             ]
-
-
-def test_a_number_of_starts_has_the_declared_values():
-    solver = SimpleNamespace(starts=20, declared_first=True)
-    other = SimpleNamespace(starts=200, declared_first=False)
-    assert _rule(None, 3, other) == Sobol(200, 3)
-    assert _rule(None, 3, solver) == Chained((Listed(({},)), Sobol(19, 3)))
-    assert _rule(2, None, solver) == Chained((Listed(({},)), Sobol(1, 0)))
-    assert _rule(1, 3, solver) == Listed(({},))
-    assert _rule(Sobol(5, 2), None, solver) == Sobol(5, 2)
-    assert _rule([{"K": 1.0}], None, solver) == Listed(({"K": 1.0},))
 
 
 @pytest.mark.parametrize(

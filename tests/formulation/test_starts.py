@@ -85,10 +85,14 @@ def test_a_list_mixes_points_and_rules_in_its_order():
     assert_array_equal(points[4], [0, 1, 1])
 
 
-def test_a_number_means_sobol_points_and_the_runs_begin_there():
+def test_a_number_means_the_declared_values_and_sobol_points_and_the_runs_begin_there():
+    parameters = LagLagDelay().parameters
     fit = gb.fit(gb.Problem(LagLagDelay(), DATA), starts=6, seed=11)
-    expected = gb.solve.Sobol(6, seed=11).draw(LagLagDelay().parameters)
-    assert_array_equal([run.start for run in fit.runs], expected)
+    expected = gb.solve.Sobol(5, seed=11).draw(parameters)
+    assert_array_equal(fit.runs[0].start, [p.start for p in parameters.values()])
+    assert_array_equal([run.start for run in fit.runs[1:]], expected)
+    assert "the declared values + 5 by Sobol, seed 11" in repr(fit)
+    assert as_starts(1, 3) == gb.solve.Listed(({},))
 
 
 def test_an_infinite_box_is_refused_and_a_start_box_or_a_list_cures_it():
