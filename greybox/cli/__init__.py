@@ -12,12 +12,13 @@
 | `predict_command` | a fit on another log |
 | `margins_command`, `tune_command` | the loop of a fit and a controller, and safe gains |
 | `batch_command` | studies |
-| `options`, `workers` | options that several commands share |
+| `options` | how options are stated and read; those that several commands share |
+| `workers` | where runs are made |
 | `output` | what a command gives: answer, exit status, files, figures |
 | `stated_problem`, `parameter_options` | the problem that the options of `greybox fit` describe |
 | `catalog` | included models and problems, and those in a user's own file |
 | `data_file` | the file that `--data` names |
-| `log_tests`, `measurement_options` | the test segments of a log, and how they are measured |
+| `log_tests`, `measurement_options` | a log, its tests, and how they are measured |
 | `saved_fits` | reads and writes results |
 | `study_file` | the members of a batch |
 | `starting_files` | what `greybox new` writes |

@@ -1,13 +1,11 @@
 """The command `greybox batch`: many fits, stored in a folder as they are made."""
 
 import argparse
-from pathlib import Path
 from typing import Any
 
-from greybox.cli.options import add_common_options, positive, positive_number
 from greybox.cli.output import FAILED, INTERRUPTED, USABLE, Answer, attributes
 from greybox.cli.study_file import find_study, read_study_file
-from greybox.cli.workers import add_worker_options, require_folder, stated_executor
+from greybox.cli.workers import require_folder, stated_executor
 from greybox.solve.executors import ExecutorLostError
 from greybox.study.batch import BatchInterrupted, batch
 from greybox.study.study import Study
@@ -17,34 +15,21 @@ EXAMPLES = (
     "study.toml --out results --starts 400",
     "paper --out paper",
 )
+OPTIONS = """
+study STUDY
+    study.toml, study.py with a function members(), or included: paper
+--out DIR
+    store every run and the answers in this folder; after any interruption the same command
+    continues the study (required)
+--starts N
+    number of starts of every member (default: the study's, or that of greybox fit); a larger
+    number uses the stored runs again
+--seconds S
+    time limit of the study
+--workers
+--scheduler
+"""
 RESUME = "the same command continues"
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    add = parser.add_argument
-    add(
-        "study",
-        metavar="STUDY",
-        help="study.toml, study.py with a function members(), or included: paper",
-    )
-    add(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        required=True,
-        help="store every run and the answers in this folder; after any interruption the same "
-        "command continues the study",
-    )
-    add(
-        "--starts",
-        type=positive,
-        help="number of starts of every member (default: the study's, or that of greybox fit); a "
-        "larger number uses the stored runs again",
-    )
-    add("--seconds", type=positive_number, metavar="S", help="time limit of the study")
-    add_worker_options(parser)
-    add_common_options(parser)
 
 
 def run(options: argparse.Namespace) -> Answer:

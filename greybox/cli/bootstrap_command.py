@@ -1,12 +1,10 @@
 """The command `greybox bootstrap`: errors and intervals of a saved fit from resampled data."""
 
 import argparse
-from pathlib import Path
 
-from greybox.cli.options import add_common_options, add_level_option, nonnegative, positive
 from greybox.cli.output import FAILED, INTERRUPTED, USABLE, Answer
-from greybox.cli.saved_fits import add_fit_argument, stated_fit
-from greybox.cli.workers import add_worker_options, require_folder, stated_executor
+from greybox.cli.saved_fits import stated_fit
+from greybox.cli.workers import require_folder, stated_executor
 from greybox.solve.executors import ExecutorLostError
 from greybox.study.bootstrap import bootstrap
 
@@ -14,29 +12,21 @@ EXAMPLES = (
     "pitch.h5",
     "pitch.h5 --replicates 400 --out replicates --workers 2",
 )
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    add = parser.add_argument
-    add_fit_argument(parser)
-    add(
-        "--replicates",
-        type=positive,
-        default=1000,
-        metavar="N",
-        help="number of fits (default: 1000)",
-    )
-    add("--seed", type=nonnegative, default=0, help="seed of the random draws (default: 0)")
-    add_level_option(parser)
-    add(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        help="store the replicates in this folder; the same command continues there",
-    )
-    add_worker_options(parser)
-    add_common_options(parser)
+OPTIONS = """
+result RESULT
+    a fit that greybox fit --out wrote
+--problem
+--model
+--replicates N
+    number of fits (default: 1000)
+--seed K
+    seed of the random draws (default: 0)
+--level
+--out DIR
+    store the replicates in this folder; the same command continues there
+--workers
+--scheduler
+"""
 
 
 def run(options: argparse.Namespace) -> Answer:

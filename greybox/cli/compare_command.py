@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from greybox.cli.batch_command import as_json
-from greybox.cli.options import UsageError, add_common_options
+from greybox.cli.options import UsageError
 from greybox.cli.output import USABLE, Answer, attributes
-from greybox.cli.saved_fits import add_model_option, saved_fit
+from greybox.cli.saved_fits import saved_fit
 from greybox.study.study import read_study
 from greybox.validation.compare import compare
 from greybox.validation.comparison import Comparison
@@ -16,20 +16,12 @@ EXAMPLES = (
     "linear.h5 nonlinear.h5",
     "results",
 )
+OPTIONS = """
+results RESULT...
+    fits of the same data, as greybox fit --out saves them, or the folder of a study
+--model
+"""
 SUMMARY = ("labels", "data", "supported", "verdict", "table", "statements")
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    parser.add_argument(
-        "results",
-        nargs="+",
-        type=Path,
-        metavar="RESULT",
-        help="fits of the same data, as greybox fit --out saves them, or the folder of a study",
-    )
-    add_model_option(parser)
-    add_common_options(parser)
 
 
 def run(options: argparse.Namespace) -> Answer:

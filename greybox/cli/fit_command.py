@@ -6,17 +6,11 @@ from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 
-from greybox.cli.options import (
-    UsageError,
-    add_common_options,
-    nonnegative,
-    positive,
-    positive_number,
-)
+from greybox.cli.options import UsageError
 from greybox.cli.output import FAILED, INTERRUPTED, USABLE, Answer, require_figure, save_figure
-from greybox.cli.saved_fits import add_out_option, require_fit_file
-from greybox.cli.stated_problem import add_problem_options, stated_problem
-from greybox.cli.workers import add_worker_options, stated_executor
+from greybox.cli.saved_fits import require_fit_file
+from greybox.cli.stated_problem import PROBLEM_OPTIONS, stated_problem
+from greybox.cli.workers import stated_executor
 from greybox.estimate.fit import Interrupted, SolverChoice, fit_keeping
 from greybox.estimate.result import Fit
 from greybox.estimate.storage import save
@@ -45,36 +39,27 @@ EXAMPLES = (
     "--model my.py:Drag --data flight.csv --columns time=t:ms theta=pitch:deg v=speed "
     "--method collocation",
 )
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    add_problem_options(parser)
-    add = parser.add_argument
-    add(
-        "--starts",
-        type=positive,
-        help="number of starts (default: the problem's; else 200, or 20 with records)",
-    )
-    add("--seed", type=nonnegative, help="seed of the starts (default: the problem's, or 0)")
-    add(
-        "--search",
-        choices=SEARCHES,
-        default=BATCHED,
-        help="batched (default): all starts at once, then IPOPT for every minimum; multistart: "
-        "IPOPT from every start",
-    )
-    add_out_option(
-        parser, "save the result to this HDF5 file; after a kill, the same command continues"
-    )
-    add(
-        "--no-profiles",
-        action="store_true",
-        help="omit the profiles of parameters whose standard error misleads",
-    )
-    add("--seconds", type=positive_number, metavar="S", help="time limit of the fit")
-    add_worker_options(parser)
-    add_common_options(parser, "responses, time histories and starts")
+OPTIONS = f"""
+{PROBLEM_OPTIONS}
+--starts N
+    number of starts (default: the problem's; else 200, or 20 with records)
+--seed K
+    seed of the starts (default: the problem's, or 0)
+--search {{{",".join(SEARCHES)}}}
+    batched: all starts at once, then IPOPT for every minimum; multistart: IPOPT from every start
+    (default: {BATCHED})
+--out FILE
+    save the result to this HDF5 file; after a kill, the same command continues
+--no-profiles
+    omit the profiles of parameters whose standard error misleads
+--seconds S
+    time limit of the fit
+--workers
+--scheduler
+--plot FILE
+    draw responses, time histories and starts into this png, pdf or svg file
+--force
+"""
 
 
 def run(options: argparse.Namespace) -> Answer:

@@ -4,9 +4,9 @@ import argparse
 from pathlib import Path
 
 from greybox.cli.catalog import find_model
-from greybox.cli.options import UsageError, add_common_options, add_words, assignments
+from greybox.cli.options import UsageError
 from greybox.cli.output import USABLE, Answer, attributes
-from greybox.cli.saved_fits import add_model_option, saved_fit
+from greybox.cli.saved_fits import saved_fit
 from greybox.estimate.structural_identifiability import structural_identifiability
 from greybox.files.safe_files import HDF5
 
@@ -15,6 +15,19 @@ EXAMPLES = (
     "tilt:NonlinearTilt --outputs theta --free T_rotor",
     "yaw.h5",
 )
+OPTIONS = """
+subject MODEL|RESULT
+    a structure, tilt:Tilt or my.py:Class: the rank of its sensitivities at random points; or a fit
+    that greybox fit --out wrote: errors and insensitivities in percent, correlations, determined
+    combinations
+--outputs NAME...
+    measured outputs of a structure (default: all of them)
+--at NAME=VALUE...
+    operating point at which an ODE is linearized
+--fix
+--free
+--model
+"""
 STRUCTURE = ("model", "data", "identifiable", "groups", "combinations")
 DATA = (
     "names",
@@ -28,30 +41,13 @@ DATA = (
 )
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    parser.add_argument(
-        "subject",
-        metavar="MODEL|RESULT",
-        help="a structure, tilt:Tilt or my.py:Class: the rank of its sensitivities at random "
-        "points; or a fit that greybox fit --out wrote: errors and insensitivities in percent, "
-        "correlations, determined combinations",
-    )
-    add_words(parser, "--outputs", "NAME", "measured outputs of a structure (default: all)")
-    add_words(parser, "--at", "NAME=VALUE", "operating point at which an ODE is linearized")
-    add_words(parser, "--fix", "NAME=VALUE", "parameters with known values")
-    add_words(parser, "--free", "NAME", "unknown parameters that the model declares fixed")
-    add_model_option(parser)
-    add_common_options(parser)
-
-
 def run(options: argparse.Namespace) -> Answer:
     """Judge the structure, or read the fit and judge its data."""
     settings = {
         "outputs": options.outputs,
         "free": options.free,
-        "at": assignments(options.at, "--at"),
-        "fixed": assignments(options.fix, "--fix"),
+        "at": options.at,
+        "fixed": options.fix,
     }
     settings = {name: value for name, value in settings.items() if value}
     if Path(options.subject).suffix.lower() not in HDF5:

@@ -2,24 +2,25 @@
 
 import argparse
 import shlex
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 from greybox.cli.catalog import find_model
-from greybox.cli.measurement_options import add_measurement_options, stated_choices
-from greybox.cli.options import (
-    UsageError,
-    add_common_options,
-    add_words,
-    nonnegative,
-    positive,
-    stated_columns,
-)
+from greybox.cli.measurement_options import MEASUREMENT_OPTIONS, stated_choices
+from greybox.cli.options import UsageError, option_words
 from greybox.cli.orders_command import selection_json
-from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
-from greybox.cli.parameter_options import add_value_options, stated_values
+from greybox.cli.output import (
+    FAILED,
+    USABLE,
+    Answer,
+    attributes,
+    require_figure,
+    require_writable,
+    save_figure,
+)
+from greybox.cli.parameter_options import stated_values
 from greybox.cli.response_command import response_json
 from greybox.data.response_file import write_response
 from greybox.estimate.storage import save
@@ -34,66 +35,38 @@ EXAMPLES = (
     "first.BIN second.BIN --vehicle multirotor --fix T_rotor=0.048",
     "flight.BIN --structures rate:DampedAngle tilt:Tilt+T_delay my.py:Mine",
 )
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    add = parser.add_argument
-    add(
-        "logs",
-        nargs="+",
-        metavar="LOG",
-        help="flight logs with tests of one axis, or tables of signals",
-    )
-    for flag, about in (
-        ("--input", "the control (default: the control of the axis)"),
-        ("--output", "the output (default: the best-sampled angle)"),
-    ):
-        add(flag, default="", metavar="[NAME=]SIGNAL", help=about)
-
-    add_measurement_options(parser)
-    add(
-        "--all-points",
-        action="store_true",
-        help="also fit the frequencies about which the check of the response warns",
-    )
-    add(
-        "--through",
-        nargs="*",
-        metavar="FILTER",
-        help="filters between the output and its log, by their names in the log: gyro-filter, "
-        "gyro-notch, d-term-filter, target-filter; without a name, no filter (default: the filters "
-        "that the log names for this output)",
-    )
-    add(
-        "--vehicle",
-        default="",
-        metavar="FAMILY",
-        help=f"fit the structures of {' or '.join(FAMILIES)} (default: rational transfer "
-        "functions of rising order, for any vehicle)",
-    )
-    add_words(
-        parser,
-        "--structures",
-        "MODEL[+NAME]",
-        "models to fit and compare instead, as in greybox fit --model, each with the parameters to "
-        "free",
-    )
-    add_value_options(parser)
-    add(
-        "--starts",
-        type=positive,
-        default=STARTS,
-        help=f"number of starts of every fit of --vehicle and --structures (default: {STARTS})",
-    )
-    add("--seed", type=nonnegative, default=0, help="seed of the starts (default: 0)")
-    add(
-        "--out",
-        metavar="PREFIX",
-        help="first part of the names of response, result and figure (default: the name of the "
-        "log, in this folder)",
-    )
-    add_common_options(parser, writes=True)
+OPTIONS = f"""
+logs LOG...
+    flight logs with tests of one axis, or tables of signals
+--input [NAME=]SIGNAL
+    the control (default: the control of the axis)
+--output [NAME=]SIGNAL
+    the output (default: the best-sampled angle)
+{MEASUREMENT_OPTIONS}
+--all-points
+    also fit the frequencies about which the check of the response warns
+--through [FILTER]...
+    filters between the output and its log, by their names in the log: gyro-filter, gyro-notch,
+    d-term-filter, target-filter; without a name, no filter (default: the filters that the log
+    names for this output)
+--vehicle FAMILY
+    fit the structures of {" or ".join(FAMILIES)} (default: rational transfer functions of rising
+    order, for any vehicle)
+--structures MODEL[+NAME]...
+    models to fit and compare instead, as in greybox fit --model, each with the parameters to free
+--fix
+--free
+--bounds
+--start
+--starts N
+    number of starts of every fit of --vehicle and --structures (default: {STARTS})
+--seed K
+    seed of the starts (default: 0)
+--out PREFIX
+    first part of the names of response, result and figure (default: the name of the log, in this
+    folder)
+--force
+"""
 
 
 def run(options: argparse.Namespace) -> Answer:
@@ -108,9 +81,8 @@ def run(options: argparse.Namespace) -> Answer:
     if options.vehicle and options.structures:
         raise UsageError("--vehicle and --structures exclude each other: give one of them.")
 
-    columns = stated_columns(options) or None
     identification = identify(
-        [read(log, columns=columns) for log in options.logs],
+        [read(log, columns=options.columns or None) for log in options.logs],
         vehicle=options.vehicle,
         structures=[_structure(word) for word in options.structures],
         through=options.through,
@@ -161,41 +133,27 @@ def _structure(word: str) -> Structure:
 
 def commands(result: Identification, options: argparse.Namespace, prefix: str) -> list[str]:
     """Return the commands that do the same step by step; files are named after `prefix`."""
-    reading = ["--columns", *options.columns] if options.columns else []
+    reading = option_words({"columns": options.columns})
     # Commands name the files of one another, so that they can be pasted in this order.
     files = [str(path) for path in _response_files(prefix, len(options.logs))]
     lines = []
     for log, measurement, file in zip(options.logs, result.measurements, files, strict=True):
         settings = measurement.settings
-        finding = _words(settings, "announced", "fields", "setpoint")
-        signals = ["--input", settings.input, "--output", settings.output]
-        names = ("axis", "tests", "instrument", "rate", "settle", "period", "points")
-        names += ("conditioned", "band", "whole", "open_loop", "drop_warned")
-        measuring = [*signals, *finding, *_words(settings, *names)]
-        lines.append(["inspect", log, *finding, *reading])
-        lines.append(["response", log, *measuring, "--out", file, *reading])
+        usual = Settings(settings.input, settings.output)
+        # A command with every default written out would hide what was chosen.
+        chosen = {
+            field.name: getattr(settings, field.name)
+            for field in fields(Settings)
+            if getattr(settings, field.name) != getattr(usual, field.name)
+        }
+        finding = attributes(settings, "announced", "fields", "setpoint")
+        lines.append(["inspect", log, *option_words(finding), *reading])
+        signals = {"input": settings.input, "output": settings.output}
+        lines.append(["response", log, *option_words({**signals, **chosen, "out": file}), *reading])
 
     if result.selection is not None and result.selection.chosen is not None:
         lines.append([*_fitting(result, options, files), "--out", f"{prefix}_fit.h5"])
     return [shlex.join(["greybox", *words]) for words in lines]
-
-
-def _words(settings: Settings, *names: str) -> list[str]:
-    """Return the options for settings that differ from their defaults."""
-    # A command with every default written out would hide what was chosen.
-    usual = Settings(settings.input, settings.output)
-    words = []
-    for name in names:
-        value = getattr(settings, name)
-        if not value or value == getattr(usual, name):
-            continue
-        texts = [] if value is True else [str(value)]
-        if isinstance(value, Mapping):
-            texts = [f"{key}={field}" for key, field in value.items()]
-        elif isinstance(value, tuple | list):
-            texts = [part if isinstance(part, str) else repr(float(part)) for part in value]
-        words += [f"--{name.replace('_', '-')}", *texts]
-    return words
 
 
 def _fitting(
@@ -204,39 +162,27 @@ def _fitting(
     """Return the command that fits the chosen structure, or that selects the orders again."""
     assert result.selection is not None
     assert result.selection.chosen is not None
-    through = ["--through", *result.through] if result.through else []
+    through = {"through": result.through}
+    stated = attributes(options, "fix", "bounds", "start")
     if not (options.vehicle or options.structures):
-        words_by_option = {name: getattr(options, name) for name in ("fix", "bounds", "start")}
-        return ["orders", *files, *through, *_flags(words_by_option)]
+        return ["orders", *files, *option_words({**through, **stated})]
 
     # Only what differs from the declaration of the model has to be on the command line.
     chosen = result.selection.chosen
     declared = find_model(chosen.label).parameters
     # Filters in front of the model have parameters that `--through` states, not these options.
     free = [q for q in chosen.fit.quantities if q.kind == "free" and q.name in declared]
-    words_by_option = {
+    bounds = {q.name: q.bounds for q in free if q.bounds != declared[q.name].bounds}
+    changes = {
         "free": [q.name for q in free if declared[q.name].fixed],
-        "bounds": [
-            f"{q.name}={float(q.bounds[0])!r}:{float(q.bounds[1])!r}"
-            for q in free
-            if q.bounds != declared[q.name].bounds
-        ],
+        "bounds": bounds,
+        "fix": {name: x for name, x in options.fix.items() if name in declared},
+        "start": {name: x for name, x in options.start.items() if name in declared},
+        "criterion": chosen.fit.criterion,
+        **attributes(options, "starts", "seed"),
     }
-    for name in ("fix", "start"):
-        words = [word for word in getattr(options, name) if word.partition("=")[0] in declared]
-        words_by_option[name] = words
-
-    return [
-        *("fit", "--model", chosen.label, "--data", *files, *through, *_flags(words_by_option)),
-        *("--criterion", chosen.fit.criterion, "--starts", str(options.starts)),
-        *("--seed", str(options.seed)),
-    ]
-
-
-def _flags(words_by_option: Mapping[str, Sequence[str]]) -> list[str]:
-    return [
-        word for name, words in words_by_option.items() if words for word in (f"--{name}", *words)
-    ]
+    data = {"model": chosen.label, "data": files}
+    return ["fit", *option_words({**data, **through, **changes})]
 
 
 def _json(result: Identification, lines: list[str]) -> dict[str, Any]:

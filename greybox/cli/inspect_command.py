@@ -5,12 +5,9 @@ import shlex
 from collections.abc import Sequence
 from typing import Any
 
-from greybox.cli.log_tests import add_test_options, read_log, segments_of
-from greybox.cli.options import (
-    add_common_options,
-    add_rate_option,
-)
-from greybox.cli.output import USABLE, Answer, require_figure, save_figure
+from greybox.cli.log_tests import read_log, segments_of
+from greybox.cli.options import option_words
+from greybox.cli.output import USABLE, Answer, attributes, require_figure, save_figure
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
 from greybox.files.text_table import number, text_table
@@ -22,14 +19,18 @@ EXAMPLES = (
     "flight.BIN",
     "flight.BIN --setpoint ATT.DesPitch --plot tests.png",
 )
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    parser.add_argument("log", metavar="LOG", help="a flight log, or a table of signals")
-    add_test_options(parser)
-    add_rate_option(parser)
-    add_common_options(parser, "setpoints, angles and tests")
+OPTIONS = """
+log LOG
+    a flight log, or a table of signals
+--announced
+--fields
+--columns
+--setpoint
+--rate
+--plot FILE
+    draw setpoints, angles and tests into this png, pdf or svg file
+--force
+"""
 
 
 def run(options: argparse.Namespace) -> Answer:
@@ -96,11 +97,8 @@ def next_command(
     else:
         return ""
 
-    for name in ("announced", "setpoint"):
-        words += [f"--{name}", value] if (value := getattr(options, name)) else []
-    for name in ("fields", "columns"):
-        words += [f"--{name}", *values] if (values := getattr(options, name)) else []
-    return shlex.join(words)
+    reading = attributes(options, "announced", "setpoint", "fields", "columns")
+    return shlex.join([*words, *option_words(reading)])
 
 
 def about(recording: Recording) -> str:

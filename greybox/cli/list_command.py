@@ -5,7 +5,6 @@ from types import ModuleType
 from typing import Any
 
 from greybox.cli.catalog import find_model, find_problem, models_of, shipped, shipped_module
-from greybox.cli.options import add_common_options
 from greybox.cli.output import USABLE, Answer, attributes
 from greybox.files.text_table import number, text_table
 from greybox.modeling.model import Model, equation
@@ -16,22 +15,15 @@ EXAMPLES = (
     "tilt:Tilt",
     "my.py:Model",
 )
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    parser.add_argument(
-        "name",
-        nargs="?",
-        metavar="NAME",
-        help="show the details of one: a problem, or a model such as tilt:Tilt",
-    )
-    add_common_options(parser)
+OPTIONS = """
+name [NAME]
+    show the details of one: a problem, or a model such as tilt:Tilt
+"""
 
 
 def run(options: argparse.Namespace) -> Answer:
     """List the included models and problems, or show one."""
-    if options.name is not None:
+    if options.name:
         return _show(options.name)
 
     docs = {

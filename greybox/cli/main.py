@@ -12,7 +12,7 @@ from importlib import import_module
 from importlib.metadata import version
 from typing import Any, NoReturn
 
-from greybox.cli.options import HelpFormatter, UsageError
+from greybox.cli.options import COMMON, HelpFormatter, UsageError, declare
 from greybox.cli.output import BAD_INPUT, INTERRUPTED, USABLE, Answer, write_answer
 from greybox.files.text_table import alternatives, nearest
 
@@ -110,7 +110,7 @@ def parser_of(commands: Collection[str] = tuple(COMMANDS)) -> argparse.ArgumentP
         # Modules of commands import solvers and readers: import only the one that is needed.
         if name in commands:
             module = import_module(f"greybox.cli.{name}_command")
-            module.add_options(command)
+            declare(command, module.OPTIONS + COMMON)
             command.set_defaults(command=module.run)
             examples = (f"  greybox {name} {example}".rstrip() for example in module.EXAMPLES)
             command.epilog = "\n".join(["examples:", *examples])

@@ -5,76 +5,41 @@ import math
 from dataclasses import fields
 from typing import Any
 
-from greybox.cli.log_tests import add_test_options, stated_fields
-from greybox.cli.options import UsageError, add_words
+from greybox.cli.options import UsageError
 from greybox.identification.measurement import Settings
 
-
-def add_measurement_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options: which tests, which samples, which estimate."""
-    add = parser.add_argument
-    add_words(
-        parser,
-        "--instrument",
-        "SIGNAL",
-        "the injected signal, for the joint estimate in closed loop (default: the injected signal "
-        "that the log names); one for each of several inputs",
-    )
-    add_words(
-        parser,
-        "--conditioned",
-        "[NAME=]SIGNAL",
-        "further inputs that move together with the input in a sweep or noise; their effect on the "
-        "output is removed",
-    )
-    add(
-        "--open-loop",
-        action="store_true",
-        help="direct estimate, although the log shows a controller",
-    )
-    add(
-        "--rate",
-        type=float,
-        metavar="HZ",
-        help="common sampling rate (default: the rate of the slowest signal)",
-    )
-    add_words(
-        parser,
-        "--band",
-        "FREQUENCY",
-        "lowest and highest frequency to use, in rad/s or followed by Hz (default: the excited "
-        "band)",
-    )
-    add("--axis", default="", help="use only the tests of this axis")
-    add(
-        "--tests",
-        default="",
-        metavar="1,3-5",
-        help="use only these tests, numbered as `greybox inspect` does",
-    )
-    add(
-        "--settle",
-        type=float,
-        default=2.0,
-        metavar="SECONDS",
-        help="settling time discarded at the beginning of each sine (default: 2)",
-    )
-    add(
-        "--period",
-        type=float,
-        metavar="SECONDS",
-        help="period of a multisine, whose lines are then evaluated exactly, without windows; with "
-        "several inputs or outputs, the period of the multisines on all inputs, for the matrix of "
-        "responses",
-    )
-    add("--whole", action="store_true", help="use the whole log if no test is found")
-    add(
-        "--points",
-        type=int,
-        default=40,
-        help="number of frequencies of a sweep's estimate (default: 40)",
-    )
-    add_test_options(parser)
+# Which tests, which samples, which estimate.
+MEASUREMENT_OPTIONS = """
+--instrument SIGNAL...
+    the injected signal, for the joint estimate in closed loop (default: the injected signal that
+    the log names); one for each of several inputs
+--conditioned [NAME=]SIGNAL...
+    further inputs that move together with the input in a sweep or noise; their effect on the output
+    is removed
+--open-loop
+    direct estimate, although the log shows a controller
+--rate HZ
+    common sampling rate (default: the rate of the slowest signal)
+--band FREQUENCY...
+    lowest and highest frequency to use, in rad/s or followed by Hz (default: the excited band)
+--axis AXIS
+    use only the tests of this axis
+--tests 1,3-5
+    use only these tests, numbered as `greybox inspect` does
+--settle SECONDS
+    settling time discarded at the beginning of each sine (default: 2)
+--period SECONDS
+    period of a multisine, whose lines are then evaluated exactly, without windows; with several
+    inputs or outputs, the period of the multisines on all inputs, for the matrix of responses
+--whole
+    use the whole log if no test is found
+--points N
+    number of frequencies of a sweep's estimate (default: 40)
+--announced
+--fields
+--columns
+--setpoint
+"""
 
 
 def stated_choices(options: argparse.Namespace) -> dict[str, Any]:
@@ -88,7 +53,7 @@ def stated_choices(options: argparse.Namespace) -> dict[str, Any]:
     # Options and settings have the same names, so that a new setting needs only its option.
     names = {field.name for field in fields(Settings)}
     values = {name: value for name, value in vars(options).items() if name in names}
-    parsed = {"fields": stated_fields(options), "band": stated_band(options.band)}
+    parsed = {"band": stated_band(options.band)}
     return values | parsed | {"instrument": "".join(options.instrument)}
 
 

@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from greybox.cli.options import UsageError, add_common_options
+from greybox.cli.options import UsageError
 from greybox.cli.output import USABLE, Answer, require_writable
 from greybox.cli.starting_files import model_file, problem_file
 from greybox.files.safe_files import write_text
@@ -19,22 +19,15 @@ EXAMPLES = (
     "problem pitch",
     "problem drag --in-time",
 )
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    parser.add_argument(
-        "kind",
-        choices=("model", "problem"),
-        help="a model alone, or a model with data and a problem",
-    )
-    parser.add_argument(
-        "name", metavar="NAME", help="name of the file, NAME.py in this folder, and of its model"
-    )
-    parser.add_argument(
-        "--in-time", action="store_true", help="an ODE and a record, not a transfer function"
-    )
-    add_common_options(parser, writes=True)
+OPTIONS = """
+kind {model,problem}
+    a model alone, or a model with data and a problem
+name NAME
+    name of the file, NAME.py in this folder, and of its model
+--in-time
+    an ODE and a record, not a transfer function
+--force
+"""
 
 
 def run(options: argparse.Namespace) -> Answer:

@@ -1,24 +1,54 @@
-"""What several commands share: common options, numbers, assignments, and mistakes in them."""
+"""The options of commands: how they are stated, read, and named in messages."""
 
 import argparse
 import contextlib
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TypeVar
+from typing import Any
 
-Value = TypeVar("Value")
-
-RESPONSE_OR_RECORD = (
-    "with --data: the columns of a table with other names. For a response frequency=f:Hz "
-    "magnitude=mag:dB phase=ph:deg coherence=coh, or alpha and beta; for a record time=t:ms and "
-    "the signals of the model, theta=pitch:deg"
-)
-RECORD = (
-    "the columns of a table with other names, time=t:ms theta=pitch:deg; or their numbers if the "
-    "table has no header line: time=1 u=2 theta=3:deg"
-)
+# Options that several commands have in common, in the form that `declare` reads.
+SHARED = """
+--force
+    overwrite files that exist
+--json
+    print one JSON object on standard output and nothing else
+--quiet
+    print errors alone: no answer as text, no progress
+--debug
+    show the traceback of an error
+--level P
+    confidence level of the intervals (default: 0.95)
+--workers N
+    make the runs in N processes on this machine
+--scheduler ADDRESS
+    make the runs on Dask's workers: 127.0.0.1:8786
+--fix NAME=VALUE...
+    fix parameters at these values
+--free NAME...
+    estimate parameters that the model declares fixed
+--bounds NAME=LOW:HIGH...
+    bounds in place of the declared ones, a1=-10:10; leave an end open with T=0:
+--start NAME=VALUE...
+    start values in place of the declared ones
+--announced MESSAGE
+    message that announces sine tests, e.g. SINE
+--fields WHAT=FIELD...
+    fields of that message, e.g. omega=W amplitude=Eta axis=Ax
+--setpoint SIGNAL
+    setpoint in which to look for tests, e.g. ATT.DesPitch
+--columns NAME=COLUMN[:UNIT]...
+    the columns of a table with other names, time=t:ms theta=pitch:deg; or their numbers if the
+    table has no header line: time=1 u=2 theta=3:deg
+--rate HZ
+    sampling rate of a table without a time
+--problem PROBLEM
+    the fitted problem, if it has ties or constraints
+--model FILE...
+    Python files with models of your own
+"""
+COMMON = "\n--json\n--quiet\n--debug"  # of every command
 
 
 class UsageError(Exception):
@@ -39,54 +69,117 @@ class HelpFormatter(argparse.RawDescriptionHelpFormatter):
         return super().format_help()
 
 
-def add_common_options(
-    parser: argparse.ArgumentParser, figure: str = "", *, writes: bool = False
-) -> None:
-    """Add the options of every command, `--plot` for a `figure`, `--force` if it `writes` files."""
-    if figure:
-        parser.add_argument(
-            "--plot",
-            type=Path,
-            metavar="FILE",
-            help=f"draw {figure} into this png, pdf or svg file",
-        )
-    if figure or writes:
-        parser.add_argument("--force", action="store_true", help="overwrite files that exist")
-    parser.add_argument(
-        "--json",
-        action="store_true",
-        help="print one JSON object on standard output and nothing else",
-    )
-    parser.add_argument(
-        "--quiet", action="store_true", help="print errors alone: no answer as text, no progress"
-    )
-    parser.add_argument("--debug", action="store_true", help="show the traceback of an error")
+# --- how options are stated
 
 
-def add_words(parser: argparse.ArgumentParser, flag: str, metavar: str, about: str) -> None:
-    """Add an option with several words; by default there are none."""
-    parser.add_argument(flag, nargs="+", default=[], metavar=metavar, help=about)
+def declare(parser: argparse.ArgumentParser, text: str) -> None:
+    """Declare the options of a text, which states them as the help shows them.
+
+    The first line of an option has its name and what follows it: ``--level P`` a value,
+    ``--between START END`` two, ``--data FILE...`` at least one, ``names [NAME]...`` any number,
+    ``--search {batched,multistart}`` one of these words, ``--force`` nothing. `KINDS` has the types
+    by these words; words such as ``NAME=VALUE`` give values by name. Indented lines are the help,
+    in which ``(default: 0.95)`` is the default, and ``(required)`` has its meaning. An option
+    without help is one of `SHARED`.
+    """
+    shared = {block.split()[0]: block for block in _blocks(SHARED)}
+    for block in _blocks(text):
+        syntax, _, about = (block if "\n" in block else shared[block]).partition("\n")
+        name, *words = syntax.split()
+        about = " ".join(about.split())
+        settings = _settings(words, about)
+        if "(required)" in about:
+            settings["required"] = True
+        parser.add_argument(name, help=about, **settings)
 
 
-def add_level_option(parser: argparse.ArgumentParser) -> None:
-    """Add the option for the confidence level of intervals."""
-    parser.add_argument(
-        "--level",
-        type=probability,
-        default=0.95,
-        help="confidence level of the intervals (default: 0.95)",
-    )
+def _blocks(text: str) -> list[str]:
+    return re.split(r"\n+(?! )", text.strip())
 
 
-def add_columns_option(parser: argparse.ArgumentParser, about: str = RESPONSE_OR_RECORD) -> None:
-    """Declare the option; `about` is its help."""
-    add_words(parser, "--columns", "NAME=COLUMN[:UNIT]", about)
+def _settings(words: Sequence[str], about: str) -> dict[str, Any]:
+    """Return the arguments of argparse for an option with these words behind its name."""
+    if not words:
+        return {"action": "store_true"}
+    word = words[0].removesuffix("...")
+    if word.startswith("{"):
+        settings: dict[str, Any] = {"choices": word[1:-1].split(","), "default": ""}
+    elif len(words) > 1:
+        settings = {"nargs": len(words), "metavar": tuple(words), "type": KINDS.get(word, str)}
+    else:
+        is_optional = word[0] + word[-1] == "[]"
+        word = word[1:-1] if is_optional else word
+        kind = KINDS.get(word, str)
+        settings = {"metavar": word, "type": kind, "default": "" if kind is str else None}
+        if words[0].endswith("..."):
+            settings |= {"nargs": "*", "default": None} if is_optional else _several(word)
+        elif is_optional:
+            settings["nargs"] = "?"
+
+    default = re.search(r"\(default: (\S+)\)", about)
+    return settings | ({"default": default[1]} if default else {})
 
 
-def add_rate_option(parser: argparse.ArgumentParser) -> None:
-    """Declare the option."""
-    about = "sampling rate of a table without a time"
-    parser.add_argument("--rate", type=positive_number, metavar="HZ", help=about)
+def _several(word: str) -> dict[str, Any]:
+    if re.match(r"\w+=", word):
+        return {"nargs": "+", "default": {}, "type": str, "action": _ByName}
+    return {"nargs": "+", "default": []}
+
+
+class _ByName(argparse.Action):
+    """Stores words such as ``a5=0.16`` as values by name."""
+
+    def __call__(self, parser: Any, namespace: Any, values: Any, option_string: Any = None) -> None:
+        setattr(namespace, self.dest, by_name(values, option_string, str(self.metavar)))
+
+
+def by_name(words: Sequence[str], flag: str, form: str) -> dict[str, Any]:
+    """Return values by name from words of a form such as ``NAME=VALUE``.
+
+    Raises
+    ------
+    UsageError
+        For a word of another form, or a repeated name.
+    """
+    result: dict[str, Any] = {}
+    for word in words:
+        name, _, text = word.partition("=")
+        try:
+            if not (name and text):
+                raise ValueError(word)
+            value = KINDS.get(form, str)(text)
+        except ValueError:
+            raise UsageError(f"{flag} {word!r} is not understood: write {form}.") from None
+
+        # The last word would win in silence: more likely it is a slip.
+        if name in result:
+            raise UsageError(f"{flag} names {name} twice: {result[name]} and {value}.")
+        result[name] = value
+
+    return result
+
+
+# --- how options are written
+
+
+def option_words(values: Mapping[str, Any]) -> list[str]:
+    """Return the words that state these options; options without a value are left out."""
+    words: list[str] = []
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            texts = [f"{key}={_word(text)}" for key, text in value.items()]
+        elif isinstance(value, tuple | list):
+            texts = list(map(_word, value))
+        else:
+            texts = [] if value is True else [str(value)]
+        if value or (value == 0 and value is not False):  # zero is a value
+            words += [f"--{name.replace('_', '-')}", *texts]
+
+    return words
+
+
+def _word(value: Any) -> str:
+    return ":".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 def as_options(text: str, options: argparse.Namespace) -> str:
@@ -104,6 +197,9 @@ def as_options(text: str, options: argparse.Namespace) -> str:
     # A dict of bounds and a tuple of names are several words on the command line.
     text = re.sub(r"\{'([^']+)': \(([^,]+), ([^)]+)\)\}", r"\1=\2:\3", text)
     return re.sub(r"\('([^']+)',\)", r"\1", text)
+
+
+# --- types of values
 
 
 def positive(text: str) -> int:
@@ -140,88 +236,26 @@ def _between(text: str, limit: float, kind: str) -> float:
     raise argparse.ArgumentTypeError(f"{text!r} is not {kind}")
 
 
-def assignments(words: Sequence[str], flag: str) -> dict[str, float]:
-    """Return numbers by name from words such as ``a5=0.16``.
-
-    Raises
-    ------
-    UsageError
-        For a word of another form.
-    """
-    return _by_name(words, flag, "NAME=VALUE, e.g. a5=0.16", float)
+def _interval(text: str) -> tuple[float, float]:
+    """Return the ends of ``-10:10``; ``0:`` has no upper end."""
+    low, high = text.split(":")
+    return float(low or -math.inf), float(high or math.inf)
 
 
-def uncertain_values(words: Sequence[str], flag: str) -> dict[str, tuple[float, float]]:
-    """Return values with standard deviations by name from words such as ``a1=3.2+-0.1`` (or ±).
-
-    Raises
-    ------
-    UsageError
-        For a word of another form.
-    """
-
-    def uncertain(text: str) -> tuple[float, float]:
-        mean, sigma = text.replace("±", "+-").split("+-")
-        return float(mean), float(sigma)
-
-    return _by_name(words, flag, "NAME=VALUE+-SIGMA, a1=3.2+-0.1", uncertain)
+def _uncertain(text: str) -> tuple[float, float]:
+    """Return value and standard deviation of ``3.2+-0.1``, or with ±."""
+    mean, sigma = text.replace("±", "+-").split("+-")
+    return float(mean), float(sigma)
 
 
-def intervals(words: Sequence[str], flag: str) -> dict[str, tuple[float, float]]:
-    """Return intervals by name from words such as ``a1=-10:10``; ``T=0:`` has no upper end.
-
-    Raises
-    ------
-    UsageError
-        For a word of another form.
-    """
-
-    def interval(text: str) -> tuple[float, float]:
-        low, high = text.split(":")
-        return float(low or -math.inf), float(high or math.inf)
-
-    return _by_name(words, flag, "NAME=LOW:HIGH, e.g. a1=-10:10", interval)
-
-
-def texts(words: Sequence[str], flag: str, form: str) -> dict[str, str]:
-    """Return texts by name from words of this form, such as ``NAME=COLUMN``.
-
-    Raises
-    ------
-    UsageError
-        For a word of another form.
-    """
-    return _by_name(words, flag, form, str)
-
-
-def stated_columns(options: argparse.Namespace) -> dict[str, str]:
-    """Return the column of each name, with its unit behind a colon.
-
-    Raises
-    ------
-    UsageError
-        For a word of another form, or a repeated name.
-    """
-    form = "NAME=COLUMN:UNIT, e.g. frequency=f:Hz"
-    return texts(options.columns, "--columns", form)
-
-
-def _by_name(
-    words: Sequence[str], flag: str, form: str, read: Callable[[str], Value]
-) -> dict[str, Value]:
-    result: dict[str, Value] = {}
-    for word in words:
-        name, _, text = word.partition("=")
-        try:
-            if not (name and text):
-                raise ValueError(word)
-            value = read(text)
-        except ValueError:
-            raise UsageError(f"{flag} {word!r} is not understood: write {form}.") from None
-
-        # The last word would win in silence: more likely it is a slip.
-        if name in result:
-            raise UsageError(f"{flag} names {name} twice: {result[name]} and {value}.")
-        result[name] = value
-
-    return result
+KINDS: dict[str, Callable[[str], Any]] = {
+    **dict.fromkeys(("FILE", "DIR", "RESULT", "RESPONSE"), Path),
+    **dict.fromkeys(("HZ", "S", "DEGREES", "DB"), positive_number),
+    **dict.fromkeys(("SECONDS", "START", "END", "NAME=VALUE"), float),
+    "N": positive,
+    "K": nonnegative,
+    "P": probability,
+    "NAME=LOW:HIGH": _interval,
+    "NAME=VALUE+-SIGMA": _uncertain,
+}
+"""Types of values by the words that stand for them; other words are text."""

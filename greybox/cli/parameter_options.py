@@ -4,41 +4,15 @@ import argparse
 from collections.abc import Mapping
 from typing import Any
 
-from greybox.cli.options import UsageError, add_words, assignments, intervals, uncertain_values
+from greybox.cli.options import UsageError
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.files.text_table import alternatives
 from greybox.formulation.problem import Problem
 
 
-def add_value_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options for values and bounds."""
-    add_words(parser, "--fix", "NAME=VALUE", "fix parameters at these values")
-    add_words(parser, "--free", "NAME", "estimate parameters that the model declares fixed")
-    add_words(
-        parser,
-        "--bounds",
-        "NAME=LOW:HIGH",
-        "bounds in place of the declared ones, a1=-10:10; leave an end open with T=0:",
-    )
-    add_words(parser, "--start", "NAME=VALUE", "start values in place of the declared ones")
-
-
-def add_parameter_options(parser: argparse.ArgumentParser) -> None:
-    """Declare all options."""
-    add_value_options(parser)
-    about = "range of drawn starts, in place of the bounds"
-    add_words(parser, "--starts-box", "NAME=LOW:HIGH", about)
-    about = "normal prior with its standard deviation; the criterion must be a likelihood"
-    add_words(parser, "--prior", "NAME=VALUE+-SIGMA", about)
-
-
 def stated_values(options: argparse.Namespace) -> dict[str, Mapping[str, Any]]:
     """Return fixed values, bounds and starts by name, as arguments of a problem."""
-    return {
-        "fixed": assignments(options.fix, "--fix"),
-        "bounds": intervals(options.bounds, "--bounds"),
-        "start": assignments(options.start, "--start"),
-    }
+    return {"fixed": options.fix, "bounds": options.bounds, "start": options.start}
 
 
 def with_parameter_options(problem: AnyProblem, options: argparse.Namespace) -> AnyProblem:
@@ -52,8 +26,8 @@ def with_parameter_options(problem: AnyProblem, options: argparse.Namespace) -> 
     changes: dict[str, Mapping[str, Any]] = {
         **stated_values(options),
         "free": dict.fromkeys(options.free),
-        "starts": intervals(options.starts_box, "--starts-box"),
-        "prior": uncertain_values(options.prior, "--prior"),
+        "starts": options.starts_box,
+        "prior": options.prior,
     }
     # Checked against the whole problem: every part has only some of the parameters.
     for name in (name for names in changes.values() for name in names):

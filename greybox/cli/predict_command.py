@@ -1,24 +1,15 @@
 """The command `greybox predict`: a saved model on another log, simulated and compared."""
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from greybox.cli.log_tests import read_log
-from greybox.cli.options import (
-    RECORD,
-    UsageError,
-    add_columns_option,
-    add_common_options,
-    add_words,
-    positive_number,
-)
+from greybox.cli.options import UsageError
 from greybox.cli.output import USABLE, Answer, attributes
-from greybox.cli.saved_fits import add_model_option, saved_fit
+from greybox.cli.saved_fits import saved_fit
 from greybox.estimate.result import Fit
-from greybox.identification.measurement import named_signals
 from greybox.logs.prepare import prepare
 from greybox.simulation.prediction import Prediction
 from greybox.simulation.simulate import predict
@@ -27,40 +18,28 @@ EXAMPLES = (
     "pitch_fit.h5 other_flight.BIN",
     "pitch_fit.h5 other_flight.csv --signals u=elevator q=gyro_y --horizon 2",
 )
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    add = parser.add_argument
-    add(
-        "result", type=Path, metavar="RESULT", help="a fit that greybox identify or fit --out wrote"
-    )
-    add("log", metavar="LOG", help="a log or a table that the fit has not seen")
-    about = "inputs and outputs of the model in the log (default: those of the log of the fit)"
-    add_words(parser, "--signals", "NAME=SIGNAL", about)
-    add("--rate", type=positive_number, metavar="HZ", help="common sampling rate")
-    add(
-        "--between",
-        nargs=2,
-        type=float,
-        metavar=("START", "END"),
-        help="predict only this part of the log, s",
-    )
-    add(
-        "--horizon",
-        type=positive_number,
-        metavar="SECONDS",
-        help="time to predict from the measured past (default: chosen by greybox)",
-    )
-    add_columns_option(parser, RECORD)
-    add_model_option(parser)
-    add_common_options(parser)
+OPTIONS = """
+result RESULT
+    a fit that greybox identify or fit --out wrote
+log LOG
+    a log or a table that the fit has not seen
+--signals NAME=SIGNAL...
+    inputs and outputs of the model in the log (default: those of the log of the fit)
+--rate HZ
+    common sampling rate
+--between START END
+    predict only this part of the log, s
+--horizon S
+    time to predict from the measured past, s (default: chosen by greybox)
+--columns
+--model
+"""
 
 
 def run(options: argparse.Namespace) -> Answer:
     """Predict the log, window by window."""
     fit = saved_fit(options.result, options)
-    signals = named_signals(options.signals) or _signals_of(fit)
+    signals = options.signals or _signals_of(fit)
     # Cut after resampling, which needs the samples before and after the excerpt.
     record = prepare(read_log(options), signals, options.rate)
     if options.between:

@@ -2,9 +2,9 @@
 
 import argparse
 
-from greybox.cli.options import UsageError, add_common_options, add_level_option
+from greybox.cli.options import UsageError
 from greybox.cli.output import USABLE, Answer, attributes, require_figure, save_figure
-from greybox.cli.saved_fits import add_fit_argument, stated_fit
+from greybox.cli.saved_fits import stated_fit
 from greybox.estimate.profile import contour, profile
 
 EXAMPLES = (
@@ -12,27 +12,22 @@ EXAMPLES = (
     "pitch.h5 a1 a2 --level 0.9 --plot profiles.png",
     "pitch.h5 --contour a1 a2 --plot contour.png",
 )
+OPTIONS = """
+result RESULT
+    a fit that greybox fit --out wrote
+--problem
+--model
+names [NAME]...
+    parameters and derived quantities (default: all of them)
+--contour NAME NAME
+    instead of intervals, the confidence region of two parameters
+--level
+--plot FILE
+    draw the profiles into this png, pdf or svg file
+--force
+"""
 
 REGION = ("names", "units", "level", "limit", "estimate", "points", "ends")
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    add_fit_argument(parser)
-    parser.add_argument(
-        "names",
-        nargs="*",
-        metavar="NAME",
-        help="parameters and derived quantities (default: all)",
-    )
-    parser.add_argument(
-        "--contour",
-        nargs=2,
-        metavar="NAME",
-        help="instead of intervals, the confidence region of two parameters",
-    )
-    add_level_option(parser)
-    add_common_options(parser, figure="the profiles")
 
 
 def run(options: argparse.Namespace) -> Answer:

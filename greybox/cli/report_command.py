@@ -6,17 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from greybox.cli.data_file import read_data
-from greybox.cli.options import (
-    RECORD,
-    UsageError,
-    add_columns_option,
-    add_common_options,
-    add_rate_option,
-    add_words,
-    stated_columns,
-)
+from greybox.cli.options import UsageError
 from greybox.cli.output import USABLE, Answer, require_writable
-from greybox.cli.saved_fits import add_model_option, saved_fit
+from greybox.cli.saved_fits import saved_fit
 from greybox.data.record import Record
 from greybox.study.study import read_study
 from greybox.validation.compare import compare
@@ -28,32 +20,22 @@ EXAMPLES = (
     "linear.h5 nonlinear.h5 --out comparison.html",
     "results",
 )
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    add = parser.add_argument
-    add(
-        "results",
-        nargs="+",
-        type=Path,
-        metavar="RESULT",
-        help="a fit that greybox fit --out or greybox identify wrote, or the folder of a study; "
-        "several are shown side by side",
-    )
-    add(
-        "--out",
-        type=Path,
-        metavar="FILE",
-        help="the page (default: the name of the first result, ending in .html)",
-    )
-    add_model_option(parser)
-    about = "records that none of two or more fits has seen: how well each predicts them"
-    add_words(parser, "--held-out", "FILE", about)
-    add_columns_option(parser, f"with --held-out: {RECORD}")
-    add_rate_option(parser)
-    add("--title", default="", help="heading of the page (default: the name of the fit)")
-    add_common_options(parser, writes=True)
+OPTIONS = """
+results RESULT...
+    a fit that greybox fit --out or greybox identify wrote, or the folder of a study; several are
+    shown side by side
+--out FILE
+    the page (default: the name of the first result, ending in .html)
+--model
+--held-out FILE...
+    records that none of two or more fits has seen: how well each predicts them
+--columns NAME=COLUMN[:UNIT]...
+    the columns of the held-out tables, as in greybox predict
+--rate
+--title TITLE
+    heading of the page (default: the name of the fit)
+--force
+"""
 
 
 def run(options: argparse.Namespace) -> Answer:
@@ -88,9 +70,8 @@ def _entries(options: argparse.Namespace) -> list[Any]:
 
 def _held_out(options: argparse.Namespace, entries: Sequence[Any]) -> Comparison | None:
     """Return how well the fits predict the held-out records; None without records."""
-    columns = stated_columns(options)
     if not options.held_out:
-        if columns or options.rate:
+        if options.columns or options.rate:
             raise UsageError("--columns and --rate go with --held-out.")
         return None
 
@@ -99,7 +80,10 @@ def _held_out(options: argparse.Namespace, entries: Sequence[Any]) -> Comparison
         raise UsageError("--held-out compares fits by what they predict: give two or more results.")
     # All models must have the outputs that are compared, so the first one names the signals.
     model = fitted[0].fit.model_of()
-    data = [read_data(path, model, columns=columns, rate=options.rate) for path in options.held_out]
+    data = [
+        read_data(path, model, columns=options.columns, rate=options.rate)
+        for path in options.held_out
+    ]
     records = [record for record in data if isinstance(record, Record)]
     if len(records) < len(data):
         raise UsageError("--held-out takes records, which are tables of signals.")

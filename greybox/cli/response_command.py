@@ -1,12 +1,11 @@
 """The command `greybox response`: a response, a matrix of responses, or a manoeuvre's spectrum."""
 
 import argparse
-from pathlib import Path
 from typing import Any
 
 from greybox.cli.log_tests import read_log
-from greybox.cli.measurement_options import add_measurement_options, stated_band, stated_choices
-from greybox.cli.options import UsageError, add_common_options, add_words
+from greybox.cli.measurement_options import MEASUREMENT_OPTIONS, stated_band, stated_choices
+from greybox.cli.options import UsageError
 from greybox.cli.output import (
     FAILED,
     USABLE,
@@ -29,33 +28,27 @@ EXAMPLES = (
     "flight.csv --input da dr --output p r --period 20 --instrument e_a e_r --out matrix.csv",
     "flight.csv --manoeuvre 2-1-1 --input da dr --output p r --out manoeuvre.csv",
 )
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    add = parser.add_argument
-    add("log", metavar="LOG", help="a flight log, or a table of signals")
-    for name, about in (
-        ("--input", "the control, e.g. u=RATE.POut"),
-        ("--output", "the output, e.g. theta=ATT.Pitch"),
-    ):
-        add(name, required=True, nargs="+", metavar="[NAME=]SIGNAL", help=about)
-
-    add(
-        "--manoeuvre",
-        metavar="NUMBER|KIND",
-        help="measure the spectrum of a doublet, 2-1-1, step or the like instead, given by its "
-        "number in `greybox inspect` or its kind, with any number of inputs and outputs",
-    )
-    add_measurement_options(parser)
-    add_words(parser, "--held", "NAME", "with --manoeuvre: inputs that are held between samples")
-    add(
-        "--drop-warned",
-        action="store_true",
-        help="omit the frequencies about which the check of the response warns, as identify does",
-    )
-    add("--out", type=Path, metavar="FILE", help="save the response to this .csv file")
-    add_common_options(parser, "Bode diagram and coherence")
+OPTIONS = f"""
+log LOG
+    a flight log, or a table of signals
+--input [NAME=]SIGNAL...
+    the control, e.g. u=RATE.POut (required)
+--output [NAME=]SIGNAL...
+    the output, e.g. theta=ATT.Pitch (required)
+--manoeuvre NUMBER|KIND
+    measure the spectrum of a doublet, 2-1-1, step or the like instead, given by its number in
+    `greybox inspect` or its kind, with any number of inputs and outputs
+{MEASUREMENT_OPTIONS}
+--held NAME...
+    with --manoeuvre: inputs that are held between samples
+--drop-warned
+    omit the frequencies about which the check of the response warns, as identify does
+--out FILE
+    save the response to this .csv file
+--plot FILE
+    draw Bode diagram and coherence into this png, pdf or svg file
+--force
+"""
 
 
 def run(options: argparse.Namespace) -> Answer:
@@ -63,9 +56,9 @@ def run(options: argparse.Namespace) -> Answer:
     # A long log takes minutes to read: check the files to be written before.
     require_figure(options.plot, options.force)
     require_writable(options.out, options.force, (".csv",), "table")
-    if options.held and options.manoeuvre is None:
+    if options.held and not options.manoeuvre:
         raise UsageError(f"--held {options.held[0]} is for --manoeuvre: give it too.")
-    if options.manoeuvre is not None:
+    if options.manoeuvre:
         return _manoeuvre(options)
     if len(options.input) > 1 or len(options.output) > 1:
         return _matrix(options)

@@ -1,30 +1,13 @@
-"""Options for saved fits: those that `--out` writes and other commands read."""
+"""Saved fits: those that `--out` writes and other commands read."""
 
 import argparse
 from pathlib import Path
 
 from greybox.cli.catalog import find_problem
-from greybox.cli.options import add_words
 from greybox.cli.output import require_writable
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.estimate.result import Fit
 from greybox.files.safe_files import HDF5
-
-
-def add_fit_argument(parser: argparse.ArgumentParser) -> None:
-    """Declare RESULT, a saved fit, and what its file may not contain: problem and models."""
-    parser.add_argument(
-        "result", type=Path, metavar="RESULT", help="a fit that greybox fit --out wrote"
-    )
-    parser.add_argument(
-        "--problem", metavar="PROBLEM", help="the fitted problem, if it has ties or constraints"
-    )
-    add_model_option(parser)
-
-
-def add_model_option(parser: argparse.ArgumentParser) -> None:
-    """Declare the option."""
-    add_words(parser, "--model", "FILE", "Python files with models of your own")
 
 
 def saved_fit(path: Path, options: argparse.Namespace) -> Fit:
@@ -49,15 +32,8 @@ def stated_fit(options: argparse.Namespace) -> tuple[Fit, AnyProblem | None]:
         If they do not exist or are something else.
     """
     # A file contains ties and constraints as texts only, and nothing in a file is executed.
-    problem = None if options.problem is None else find_problem(options.problem)[0]
+    problem = find_problem(options.problem)[0] if options.problem else None
     return saved_fit(options.result, options), problem
-
-
-def add_out_option(
-    parser: argparse.ArgumentParser, about: str = "save the fit to this HDF5 file"
-) -> None:
-    """Declare the option for the file of a fit."""
-    parser.add_argument("--out", type=Path, metavar="FILE", help=about)
 
 
 def require_fit_file(path: Path | None, force: bool) -> None:

@@ -8,15 +8,8 @@ from typing import Any
 
 from greybox.cli.catalog import find_model, find_problem, shipped
 from greybox.cli.data_file import read_data
-from greybox.cli.options import (
-    UsageError,
-    add_columns_option,
-    add_rate_option,
-    add_words,
-    assignments,
-    stated_columns,
-)
-from greybox.cli.parameter_options import add_parameter_options, with_parameter_options
+from greybox.cli.options import UsageError
+from greybox.cli.parameter_options import with_parameter_options
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.compiled.transcription.collocation import Collocation
 from greybox.compiled.transcription.multiple_shooting import MultipleShooting
@@ -50,50 +43,45 @@ KINDS = {
 CRITERIA_BY_NAME: dict[str, Criterion | TimeCriterion] = {
     criterion.name: criterion for _, criteria in KINDS.values() for criterion in criteria
 }
-
-
-def add_problem_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of a problem."""
-    add = parser.add_argument
-    add(
-        "problem", nargs="?", metavar="PROBLEM", help="an included problem, or my.py, or my.py:name"
-    )
-    add(
-        "--model",
-        help="instead of PROBLEM: tilt:Tilt, 'polynomial:Polynomial(4, 1)' or my.py:Class",
-    )
-    add_words(
-        parser,
-        "--data",
-        "FILE",
-        "with --model: a frequency response (columns omega_rad_s, alpha, beta [, coherence, "
-        "variance, dof]), the spectrum of a manoeuvre (greybox response --manoeuvre), or a record "
-        "(columns time and, in SI units, the inputs and outputs of the model; without a time, rows "
-        "for a static model); several are fitted together; for a flight log write a problem file",
-    )
-    add_words(
-        parser,
-        "--through",
-        "FILTER",
-        "with --model: filters between the output and its log: 'filters:LowPass(20, 0.71)', or by "
-        "their names in the response, gyro-filter, gyro-notch ...",
-    )
-    for name in ("input", "output"):
-        about = f"{name} of a frequency response, if the model or the file has several"
-        add(f"--{name}", default="", metavar="NAME", help=about)
-
-    about = "with --model: operating point at which an ODE is linearized"
-    add_words(parser, "--at", "NAME=VALUE", about)
-    add_columns_option(parser)
-    add_rate_option(parser)
-    add_parameter_options(parser)
-    add("--delay", help="exact or pade:n (default: the problem's)")
-    add("--criterion", help=f"{', '.join(CRITERIA_BY_NAME)} (default: the problem's)")
-    add(
-        "--method",
-        choices=METHODS,
-        help="how records are transcribed and solved (default: the problem's)",
-    )
+PROBLEM_OPTIONS = f"""
+problem [PROBLEM]
+    an included problem, or my.py, or my.py:name
+--model MODEL
+    instead of PROBLEM: tilt:Tilt, 'polynomial:Polynomial(4, 1)' or my.py:Class
+--data FILE...
+    with --model: a frequency response (columns omega_rad_s, alpha, beta [, coherence, variance,
+    dof]), the spectrum of a manoeuvre (greybox response --manoeuvre), or a record (columns time
+    and, in SI units, the inputs and outputs of the model; without a time, rows for a static model);
+    several are fitted together; for a flight log write a problem file
+--through FILTER...
+    with --model: filters between the output and its log: 'filters:LowPass(20, 0.71)', or by their
+    names in the response, gyro-filter, gyro-notch ...
+--input NAME
+    input of a frequency response, if the model or the file has several
+--output NAME
+    output of a frequency response, if the model or the file has several
+--at NAME=VALUE...
+    with --model: operating point at which an ODE is linearized
+--columns NAME=COLUMN[:UNIT]...
+    with --data: the columns of a table with other names. For a response frequency=f:Hz
+    magnitude=mag:dB phase=ph:deg coherence=coh, or alpha and beta; for a record time=t:ms and the
+    signals of the model, theta=pitch:deg
+--rate
+--fix
+--free
+--bounds
+--start
+--starts-box NAME=LOW:HIGH...
+    range of drawn starts, in place of the bounds
+--prior NAME=VALUE+-SIGMA...
+    normal prior with its standard deviation; the criterion must be a likelihood
+--delay DELAY
+    exact or pade:n (default: the problem's)
+--criterion CRITERION
+    {", ".join(CRITERIA_BY_NAME)} (default: the problem's)
+--method {{{",".join(METHODS)}}}
+    how records are transcribed and solved (default: the problem's)
+"""
 
 
 def stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, Any]]:
@@ -104,14 +92,14 @@ def stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, A
     UsageError, ValueError, FileNotFoundError
         For options that exclude each other, and for unknown names and files.
     """
-    if (options.problem is None) == (options.model is None):
+    if bool(options.problem) == bool(options.model):
         raise UsageError(
             "give either a PROBLEM or --model with --data; `greybox list` shows the included "
             "problems."
         )
 
     settings: dict[str, Any] = {}
-    if options.problem is not None:
+    if options.problem:
         # A problem has its data: these options would be ignored without a word.
         for name in ("data", "columns", "rate", "through", "input", "output", "at"):
             if getattr(options, name):
@@ -122,11 +110,11 @@ def stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, A
         problem = _problem_of_model(options)
 
     # Options of the whole problem first; those of single parameters need its final names.
-    if options.delay is not None:
+    if options.delay:
         problem = problem.with_(delay=options.delay)
-    if options.criterion is not None:
+    if options.criterion:
         problem = _with_criterion(problem, options.criterion)
-    if options.method is not None:
+    if options.method:
         if not any(isinstance(part.data, Record) for part in problem.parts):
             raise UsageError(f"--method is for records and {problem.name} has none: leave it out.")
         settings["method"] = METHODS[options.method]()
@@ -138,9 +126,8 @@ def _problem_of_model(options: argparse.Namespace) -> AnyProblem:
     if not options.data:
         raise UsageError("--model needs --data FILE, a frequency response or a record.")
     model = find_model(options.model)
-    columns = stated_columns(options)
     names = options.input, options.output
-    data = [read_data(path, model, *names, columns, options.rate) for path in options.data]
+    data = [read_data(path, model, *names, options.columns, options.rate) for path in options.data]
     # All responses of one plant have passed the filters that the first one names.
     for word in options.through:
         for known_filter in filters_of(word, data[0]):
@@ -156,9 +143,8 @@ def _problem_of_model(options: argparse.Namespace) -> AnyProblem:
         if options.rate and not isinstance(values, Record):
             raise UsageError(f"--rate is for a table of signals, and {path} is something else.")
 
-    at = assignments(options.at, "--at")
     # Several files are one joint fit: all parameters are shared.
-    parts = tuple(Problem(model, values, at=at) for values in data)
+    parts = tuple(Problem(model, values, at=options.at) for values in data)
     return parts[0] if len(parts) == 1 else Sum(parts)
 
 

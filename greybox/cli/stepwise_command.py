@@ -2,10 +2,10 @@
 
 import argparse
 
-from greybox.cli.options import add_common_options, assignments, positive
+from greybox.cli.options import by_name
 from greybox.cli.output import USABLE, Answer, attributes
-from greybox.cli.saved_fits import add_out_option, require_fit_file, save_fit
-from greybox.cli.stated_problem import add_problem_options, stated_problem
+from greybox.cli.saved_fits import require_fit_file, save_fit
+from greybox.cli.stated_problem import PROBLEM_OPTIONS, stated_problem
 from greybox.estimate.summary import summary
 from greybox.validation.stepwise import stepwise
 
@@ -13,26 +13,16 @@ EXAMPLES = (
     "pitch_moment --candidates b_vv b_vtheta b_vtau b_vq b_thetatheta b_thetaq",
     "my.py --candidates k_v k_vv exponent=1 --out chosen.h5",
 )
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    add_problem_options(parser)
-    parser.add_argument(
-        "--candidates",
-        nargs="+",
-        required=True,
-        metavar="NAME[=VALUE]",
-        help="parameters that may be left out, with the value without their term (default: 0)",
-    )
-    parser.add_argument(
-        "--starts",
-        type=positive,
-        default=4,
-        help="number of starts of every structure, beside the previous estimate (default: 4)",
-    )
-    add_out_option(parser, "save the fit of the chosen structure to this HDF5 file")
-    add_common_options(parser, writes=True)
+OPTIONS = f"""
+{PROBLEM_OPTIONS}
+--candidates NAME[=VALUE]...
+    parameters that may be left out, with the value without their term, by default 0 (required)
+--starts N
+    number of starts of every structure, beside the previous estimate (default: 4)
+--out FILE
+    save the fit of the chosen structure to this HDF5 file
+--force
+"""
 
 
 def run(options: argparse.Namespace) -> Answer:
@@ -40,7 +30,7 @@ def run(options: argparse.Namespace) -> Answer:
     require_fit_file(options.out, options.force)
     # A coefficient vanishes at zero; an exponent or a factor has another value without its term.
     words = [word if "=" in word else f"{word}=0" for word in options.candidates]
-    candidates = assignments(words, "--candidates")
+    candidates = by_name(words, "--candidates", "NAME=VALUE")
     problem, _ = stated_problem(options)
     selection = stepwise(problem, candidates, starts=options.starts)
     notes = save_fit(selection.fit, options.out)

@@ -6,21 +6,10 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 from pathlib import Path
 
-from greybox.cli.options import UsageError, positive
+from greybox.cli.options import UsageError
 from greybox.solve.worker_pool import WorkerPool
 
 CONNECTING = 10  # s, until a scheduler that does not answer is given up
-
-
-def add_worker_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options."""
-    group = parser.add_mutually_exclusive_group()
-    group.add_argument(
-        "--workers", type=positive, metavar="N", help="make the runs in N processes on this machine"
-    )
-    group.add_argument(
-        "--scheduler", metavar="ADDRESS", help="make the runs on Dask's workers: 127.0.0.1:8786"
-    )
 
 
 @contextmanager
@@ -30,13 +19,15 @@ def stated_executor(options: argparse.Namespace) -> Iterator[Executor | None]:
     Raises
     ------
     UsageError
-        When Dask is not installed, or no scheduler answers.
+        When both are stated, Dask is not installed, or no scheduler answers.
     """
+    if options.workers and options.scheduler:
+        raise UsageError("--workers and --scheduler exclude each other: give one of them.")
     # One worker would do the work of this process and cost the start of another one.
     if options.workers is not None and options.workers > 1:
         with WorkerPool(options.workers) as pool:
             yield pool
-    elif options.scheduler is not None:
+    elif options.scheduler:
         with _client(options.scheduler) as client:
             yield client.get_executor()
     else:

@@ -73,7 +73,7 @@ def test_bounds_and_starts(capsys, own):
     [
         (
             ["--columns", "frequency"],
-            "--columns 'frequency' is not understood: write NAME=COLUMN:UNIT",
+            "--columns 'frequency' is not understood: write NAME=COLUMN",
         ),
         (
             ["--columns", "frequency=Freq", "frequency=Mag"],
@@ -114,7 +114,7 @@ def test_bounds_and_starts(capsys, own):
         ),
         (
             ["--columns", *POLAR, "--bounds", "K=3"],
-            "--bounds 'K=3' is not understood: write NAME=LOW:HIGH, e.g. a1=-10:10.",
+            "--bounds 'K=3' is not understood: write NAME=LOW:HIGH.",
         ),
         (["--columns", *POLAR, "--bounds", "b=0:3"], "foreign has no parameter 'b'; it has K, T"),
         (["--columns", *POLAR, "--bounds", "K=3:0"], "K: bounds (3.0, 0.0) are reversed or empty"),

@@ -169,7 +169,7 @@ def test_there_is_at_least_one_worker(capsys):
     assert "'0' is not an integer of at least 1" in refused(
         capsys, "fit", "rotors", "--workers", "0"
     )
-    assert "not allowed with" in refused(
+    assert "exclude each other" in refused(
         capsys, "fit", "rotors", "--workers", "2", "--scheduler", "127.0.0.1:1"
     )
 

@@ -144,8 +144,7 @@ def test_the_single_commands_say_what_was_stated(capsys, tmp_path, monkeypatch):
     assert found == f"greybox inspect {LOG} --announced SINE"
     assert measured == (
         f"greybox response {LOG} --input u=RATE.POut --output theta=ATT.Pitch --announced SINE "
-        f"--settle 1.0 "
-        "--band 1.5 15.0 --drop-warned --out 'my flight_response.csv'"
+        "--band 1.5 15.0 --settle 1.0 --drop-warned --out 'my flight_response.csv'"
     )
     assert fitted == (
         "greybox orders 'my flight_response.csv' --fix T_delay=0.002 --out 'my flight_fit.h5'"

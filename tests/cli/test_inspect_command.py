@@ -66,7 +66,7 @@ def test_columns_without_names_are_stated(capsys, tmp_path):
     assert "sine" in out
     assert out.splitlines()[-1].endswith("--columns time=1:ms r=2 y=3:deg")
     assert (
-        "write NAME=COLUMN:UNIT"
+        "write NAME=COLUMN"
         in run(capsys, "inspect", tmp_path / "flight.asc", "--columns", "time")[2]
     )
 

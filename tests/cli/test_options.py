@@ -5,15 +5,15 @@ import argparse
 import pytest
 
 from greybox.cli.options import (
+    SHARED,
     UsageError,
     as_options,
-    assignments,
-    intervals,
+    declare,
     nonnegative,
+    option_words,
     positive,
     positive_number,
     probability,
-    uncertain_values,
 )
 
 
@@ -27,11 +27,67 @@ def test_integers():
             nonnegative(text)
 
 
-def test_assignments():
-    assert assignments(["a5=0.16", "T=-1e-3"], "--fix") == {"a5": 0.16, "T": -1e-3}
+def parsed(words, text=SHARED):
+    parser = argparse.ArgumentParser()
+    declare(parser, text)
+    return parser.parse_args(words.split())
+
+
+def test_values_by_name():
+    assert parsed("--fix a5=0.16 T=-1e-3").fix == {"a5": 0.16, "T": -1e-3}
+    assert parsed("--bounds a=-10:1e3 b=0: c=:-2").bounds == {
+        "a": (-10.0, 1000.0),
+        "b": (0.0, float("inf")),
+        "c": (-float("inf"), -2.0),
+    }
+    prior = "--prior NAME=VALUE+-SIGMA...\n    about"
+    assert parsed("--prior a=-3.2+-0.1 b=1e3±20", prior).prior == {
+        "a": (-3.2, 0.1),
+        "b": (1000.0, 20.0),
+    }
     for word in ("a5", "a5=", "a5=x", "=", "a5:3"):
         with pytest.raises(UsageError, match=r"--fix .* is not understood: write NAME=VALUE"):
-            assignments([word], "--fix")
+            parsed(f"--fix {word}")
+    for word in ("a", "a=1", "=1:2", "a=x:1", "a=1:2:3"):
+        with pytest.raises(UsageError, match=r"--bounds .* is not understood: write NAME=LOW:HIGH"):
+            parsed(f"--bounds {word}")
+    for word in ("a", "a=1", "a=1+-", "a=1+-2+-3"):
+        with pytest.raises(UsageError, match=r"understood: write NAME=VALUE\+-SIGMA"):
+            parsed(f"--prior {word}", prior)
+    with pytest.raises(UsageError, match=r"--fix names a twice: 1\.0 and 2\.0"):
+        parsed("--fix a=1 a=2")
+
+
+def test_options_are_declared_as_the_help_shows_them():
+    text = """
+place PLACE
+    where (default: here)
+names [NAME]...
+    any
+--count N
+    how many (default: 3)
+--between START END
+    from, to
+--kind {soft,hard}
+    of what
+--force
+"""
+    options = parsed("there a b --between 1 2.5 --kind hard --force", text)
+    assert (options.place, options.names) == ("there", ["a", "b"])
+    assert (options.count, options.between, options.kind) == (3, [1.0, 2.5], "hard")
+    assert options.force
+    assert parsed("there", text).names == []
+    assert parsed("there", text).between is None
+    with pytest.raises(SystemExit):
+        parsed("there --kind brittle", text)
+
+
+def test_the_words_of_options_are_read_as_they_were():
+    shared = "--fix a=-0.1 b=2.0 --bounds c=0.0:inf --fields omega=W --rate 50.0 --force --seed 0"
+    text = f"{SHARED}\n--seed K\n    seed"
+    values = vars(parsed(shared, text))
+    assert parsed(" ".join(option_words({"force": True, **values})), text) == parsed(shared, text)
+    assert option_words({"settle": 0.0, "rate": None, "axis": "", "fix": {}}) == ["--settle", "0.0"]
 
 
 def test_probabilities_and_times():
@@ -48,29 +104,6 @@ def test_probabilities_and_times():
     for text in ("0", "-1", "inf", "nan", "x"):
         with pytest.raises(argparse.ArgumentTypeError, match="is not a number above 0"):
             positive_number(text)
-
-
-def test_intervals_and_uncertain_values():
-    assert intervals(["a=-10:1e3", "b=0:", "c=:-2"], "--bounds") == {
-        "a": (-10.0, 1000.0),
-        "b": (0.0, float("inf")),
-        "c": (-float("inf"), -2.0),
-    }
-    assert uncertain_values(["a=-3.2+-0.1", "b=1e3±20"], "--prior") == {
-        "a": (-3.2, 0.1),
-        "b": (1000.0, 20.0),
-    }
-    for word in ("a", "a=1", "=1:2", "a=x:1", "a=1:2:3"):
-        with pytest.raises(
-            UsageError,
-            match=r"--bounds .* is not understood: write NAME=LOW:HIGH, e\.g\. a1=-10:10",
-        ):
-            intervals([word], "--bounds")
-    for word in ("a", "a=1", "a=1+-", "a=1+-2+-3"):
-        with pytest.raises(
-            UsageError, match=r"--prior .* is not understood: write NAME=VALUE\+-SIGMA"
-        ):
-            uncertain_values([word], "--prior")
 
 
 @pytest.mark.parametrize(

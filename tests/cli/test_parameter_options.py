@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.cli.options import UsageError
-from greybox.cli.parameter_options import add_parameter_options, with_parameter_options
+from greybox.cli.options import UsageError, declare
+from greybox.cli.parameter_options import with_parameter_options
+from greybox.cli.stated_problem import PROBLEM_OPTIONS
 
 
 class Lag(gb.TransferFunction):
@@ -29,7 +30,7 @@ def problem(name, **options):
 
 def stated(made, *words):
     parser = ArgumentParser()
-    add_parameter_options(parser)
+    declare(parser, PROBLEM_OPTIONS)
     return with_parameter_options(made, parser.parse_args(words))
 
 

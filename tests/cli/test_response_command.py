@@ -118,7 +118,7 @@ def test_a_table_of_a_sweep_gives_its_response(capsys, tmp_path):
         (["response", LOG, *PITCH, "--tests", "a"], "write numbers and ranges"),
         (["response", LOG, *PITCH, "--tests", "5-3"], "runs backwards"),
         (["response", LOG, *PITCH, "--tests", "1-99999999999"], "there is no test 99999999999"),
-        (["response", LOG, *PITCH, "--points", "0"], "--points 0"),
+        (["response", LOG, *PITCH, "--points", "1"], "--points 1"),
         (["response", LOG, *PITCH, "--settle", "nan"], "--settle nan"),
         (["response", LOG, *PITCH, "--rate", "1e9"], "more than ten times"),
         (
@@ -130,7 +130,7 @@ def test_a_table_of_a_sweep_gives_its_response(capsys, tmp_path):
             "are the same signal",
         ),
         (["response", LOG, *PITCH, "--axis", "roll"], "no test has the axis 'roll'"),
-        (["response", LOG, *PITCH, "--rate", "0"], "rate 0"),
+        (["response", LOG, *PITCH, "--rate", "0"], "--rate: '0' is not a number above 0"),
         (["response", LOG, *PITCH, "--out", "x.txt"], "end it in .csv"),
         (["response", LOG, *PITCH, "--fields", "omega"], "write WHAT=FIELD"),
     ],

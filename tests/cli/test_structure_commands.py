@@ -144,5 +144,5 @@ def test_what_is_known_before_the_data(capsys, own):
     assert prior["estimate"]["a4"] == pytest.approx(
         share * 5.0 + (1 - share) * alone["estimate"]["a4"], abs=0.05
     )
-    assert "a1=3.2+-0.1" in refused(capsys, "fit", name, "--prior", "K=3")
+    assert "NAME=VALUE+-SIGMA" in refused(capsys, "fit", name, "--prior", "K=3")
     assert "has no parameter 'L'" in refused(capsys, "fit", name, "--prior", "L=3±1")

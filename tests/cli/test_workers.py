@@ -1,10 +1,11 @@
 """The options that say what makes the runs of a fit."""
 
-from argparse import ArgumentParser, Namespace
+from argparse import Namespace
 
 import pytest
 
-from greybox.cli.workers import add_worker_options, stated_executor
+from greybox.cli.options import UsageError
+from greybox.cli.workers import stated_executor
 from greybox.solve.worker_pool import WorkerPool
 
 
@@ -19,10 +20,7 @@ def test_several_workers_are_a_pool():
         assert isinstance(executor, WorkerPool)
 
 
-def test_workers_and_a_scheduler_exclude_one_another(capsys):
-    parser = ArgumentParser()
-    add_worker_options(parser)
-    assert parser.parse_args(["--workers", "3"]) == Namespace(workers=3, scheduler=None)
-    with pytest.raises(SystemExit):
-        parser.parse_args(["--workers", "3", "--scheduler", "127.0.0.1:8786"])
-    assert "not allowed with argument --workers" in capsys.readouterr().err
+def test_workers_and_a_scheduler_exclude_one_another():
+    options = Namespace(workers=3, scheduler="127.0.0.1:8786")
+    with pytest.raises(UsageError, match="exclude each other"), stated_executor(options):
+        pass
