@@ -25,18 +25,23 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.part import NO_NODES, Information, Part, Program, Trajectory
-from greybox.compiled.residual_covariance import ResidualCovariance, require_independent
+from greybox.compiled.residual_covariance import (
+    ResidualCovariance,
+    require_independent,
+    residual_covariance_of,
+)
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import Array, ComplexArray
 from greybox.formulation.problem import Problem
 from greybox.formulation.spectrum_criteria import EquationError, outputs_in_spectrum
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.model import Model
-from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
+from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.trim import trim_of
+from greybox.statistics.column_space import column_basis
 
 # Weights and end terms follow each other: the change of the cost at which they have, and how often
 # at most. Each time the change falls to the share of the numbers that end terms take up, a tenth or
@@ -49,32 +54,24 @@ UNSEEN = 1e-10
 
 
 @dataclass(frozen=True, eq=False)
-class Matrices:
-    """A, B, C, D and the delays (m,) of the inputs; or their derivatives, by a last axis."""
-
-    A: Array
-    B: Array
-    C: Array
-    D: Array
-    delays: Array
-
-
-@dataclass(frozen=True, eq=False)
 class Along:
     """What follows from the parameters of the model.
 
     Attributes
     ----------
-    q : (q,) array
-    matrices : Matrices
-    inputs : (m, lines) complex array
-        Delayed.
+    slopes, delay_slopes : (n + k, n + m, q) and (m, q) arrays
+        Derivatives of [A, B; C, D] and of the delays by the parameters.
+    signals : (n + m, lines) complex array
+        States with the end term, then delayed inputs.
     inverse : (lines, n, n) complex array
         Of jωI - A.
-    states : (lines, n) complex array
-        With the end term.
+    to_outputs : (lines, k, n + k) complex array
+        How the outputs follow what adds to A X + B U, then to C X + D U.
+    transfer : (lines, k, m) complex array
     modelled : (k, lines) complex array
         Outputs with the end term.
+    transform : (lines, k, k) complex array
+        T.
     errors : (k, 2 lines) array
         Real parts, then imaginary parts, in units of the deviation of one sample.
     basis : (k, 2 lines, n) array
@@ -86,12 +83,14 @@ class Along:
         Sum of log |det T| over the lines.
     """
 
-    q: Array
-    matrices: Matrices
-    inputs: ComplexArray
+    slopes: Array
+    delay_slopes: Array
+    signals: ComplexArray
     inverse: ComplexArray
-    states: ComplexArray
+    to_outputs: ComplexArray
+    transfer: ComplexArray
     modelled: ComplexArray
+    transform: ComplexArray
     errors: Array
     basis: Array
     ends: Array
@@ -126,19 +125,15 @@ class TransientPart(Part):
         self.states, self.inputs = system.states, system.inputs
         self.numbers = 2 * len(self.data) * len(self.outputs)
         self.unknown_initial_states = len(self.states)  # those of the end term
-        self._matrices, self._slopes = _matrix_functions(
-            problem.model, system, problem.at, self.outputs
-        )
+        self._matrices = _matrices(problem.model, system, problem.at, self.outputs)
         self._is_equation_error = isinstance(problem.criterion, EquationError)
-        self._noise = problem.criterion.noise
         # White noise of deviation one in a sample gives each component of an integral this one.
         self._unit = math.sqrt(self.data.step * self.data.duration / 2)
-        if self._noise == "full":
-            require_independent(self.outputs, self._real(self._measured))
-
-    @cached_property
-    def _measured(self) -> ComplexArray:
-        return np.array([self.data.outputs[name] for name in self.outputs])
+        self._measured = np.array([self.data.outputs[name] for name in self.outputs])
+        measured = self._real(self._measured)
+        self._covariance = residual_covariance_of(problem.criterion, self.outputs, measured)
+        if self._covariance.full:
+            require_independent(self.outputs, measured)
 
     def _real(self, values: ComplexArray) -> Array:
         """Return complex rows (..., lines) as real ones (..., 2 lines).
@@ -151,44 +146,42 @@ class TransientPart(Part):
 
     def along(self, q: Array) -> Along | None:
         """Return what follows from the parameters q of the model; None where it is not finite."""
-        blocks = [value.full() for value in self._matrices(q)]
-        if not all(np.all(np.isfinite(block)) for block in blocks):
-            return None
-        matrices = Matrices(*blocks[:4], delays=blocks[4][:, 0])
-        late = zip(self.inputs, matrices.delays.tolist(), strict=True)
+        matrix, delays, slopes, delay_slopes = (value.full() for value in self._matrices(q))
+        n, k = len(self.states), len(self.outputs)
+        A, B, C, D = matrix[:n, :n], matrix[:n, n:], matrix[n:, :n], matrix[n:, n:]
+        late = zip(self.inputs, delays.ravel().tolist(), strict=True)
         inputs = np.array([self.data.delayed_input(name, delay) for name, delay in late])
-        pencil: Any = 1j * self.data.omega[:, None, None] * np.eye(len(self.states)) - matrices.A
+        pencil: Any = 1j * self.data.omega[:, None, None] * np.eye(n) - A
 
         try:
             inverse: Any = np.linalg.inv(pencil)
-            transform = self._transform(matrices, pencil)
+            transform = self._transform(C, pencil)
         except np.linalg.LinAlgError:
             # A pole lies on the imaginary axis, at one of the frequencies.
             return None
 
-        forced = np.einsum("lij,jl->li", inverse, matrices.B @ inputs)
-        outputs = matrices.C @ forced.T + matrices.D @ inputs
-        by_ends = matrices.C @ inverse
-        errors, basis, logarithms = self._measured - outputs, by_ends, 0.0
-        if transform is not None:
-            errors, basis = np.einsum("lab,bl->al", transform, errors), transform @ by_ends
-            logarithms = float(np.linalg.slogdet(transform)[1].sum())
-
-        errors, basis = self._real(errors), self._stacked(basis.swapaxes(0, 1))
-        if not (
-            np.all(np.isfinite(errors)) and np.all(np.isfinite(basis)) and math.isfinite(logarithms)
-        ):
+        by_ends = C @ inverse
+        transfer = by_ends @ B + D
+        modelled = np.einsum("lkm,ml->kl", transfer, inputs)
+        errors = self._transformed(transform, self._measured - modelled)
+        basis = self._stacked((transform @ by_ends).swapaxes(0, 1))
+        logarithms = float(np.linalg.slogdet(transform)[1].sum())
+        if not all(np.all(np.isfinite(values)) for values in (errors, basis, logarithms)):
             return None
 
-        covariance = self._covariance(transform)
+        covariance = self._covariance.along(self._transformed(transform, self._measured))
         errors, ends = _without_ends(errors, basis, covariance)
+        states = np.einsum("lij,jl->il", inverse, B @ inputs + ends[:, None])
         return Along(
-            q=q,
-            matrices=matrices,
-            inputs=inputs,
+            # CasADi stacks the entries of a matrix column by column.
+            slopes=slopes.reshape(*matrix.T.shape, len(q)).swapaxes(0, 1),
+            delay_slopes=delay_slopes,
+            signals=np.vstack([states, inputs]),
             inverse=inverse,
-            states=forced + inverse @ ends,
-            modelled=outputs + (by_ends @ ends).T,
+            to_outputs=np.concatenate([by_ends, np.broadcast_to(np.eye(k), transform.shape)], 2),
+            transfer=transfer,
+            modelled=C @ states + D @ inputs,
+            transform=transform,
             errors=errors,
             basis=basis,
             ends=ends,
@@ -196,87 +189,59 @@ class TransientPart(Part):
             logarithms=logarithms,
         )
 
-    def _transform(self, matrices: Matrices, pencil: ComplexArray) -> ComplexArray | None:
-        """Return T (lines, k, k) of the equation error: of all states, or of the one output."""
+    def _transform(self, C: Array, pencil: ComplexArray) -> ComplexArray:
+        """Return T (lines, k, k): for an equation error of all states, or of the one output."""
         if not self._is_equation_error:
-            return None
-        if len(self.outputs) == 1:
+            return np.broadcast_to(np.eye(len(C)), (len(pencil), len(C), len(C)))
+        if len(C) == 1:
             return np.linalg.det(pencil)[:, None, None]
-        return pencil @ np.linalg.inv(matrices.C)
+        return pencil @ np.linalg.inv(C)
 
-    def _covariance(self, transform: ComplexArray | None) -> ResidualCovariance:
-        """Return how products of errors become a cost; a constant output's scale is its size."""
-        measured = (
-            self._measured
-            if transform is None
-            else np.einsum("lab,bl->al", transform, self._measured)
-        )
-        spread = np.sqrt(np.mean(self._real(measured) ** 2, axis=1))
-        known = None
-        if isinstance(self._noise, Mapping):
-            known = np.array([float(self._noise[name]) for name in self.outputs])
-        counts = np.full(len(self.outputs), 2 * len(self.data))
+    def _transformed(self, transform: ComplexArray, values: ComplexArray) -> Array:
+        """Return T times complex values (k, lines), as real ones (k, 2 lines)."""
+        return self._real(np.einsum("lab,bl->al", transform, values))
 
-        return ResidualCovariance(
-            counts, np.where(spread > 0, spread, 1.0), known, self._noise == "full"
-        )
+    def _at(self, z: Array) -> tuple[Along | None, Array]:
+        """Return what follows from z, and the derivatives of the parameters by it."""
+        q, slope = (value.full() for value in self.locate(z))
+        return self.along(q.ravel()), slope
 
-    def derivatives(self, at: Along) -> tuple[Array, Array, Array]:
-        """Return how the errors follow the parameters q, the end term held.
+    def derivatives(self, at: Along, by: Array) -> tuple[Array, Array, Array]:
+        """Return how the errors follow x, for derivatives (q, x) of the parameters, ends held.
 
         Returns
         -------
-        mean : (k, 2 lines, q) array
+        mean : (k, 2 lines, x) array
             Of the errors, as far as the modelled outputs change.
-        total : (k, 2 lines, q) array
+        total : (k, 2 lines, x) array
             Of the errors.
-        transform : (lines, k, k, q) complex array
+        transform : (lines, k, k, x) complex array
             dT T⁻¹; zeros for output error.
         """
-        m, omega = at.matrices, self.data.omega
-        *slopes, late = (value.full() for value in self._slopes(at.q))
-        pairs = zip(slopes, (m.A, m.B, m.C, m.D), strict=True)
-        # CasADi stacks the entries of a matrix column by column.
-        stacked = (slope.reshape(*M.shape[::-1], slope.shape[1]) for slope, M in pairs)
-        d = Matrices(*(slope.swapaxes(0, 1) for slope in stacked), delays=late)
-        late = np.array(
-            [
-                -np.exp(-1j * omega * tau)
-                * (1j * omega * self.data.inputs[name] + self.data.change(name))
-                for name, tau in zip(self.inputs, m.delays, strict=True)
-            ]
-        )
-        later = late[:, :, None] * d.delays[:, None, :]  # of every input (m, lines, q)
-        driven = np.einsum("ijq,lj->liq", d.A, at.states) + np.einsum("ijq,jl->liq", d.B, at.inputs)
-        driven = driven + np.einsum("ij,jlq->liq", m.B, later)
-        states = at.inverse @ driven
-        modelled = np.einsum("kjq,lj->klq", d.C, at.states) + np.einsum("kj,ljq->klq", m.C, states)
-        modelled = (
-            modelled
-            + np.einsum("kjq,jl->klq", d.D, at.inputs)
-            + np.einsum("kj,jlq->klq", m.D, later)
-        )
+        slopes, n, omega = at.slopes @ by, len(self.states), self.data.omega
+        changes = np.array([[self.data.change(name)] for name in self.inputs])
+        later = -1j * omega * at.signals[n:] - changes
+        modelled = np.einsum("lkr,rcx,cl->klx", at.to_outputs, slopes, at.signals)
+        modelled += np.einsum("lkm,ml,mx->klx", at.transfer, later, at.delay_slopes @ by)
+        mean = -self._stacked(np.einsum("lab,blx->alx", at.transform, modelled))
 
+        relative = np.zeros((*at.transform.shape, by.shape[1]), complex)
         if not self._is_equation_error:
-            mean = self._stacked(-modelled)
-            return mean, mean, np.zeros((len(omega), *m.C.shape[:1] * 2, len(at.q)), complex)
-
-        pencil: Any = 1j * omega[:, None, None] * np.eye(len(self.states)) - m.A
-        transform = self._transform(m, pencil)
-        assert transform is not None
+            return mean, mean, relative
         if len(self.outputs) == 1:
-            change = -np.einsum("lij,jiq->lq", at.inverse, d.A)[:, None, None, :]
+            relative -= np.einsum("lij,jix->lx", at.inverse, slopes[:n, :n])[:, None, None, :]
         else:
-            change = -np.einsum("ijq,ljk->likq", d.A, at.inverse)
-            change = change - np.einsum("lij,jkq,lkn->linq", transform, d.C, at.inverse)
-
-        unexplained = np.einsum("lab,bl->al", transform, self._measured - at.modelled)
-        mean = -np.einsum("lab,blq->alq", transform, modelled)
-        total = mean + np.einsum("labq,bl->alq", change, unexplained)
-        return self._stacked(mean), self._stacked(total), change
+            left = np.concatenate([np.broadcast_to(np.eye(n), at.transform.shape), at.transform], 2)
+            relative -= np.einsum("lar,rcx,lcb->labx", left, slopes[:, :n], at.inverse)
+        unexplained = np.einsum("lab,bl->al", at.transform, self._measured - at.modelled)
+        return (
+            mean,
+            mean + self._stacked(np.einsum("labx,bl->alx", relative, unexplained)),
+            relative,
+        )
 
     def _stacked(self, values: ComplexArray) -> Array:
-        """Return complex values (k, lines, q) as real ones (k, 2 lines, q)."""
+        """Return complex values (k, lines, x) as real ones (k, 2 lines, x)."""
         return np.moveaxis(self._real(np.moveaxis(values, 1, -1)), -1, 1)
 
     def fisher_root(self, at: Along, mean: Array, change: Array) -> tuple[Array, Array, Array]:
@@ -295,12 +260,12 @@ class TransientPart(Part):
         weight = at.covariance.weight(at.errors @ at.errors.T)
         weighted = np.einsum("ka,alx->klx", weight, mean)
         rows = weighted.reshape(-1, mean.shape[-1])
-        directions = _directions(
-            np.einsum("ka,aln->kln", weight, at.basis).reshape(rows.shape[0], -1)
-        )
+        by_ends = np.einsum("ka,aln->kln", weight, at.basis).reshape(len(rows), -1)
+        directions = column_basis(by_ends)
         projected = rows - directions @ (directions.T @ rows)
         turned = np.einsum("ka,labx,bc->lkcx", weight, change, np.linalg.inv(weight))
-        variance = _hermitian_rows(turned)
+        hermitian = turned + turned.conj().swapaxes(1, 2)
+        variance = np.stack([hermitian.real, hermitian.imag], axis=1)
         # Fitting the size of the noise takes up what all variances have in common.
         variance = (variance - variance.mean(axis=0)).reshape(-1, mean.shape[-1])
         reach = np.sqrt((rows**2).sum(axis=0) + (variance**2).sum(axis=0))
@@ -313,10 +278,10 @@ class TransientPart(Part):
         They are turned by the phase of the modelled output, as those of a response are: what a
         model leaves out is smooth only then.
         """
-        at = self.along(self.locate(z)[0].full().ravel())
+        at, slope = self._at(z)
         if at is None:
             return
-        total = np.tensordot(self.derivatives(at)[1], self.locate(z)[1].full(), axes=1)
+        _, total, _ = self.derivatives(at, slope)
         turned = np.exp(-1j * np.angle(at.modelled))
         rows = np.concatenate([at.errors[..., None], total, at.basis], axis=-1)
 
@@ -328,7 +293,7 @@ class TransientPart(Part):
 
     def trajectory(self, z: Array, nodes: Array, *, simulated: bool = False) -> Trajectory:
         """Return the point z, with the best end term; not finite where the model is not."""
-        at = self.along(self.locate(z)[0].full().ravel())
+        at, _ = self._at(z)
         products = np.full((1, 1), np.nan) if at is None else at.errors @ at.errors.T
         return Trajectory(z, NO_NODES, NO_NODES, NO_NODES, products, simulated=True, detail=at)
 
@@ -342,10 +307,7 @@ class TransientPart(Part):
     def linearize(self, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
         """Return gradient (p,) and Fisher information (p, p); end term and noise follow."""
         at: Along = trajectory.detail
-        by_z: Any = [
-            np.tensordot(d, self.locate(trajectory.z)[1].full(), 1) for d in self.derivatives(at)
-        ]
-        mean, total, change = by_z
+        mean, total, change = self.derivatives(at, self.locate(trajectory.z)[1].full())
         root = at.covariance.weight(trajectory.products)
         by_errors = np.einsum("kl,klz->z", root.T @ root @ at.errors, total)
         mean, variance, _ = self.fisher_root(at, mean, change)
@@ -385,15 +347,15 @@ class TransientPart(Part):
         located, slope = (value.full() for value in place(values))
         at = self.along(located.ravel())
         assert at is not None
-        by_values: Any = [np.tensordot(d, slope, 1) for d in self.derivatives(at)]
-        mean, _, change = by_values
+        mean, _, change = self.derivatives(at, slope)
         mean, variance, reach = self.fisher_root(at, mean, change)
         jacobian = np.vstack([mean.reshape(-1, len(values)), variance])
         # What the errors show may be other than what was given, or correlated between outputs.
         products = at.errors @ at.errors.T
         weight = at.covariance.weight(products)
         observed = weight @ products @ weight.T / (2 * len(self.data))
-        lost = len(self.states) / max(self.numbers - len(self.states), 1)
+        numbers = self.numbers - len(self.states)
+        lost = len(self.states) / max(numbers, 1)
         meat = (
             np.einsum("ka,klx,aly->xy", observed, mean, mean) * (1 + lost) + variance.T @ variance
         )
@@ -401,7 +363,6 @@ class TransientPart(Part):
         def spread(correction: float) -> tuple[float, Array]:
             return 1.0, meat * correction**2
 
-        numbers = self.numbers - len(self.states)
         return Information(self, jacobian, numbers, spread, reach)
 
 
@@ -411,31 +372,26 @@ def compile_spectrum(problem: Problem, expressions: Mapping[str, Any], z: ca.SX)
     return TransientPart(problem, ca.Function("locate", [z], [q, ca.densify(ca.jacobian(q, z))]))
 
 
-def _matrix_functions(
+def _matrices(
     model: Model, system: Dynamics, at: Mapping[str, float], outputs: tuple[str, ...]
-) -> tuple[ca.Function, ca.Function]:
-    """Return (all parameters) -> A, B, C, D and delays, and the derivatives of their entries."""
+) -> ca.Function:
+    """Return (all parameters) -> [A, B; C, D], the delays, and the derivatives of the entries."""
     p: Any = ca.MX.sym("p", len(model.parameters))
-    x, u, q = (
-        ca.SX.sym("v", len(names)) for names in (system.states, system.inputs, system.parameters)
-    )
-    f, h = system.derivative(x, u, q), system.output(x, u, q)
-    h = h[[system.outputs.index(name) for name in outputs]]
-    blocks = [ca.jacobian(f, x), ca.jacobian(f, u), ca.jacobian(h, x), ca.jacobian(h, u)]
-    linear = ca.Function(
-        "linear", [q, x, u], [*map(ca.densify, blocks), ca.densify(system.delay(q))]
-    )
-    point: Any = ca.DM.zeros(len(system.states)), ca.DM.zeros(len(system.inputs))
+    x, u, q = system.symbols
+    h = system.output(x, u, q)[[system.outputs.index(name) for name in outputs]]
+    matrix = ca.jacobian(ca.vertcat(system.derivative(x, u, q), h), ca.vertcat(x, u))
+    linear = ca.Function("linear", [q, x, u], [ca.densify(matrix), ca.densify(system.delay(q))])
+    point: Any = ca.DM.zeros(x.numel()), ca.DM.zeros(u.numel())
 
     if isinstance(model, StateSpace):
         states, inputs = trim_of(model, at).closed()(p)
         # The states of a Padé delay follow those of the model, and the linear delay has no
         # operating point.
-        point = ca.vertcat(states, ca.DM.zeros(len(system.states) - len(model.states))), inputs
+        point = ca.vertcat(states, ca.DM.zeros(x.numel() - len(model.states))), inputs
 
-    matrices: Any = linear(p, *point)
-    slopes = [ca.densify(ca.jacobian(ca.vec(block), p)) for block in matrices]
-    return ca.Function("matrices", [p], matrices), ca.Function("slopes", [p], slopes)
+    results: Any = linear(p, *point)
+    slopes = [ca.densify(ca.jacobian(ca.vec(result), p)) for result in results]
+    return ca.Function("matrices", [p], [*results, *slopes])
 
 
 def _without_ends(
@@ -459,25 +415,3 @@ def _without_ends(
         last = cost
 
     return remaining, ends
-
-
-def _directions(rows: Array) -> Array:
-    """Return orthonormal columns that span those of `rows` (r, n)."""
-    if not rows.shape[1]:
-        return rows
-    size = np.linalg.norm(rows, axis=0)
-    size[size == 0] = 1.0
-    left, singular, _ = np.linalg.svd(rows / size, full_matrices=False)
-    return left[:, singular > UNSEEN * singular[0]]
-
-
-def _hermitian_rows(values: ComplexArray) -> Array:
-    """Return V + Vᴴ of matrices (lines, k, k, x) as real rows (lines, k², x).
-
-    Scalar products stay the same.
-    """
-    hermitian = values + values.conj().swapaxes(1, 2)
-    diagonal = np.einsum("lkkx->lkx", hermitian).real
-    a, b = np.triu_indices(values.shape[1], 1)
-    between = math.sqrt(2) * hermitian[:, a, b]
-    return np.concatenate([diagonal, between.real, between.imag], axis=1)

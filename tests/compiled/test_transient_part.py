@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.compiled.transient_part import _hermitian_rows
 from greybox.spectral import transient_spectrum
 
 study = benchmark("transient_coverage")
@@ -200,14 +199,3 @@ def test_the_spread_is_that_of_white_errors_but_for_the_end_terms(made, equation
         assert_allclose(found.spread(1.0)[1], wanted, rtol=1e-6, atol=1e-9 * np.abs(wanted).max())
     assert variance.any() == equation_error
     assert part.has_states
-
-
-def test_real_rows_have_the_scalar_products_of_hermitian_matrices():
-    random = np.random.default_rng(0)
-    values = random.normal(size=(5, 3, 3, 2)) + 1j * random.normal(size=(5, 3, 3, 2))
-    hermitian = values + np.conj(np.swapaxes(values, 1, 2))
-    rows = _hermitian_rows(values)
-    assert rows.shape == (5, 9, 2)
-    wanted = np.einsum("labx,lbay->lxy", hermitian, hermitian)
-    assert_allclose(wanted.imag, 0, atol=1e-12)
-    assert_allclose(np.einsum("lrx,lry->lxy", rows, rows), wanted.real)
