@@ -6,7 +6,7 @@ residual covariances and delays that differ between them are an axis of arrays. 
 sees parts, one for every problem; `Groups` translates.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
@@ -64,11 +64,6 @@ class RecordGroup(SegmentedPart):
     def by_part(self, nodes: Array) -> list[Array]:
         """Return the nodes of the records."""
         return [nodes[rows] for rows in self.segments.record_rows]
-
-    @cached_property
-    def discontinuous_delays(self) -> Mapping[str, tuple[str, str]]:
-        """Those of all records."""
-        return {k: v for part in self.parts for k, v in part.discontinuous_delays.items()}
 
     # --- placement
 

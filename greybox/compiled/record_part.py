@@ -98,26 +98,15 @@ class RecordPart(SegmentedPart):
     @one_thread_at_a_time
     def discontinuous_delays(self) -> Mapping[str, tuple[str, str]]:
         """Delays at whose whole samples the cost jumps: a held input reaches an output directly."""
-        system = self.system
-        result: dict[str, tuple[str, str]] = {}
-        held = [between.held for between in self.model.between]
-        if not any(held) or not system.delayed:
-            return result
-        x, u, p = (
-            ca.SX.sym("v", len(names))
-            for names in (system.states, system.inputs, system.parameters)
-        )
-        # Through states, and with interpolated inputs, the outputs are continuous in the delay.
-        feedthrough = ca.jacobian(system.output(x, u, p), u)
+        system, result = self.system, dict[str, tuple[str, str]]()
+        x, u, p = system.symbols
+        compared = zip(system.outputs, ca.vertsplit(system.output(x, u, p)), strict=True)
+        outputs = [(name, output) for name, output in compared if name in self.outputs]
         delay = system.delay(p)
-
+        # Through states, and with interpolated inputs, the outputs are continuous in the delay.
         for i, j in itertools.product(range(u.numel()), range(p.numel())):
-            reached = [
-                name
-                for k, name in enumerate(system.outputs)
-                if feedthrough.has_nz(k, i) and name in self.outputs
-            ]
-            if held[i] and reached and ca.depends_on(delay[i], p[j]):
+            reached = [name for name, output in outputs if ca.depends_on(output, u[i])]
+            if self.model.between[i].held and reached and ca.depends_on(delay[i], p[j]):
                 place = self.model.parameters.index(system.parameters[j])
                 result[self.model.outside_names[place]] = (system.inputs[i], reached[0])
 

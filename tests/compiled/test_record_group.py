@@ -246,21 +246,3 @@ def test_groups_give_back_what_they_were_given(mixed):
     initial = group.by_part(group.initial_trajectory(z).nodes)
     for one, part in zip(initial, parts[:2], strict=True):
         assert_allclose(one, part.initial_trajectory(z).nodes)
-
-
-def test_a_group_has_the_discontinuous_delays_of_its_records():
-    class Direct(Spring):
-        outputs = ("x", "v", "pull")
-
-        def output(self, x, u, p):
-            return (x.x, x.v, x.v + p.b * u.u)
-
-    flown = [data.with_signals(pull=data["v"]) for data in records()]
-    held = gb.OutputError(inputs="held")
-    model = Direct()
-    problem = sum(
-        (gb.Problem(model, data, held) for data in flown[1:]), gb.Problem(model, flown[0], held)
-    )
-    (group,) = Groups(compile_problem(problem).parts).parts
-    assert isinstance(group, RecordGroup)
-    assert group.discontinuous_delays == {"delay": ("u", "pull")}
