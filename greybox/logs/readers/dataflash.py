@@ -21,7 +21,7 @@ from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.controller_outputs import with_holds
 from greybox.logs.readers.dataflash_index import Bytes, Index, Layout, index, text
 from greybox.logs.readers.dataflash_units import Units, UnitTables, with_usual_units
-from greybox.logs.readers.messages import Messages, bare, merged, on_one_clock, records
+from greybox.logs.readers.messages import Messages, bare, on_one_clock, records
 
 # About the log or the vehicle: no time histories.
 ABOUT = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "FILE", "ISBH", "ISBD")
@@ -71,7 +71,6 @@ def recording(
     groups, restarts = on_one_clock(groups)
     # Before the messages are chosen: any unit in the log shows that it has tables of units.
     groups, assumed = with_usual_units(groups)
-    groups, conflicts = merged(groups)
     wanted = [g for g in groups if g.name not in ABOUT and (messages is None or g.name in messages)]
     metadata = ardupilot_metadata.metadata(groups)
     missing = _missing({g.name for g in groups}, messages)
@@ -81,7 +80,7 @@ def recording(
         raise ValueError(
             f"{path} holds no ArduPilot message that can be read; copy it from the vehicle again."
         )
-    findings = (*findings, *conflicts, *restarts, *missing, *problems, *assumed)
+    findings = (*findings, *restarts, *missing, *problems, *assumed)
 
     return Recording(by_name, path.name, checksum, metadata, findings)
 
@@ -101,12 +100,20 @@ def _contents(
             data, layout, positions.offsets[rows[layout]], rows[layout], units, messages
         )
 
-    present = [layout for layout in rows if rows[layout].size]
+    # The log may describe one name in two ways. A damaged description yields a few messages.
+    largest = {layout.name: layout for layout in sorted(rows, key=lambda x: rows[x].size)}
+    used = [layout for layout in rows if rows[layout].size]
+    present = [layout for layout in used if largest[layout.name] is layout]
+    lost = [
+        f"{x.name}: {rows[x].size} messages with another layout than the rest were left out."
+        for x in used
+        if x not in present
+    ]
     tables = UnitTables(decoded(x, Units({}, "")) for x in present if x.name in TABLES)
     # The unit tables are written again and again, with any time: they take no part in the clock.
     timed = [layout for layout in present if layout.name not in TABLES]
     groups = [decoded(x, tables.of(x)) for x in counted_off(timed, "decoding", "message")]
-    return groups, (*_damage(positions), *tables.findings)
+    return groups, (*_damage(positions), *tables.findings, *lost)
 
 
 def _decoded(

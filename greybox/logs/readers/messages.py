@@ -66,23 +66,6 @@ def bare(messages: Collection[str] | None) -> tuple[str, ...] | None:
     )
 
 
-def merged(groups: Iterable[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
-    """Return the larger lot of messages if the log describes one name in two ways."""
-    by_name: dict[str, list[Messages]] = {}
-    for group in groups:
-        by_name.setdefault(group.name, []).append(group)
-
-    # A damaged description yields a few messages: the larger lot is the sound one.
-    largest = {name: max(lots, key=len) for name, lots in by_name.items()}
-    lost = {name: sum(map(len, lots)) - len(largest[name]) for name, lots in by_name.items()}
-    findings = tuple(
-        f"{name}: {count} messages with another layout than the rest were left out."
-        for name, count in lost.items()
-        if count
-    )
-    return list(largest.values()), findings
-
-
 def on_one_clock(groups: Iterable[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
     """Return the messages on one clock that never restarts, and findings; see `time_stamps`."""
     groups = list(groups)

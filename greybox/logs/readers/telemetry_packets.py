@@ -42,27 +42,35 @@ class Packets:
 
     def __iter__(self) -> Iterator[tuple[int, Any]]:
         """Yield the time of reception, µs since 1970, and the packet."""
-        at = 0
+        end = 0  # of the previous packet
+        at = STAMP
         with reading(len(self._data), "reading packets") as bar:
-            while at + STAMP < len(self._data):
-                packet, end = self._decoded(at + STAMP)
+            while mark := MARK.search(self._data, at):
+                at = mark.start()
+                packet, following = self._decoded(at, is_expected=at == end + STAMP)
                 if packet is None:
-                    end = self._next_known(at + STAMP + 1) - STAMP
-                    self.skipped += end - at
-                    self.places += 1
-                elif isinstance(packet, mavlink.MAVLink_unknown):
+                    at += 1
+                    continue
+                self._count_damage(end, at - STAMP)
+                if isinstance(packet, mavlink.MAVLink_unknown):
                     self.unknown += 1
                 else:
                     # Some ground stations use the highest bit as a flag.
-                    yield int.from_bytes(self._data[at : at + STAMP], "big") & 2**63 - 1, packet
-                at = end
+                    yield int.from_bytes(self._data[at - STAMP : at], "big") & 2**63 - 1, packet
+                end = following
+                at = end + STAMP
                 if at - bar.n > 2**20:
                     bar.update(at - bar.n)
+        self._count_damage(end, len(self._data))
 
-    def _decoded(self, at: int) -> tuple[Any, int]:
+    def _count_damage(self, start: int, end: int) -> None:
+        self.skipped += end - start
+        self.places += end > start
+
+    def _decoded(self, at: int, is_expected: bool) -> tuple[Any, int]:
         """Return the packet at a byte, None for none, and where it ends."""
         head = self._data[at : at + 3]
-        if len(head) < 3 or head[0] not in b"\xfd\xfe":
+        if len(head) < 3:
             return None, at
         signature = 13 * (head[2] & mavlink.MAVLINK_IFLAG_SIGNED)
         end = at + head[1] + (8 if head[0] == 0xFE else 12 + signature)
@@ -70,21 +78,11 @@ class Packets:
             packet = self._link.decode(bytearray(self._data[at:end]))
         except (mavlink.MAVError, UnicodeError):
             return None, at
-        if isinstance(packet, mavlink.MAVLink_unknown):
-            # Its checksum cannot be verified, so another packet or the end of the file must follow.
-            following = end + STAMP
-            if end != len(self._data) and not MARK.match(self._data, following):
-                return None, at
-
-        return packet, end
-
-    def _next_known(self, at: int) -> int:
-        """Return where the next packet of a known kind starts, or the end and a stamp."""
-        for mark in MARK.finditer(self._data, at):
-            packet, _ = self._decoded(mark.start())
-            if packet is not None and not isinstance(packet, mavlink.MAVLink_unknown):
-                return mark.start()
-        return len(self._data) + STAMP
+        # The checksum of an unknown packet cannot be verified, so that it must be between others.
+        is_sound = not isinstance(packet, mavlink.MAVLink_unknown) or (
+            is_expected and (end == len(self._data) or MARK.match(self._data, end + STAMP))
+        )
+        return (packet, end) if is_sound else (None, at)
 
 
 class Kind:

@@ -413,3 +413,13 @@ def test_without_rates_the_cure_is_said_to_who_needs_them(saved, there, asked, s
     findings = saved(made.binary, messages=asked).findings
     assert any("set LOG_BITMASK" in text for text in findings) is said
     assert not any(text.startswith("there is no message") for text in findings)
+
+
+def test_of_two_layouts_of_one_name_the_larger_lot_stays(saved):
+    log = Log(units=False).fmt("ATT", "Qf", "TimeUS,Roll")
+    for k in range(5):
+        log.add("ATT", 1000 * k, float(k))
+    log.fmt("ATT", "Qff", "TimeUS,Pitch,Yaw", kind=77).add("ATT", 6000, 1.0, 2.0)
+    recording = saved(log.binary)
+    assert [*recording["ATT"].signals] == ["Roll"]
+    assert "ATT: 1 messages with another layout" in recording.findings[0]

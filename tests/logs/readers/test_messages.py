@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from greybox.logs.readers.messages import Messages, bare, merged, on_one_clock, records
+from greybox.logs.readers.messages import Messages, bare, on_one_clock, records
 
 
 def messages(name="ATT", order=(0, 1, 2), time=(0.0, 1.0, 2.0), instance="", **columns):
@@ -19,14 +19,6 @@ def messages(name="ATT", order=(0, 1, 2), time=(0.0, 1.0, 2.0), instance="", **c
 def test_instances_are_left_out_of_requested_names():
     assert bare(None) is None
     assert bare(["IMU[0]", "ATT", "IMU[1]"]) == ("IMU", "ATT")
-
-
-def test_of_two_lots_with_other_fields_the_larger_stays():
-    large = messages()
-    small = messages(order=(5,), time=(5.0,), y=np.array([1.0]))
-    (kept,), findings = merged([small, large])
-    assert kept is large
-    assert "1 messages" in findings[0]
 
 
 def test_one_clock_for_all_messages_of_a_log():
