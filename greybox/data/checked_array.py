@@ -45,6 +45,41 @@ def checked_array(name: str, values: ArrayLike, kind: type = float) -> NDArray:
     return array
 
 
+def finite_array(name: str, values: ArrayLike, kind: type = float) -> NDArray:
+    """Return a `checked_array` whose numbers are finite, with squares that are finite, too.
+
+    Raises
+    ------
+    ValueError
+        For other numbers, and whatever a `checked_array` refuses.
+    """
+    array = checked_array(name, values, kind)
+    require(name, array, np.isfinite(array), "leave out the points that were not measured")
+    require(
+        name,
+        array,
+        ~out_of_range(array),
+        "squares of such numbers are beyond floating-point arithmetic; choose another unit, or "
+        "leave the point out",
+    )
+    return array
+
+
+def require(name: str, values: NDArray, sound: BoolArray, cure: str) -> None:
+    """Raise ValueError with the first of the values (n,) that is not `sound`."""
+    if not sound.all():
+        index = int(np.argmin(sound))
+        raise ValueError(f"{name} is {values[index]:g} at index {index}: {cure}.")
+
+
+def require_size(name: str, values: NDArray, first: str, size: int) -> None:
+    """Raise ValueError if the values have another size than those of the `first` name."""
+    if values.size != size:
+        raise ValueError(
+            f"{first} has {size} values but {name} has {values.size}: they must match."
+        )
+
+
 def seconds_from_first(values: Any) -> Any:
     """Return dates and time differences in s from the first one; anything else as it is."""
     if getattr(values, "tz", None) is not None:  # numpy has dates with a time zone as objects

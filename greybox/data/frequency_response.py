@@ -10,12 +10,12 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from greybox.data.checked_array import checked_array, out_of_range
+from greybox.data.checked_array import checked_array, finite_array, require, require_size
 from greybox.data.magnitude_phase import angular_frequency, complex_response
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.units import to_si
 from greybox.files.arrays import Array, BoolArray, ComplexArray
-from greybox.files.text_table import counted, one_line, printable
+from greybox.files.text_table import all_printable, counted, one_line, printable
 
 COLUMNS = ("omega", "response", "coherence", "variance", "dof")
 
@@ -98,38 +98,33 @@ class FrequencyResponse:
 
     def __post_init__(self) -> None:
         """Convert to read-only arrays, check every value, and write out control characters."""
-        for name in ("input", "output", "name", "source"):
-            object.__setattr__(self, name, printable(str(getattr(self, name))))
+        for name in ("input", "output", "name", "source", "units", "about"):
+            object.__setattr__(self, name, all_printable(getattr(self, name)))
         for name in COLUMNS:
             if getattr(self, name) is not None:
                 kind = complex if name == "response" else float
-                object.__setattr__(self, name, checked_array(name, getattr(self, name), kind))
+                convert = finite_array if name in COLUMNS[:2] else checked_array
+                object.__setattr__(self, name, convert(name, getattr(self, name), kind))
         self._check_columns()
         # After the variance, of which they are a part.
         if self.common_errors is not None:
             object.__setattr__(self, "common_errors", self._checked_errors(self.common_errors))
         object.__setattr__(self, "stretches", tuple(self.stretches))
 
-        for name in ("units", "about"):
-            texts = {
-                printable(str(key)): printable(str(text))
-                for key, text in getattr(self, name).items()
-            }
-            object.__setattr__(self, name, texts)
-
     def _check_columns(self) -> None:
         if self.omega.size == 0:
             raise ValueError("the frequency response is empty: give at least one frequency.")
         for name in COLUMNS:
             values = getattr(self, name)
-            if values is not None and values.size != self.omega.size:
-                raise ValueError(
-                    f"omega has {self.omega.size} values but {name} has {values.size}: they must "
-                    "match."
-                )
+            if values is not None:
+                require_size(name, values, "omega", self.omega.size)
+            if values is not None and name not in COLUMNS[:2]:
+                high = 1.0 if name == "coherence" else np.finfo(float).max
+                limit = "above 0 and at most 1" if name == "coherence" else "above 0"
+                require(name, values, (values > 0) & (values <= high), f"it must be {limit}")
 
-        positive = np.isfinite(self.omega) & (self.omega > 0)
-        self._require("omega", positive, "frequencies must be finite and above 0 rad/s")
+        cure = "frequencies must be finite and above 0 rad/s"
+        require("omega", self.omega, self.omega > 0, cure)
         # Two points at one frequency would count as independent in a fit.
         values, counts = np.unique(self.omega, return_counts=True)
         if counts.max() > 1:
@@ -137,28 +132,6 @@ class FrequencyResponse:
                 f"omega = {values[counts.argmax()]:g} rad/s is repeated: average the points of one "
                 "frequency, or add two problems, one for each experiment."
             )
-
-        measured = np.isfinite(self.response)
-        self._require("response", measured, "leave out the points that were not measured")
-        for name in ("omega", "response"):
-            self._require(
-                name,
-                ~out_of_range(getattr(self, name)),
-                "squares of such numbers are beyond floating-point arithmetic; choose another "
-                "unit, or leave the point out",
-            )
-
-        for name in ("coherence", "variance", "dof"):
-            values = getattr(self, name)
-            if values is not None:
-                high = 1.0 if name == "coherence" else np.finfo(float).max
-                limit = "above 0 and at most 1" if name == "coherence" else "above 0"
-                self._require(name, (values > 0) & (values <= high), f"it must be {limit}")
-
-    def _require(self, name: str, sound: BoolArray, cure: str) -> None:
-        if not sound.all():
-            index = int(np.argmin(sound))
-            raise ValueError(f"{name} is {getattr(self, name)[index]:g} at index {index}: {cure}.")
 
     def _checked_errors(self, value: ArrayLike) -> ComplexArray | None:
         errors = np.atleast_2d(np.array(value, dtype=np.complex128))

@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.data.checked_array import checked_array
+from greybox.data.checked_array import checked_array, require, require_size
 from greybox.data.units import to_si
 from greybox.files.arrays import Array, ComplexArray
 
@@ -40,10 +40,7 @@ def complex_response(
     """
     size = checked_array("magnitude", magnitude)
     angle = checked_array("phase", phase)
-    if size.shape != angle.shape:
-        raise ValueError(
-            f"magnitude has {size.size} values but phase has {angle.size}: they must match."
-        )
+    require_size("phase", angle, "magnitude", size.size)
     if _si(phase_unit) != "rad":
         raise ValueError(f"the unit of phase is {phase_unit!r:.40}: give 'deg' or 'rad'.")
 
@@ -56,12 +53,8 @@ def complex_response(
             f"the unit of magnitude is {magnitude_unit!r:.40}: give 'absolute' or 'dB'."
         )
     # Decibels without their unit are the usual mistake, and mostly negative.
-    negative = np.flatnonzero(size < 0)
-    if negative.size:
-        raise ValueError(
-            f"magnitude is {size[negative[0]]:g} at index {negative[0]}, below 0: if these are "
-            "decibels, give magnitude_unit='dB'."
-        )
+    cure = "if these are decibels, give magnitude_unit='dB'"
+    require("magnitude", size, ~(size < 0), cure)
 
     return np.asarray(size * np.exp(1j * to_si(phase_unit).apply(angle)), dtype=complex)
 

@@ -10,11 +10,17 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.data.checked_array import checked_array, seconds_from_first, within_range
+from greybox.data.checked_array import (
+    checked_array,
+    require,
+    require_size,
+    seconds_from_first,
+    within_range,
+)
 from greybox.data.intersample import checked_hold
 from greybox.data.pandas_frames import Frame, columns_of, frame_of, require_frame, times_of
 from greybox.files.arrays import Array, IntArray
-from greybox.files.text_table import alternatives, counted, one_line, printable, some
+from greybox.files.text_table import all_printable, alternatives, counted, one_line, some
 
 # A step longer than this number of median steps is a gap, across which nothing is interpolated. One
 # lost sample makes a step of two, which is not a gap; the half allows for jitter.
@@ -89,11 +95,7 @@ class Record:
         time = _read_only(seconds_from_first(self.time), "time")
         if time.size == 0:
             raise ValueError("the record is empty: give at least one sample.")
-        if not np.all(np.isfinite(time)):
-            raise ValueError(
-                f"time is {time[np.argmin(np.isfinite(time))]} at index "
-                f"{np.argmin(np.isfinite(time))}."
-            )
+        require("time", time, np.isfinite(time), "leave out the samples without a time")
         # Without a time, rows may be in any order.
         back = np.flatnonzero(np.diff(time) <= 0)
         if back.size and self.has_time:
@@ -102,7 +104,7 @@ class Record:
                 "samples and remove duplicates."
             )
 
-        measured = {_printable(name): _read_only(x, name) for name, x in self.signals.items()}
+        measured = {all_printable(name): _read_only(x, name) for name, x in self.signals.items()}
         signals = {name: within_range(values) for name, values in measured.items()}
         lost = [
             f"{name} has values beyond 1e75, which count as missing: check its sensor."
@@ -111,13 +113,8 @@ class Record:
         ]
         object.__setattr__(self, "findings", (*self.findings, *lost))
         for name, values in signals.items():
-            if values.size != time.size:
-                other = "time" if self.has_time else next(iter(signals))
-                raise ValueError(
-                    f"{other} has {time.size} samples but {name} has {values.size}: they must "
-                    "match."
-                )
-        unknown = [name for name in map(_printable, self.units) if name not in signals]
+            require_size(name, values, "time" if self.has_time else next(iter(signals)), time.size)
+        unknown = [name for name in map(all_printable, self.units) if name not in signals]
         if unknown:
             raise ValueError(
                 f"units names {unknown[0]!r}, which is not a signal; the record has "
@@ -126,14 +123,14 @@ class Record:
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "signals", signals)
         hold = {
-            _printable(name): checked_hold(name, seconds) for name, seconds in self.hold.items()
+            all_printable(name): checked_hold(name, seconds) for name, seconds in self.hold.items()
         }
         # The attributes of a data frame still name columns that were dropped.
         object.__setattr__(
             self, "hold", {name: seconds for name, seconds in hold.items() if name in signals}
         )
         for name in ("name", "source", "units", "findings"):
-            object.__setattr__(self, name, _printable(getattr(self, name)))
+            object.__setattr__(self, name, all_printable(getattr(self, name)))
         # A given checksum is that of the file: excerpts of one log are recognized by it.
         if not self.checksum:
             object.__setattr__(self, "checksum", _digest(time, signals))
@@ -332,7 +329,7 @@ class Recording(Mapping[str, Record]):
     def __post_init__(self) -> None:
         """Write out control characters in names and texts, which come from a file."""
         for name in ("records", "source", "metadata", "findings"):
-            object.__setattr__(self, name, _printable(getattr(self, name)))
+            object.__setattr__(self, name, all_printable(getattr(self, name)))
 
     def __getitem__(self, name: str) -> Record:
         if name in self.records:
@@ -434,18 +431,6 @@ def _read_only(values: ArrayLike, name: str) -> Array:
     if is_frozen and type(values) is np.ndarray and values.dtype == float and values.ndim == 1:
         return values
     return checked_array(name, values)
-
-
-def _printable(thing: Any) -> Any:
-    """Return names and texts, at any depth, with control characters written out."""
-    # Metadata are nested, and all of them come from a file.
-    if isinstance(thing, str):
-        return printable(thing)
-    if isinstance(thing, dict):
-        return {_printable(name): _printable(value) for name, value in thing.items()}
-    if type(thing) in (tuple, list):
-        return type(thing)(_printable(item) for item in thing)
-    return thing
 
 
 def _digest(time: Array, signals: Mapping[str, Array]) -> str:

@@ -5,12 +5,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from greybox.data.checked_array import checked_array, out_of_range
+from greybox.data.checked_array import finite_array, require_size
 from greybox.data.frequency_response import Stretch
 from greybox.files.arrays import Array, ComplexArray
-from greybox.files.text_table import one_line, printable
+from greybox.files.text_table import all_printable, one_line, printable
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,17 +57,14 @@ class TransientSpectrum:
 
     def __post_init__(self) -> None:
         """Convert to read-only arrays and check them."""
-        for name in ("name", "source"):
-            object.__setattr__(self, name, printable(str(getattr(self, name))))
-        for kind in ("units", "input_change"):
-            values = {printable(str(name)): value for name, value in getattr(self, kind).items()}
-            object.__setattr__(self, kind, values)
+        for name in ("name", "source", "units", "input_change"):
+            object.__setattr__(self, name, all_printable(getattr(self, name)))
         if not (np.isfinite(self.duration) and 0 < self.step < self.duration):
             raise ValueError(
                 f"duration is {self.duration!r} s and step {self.step!r} s: give finite numbers, "
                 "the step above 0 and shorter than the duration."
             )
-        omega = _checked("omega", self.omega, float)
+        omega = finite_array("omega", self.omega)
         # Off this grid constants leak into the integrals, and errors are correlated.
         lines = omega * self.duration / (2 * np.pi)
         off = np.abs(lines - np.round(lines)) > 1e-6 * np.maximum(lines, 1)  # more than rounding
@@ -88,16 +84,10 @@ class TransientSpectrum:
             signals = getattr(self, kind)
             if not signals:
                 raise ValueError(f"the spectrum has no {kind}: give at least one signal.")
-            arrays = {
-                printable(str(name)): _checked(name, x, complex) for name, x in signals.items()
-            }
+            arrays = {printable(n): finite_array(n, x, complex) for n, x in signals.items()}
+            for name, values in arrays.items():
+                require_size(name, values, "omega", omega.size)
             object.__setattr__(self, kind, arrays)
-        for name, values in {**self.inputs, **self.outputs}.items():
-            if values.shape != omega.shape:
-                raise ValueError(
-                    f"omega has {omega.size} frequencies but {name} has {values.size}: they must "
-                    "match."
-                )
         if not all(np.isfinite(float(change)) for change in self.input_change.values()):
             raise ValueError(
                 f"input_change is {dict(self.input_change)!r:.60}: give finite numbers."
@@ -148,15 +138,3 @@ class TransientSpectrum:
         """
         shift = np.exp(-1j * self.omega * delay)
         return shift * self.inputs[name] - self.change(name) * (1 - shift) / (1j * self.omega)
-
-
-def _checked(name: str, values: ArrayLike, kind: type) -> NDArray:
-    array = checked_array(name, values, kind)
-    if not np.all(np.isfinite(array)):
-        raise ValueError(f"{name} has numbers that are not finite: leave the frequencies out.")
-    if np.any(out_of_range(array)):
-        raise ValueError(
-            f"{name} has numbers whose squares are beyond floating-point arithmetic: choose "
-            "another unit."
-        )
-    return array

@@ -4,6 +4,7 @@ import difflib
 import math
 import unicodedata
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 # Control characters (a terminal obeys them), formatting ones (they can reverse the order of what
 # follows), halves of characters (no terminal takes them), line and paragraph separators.
@@ -20,6 +21,17 @@ def printable(text: str, keep: str = "") -> str:
     return "".join(
         c if c in keep or unicodedata.category(c) not in CONTROLS else _escaped(c) for c in text
     )
+
+
+def all_printable(thing: Any) -> Any:
+    """Return names and texts, at any depth, with control characters written out."""
+    if isinstance(thing, str):
+        return printable(thing)
+    if isinstance(thing, dict):
+        return {all_printable(name): all_printable(value) for name, value in thing.items()}
+    if type(thing) in (tuple, list):
+        return type(thing)(all_printable(item) for item in thing)
+    return thing
 
 
 def _escaped(character: str) -> str:

@@ -47,7 +47,7 @@ def test_the_defaults_are_those_of_bode_and_the_rest_is_passed_on():
         (
             ([1], [-3], [0]),
             {},
-            "magnitude is -3 at index 0, below 0: if these are decibels, give magnitude_unit='dB'",
+            "magnitude is -3 at index 0: if these are decibels, give magnitude_unit='dB'",
         ),
         (([1], [1, 2], [0]), {}, "magnitude has 2 values but phase has 1"),
         (([1], ["x"], [0]), {}, "magnitude must be a one-dimensional array of numbers"),

@@ -33,7 +33,7 @@ def test_arrays_are_copied_and_read_only():
         ([], {}, "the record is empty"),
         ([0.0, math.nan], {}, "time is nan at index 1"),
         ([0.0, 1.0, 1.0], {}, r"time does not increase after 1.000000 s \(index 1\)"),
-        ([0.0, 1.0], {"u": [1.0]}, "time has 2 samples but u has 1"),
+        ([0.0, 1.0], {"u": [1.0]}, "time has 2 values but u has 1"),
         ([0.0, 1.0], {"u": [[1.0, 2.0]]}, r"u must be one-dimensional, but has shape \(1, 2\)"),
     ],
 )
@@ -226,7 +226,7 @@ def test_what_a_record_says_of_itself():
         ValueError, match="between needs samples in time, and the record has rows without a time"
     ):
         rows.between(0, 1)
-    with pytest.raises(ValueError, match=r"^x has 3 samples but y has 2: they must match"):
+    with pytest.raises(ValueError, match=r"^x has 3 values but y has 2: they must match"):
         Record(None, {"x": np.arange(3.0), "y": np.arange(2.0)})
 
 

@@ -65,18 +65,18 @@ def test_a_delayed_input_is_the_integral_of_the_delayed_signal(delay):
         ({"omega": OMEGA[:, None]}, "omega must be one-dimensional"),
         (
             {"omega": [*OMEGA[:3], np.nan]},
-            "omega has numbers that are not finite",
+            "omega is nan at index 3",
         ),
         ({"inputs": {}}, "the spectrum has no inputs: give at least one signal."),
         ({"outputs": {}}, "the spectrum has no outputs: give at least one signal."),
-        ({"inputs": {"u": [1, 2]}}, "omega has 4 frequencies but u has 2: they must match."),
+        ({"inputs": {"u": [1, 2]}}, "omega has 4 values but u has 2: they must match."),
         (
             {"outputs": {"y": [1, 2, 3, np.inf]}},
-            "y has numbers that are not finite",
+            "y is inf+0j at index 3",
         ),
         (
             {"outputs": {"y": [1, 2, 3, 1e80]}},
-            "y has numbers whose squares are beyond floating-point arithmetic",
+            "y is 1e+80+0j at index 3: squares of such numbers",
         ),
         ({"input_change": {"u": np.nan}}, "input_change is {'u': nan}: give finite numbers."),
     ],
