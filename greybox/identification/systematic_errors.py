@@ -14,9 +14,9 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment
 from greybox.files.arrays import Array
-from greybox.logs.ardupilot.loop_rate import thinning, thinning_error
 from greybox.logs.ardupilot.motors import motor_outputs, pwm_of_control, rounding_error, saturation
 from greybox.logs.flight_controllers import axis_of
+from greybox.logs.loop_rate import thinning, thinning_error
 from greybox.spectral.test_quality import SATURATED, Finding
 
 Complex = NDArray[np.complexfloating]
@@ -73,7 +73,11 @@ def systematic_errors(
         _thinned(recording, response, control, axis, spans),
         _rounded(recording, record, response, used, spans, amplitudes),
     ]
-    return [error for error in errors if error is not None and error.relative.max() > NEGLIGIBLE]
+    return [
+        error
+        for error in errors
+        if error and (error.relative.max() > NEGLIGIBLE or error.finding.severity == "warning")
+    ]
 
 
 def with_systematic_errors(
@@ -84,6 +88,7 @@ def with_systematic_errors(
     The size of these errors is known, so the sum has more degrees of freedom (Welch and
     Satterthwaite).
     """
+    errors = [error for error in errors if error.relative.any()]
     if response.variance is None or not errors:
         return response
     # Errors of different causes are independent, so that their variances add.
@@ -135,6 +140,14 @@ def _thinned(
     thinned = thinning(recording, control, begin, end)
     if thinned is None:
         return None
+    if math.isnan(thinned.count):
+        text = (
+            f"{thinned}: noise and steps of the control fold into the band, so that the gain "
+            "depends on which passes these are, often by some percent that the standard errors do "
+            f"not show; to log every pass, {thinned.cure}."
+        )
+        finding = Finding("logging", "warning", thinned.logged, text)
+        return SystematicError("thinned log", np.zeros(len(response)), finding)
     common = thinning_error(thinned, recording, axis, response)
     relative = np.linalg.norm(common, axis=0)
     text = (

@@ -13,6 +13,7 @@ Begin with `readers`, then `prepare`.
 | `injected_tests` | tests that Betaflight and PX4 inject themselves |
 | `flight_controllers` | signals of an axis and filters, for all flight controllers together |
 | `ardupilot`, `px4`, `betaflight` | the same for each flight controller |
+| `loop_rate` | errors of a log that has only some passes of the control loop |
 | `axis_signals` | the signals of one axis |
 | `known_filters` | filters with known parameters |
 | `parameter_history` | changes of parameters in a log |

@@ -6,7 +6,6 @@ Begin with `signals`.
 | --- | --- |
 | `signals` | controls, sensors and setpoints of an axis; axes of System Identification mode |
 | `filters` | filters of the gyro and of the rate controllers |
-| `loop_rate` | errors of a log that has only some passes of the control loop |
 | `motors` | resolution and limits of the motor outputs |
 | `truncated_angles` | half a hundredth of a degree that the log cuts off |
 """

@@ -8,14 +8,12 @@ import pytest
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.identification.systematic_errors import systematic_errors, with_systematic_errors
-from greybox.logs.ardupilot.loop_rate import (
-    first_order,
+from greybox.logs.loop_rate import (
+    low_pass,
     remaining_alternation,
-    second_order,
     thinning,
     thinning_error,
 )
-from greybox.logs.known_filters import FirstOrderLowPass
 
 LOOP, GYRO = 400.0, 1000.0
 SETTINGS = {
@@ -177,12 +175,12 @@ def test_filters_of_first_and_second_order_are_butterworths():
     cutoff = 20.0
     s = 2j * math.pi * cutoff * np.array([0.1, 1.0, 10.0])
     poles = 2 * math.pi * cutoff * np.exp(1j * math.pi * np.array([0.75, 1.25]))
-    assert second_order(cutoff, s) == pytest.approx(
+    omega = s.imag
+    assert low_pass(2, cutoff, omega) == pytest.approx(
         np.prod(poles) / ((s - poles[0]) * (s - poles[1]))
     )
-    assert first_order([FirstOrderLowPass(cutoff)], s) == pytest.approx(
-        1 / (1 + s / (2 * math.pi * cutoff))
-    )
+    assert low_pass(1, cutoff, omega) == pytest.approx(1 / (1 + s / (2 * math.pi * cutoff)))
+    assert np.all(low_pass(1, 0.0, omega) == 1)
 
 
 @pytest.mark.parametrize("doubled", [0, 1, 2, 3])
@@ -225,3 +223,25 @@ def test_the_error_of_a_response_to_a_rate_is_its_own_d_term_and_a_delay():
         found, flown, "roll", response
     )  # whose controller has no D gain here
     assert np.all(of_roll == 0)
+
+
+@pytest.mark.parametrize(("profile", "cure"), [(1, "set SDLOG_PROFILE 9 "), (9, "a faster card")])
+def test_a_thinned_log_of_px4_is_warned_of(profile, cure):
+    """The size of its error is unknown, so that no variance grows."""
+    control = "vehicle_torque_setpoint.xyz[1]"
+    omega = np.array([4.0, 8.0])
+    response = FrequencyResponse(omega, 1 / (1j * omega), "u", "q", variance=0.01 / omega**2)
+
+    def errors(rate):
+        time = np.arange(0, 20, 1 / rate)
+        parameters = {"IMU_GYRO_RATEMAX": 400.0, "SDLOG_PROFILE": float(profile)}
+        record = Record(time, {"xyz[1]": time})
+        flown = Recording({"vehicle_torque_setpoint": record}, metadata={"parameters": parameters})
+        return systematic_errors(flown, record, response, control, ())
+
+    (error,) = errors(100.0)
+    assert error.finding.severity == "warning"
+    assert "every 4th pass of the control loop was logged (100 of 400 Hz)" in error.finding.text
+    assert cure in error.finding.text
+    assert with_systematic_errors(response, [error]) is response
+    assert errors(390.0) == []

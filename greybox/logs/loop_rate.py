@@ -6,9 +6,16 @@ in turn. The D term divides the change of the gyro by a constant interval, so th
 passes, say every second one, then differ in the mean from those that drove the motors, and noise
 hides it.
 
+PX4 runs its loop on the samples of the gyro, so that all passes are alike. But what a thinned log
+has of noise and steps above half its rate is folded into its band, and this too depends on which
+passes were logged: in virtual flights with steps of the setpoint, a 500 Hz loop that was logged at
+125 Hz had gains that are 1 to 2 % off in the median over the band, at 62 Hz 2 to 4 %. The size is
+not known from the log.
+
 Sources: AC_PID.cpp and AP_InertialSensor.cpp (wait_for_sample) of ArduPilot; mode_systemid.cpp for
 what is logged in System Identification mode; SCHED_LOOP_RATE, INS_GYRO_RATE, LOG_BITMASK and
-LOG_FILE_RATEMAX at https://ardupilot.org/copter/docs/parameters.html.
+LOG_FILE_RATEMAX at https://ardupilot.org/copter/docs/parameters.html; IMU_GYRO_RATEMAX and
+SDLOG_PROFILE at https://docs.px4.io/main/en/advanced_config/parameter_reference.
 """
 
 import math
@@ -20,14 +27,17 @@ from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording
-from greybox.logs.ardupilot.filters import CONTROLLERS, named_filters
+from greybox.files.arrays import Array
+from greybox.logs.ardupilot.filters import CONTROLLERS
 
 Complex = NDArray[np.complexfloating]
 
+PX4_LOOP = "IMU_GYRO_RATEMAX"
 GYRO_RATE = 1000.0  # Hz, of INS_GYRO_RATE 0; 1, 2, 3 double it as often
 # Passes per sample below which the log has all passes: the rate of the loop varies by up to 10 %.
 EVERY_PASS = 1.25
 FAST, MEDIUM = 1, 2  # bits of LOG_BITMASK for attitude
+IDENTIFICATION = 8  # bit of SDLOG_PROFILE for every pass of PX4's rate controller
 # Phases to try between gyro and loop, and passes in the mean, a multiple of 2 to 6.
 PHASES, PASSES = 20, 240
 
@@ -48,7 +58,7 @@ class Thinning:
     kept : int
     count : float
         Root mean square of the difference in gyro samples between the logged passes and all, as a
-        share of their number.
+        share of their number; NaN if unknown.
     age : float, s
         The same for the age of the newest sample.
     cure : str
@@ -70,16 +80,19 @@ class Thinning:
 def thinning(recording: Recording, signal: str, start: float, end: float) -> Thinning | None:
     """Return how a signal was thinned from `start` to `end`, s; None if it was not, or unknown."""
     parameters = recording.metadata.get("parameters", {})
-    loop = float(parameters.get("SCHED_LOOP_RATE", 0))
+    is_px4 = parameters.get(PX4_LOOP, 0) > 0
+    loop = float(parameters.get(PX4_LOOP if is_px4 else "SCHED_LOOP_RATE", 0))
     record, _ = recording.locate(signal)
     time = record.time[(record.time >= start) & (record.time <= end)]
-    if loop <= 0 or time.size < 3 or "INS_GYRO_FILTER" not in parameters:
+    if loop <= 0 or time.size < 3 or not (is_px4 or "INS_GYRO_FILTER" in parameters):
         return None
     logged = 1 / float(np.median(np.diff(time)))
     if loop < EVERY_PASS * logged:
         return None
     # The rate of the log jitters, while the loop logs every pass, every second, every third ...
     kept = round(loop / logged)
+    if is_px4:
+        return Thinning(loop, logged, kept, math.nan, math.nan, _px4_cure(parameters))
     gyro = GYRO_RATE * 2 ** int(parameters.get("INS_GYRO_RATE", 0))
     count, age = _differences(gyro / loop, kept)
     mode = next(
@@ -102,16 +115,11 @@ def thinning_error(
     """
     parameters = recording.metadata.get("parameters", {})
     s = 1j * response.omega
-    gain = float(parameters.get(f"ATC_RAT_{CONTROLLERS.get(axis, '')}_D", 0))
-    share = (
-        gain
-        * s
-        * response.response
-        * first_order(named_filters(recording, axis).get("d-term-filter", ()), s)
-    )
+    gain, cutoff = (_of_controller(parameters, axis, name) for name in ("D", "FLTD"))
+    share = gain * s * response.response * low_pass(1, cutoff, response.omega)
     # The D term acts on the rate, behind the filter of the gyro.
     if response.units.get(response.output) == "rad":
-        share = share * s * second_order(float(parameters["INS_GYRO_FILTER"]), s)
+        share = share * s * low_pass(2, float(parameters["INS_GYRO_FILTER"]), response.omega)
 
     return DRIFTING * np.array(
         [share * found.count * remaining_alternation(parameters, axis, found.loop), s * found.age]
@@ -133,24 +141,33 @@ def _differences(per_pass: float, kept: int) -> tuple[float, float]:
 
 def remaining_alternation(parameters: Mapping[str, float], axis: str, loop: float) -> float:
     """Return the share of an alternation from pass to pass that the filter of the D term leaves."""
-    cutoff = float(parameters.get(f"ATC_RAT_{CONTROLLERS.get(axis, '')}_FLTD", 0))
+    cutoff = _of_controller(parameters, axis, "FLTD")
     # The gain of a first-order low-pass filter at half of the rate of the loop.
     alpha = 1 / (1 + loop / (2 * math.pi * cutoff)) if cutoff > 0 else 1.0
     return alpha / (2 - alpha)
 
 
-def first_order(filters: tuple, s: Complex) -> Complex:
-    """Return the response of first-order low-pass filters in series at s, 1/s, (n,)."""
-    result = np.ones_like(s)
-    for filter_ in filters:
-        result = result / (1 + s / (2 * math.pi * filter_.cutoff))
-    return result
+def low_pass(order: int, cutoff: float, omega: Array) -> Complex:
+    """Return the response of a Butterworth filter, cutoff in Hz, at omega, rad/s; 1 without it."""
+    from scipy.signal import butter, freqs  # noqa: PLC0415  (0.33 s to import)
+
+    if cutoff <= 0:
+        return np.ones(omega.size, dtype=complex)
+    return freqs(*butter(order, 2 * math.pi * cutoff, analog=True), omega)[1]
 
 
-def second_order(cutoff: float, s: Complex) -> Complex:
-    """Return the response of a second-order Butterworth filter, cutoff in Hz, at s, 1/s, (n,)."""
-    x = s / (2 * math.pi * cutoff)
-    return 1 / (x**2 + math.sqrt(2) * x + 1)
+def _of_controller(parameters: Mapping[str, float], axis: str, name: str) -> float:
+    """Return a parameter of ArduPilot's rate controller of an axis; 0 if it is not in the log."""
+    return float(parameters.get(f"ATC_RAT_{CONTROLLERS.get(axis, '')}_{name}", 0))
+
+
+def _px4_cure(parameters: Mapping[str, float]) -> str:
+    profile = int(parameters.get("SDLOG_PROFILE", 1))
+    return (
+        "log to a faster card, or lower IMU_GYRO_RATEMAX"
+        if profile & IDENTIFICATION
+        else f"set SDLOG_PROFILE {profile | IDENTIFICATION} (system identification)"
+    )
 
 
 def _cure(parameters: Mapping[str, float], mode: str) -> str:
