@@ -153,7 +153,8 @@ def low_pass(order: int, cutoff: float, omega: Array) -> Complex:
 
     if cutoff <= 0:
         return np.ones(omega.size, dtype=complex)
-    return freqs(*butter(order, 2 * math.pi * cutoff, analog=True), omega)[1]
+    numerator, denominator = butter(order, 2 * math.pi * cutoff, analog=True)[:2]
+    return freqs(numerator, denominator, omega)[1]
 
 
 def _of_controller(parameters: Mapping[str, float], axis: str, name: str) -> float:
