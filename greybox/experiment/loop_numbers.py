@@ -5,13 +5,13 @@ Begin with `loop_numbers`.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from greybox.experiment.sampled_loop import SampledLoop
-from greybox.files.arrays import Array, BoolArray, ComplexArray
+from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
 
 POINTS = 400
 DECADES = 4.0  # below the Nyquist frequency, within which crossings are looked for
@@ -43,37 +43,45 @@ LoopNumbers = Callable[[SampledLoop, Array], Numbers]  # at frequencies (n,)
 
 @dataclass(frozen=True, eq=False)
 class Crossings:
-    """Where curves (plants, n) change their sign.
+    """Where the curves of many plants change their sign: one row for each crossing.
 
     Attributes
     ----------
-    occurs : (plants, n - 1) array of bool
-        Between which neighbors.
-    share : (plants, n - 1) array
-        How far between them.
-    omega : (plants, n - 1) array
+    plants : int
+        The number of curves.
+    plant, place : (k,) arrays of int
+        The curve, in order, and the point before the crossing.
+    share : (k,) array
+        How far the crossing is from that point to the next one.
+    omega : (k,) array
     """
 
-    occurs: BoolArray
+    plants: int
+    plant: IntArray
+    place: IntArray
     share: Array
     omega: Array
 
     def between(self, values: Array) -> Array:
-        """Interpolate other curves (plants, n) there."""
+        """Interpolate other curves (plants, n) at the crossings (k,)."""
+        before, after = (values[self.plant, self.place + k] for k in (0, 1))
         with np.errstate(invalid="ignore"):  # a plant without gain is at minus infinity
-            return values[:, :-1] + self.share * np.diff(values, axis=1)
+            return before + self.share * (after - before)
 
     def where(self, condition: BoolArray) -> "Crossings":
-        """Return those that fulfil a condition (plants, n - 1)."""
-        return replace(self, occurs=self.occurs & condition)
+        """Return those that fulfil a condition (k,)."""
+        rows = (array[condition] for array in (self.plant, self.place, self.share, self.omega))
+        return Crossings(self.plants, *rows)
 
     def smallest(self, values: Array) -> Located:
-        """Return the smallest value of each plant; infinity for none."""
-        counted = np.where(self.occurs, values, math.inf)
-        place = counted.argmin(axis=1)[:, None]
-        value = np.take_along_axis(counted, place, 1)[:, 0]
-        omega = np.take_along_axis(self.omega, place, 1)[:, 0]
-        return Located(value, np.where(np.isfinite(value), omega, math.nan))
+        """Return the smallest of the values (k,) of each plant; infinity for none."""
+        answer = Located(np.full(self.plants, math.inf), np.full(self.plants, math.nan))
+        # Of several values that are assigned to one plant, the last one remains.
+        falling = np.argsort(values, kind="stable")[::-1]
+        falling = falling[np.isfinite(values[falling])]
+        for array, numbers in zip(answer, (values, self.omega), strict=True):
+            array[self.plant[falling]] = numbers[falling]
+        return answer
 
     @property
     def first(self) -> Located:
@@ -87,27 +95,29 @@ class Crossings:
         return Located(-value, omega)
 
     def listed(self, name: str, values: Array) -> Numbers:
-        """Return the value at every crossing of the first plant, if it has several.
+        """Return the values (k,) at every crossing of the first plant, if it has several.
 
         They are NaN for plants that have another number of crossings.
         """
-        count = self.occurs.sum(axis=1)
+        count = np.bincount(self.plant, minlength=self.plants)
         if count[0] < 2:
             return {}
         same = count == count[0]
-        table = np.full((2, len(count), count[0]), math.nan)
+        table = np.full((2, self.plants, count[0]), math.nan)
         for row, numbers in zip(table, (values, self.omega), strict=True):
-            row[same] = numbers[self.occurs & same[:, None]].reshape(-1, count[0])
+            row[same] = numbers[same[self.plant]].reshape(-1, count[0])
         return {f"{name} {k + 1}": Located(*table[:, :, k]) for k in range(count[0])}
 
 
 def crossings(values: Array, omega: Array) -> Crossings:
     """Return where curves (plants, n) change their sign along `omega` (n,), or time."""
-    before, after = values[:, :-1], values[:, 1:]
-    occurs = (before < 0) != (after < 0)
-    with np.errstate(all="ignore"):  # unstable loops
-        share = np.where(occurs, before / (before - after), 0.0)
-    return Crossings(occurs, share, omega[:-1] + share * np.diff(omega))
+    is_negative = values < 0
+    plant, place = np.nonzero(is_negative[:, :-1] != is_negative[:, 1:])
+    before, after = values[plant, place], values[plant, place + 1]
+    with np.errstate(invalid="ignore"):  # unstable loops
+        share = before / (before - after)
+    at = omega[place] + share * (omega[place + 1] - omega[place])
+    return Crossings(len(values), plant, place, share, at)
 
 
 def loop_frequencies(loop: SampledLoop) -> Array:
@@ -155,13 +165,15 @@ def margin_numbers(gain: ComplexArray, omega: Array, is_stable: BoolArray) -> Nu
     real = real.where(real.between(gain.real) < 0)
     decibels = -20 / math.log(10) * real.between(size)
 
+    is_near = np.abs(decibels) < FAR
+
     distance = np.abs(1 + gain)
     nearest = distance.argmin(axis=1)
     least, closest = distance.min(axis=1), omega[nearest]
     margins = {
         "phase margin": unity.smallest(angle),
-        "gain margin": real.where(decibels > 0).smallest(decibels),
-        "gain reduction margin": real.where(decibels < 0).smallest(-decibels),
+        "gain margin": real.smallest(np.where(decibels > 0, decibels, math.inf)),
+        "gain reduction margin": real.smallest(np.where(decibels < 0, -decibels, math.inf)),
         "delay margin": unity.smallest(lag / unity.omega),
         "modulus margin": Located(least, closest),
     }
@@ -177,7 +189,7 @@ def margin_numbers(gain: ComplexArray, omega: Array, is_stable: BoolArray) -> Nu
         "disturbance rejection bandwidth": Located(rejection, rejects.omega),
         "disturbance rejection peak": Located(-20 * np.log10(least), closest),
         **unity.listed("phase margin", angle),
-        **real.where(np.abs(decibels) < FAR).listed("gain margin", decibels),
+        **real.where(is_near).listed("gain margin", decibels[is_near]),
     }
 
 
@@ -221,7 +233,7 @@ def _response_numbers(
     size, phase = size / omega**integrals, phase - integrals * math.pi / 2
     reversal = crossings(phase + math.pi, omega).first
     enough = crossings(size - 10 ** (6 / 20) * _at(reversal.omega, omega, size)[:, None], omega)
-    by_gain = enough.where(enough.omega < reversal.omega[:, None]).last
+    by_gain = enough.where(enough.omega < reversal.omega[enough.plant]).last
     by_phase = crossings(phase + 0.75 * math.pi, omega).first
     smaller = np.minimum(by_gain.value, by_phase.value)
     twice = 2 * reversal.omega
