@@ -113,11 +113,7 @@ def choose_tests(
         own_values = {name: v for name, v in values.items() if name in problem.parameters}
         expected.append(expected_errors(problem, own_values))
     names = tuple(dict.fromkeys(name for errors in expected for name in errors.standard_error))
-    missing = next((name for name in (wanted or {}) if name not in names), None)
-    if missing is not None:
-        raise ValueError(
-            f"{missing} is not estimated in any of the tests; free are {', '.join(names)}."
-        )
+    require_known(wanted or {}, names, "free parameter", "the list of tests")
 
     # In units of the wanted errors, or else of the values, all parameters have size one.
     estimates = {name: value for errors in expected for name, value in errors.values.items()}

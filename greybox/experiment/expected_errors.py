@@ -12,6 +12,7 @@ from greybox.files.arrays import Array
 from greybox.files.text_table import text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
+from greybox.modeling.model import require_known
 from greybox.solve.multistart import solver_for
 
 
@@ -82,12 +83,7 @@ def expected_errors(
     ValueError
         If a name is no parameter of the problem.
     """
-    unknown = sorted(set(values) - set(problem.parameters))
-    if unknown:
-        raise ValueError(
-            f"{unknown[0]} is no parameter of {problem.name}: it has "
-            f"{', '.join(problem.parameters)}."
-        )
+    require_known(values, problem.parameters, "parameter", problem.name)
     nlp = compile_problem(problem, method)
     at = {name: float(values.get(name, nlp.problem.parameters[name].start)) for name in nlp.free}
     x = np.array(list(at.values()))

@@ -25,6 +25,7 @@ from greybox.files.text_table import text_table
 from greybox.formulation.frequency_criteria import MaximumLikelihood
 from greybox.formulation.problem import Problem
 from greybox.modeling import Model, frequency_response
+from greybox.modeling.model import require_known
 from greybox.spectral.estimated_points import HZ
 from greybox.spectral.uniform_stretches import uniform_stretches
 
@@ -204,12 +205,7 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     size, limited_by = _largest_amplitudes(omega, gains, excitation, amplitude, limits)
 
     nlp, sensitivity = _sensitivities(model, values, omega, (input, output), free=free, fixed=fixed)
-    missing = [name for name in wanted if name not in nlp.free]
-    if missing:
-        raise ValueError(
-            f"{missing[0]} is not estimated, so it has no standard error; free are "
-            f"{', '.join(nlp.free)}."
-        )
+    require_known(wanted, nlp.free, "free parameter", model.label)
     density = noise_density(noise, model, values, omega, (input, output), rate)
     weight = (size * np.abs(gains[input])) ** 2 / density  # 2 / E|P̂ - P|² of a second
     # In units of the wanted errors, the matrices are well scaled and the targets are one.

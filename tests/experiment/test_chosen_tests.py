@@ -115,7 +115,7 @@ def test_single_sines_are_tests_too():
     ("change", "sentence"),
     [
         ({}, "either wanted standard errors or the seconds"),
-        ({"wanted": {"Q": 1.0}}, "Q is not estimated"),
+        ({"wanted": {"Q": 1.0}}, "no free parameter 'Q'"),
         (
             {"values": {"T_1": 1.0}, "seconds": 100},
             "no parameter 'T_1'; it has K",

@@ -53,7 +53,7 @@ def test_a_parameter_that_the_test_does_not_show_has_no_error():
     assert np.isnan(found.standard_error["c"])
     assert np.isfinite(found.standard_error["K"])
     assert_allclose(found.information[2], 0.0, atol=1e-9 * found.information[0, 0])
-    with pytest.raises(ValueError, match="tau is no parameter of planned: it has K, T, c"):
+    with pytest.raises(ValueError, match="planned has no parameter 'tau'; it has K, T, c"):
         expected_errors(problem(), {"tau": 1.0})
 
 

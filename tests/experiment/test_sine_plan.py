@@ -156,10 +156,10 @@ def test_expected_errors_are_those_of_a_fit_that_ends_there():
     [
         ({"band": (5, 2)}, "the lower one first"),
         ({"wanted": {}}, "wanted is empty"),
-        ({"wanted": {"Q": 1.0}}, "Q is not estimated"),
+        ({"wanted": {"Q": 1.0}}, "no free parameter 'Q'"),
         ({"noise": 0.0}, "must be a positive standard deviation"),
         ({"limits": {"y": 0.0}}, "must be a positive number"),
-        ({"fixed": {"K": 2.0}}, "K is not estimated"),
+        ({"fixed": {"K": 2.0}}, "no free parameter 'K'"),
     ],
 )
 def test_bad_requests_are_named(change, sentence):
