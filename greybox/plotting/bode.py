@@ -72,7 +72,7 @@ def bode(
     # With two axes a user wants magnitude and phase, whatever else there is to draw.
     if axes is not None:
         figure = replace(figure, panels=figure.panels[: flat_axes(axes).size])
-    return draw(figure, axes, legend=legend)
+    return draw([figure], axes, legend=legend)
 
 
 def bode_figure(
@@ -110,7 +110,7 @@ def bode_figure(
         "Bode diagram",
         "ω, rad/s",
         panels,
-        subject=title(fits),
+        subject=title(fits) or "Bode diagram",
         caption=_caption(responses, panels, level),
         bands="" if level is None else f"{100 * level:g} % band",
         is_logarithmic=True,

@@ -74,7 +74,7 @@ def traces(
     if segment is not None and segment.kind == "sine":
         subject += f", {segment.omega:.4g} rad/s"
     figure = Figure("Traces", "Time, s", panels, subject=subject)
-    return draw(figure, axes, legend=legend, width=9.0, inches=2.0)
+    return draw([figure], axes, legend=legend, size=(9.0, 2.0))
 
 
 def recording(
@@ -122,7 +122,7 @@ def recording(
         subject=recording.source or "recording",
         spans=spans_of(segments),
     )
-    return draw(figure, axes, legend=legend, width=10.0, inches=1.8)
+    return draw([figure], axes, legend=legend, size=(10.0, 1.8))
 
 
 def signal_line(name: str, time: Array, values: Array, color: int, width: float = 1.0) -> Series:

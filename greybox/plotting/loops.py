@@ -10,7 +10,7 @@ from greybox.experiment.margins import Margins
 from greybox.experiment.safe_gains import SafeGains
 from greybox.files.arrays import Array
 from greybox.plotting.figure import ANGLES, CROSS, GRAY, INK, Figure, Panel, Series, band, rule
-from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw_grid
+from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 
 SHOWN = (1e-2, 1e2)  # gains of the broken loop that are drawn
 CURVES = 60  # draws in the Nichols and Nyquist diagrams, where a band has no direction
@@ -33,7 +33,7 @@ def loop(margins: Margins, axes: GivenAxes | None = None) -> AxesArray:
     numpy.ndarray of Axes, shape (n,)
     """
     figures = loop_figures(margins)
-    return draw_grid(figures, axes, columns=3, size=(4.2, 3.6), title=margins.plant)
+    return draw(figures, axes, legend=False, columns=3, size=(4.2, 3.6), title=margins.plant)
 
 
 def loop_figures(margins: Margins) -> list[Figure]:
@@ -109,7 +109,7 @@ def gains(safe: SafeGains, axes: GivenAxes | None = None) -> AxesArray:
     -------
     numpy.ndarray of Axes, shape (1,)
     """
-    return draw_grid([gains_figure(safe)], axes, columns=1, size=(5.0, 4.0), legend=True)
+    return draw([gains_figure(safe)], axes, size=(5.0, 4.0))
 
 
 def gains_figure(safe: SafeGains) -> Figure:

@@ -17,7 +17,7 @@ from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator, NullFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, MultipleLocator
 from numpy.typing import NDArray
 
 from greybox.files.arrays import Array
@@ -26,11 +26,13 @@ from greybox.plotting.figure import CROSS, GRAY, INK, Figure, Panel, Series
 # Okabe and Ito's colors, which readers with a color vision deficiency can tell apart; yellow is too
 # pale for lines.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+NAMED = {GRAY: "#999999", INK: "#222222"}
 DASHES = ("-", "--", ":", "-.")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 MARKER_SIZE = 5.5  # points
 CROWD = 100  # points of one series above which markers shrink and lie below the curves
 BAND_ALPHA = 0.2
+ORDER = ("points", "line", "rule", "band", "regions")  # in a legend
 
 AxesArray = NDArray[np.object_]
 """Matplotlib Axes, in one dimension."""
@@ -62,16 +64,19 @@ def new_figure(width: float, height: float, title: str = "") -> MatplotlibFigure
 
 
 def draw(
-    figure: Figure,
+    figures: Sequence[Figure],
     axes: GivenAxes | None = None,
     *,
     legend: bool = True,
-    width: float = 6.4,
-    inches: float = 2.5,
+    columns: int = 1,
+    size: tuple[float, float] = (6.4, 2.5),
+    title: str = "",
 ) -> AxesArray:
-    """Draw a figure into the given axes, one for each panel, or into a new one.
+    """Draw figures into the given axes, one for each panel, or into a new matplotlib figure.
 
-    `width` and `inches`, the height of a usual panel, are those of a new figure.
+    Panels of a single figure are stacked over one horizontal axis. Those of several stand side by
+    side, each over its own. `size` of a panel in inches, `columns` and `title` are those of a new
+    figure.
 
     Raises
     ------
@@ -79,81 +84,51 @@ def draw(
         For anything but Axes, or a wrong number of them.
     """
     if axes is None:
-        return draw_into(new_figure(width, height_of(figure, inches)), figure, legend=legend)
+        page = new_figure(size[0] * columns, height_of(figures, size[1], columns), title)
+        return draw_into(page, figures, columns, legend)
 
-    drawn = _one_for_each([figure], axes)
-    _draw_panels(drawn, figure)
-    _write_title(drawn[0], figure)
-    if legend:
-        _legend_inside(drawn[0], figure)
+    drawn = flat_axes(axes)
+    names = [panel.title or panel.label for panel in _panels(figures)]
+    if drawn.size != len(names):
+        raise ValueError(
+            f"{figures[0].title} has {len(names)} panels ({'; '.join(names)}), but `axes` has "
+            f"{drawn.size}: give one for each."
+        )
+    for place, figure in _draw_panels(drawn, figures):
+        if legend:
+            _legend_inside(place[0], figure)
     return drawn
 
 
 def draw_into(
-    place: MatplotlibFigure | SubFigure, figure: Figure, *, legend: bool = True
+    place: MatplotlibFigure | SubFigure,
+    figures: Sequence[Figure],
+    columns: int = 1,
+    legend: bool = True,
 ) -> AxesArray:
-    """Draw a figure into an empty matplotlib figure or a part of one, with its legend below."""
-    # One horizontal axis: zooming one panel zooms all.
-    heights = [panel.height for panel in figure.panels]
-    axes = place.subplots(len(heights), 1, sharex=True, height_ratios=heights, squeeze=False)[:, 0]
-    _draw_panels(axes, figure)
-    _write_title(axes[0], figure)
+    """Draw figures into an empty matplotlib figure or a part of one, with their legend below."""
+    panels = _panels(figures)
+    if len(figures) == 1:
+        # One horizontal axis: zooming one panel zooms all.
+        shared: dict[str, Any] = {"sharex": True, "height_ratios": [p.height for p in panels]}
+        axes = place.subplots(len(panels), 1, squeeze=False, **shared).ravel()
+    else:
+        axes = place.subplots(-(-len(panels) // columns), columns, squeeze=False).ravel()
+        for spare in axes[len(panels) :]:
+            spare.remove()
+
+    axes = axes[: len(panels)]
+    _draw_panels(axes, figures)
     place.align_ylabels(axes)
     if legend:
-        _legend_below(place, [figure])
+        _legend_below(place, figures)
     return axes
 
 
-def draw_grid(
-    figures: Sequence[Figure],
-    axes: GivenAxes | None = None,
-    *,
-    columns: int,
-    size: tuple[float, float],
-    title: str = "",
-    legend: bool = False,
-) -> AxesArray:
-    """Draw the panels of several figures side by side, each over its own horizontal axis.
-
-    `columns`, the `size` of a panel in inches and `title` are those of a new figure.
-
-    Raises
-    ------
-    TypeError, ValueError
-        For anything but Axes, or a wrong number of them.
-    """
-    if axes is None:
-        rows = -(-sum(len(figure.panels) for figure in figures) // columns)
-        page = new_figure(size[0] * columns, size[1] * rows + 0.4, title)
-        return draw_grid_into(page, figures, columns, legend=legend)
-
-    drawn = _one_for_each(figures, axes)
-    _draw_side_by_side(drawn, figures)
-    if legend:
-        for ax, figure in zip(drawn, figures, strict=True):
-            _legend_inside(ax, figure)
-
-    return drawn
-
-
-def draw_grid_into(
-    place: MatplotlibFigure | SubFigure, figures: Sequence[Figure], columns: int, *, legend: bool
-) -> AxesArray:
-    """Draw panels side by side into an empty matplotlib figure or a part of one."""
-    count = sum(len(figure.panels) for figure in figures)
-    axes = place.subplots(-(-count // columns), columns, squeeze=False).ravel()
-    for spare in axes[count:]:
-        spare.remove()
-
-    _draw_side_by_side(axes[:count], figures)
-    if legend:
-        _legend_below(place, figures)
-    return axes[:count]
-
-
-def height_of(figure: Figure, inches: float = 2.5) -> float:
-    """Return the height in inches that a figure needs."""
-    return 1.1 + inches * sum(panel.height for panel in figure.panels)
+def height_of(figures: Sequence[Figure], inches: float = 2.5, columns: int = 1) -> float:
+    """Return the height in inches that figures with panels of this height need."""
+    rows = -(-len(_panels(figures)) // columns)
+    return 1.1 + inches * (rows if len(figures) > 1 else sum(p.height for p in figures[0].panels))
 
 
 def flat_axes(axes: GivenAxes) -> AxesArray:
@@ -175,34 +150,23 @@ def flat_axes(axes: GivenAxes) -> AxesArray:
     return flat
 
 
-def _one_for_each(figures: Sequence[Figure], axes: GivenAxes) -> AxesArray:
-    """Return the axes of a user, one for each panel."""
-    flat = flat_axes(axes)
-    names = [panel.title or panel.label for figure in figures for panel in figure.panels]
-    if flat.size != len(names):
-        raise ValueError(
-            f"{figures[0].title} has {len(names)} panels ({'; '.join(names)}), but `axes` has "
-            f"{flat.size}: give one for each."
-        )
-    return flat
+def _panels(figures: Sequence[Figure]) -> list[Panel]:
+    return [panel for figure in figures for panel in figure.panels]
 
 
-def _draw_panels(axes: AxesArray, figure: Figure) -> None:
-    for ax, panel in zip(axes, figure.panels, strict=True):
-        _draw_panel(ax, figure, panel)
-    _horizontal_axis(axes, figure)
+def _draw_panels(axes: AxesArray, figures: Sequence[Figure]) -> list[tuple[AxesArray, Figure]]:
+    """Draw all panels, and return the figures with their axes."""
+    places = [(axes, figures[0])]
+    if len(figures) > 1:  # panels side by side are figures of their own
+        single = [replace(figure, panels=[panel]) for figure in figures for panel in figure.panels]
+        places = [(axes[k : k + 1], figure) for k, figure in enumerate(single)]
 
+    for place, figure in places:
+        for ax, panel in zip(place, figure.panels, strict=True):
+            _draw_panel(ax, figure, panel)
+        _horizontal_axis(place, figure)
 
-def _draw_side_by_side(axes: AxesArray, figures: Sequence[Figure]) -> None:
-    # Panels of one figure side by side have an axis of frequency or time each.
-    single = [replace(figure, panels=[panel]) for figure in figures for panel in figure.panels]
-    for k, figure in enumerate(single):
-        _draw_panels(axes[k : k + 1], figure)
-
-
-def _write_title(ax: Axes, figure: Figure) -> None:
-    title = plain(figure.subject or figure.title)
-    ax.set_title("\n".join(filter(None, [title, ax.get_title()])), fontsize=12)
+    return places
 
 
 # --- one panel
@@ -215,8 +179,8 @@ def _draw_panel(ax: Axes, figure: Figure, panel: Panel) -> None:
         _DRAWERS[series.kind](ax, series)
     if figure.is_plane:
         _draw_plane(ax, figure, panel)
-    if panel.title:
-        ax.set_title(plain(panel.title), fontsize=10)
+    titles = [figure.subject if panel is figure.panels[0] else "", panel.title]
+    ax.set_title(plain("\n".join(filter(None, titles))), fontsize=12 if titles[0] else 10)
 
     _vertical_axis(ax, panel)
     ax.set_ylabel(plain(panel.label), fontsize=11)
@@ -315,26 +279,22 @@ def _write_labels(ax: Axes, panel: Panel) -> None:
     look = {"fontsize": 8.5, "color": "0.25", "ha": "center", "va": "center"}
     outline = [withStroke(linewidth=2, foreground="white")]
     written: list[tuple[str, complex]] = []
-    for series in panel.series:
+    labeled = [series for series in panel.series if series.labels]
+    for series in labeled:
         spots = series.x + 1j * series.y
-        for k, text in enumerate(series.labels):
-            spot = spots[k]
+        # Both axes have one scale, so a normal of the curve is one on paper too.
+        along = np.gradient(spots) if len(spots) > 1 else 1 + 0 * spots
+        bend = np.gradient(along) if len(spots) > 1 else 0 * spots
+        side = np.where(np.imag(np.conj(along) * bend) > 0, -1j, 1j)
+        outward = side * along / np.maximum(np.abs(along), 1e-300)
+        for text, spot, normal in zip(series.labels, spots, outward, strict=True):
             # Points of several tests at one frequency lie near each other: one number is enough.
             if any(abs(spot - at) < room * (1 + 2 * (text == name)) for name, at in written):
                 continue
-
-            previous, following = spots[max(k - 1, 0)], spots[min(k + 1, len(spots) - 1)]
-            outward = 2 * spot - previous - following
-            if 0 < k < len(spots) - 1:
-                # Both axes have one scale, so a normal of the curve is one on paper too.
-                normal = 1j * (following - previous)
-                outward = normal * np.sign(np.real(np.conj(normal) * outward))
-            outward /= abs(outward) or 1.0
-            offset = outward.real * (7 + 2.2 * len(text)), outward.imag * 11  # points
             ax.annotate(
                 text if written else f"{text} rad/s",
                 (spot.real, spot.imag),
-                offset,
+                (normal.real * (7 + 2.2 * len(text)), normal.imag * 11),  # points
                 textcoords="offset points",
                 path_effects=outline,
                 **look,
@@ -366,8 +326,7 @@ def _finite(values: Array) -> Array:
 
 def color_of(number: int) -> str:
     """Return the color of this number."""
-    named = {GRAY: "#999999", INK: "#222222"}
-    return named.get(number) or COLORS[number % len(COLORS)]
+    return NAMED.get(number) or COLORS[number % len(COLORS)]
 
 
 def plain(text: str) -> str:
@@ -389,11 +348,9 @@ def _vertical_axis(ax: Axes, panel: Panel) -> None:
     # Below 60 degrees the steps 1, 2, 5 read well for angles too.
     span = float(np.ptp(ax.get_ylim()))
     if panel.steps and span > 60:
-        large = [step for step in panel.steps if step >= 15 and span <= 7 * step]
-        most = panel.steps[-1]
-        ax.yaxis.set_major_locator(
-            MultipleLocator(large[0] if large else most * np.ceil(span / (7 * most)))
-        )
+        steps = [*panel.steps, panel.steps[-1] * np.ceil(span / (7 * panel.steps[-1]))]
+        step = next(step for step in steps if step >= max(15, span / 7))
+        ax.yaxis.set_major_locator(MultipleLocator(step))
     elif not panel.is_logarithmic:
         count = 7 if panel.height >= 1 else 4
         ax.yaxis.set_major_locator(MaxNLocator(count, steps=[1, 2, 5, 10]))
@@ -423,8 +380,8 @@ def _make_logarithmic(axes: AxesArray) -> None:
         linear = MaxNLocator(6, steps=[1, 2, 2.5, 5, 10])
         decades = LogLocator(subs=(1, 2, 5) if ratio < 1e3 else (1,))
         ax.xaxis.set_major_locator(linear if ratio < 5 else decades)
-        ax.xaxis.set_major_formatter(FuncFormatter(lambda tick, _: f"{tick:g}"))
-        ax.xaxis.set_minor_formatter(NullFormatter())
+        ax.xaxis.set_major_formatter("{x:g}")
+        ax.xaxis.set_minor_formatter("")
 
 
 # --- legends
@@ -455,25 +412,26 @@ def _legend_inside(ax: Axes, figure: Figure) -> None:
 
 def _legend_entries(figures: Sequence[Figure]) -> dict[str, tuple[Artist, ...]]:
     """Return the keys by label: points, lines, then bands; a label has a key for every color."""
+    drawn = [
+        (figure, panel, series)
+        for figure in figures
+        for panel in figure.panels
+        for series in panel.series
+    ]
     # One entry "measured" with the markers of six data sets is read faster than six entries.
-    keys: dict[tuple[int, str], dict[tuple[int, int], Artist]] = {}
-    for figure in figures:
-        for panel in figure.panels:
-            earlier = {name for _, name in keys}  # in panels above, where they have other styles
-            for series in panel.series:
-                look = series.color, series.style
-                if series.kind in ("band", "regions") and not series.is_hollow:
-                    patch = Patch(color=color_of(series.color), alpha=BAND_ALPHA, linewidth=0)
-                    keys.setdefault((2, figure.bands), {})[look] = patch
-                elif series.name not in earlier:
-                    place = (int(series.kind != "points"), series.name)
-                    keys.setdefault(place, {})[look] = Line2D([], [], **_look(series))
+    keys: dict[str, dict[tuple[int, int], Artist]] = {}
+    first: dict[str, Panel] = {}  # in panels below, a name may have another style
+    for figure, panel, series in sorted(drawn, key=lambda item: ORDER.index(item[2].kind)):
+        is_area = series.kind in ("band", "regions") and not series.is_hollow
+        name = figure.bands if is_area else series.name
+        if name and first.setdefault(name, panel) is panel:
+            key = Line2D([], [], **_look(series))
+            if is_area:
+                key = Patch(color=color_of(series.color), alpha=BAND_ALPHA, linewidth=0)
+            keys.setdefault(plain(name), {})[series.color, series.style] = key
 
-    in_order = sorted(keys.items(), key=lambda item: item[0][0])
     return {
-        plain(label): tuple(artists[look] for look in sorted(artists))
-        for (_, label), artists in in_order
-        if label
+        name: tuple(by_look[look] for look in sorted(by_look)) for name, by_look in keys.items()
     }
 
 

@@ -10,7 +10,7 @@ from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
 from greybox.files.text_table import counted
 from greybox.plotting.figure import Figure, Limits, Panel, Series
-from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw_grid, flat_axes
+from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw, flat_axes
 from greybox.plotting.responses import DrawnResponse, drawn_responses, ratio, title
 
 UNLIKE = 5.0  # ratio of magnitudes above which the smaller one would vanish beside the larger
@@ -60,9 +60,7 @@ def nyquist(
     count = None if axes is None else flat_axes(axes).size
     figures = nyquist_figures(fits, labels, level, count)
     columns = columns_of(len(figures))
-    return draw_grid(
-        figures, axes, columns=columns, size=(5.2, 5.0), title=title(fits), legend=legend
-    )
+    return draw(figures, axes, columns=columns, size=(5.2, 5.0), title=title(fits), legend=legend)
 
 
 def nyquist_figures(

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure as MatplotlibFigure
 
 from greybox.estimate.result import Fit
 from greybox.plotting.bode import bode_figure
-from greybox.plotting.matplotlib_figure import draw_grid_into, draw_into, height_of, new_figure
+from greybox.plotting.matplotlib_figure import draw_into, height_of, new_figure
 from greybox.plotting.nyquist import columns_of, nyquist_figures
 from greybox.plotting.responses import title
 from greybox.plotting.spectrum import spectrum_figure
@@ -39,7 +39,7 @@ def plot(fit: Fit) -> MatplotlibFigure:
     width = 2.8 + 3.4 * columns if nyquist else 9.5
     # The Bode diagram has two to five stacked panels, as high as all others together.
     widths = (width, 6.2) if fit.responses else (width,)  # inches
-    heights = [height_of(figure, 2.0) for figure in diagrams]
+    heights = [height_of([figure], 2.0) for figure in diagrams]
     if nyquist:
         heights.insert(0, 1.8 + 3.4 * -(-len(nyquist) // columns))
 
@@ -47,9 +47,9 @@ def plot(fit: Fit) -> MatplotlibFigure:
     sides = page.subfigures(1, len(widths), width_ratios=widths, squeeze=False)[0]
     rows = [*sides[0].subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]]
     if nyquist:
-        draw_grid_into(rows.pop(0), nyquist, columns, legend=True)
+        draw_into(rows.pop(0), nyquist, columns)
     for row, figure in zip(rows, diagrams, strict=True):
-        draw_into(row, figure)
+        draw_into(row, [figure])
     if fit.responses:
-        draw_into(sides[1], replace(bode_figure((fit,)), subject="Bode diagram"))
+        draw_into(sides[1], [replace(bode_figure((fit,)), subject="Bode diagram")])
     return page

@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 
 from greybox.estimate.profiles import Contour, ProfileOf, Profiles
 from greybox.plotting.figure import GRAY, INK, Figure, Panel, Series, band
-from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw, draw_grid
+from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 
 
 def profiles(profiles: Profiles, axes: GivenAxes | None = None) -> AxesArray:
@@ -25,7 +25,7 @@ def profiles(profiles: Profiles, axes: GivenAxes | None = None) -> AxesArray:
     numpy.ndarray of Axes, shape (n,)
     """
     figures = profile_figures(profiles)
-    return draw_grid(figures, axes, columns=min(len(figures), 3), size=(3.0, 2.5))
+    return draw(figures, axes, legend=False, columns=min(len(figures), 3), size=(3.0, 2.5))
 
 
 def profile_figures(profiles: Profiles) -> list[Figure]:
@@ -63,8 +63,10 @@ def contour(contour: Contour, axes: Axes | None = None) -> Axes:
     estimate = contour.estimate[:, None]
     series.append(Series("estimate", "points", *estimate, color=INK))
     across, upward = map(_label, contour.names, contour.units)
-    figure = Figure("Region", across, [Panel(upward, series, limits=limits[1])], limits=limits[0])
-    return draw(figure, axes, width=5.0, inches=2.9)[0]
+    figure = Figure(
+        "Region", across, [Panel(upward, series, limits=limits[1])], "Region", limits=limits[0]
+    )
+    return draw([figure], axes, size=(5.0, 2.9))[0]
 
 
 def _around(values: np.ndarray) -> tuple[float, float]:

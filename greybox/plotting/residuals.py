@@ -10,7 +10,7 @@ from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
 from greybox.files.text_table import in_greek
 from greybox.plotting.figure import GRAY, INK, Figure, Panel, Series, band, rule
-from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw_grid
+from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.signals import chosen, shown_unit
 from greybox.statistics.metrics import CorrelationTest, input_correlation, whiteness
 from greybox.validation.comparison import p_text
@@ -61,12 +61,13 @@ def residuals(fit: Fit, record: int = 0, *, axes: GivenAxes | None = None) -> Ax
     # One row for each output, so that its panels stand side by side.
     figures = residual_figures(part)
     panels = sum(len(figure.panels) for figure in figures)
-    return draw_grid(
+    return draw(
         figures,
         axes,
         columns=panels // len(part.outputs),
         size=(3.1, 2.4),
         title=part.data.name or fit.name,
+        legend=False,
     )
 
 

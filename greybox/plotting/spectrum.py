@@ -43,7 +43,7 @@ def spectrum(
     TypeError, ValueError
         For an item that cannot be drawn, a fit without a manoeuvre, or a wrong number of axes.
     """
-    return draw(spectrum_figure(item, part), axes, legend=legend, width=7.0)
+    return draw([spectrum_figure(item, part)], axes, legend=legend, size=(7.0, 2.5))
 
 
 def spectrum_figure(item: Fit | TransientSpectrum, part: int = 0) -> Figure:

@@ -33,7 +33,7 @@ def starts(fit: Fit, ax: Axes | None = None, legend: bool = True) -> Axes:
     Axes
         In a notebook, ``gb.plotting.starts(fit).figure`` shows the figure.
     """
-    return draw(starts_figure(fit), ax, legend=legend)[0]
+    return draw([starts_figure(fit)], ax, legend=legend)[0]
 
 
 def starts_figure(fit: Fit) -> Figure:

@@ -79,7 +79,7 @@ def time_history(
         For items that cannot be drawn, a fit without a record, items of different data, or a wrong
         number of labels or axes.
     """
-    return draw(history_figure(items, record, labels), axes, legend=legend, width=9.5, inches=1.9)
+    return draw([history_figure(items, record, labels)], axes, legend=legend, size=(9.5, 1.9))
 
 
 def history_figure(

@@ -16,7 +16,16 @@ X = np.arange(1.0, 6.0)
 
 def drawn(*series, figure=None, **panel):
     """The axes of one panel."""
-    (ax,) = draw(Figure("made", "x", [Panel("y, °", series, **panel)], **(figure or {})))
+    (ax,) = draw(
+        [
+            Figure(
+                "made",
+                "x",
+                [Panel("y, °", series, **panel)],
+                **{"subject": "made", **(figure or {})},
+            )
+        ]
+    )
     return ax
 
 
@@ -98,7 +107,7 @@ def test_limits_spans_and_whole_numbers():
 def test_a_legend_below_has_as_many_columns_as_fit(width, columns):
     """A letter takes an eleventh of an inch, a key six letters: of ten letters 16 / 11 in each."""
     lines = [Series(f"{k} {'x' * 8}", "line", X, X) for k in range(5)]
-    (ax,) = draw(Figure("made", "x", [Panel("y", lines)]), width=width)
+    (ax,) = draw([Figure("made", "x", [Panel("y", lines)])], size=(width, 2.5))
     assert ax.figure.legends[0]._ncols == columns
 
 
