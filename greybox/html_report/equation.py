@@ -7,7 +7,7 @@ import casadi as ca
 
 from greybox.html_report.elements import tag
 from greybox.html_report.mathml import formula, operator, parenthesized, symbol
-from greybox.modeling.expression_tree import Expression, Symbol, expressions, size
+from greybox.modeling.expression_tree import Expression, Symbol, expressions, factor, size
 from greybox.modeling.model import Model
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import (
@@ -62,7 +62,7 @@ def _lines(model: Model, values: Mapping[str, float]) -> Iterator[tuple[Element,
 
     outputs = expressions(traced_output(model, z, p), symbols, model.delays, values)
     for name, right in zip(model.outputs, outputs, strict=True):
-        if right != Symbol(name):  # a state that is an output needs no line
+        if right != factor(Symbol(name)):  # a state that is an output needs no line
             yield symbol(name), right
 
 

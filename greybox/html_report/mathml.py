@@ -8,18 +8,18 @@ from xml.etree.ElementTree import Element
 from greybox.files.text_table import greek
 from greybox.html_report.elements import Child, tag
 from greybox.modeling.expression_tree import (
+    RELATIONS,
     Expression,
+    Factor,
     Function,
-    Number,
-    Power,
-    Product,
-    Sum,
     Symbol,
+    Term,
+    factor,
+    number,
 )
 
 DIGITS = 5  # of numbers in a formula
-
-RELATIONS = ("<", "≤", "=", "≠", "and", "or")
+E = factor(Symbol("e"))
 
 
 def formula(left: Child, right: Expression) -> Element:
@@ -32,8 +32,8 @@ def symbol(name: str) -> Element:
     base, *indices = name.strip("_").split("_") if name.strip("_") else [name]
     numbered = re.fullmatch(r"([^\W\d]+)(\d+)", base)
     if numbered:
-        base, number = numbered.groups()
-        indices = [number, *indices]
+        base, digits = numbered.groups()
+        indices = [digits, *indices]
     if not indices:
         return tag("mi", greek(base))
     # Upright: an index such as max in K_max is a word and not a product of variables.
@@ -49,101 +49,92 @@ def operator(text: str) -> Element:
     return tag("mo", text)
 
 
-def written(expression: Expression) -> Element:  # noqa: PLR0911  (one return for each kind)
-    """Return an expression."""
+def written(expression: Expression) -> Element:
+    """Return a sum, or the only relation in it."""
     match expression:
-        case Number(value):
-            return _number(value)
-        case Symbol(name, delay):
-            past = parenthesized(tag("mi", "t"), operator("−"), symbol(delay)) if delay else None
-            return tag("mrow", symbol(name), past) if delay else symbol(name)
-        case Sum(terms):
-            return _sum(terms)
-        case Product(over, under):
-            return _product(over, under)
-        case Power(base, exponent):
-            if exponent == Number(0.5):
-                return tag("msqrt", written(base))
-            is_atom = isinstance(base, Number | Symbol) and not (
-                isinstance(base, Symbol) and base.delay
-            )
-            return tag(
-                "msup", written(base) if is_atom else _in_parentheses(base), written(exponent)
-            )
-        case Function(name, arguments):
-            return _function(name, arguments)
+        case ():
+            return tag("mn", "0")
+        case (Term(1.0, (Function(name, sides),), ()),) if name in RELATIONS.values():
+            return tag("mrow", written(sides[0]), operator(name), written(sides[1]))
+
+    row: list[Element] = []
+    for term in expression:
+        if row or term.number < 0:
+            row.append(operator("−" if term.number < 0 else "+"))
+        row.append(_term(term))
+    return row[0] if len(row) == 1 else tag("mrow", row)
+
+
+def _term(term: Term) -> Element:
+    """Return the size of a term; its sign belongs to the sum."""
+    # Exponentials are mostly delays: beside a fraction they are read as such.
+    beside = [
+        part
+        for part in term.over
+        if term.under and isinstance(part, Function) and part.arguments[0] == E
+    ]
+    above = [part for part in term.over if part not in beside]
+    is_number = abs(term.number) != 1 or not above
+    numerator = _row([_number(abs(term.number))] if is_number else [], above)
+    if not term.under:
+        return numerator
+    return _row([tag("mfrac", numerator, _row([], term.under))], beside)
+
+
+def _row(elements: list[Element], factors: Sequence[Factor]) -> Element:
+    """Return elements and factors beside one another."""
+    match factors:
+        case (Function("()", (terms,)),) if not elements:  # nothing to be held together
+            return written(terms)
+    row = [*elements, *map(_factor, factors)]
+    spaced = [child for part in row for child in (tag("mspace", width="0.2em"), part)]
+    return row[0] if len(row) == 1 else tag("mrow", spaced[1:])
 
 
 def _number(value: float) -> Element:
     if not math.isfinite(value):
         return tag("mn", "∞" if math.isinf(value) else "?")
-    digits, _, power = f"{value:.{DIGITS}g}".partition("e")
-    if not power:
+    digits, _, exponent = f"{value:.{DIGITS}g}".partition("e")
+    if not exponent:
         return tag("mn", digits)
-    ten = tag("msup", tag("mn", "10"), tag("mn", str(int(power)).replace("-", "−")))
+    ten = tag("msup", tag("mn", "10"), tag("mn", str(int(exponent)).replace("-", "−")))
     return tag("mrow", tag("mn", digits), operator("·"), ten)
 
 
-def _sum(terms: Sequence[tuple[int, Expression]]) -> Element:
-    row: list[Element] = []
-    for sign, term in terms:
-        if row or sign < 0:
-            row.append(operator("+" if sign > 0 else "−"))
-        row.append(_in_parentheses(term) if _is_relation(term) else written(term))
-    return tag("mrow", row)
+def _factor(part: Factor) -> Element:  # noqa: PLR0911  (one return for each kind)
+    if isinstance(part, Symbol):
+        if not part.delay:
+            return symbol(part.name)
+        past = parenthesized(tag("mi", "t"), operator("−"), symbol(part.delay))
+        return tag("mrow", symbol(part.name), past)
+
+    arguments = [written(argument) for argument in part.arguments]
+    match part.name:
+        case "^":
+            return _power(*part.arguments)
+        case "()":
+            return parenthesized(*arguments)
+        case "abs":
+            return tag("mrow", operator("|"), arguments, operator("|"))
+        case "if":
+            # Iverson's bracket, one while the condition holds and zero otherwise: a brace of cases
+            # inside a sum is hard to read.
+            bracket = tag("mrow", operator("["), arguments[0], operator("]"))
+            value = arguments[1] if len(part.arguments[1]) < 2 else parenthesized(arguments[1])
+            return _row([bracket, value], [])
+    if part.name in RELATIONS.values():
+        return parenthesized(written(factor(part)))
+    inside = [child for argument in arguments for child in (operator(","), argument)]
+    return tag("mrow", tag("mi", part.name, mathvariant="normal"), parenthesized(*inside[1:]))
 
 
-def _product(over: Sequence[Expression], under: Sequence[Expression]) -> Element:
-    if not under:
-        return _factors(over)
-    # Exponentials are mostly delays: beside the fraction they are read as such.
-    beside = [factor for factor in over if isinstance(factor, Power) and factor.base == Symbol("e")]
-    above = [factor for factor in over if factor not in beside] or [Number(1.0)]
-    fraction = tag("mfrac", _factors(above), _factors(under))
-    return tag(
-        "mrow", fraction, *(part for factor in beside for part in (_space(), written(factor)))
-    )
-
-
-def _factors(factors: Sequence[Expression]) -> Element:
-    if len(factors) == 1:
-        return written(factors[0])
-    row: list[Element] = []
-    for k, factor in enumerate(factors):
-        if k:
-            row.append(operator("·") if isinstance(factor, Number) else _space())
-        row.append(
-            _in_parentheses(factor)
-            if isinstance(factor, Sum) or _is_relation(factor)
-            else written(factor)
-        )
-
-    return tag("mrow", row)
-
-
-def _function(name: str, arguments: Sequence[Expression]) -> Element:
-    texts = [written(argument) for argument in arguments]
-    if name == "sqrt":
-        return tag("msqrt", *texts)
-    if name == "abs":
-        return tag("mrow", operator("|"), *texts, operator("|"))
-    # Iverson's bracket, one while the condition holds and zero otherwise: a brace of cases inside a
-    # sum is hard to read.
-    if name == "if":
-        value = _in_parentheses(arguments[1]) if isinstance(arguments[1], Sum) else texts[1]
-        return tag("mrow", operator("["), texts[0], operator("]"), _space(), value)
-    if name in RELATIONS:
-        return tag("mrow", texts[0], operator(name), texts[1])
-    inside = [part for text in texts for part in (operator(","), text)]
-    return tag("mrow", tag("mi", name, mathvariant="normal"), parenthesized(*inside[1:]))
-
-
-def _is_relation(expression: Expression) -> bool:
-    return isinstance(expression, Function) and expression.name in RELATIONS
-
-
-def _in_parentheses(expression: Expression) -> Element:
-    return parenthesized(written(expression))
+def _power(base: Expression, exponent: Expression) -> Element:
+    if exponent == number(0.5):
+        return tag("msqrt", written(base))
+    match base:
+        case (Term(1.0, (Symbol(delay=""),), ()),) | (Term(_, (), ()),):
+            return tag("msup", written(base), written(exponent))
+    return tag("msup", parenthesized(written(base)), written(exponent))
 
 
 def parenthesized(*children: Element) -> Element:
@@ -154,7 +145,3 @@ def parenthesized(*children: Element) -> Element:
     return tag(
         "mrow", tag("mo", "(", stretchy=stretchy), *children, tag("mo", ")", stretchy=stretchy)
     )
-
-
-def _space() -> Element:
-    return tag("mspace", width="0.2em")

@@ -1,8 +1,8 @@
 """A formula as a tree of sums, products, powers and functions, as written on paper."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -10,13 +10,6 @@ import casadi as ca
 import numpy as np
 
 from greybox.modeling.formula_structure import walk
-
-
-@dataclass(frozen=True)
-class Number:
-    """A constant."""
-
-    value: float
 
 
 @dataclass(frozen=True)
@@ -28,40 +21,31 @@ class Symbol:
 
 
 @dataclass(frozen=True)
-class Sum:
-    """Terms, each with its sign, 1 or -1."""
-
-    terms: tuple[tuple[int, "Expression"], ...]
-
-
-@dataclass(frozen=True)
-class Product:
-    """Factors over factors; an empty product is one."""
-
-    over: tuple["Expression", ...]
-    under: tuple["Expression", ...] = ()
-
-
-@dataclass(frozen=True)
-class Power:
-    """A base with an exponent."""
-
-    base: "Expression"
-    exponent: "Expression"
-
-
-@dataclass(frozen=True)
 class Function:
     """A function such as ``sin`` of its arguments, or a relation such as ``<`` of its sides.
 
-    ``if`` has a condition and the value while it holds; it is zero otherwise.
+    ``^`` has a base and an exponent, ``()`` the sum in the parentheses. ``if`` has a condition and
+    the value while it holds; it is zero otherwise.
     """
 
     name: str
     arguments: tuple["Expression", ...]
 
 
-Expression = Number | Symbol | Sum | Product | Power | Function
+Factor = Symbol | Function
+
+
+@dataclass(frozen=True)
+class Term:
+    """A number times factors over factors."""
+
+    number: float
+    over: tuple[Factor, ...] = ()
+    under: tuple[Factor, ...] = ()
+
+
+Expression = tuple[Term, ...]
+"""The sum of these terms; an empty one is zero."""
 
 RELATIONS = {
     ca.OP_LT: "<",
@@ -87,7 +71,6 @@ FUNCTIONS = {
     ca.OP_ACOSH: "arcosh",
     ca.OP_ATANH: "artanh",
     ca.OP_ERF: "erf",
-    ca.OP_SQRT: "sqrt",
     ca.OP_FABS: "abs",
     ca.OP_SIGN: "sign",
     ca.OP_FLOOR: "floor",
@@ -119,43 +102,46 @@ def expressions(
     """
     # Traced with numbers, products would be multiplied out: they replace the leaves instead.
     leaves: list[Any] = [
-        _number(values[name]) if name in values else Symbol(name, delays.get(name, ""))
+        number(values[name]) if name in values else factor(Symbol(name, delays.get(name, "")))
         for name in symbols
     ]
-    return walk(
-        formula,
-        ca.vertcat(*symbols.values()),
-        leaves,
-        lambda constant: _number(float(constant)),
-        _operate,
-    )
+    z = ca.vertcat(*symbols.values())
+    return walk(formula, z, leaves, lambda constant: number(float(constant)), _operate)
+
+
+def number(value: float) -> Expression:
+    """Return a constant."""
+    return (Term(value),) if value else ()
+
+
+def factor(*over: Factor) -> Expression:
+    """Return the product of factors."""
+    return (Term(1.0, over),)
+
+
+def power(base: Expression, exponent: Expression) -> Expression:
+    """Return a base with an exponent."""
+    return factor(Function("^", (base, exponent)))
 
 
 def size(expression: Expression) -> int:
-    """Return the number of written symbols, numbers and operations."""
-    # Repeated expressions are one object: without this table, time would grow exponentially.
+    """Return the number of written symbols, numbers and functions."""
+    # Repeated factors are one object: without this table, time would grow exponentially.
     sizes: dict[int, int] = {}
 
-    def count(part: Expression) -> int:
+    def of_factor(part: Factor) -> int:
         if id(part) not in sizes:
-            sizes[id(part)] = 1 + sum(map(count, _parts(part)))
+            arguments = part.arguments if isinstance(part, Function) else ()
+            sizes[id(part)] = 1 + sum(map(of_sum, arguments))
         return sizes[id(part)]
 
-    return count(expression)
+    def of_sum(terms: Expression) -> int:
+        return sum(
+            (abs(term.number) != 1 or not term.over) + sum(map(of_factor, term.over + term.under))
+            for term in terms
+        )
 
-
-def _parts(expression: Expression) -> Sequence[Expression]:
-    match expression:
-        case Sum(terms):
-            return [term for _, term in terms]
-        case Product(over, under):
-            return (*over, *under)
-        case Power(base, exponent):
-            return (base, exponent)
-        case Function(_, arguments):
-            return arguments
-
-    return ()
+    return of_sum(expression)
 
 
 def _operate(operation: int, terms: list[Expression]) -> Expression:
@@ -163,91 +149,75 @@ def _operate(operation: int, terms: list[Expression]) -> Expression:
         return ARITHMETIC[operation](*terms)
     if operation not in FUNCTIONS:
         raise ValueError(f"the operation {operation} of CasADi has no notation.")
-    return Function(FUNCTIONS[operation], tuple(terms))
+    return factor(Function(FUNCTIONS[operation], tuple(terms)))
 
 
-def _number(value: float) -> Expression:
-    # The sign belongs to a sum, so that a - 2 is not written a + (-2).
-    return Sum(((-1, Number(-value)),)) if value < 0 and not math.isnan(value) else Number(value)
+def _negative(terms: Expression) -> Expression:
+    return tuple(replace(term, number=-term.number) for term in terms)
 
 
-def _sum(*terms: tuple[int, Expression]) -> Expression:
-    """Return a sum without sums in it, and without zeros."""
-    flat: list[tuple[int, Expression]] = []
-    for sign, term in terms:
-        inner = term.terms if isinstance(term, Sum) else ((1, term),)
-        flat += [(sign * inner_sign, part) for inner_sign, part in inner if part != Number(0.0)]
-    if len(flat) == 1 and flat[0][0] == 1:
-        return flat[0][1]
-    return Sum(tuple(flat)) if flat else Number(0.0)
-
-
-def _product(over: Sequence[Expression], under: Sequence[Expression]) -> Expression:
-    """Return a flat product: the sign outside, then one number, then the other factors."""
-    number = 1.0
-    above: list[Expression] = []
-    below: list[Expression] = []
-    for factor, is_over in (*((f, True) for f in over), *((f, False) for f in under)):
-        inner = factor
-        if isinstance(factor, Sum) and len(factor.terms) == 1:
-            number *= factor.terms[0][0]
-            inner = factor.terms[0][1]
-        parts = (inner.over, inner.under) if isinstance(inner, Product) else ((inner,), ())
-        above.extend(parts[not is_over])
-        below.extend(parts[is_over])
-
+def _product(over: Sequence[Expression], under: Sequence[Expression] = ()) -> Expression:
+    """Return a product of one number and of factors; powers of one symbol are combined."""
+    above, below = [list(map(_single, several)) for several in (over, under)]
     # As in CasADi, a division by zero gives infinity or NaN, not an exception.
     with np.errstate(divide="ignore", invalid="ignore"):
-        number = float(np.divide(number * _numbers(above), _numbers(below)))
-    if number == 0:
-        return Number(0.0)
-
-    above, below = _powers(above), _powers(below)
-    if abs(number) != 1 or not above:
-        above.insert(0, Number(abs(number)))
-    product = Product(tuple(above), tuple(below)) if below or len(above) > 1 else above[0]
-    return Sum(((-1, product),)) if number < 0 else product
-
-
-def _powers(factors: Sequence[Expression]) -> list[Expression]:
-    """Return the factors that are not numbers; powers of one symbol, as s · s², are combined."""
-    exponents: dict[Expression, float] = {}
-    bases: list[Expression] = []
-    for factor in factors:
-        base, exponent = (
-            (factor.base, factor.exponent) if isinstance(factor, Power) else (factor, Number(1.0))
-        )
-        if isinstance(base, Symbol) and isinstance(exponent, Number):
-            if base not in exponents:
-                bases.append(base)
-            exponents[base] = exponents.get(base, 0.0) + exponent.value
-        elif not isinstance(factor, Number):
-            bases.append(factor)
-
-    return [
-        Power(factor, Number(exponents[factor]))
-        if isinstance(factor, Symbol) and exponents[factor] != 1
-        else factor
-        for factor in bases
-    ]
+        above_all, below_all = (math.prod(t.number for t in several) for several in (above, below))
+        value = float(np.divide(above_all, below_all))
+    factors = tuple(_combined([*_factors(above, "over"), *_factors(below, "under")]))
+    divisors = tuple(_combined([*_factors(above, "under"), *_factors(below, "over")]))
+    match factors:
+        case (Function("()", (terms,)),) if abs(value) == 1 and not divisors:
+            return terms if value == 1 else _negative(terms)
+    return (Term(value, factors, divisors),) if value else ()
 
 
-def _numbers(factors: Sequence[Expression]) -> float:
-    """Return the product of those factors that are numbers."""
-    return math.prod(factor.value for factor in factors if isinstance(factor, Number))
+def _single(terms: Expression) -> Term:
+    """Return a sum as one term: in parentheses if it has several."""
+    if len(terms) == 1:
+        return terms[0]
+    return Term(1.0, (Function("()", (terms,)),)) if terms else Term(0.0)
+
+
+def _factors(terms: Sequence[Term], side: str) -> Iterator[Factor]:
+    return (part for term in terms for part in getattr(term, side))
+
+
+def _combined(factors: Sequence[Factor]) -> Iterator[Factor]:
+    """Yield the factors; powers of one symbol, as s · s², become one."""
+    exponents: dict[Symbol, float] = {}
+    bases: list[Factor] = []
+    for part in factors:
+        base, exponent = part, 1.0
+        match part:
+            case Function("^", ((Term(1.0, (Symbol() as base,), ()),), (Term(exponent, (), ()),))):
+                pass
+        if not isinstance(base, Symbol):
+            bases.append(part)
+            continue
+        if base not in exponents:
+            bases.append(base)
+        exponents[base] = exponents.get(base, 0.0) + exponent
+
+    for base in bases:
+        match base:
+            case Symbol() if exponents[base] != 1:
+                yield Function("^", (factor(base), number(exponents[base])))
+            case _:
+                yield base
 
 
 ARITHMETIC: dict[int, Callable[..., Expression]] = {
     ca.OP_ASSIGN: lambda a: a,
-    ca.OP_ADD: lambda a, b: _sum((1, a), (1, b)),
-    ca.OP_SUB: lambda a, b: _sum((1, a), (-1, b)),
-    ca.OP_NEG: lambda a: _sum((-1, a)),
-    ca.OP_MUL: lambda a, b: _product((a, b), ()),
-    ca.OP_DIV: lambda a, b: _product((a,), (b,)),
-    ca.OP_INV: lambda a: _product((), (a,)),
-    ca.OP_TWICE: lambda a: _product((Number(2.0), a), ()),
-    ca.OP_SQ: lambda a: Power(a, Number(2.0)),
-    ca.OP_POW: Power,
-    ca.OP_CONSTPOW: Power,
-    ca.OP_EXP: lambda a: Power(Symbol("e"), a),
+    ca.OP_ADD: lambda a, b: a + b,
+    ca.OP_SUB: lambda a, b: a + _negative(b),
+    ca.OP_NEG: _negative,
+    ca.OP_MUL: lambda a, b: _product([a, b]),
+    ca.OP_DIV: lambda a, b: _product([a], [b]),
+    ca.OP_INV: lambda a: _product([], [a]),
+    ca.OP_TWICE: lambda a: _product([number(2.0), a]),
+    ca.OP_SQ: lambda a: power(a, number(2.0)),
+    ca.OP_SQRT: lambda a: power(a, number(0.5)),
+    ca.OP_POW: power,
+    ca.OP_CONSTPOW: power,
+    ca.OP_EXP: lambda a: power(factor(Symbol("e")), a),
 }

@@ -86,12 +86,11 @@ def bode_figure(
     for drawn, degrees in zip(responses, phases(responses), strict=True):
         omega = drawn.response.omega
         values = np.array([_decibel(drawn.response.response), degrees])
-        bars = _error_bars(drawn.response)
-        for k in (0, 1):
+        for k, ends in enumerate(_error_bars(drawn.response, values)):
             # Bands first: they are drawn below all curves and points.
             if drawn.band is not None:
                 curves[k].insert(0, _band(drawn, k, values[k]))
-            curves[k].append(drawn.series(omega, values[k], *_ends(values[k], bars, k)))
+            curves[k].append(drawn.series(omega, values[k], *ends))
 
     # Steps of an axis in degrees: multiples of 45 and 90 are where margins are read.
     panels = [
@@ -130,15 +129,15 @@ def _error_panels(
             if not np.any(np.isfinite(error)):  # no start converged
                 continue
 
-            # A curve that lies on another one is not drawn: then take any curve of the fit.
             same_data = [drawn for drawn in responses if drawn.checksum == part.data.checksum]
             data = next(drawn for drawn in same_data if drawn.is_measured)
+            # A curve that lies on another one is not drawn: then take any curve of the fit.
             curves = [drawn for drawn in (*same_data, *responses) if drawn.fit is fit]
             if len(fitted) > 1 and curves:
                 data = replace(data, color=curves[0].color)
-            bars = _error_bars(part.data)
-            for k, values in enumerate((_decibel(error), np.degrees(np.angle(error)))):
-                series = data.series(part.data.omega, values, *_ends(values, bars, k))
+            values = np.array([_decibel(error), np.degrees(np.angle(error))])
+            for k, ends in enumerate(_error_bars(part.data, values)):
+                series = data.series(part.data.omega, values[k], *ends)
                 # Where colors are alike, hollow points tell a second fit from the first.
                 points[k].append(replace(series, is_hollow=number > 0))
 
@@ -165,7 +164,7 @@ def _caption(
     return " ".join(sentences)
 
 
-def _decibel(response: ComplexArray) -> Array:
+def _decibel(response: Array | ComplexArray) -> Array:
     with np.errstate(divide="ignore"):
         return 20 * np.log10(np.abs(response))
 
@@ -184,23 +183,16 @@ def _band(drawn: DrawnResponse, k: int, curve: Array | None = None) -> Series:
     return band(drawn.label, omega, middle - half_width, middle + half_width, drawn.color)
 
 
-def _error_bars(data: FrequencyResponse) -> Array | None:
-    """Return the error bars (2, 2, n), down and up, of magnitude in dB and of phase in degrees."""
+def _error_bars(data: FrequencyResponse, values: Array) -> list[tuple[Array | None, Array | None]]:
+    """Return the ends of bars around magnitudes in dB and phases in degrees, `values` (2, n)."""
     if data.variance is None:
-        return None
+        return [(None, None)] * 2
     # The variance is that of the complex response; one component has half of it.
     relative = np.sqrt(data.variance / 2) / np.maximum(np.abs(data.response), 1e-300)
     # A bar that reaches zero would be infinite in dB: 20 dB to either side at most.
-    down = -20 * np.log10(1 - np.minimum(relative, 0.9))
-    up = 20 * np.log10(1 + np.minimum(relative, 9.0))
+    down, up = (_decibel(1 + np.clip(sign * relative, -0.9, 9.0)) for sign in (-1, 1))
     turn = np.degrees(np.minimum(relative, np.pi))
-    return np.array([[down, up], [turn, turn]])
-
-
-def _ends(values: Array, bars: Array | None, k: int) -> tuple[Array | None, Array | None]:
-    if bars is None:
-        return None, None
-    return values - bars[k, 0], values + bars[k, 1]
+    return [(values[0] + down, values[0] + up), (values[1] - turn, values[1] + turn)]
 
 
 # --- phases
@@ -237,12 +229,9 @@ def _unwrapped(response: FrequencyResponse) -> _Phase:
 
 
 def _moved(phase: _Phase, guide: _Phase) -> _Phase:
-    """Move a phase by multiples of 360° next to a guide, over their common frequencies."""
+    """Move a phase by multiples of 360° next to a guide, at their lowest common frequency."""
     low = max(phase[0][0], guide[0][0])
-    high = max(low, min(phase[0][-1], guide[0][-1]))
-    # An even grid: the dense points beside a resonance would otherwise decide alone.
-    common = np.geomspace(low, high, 100)
-    distance = np.mean(interpolated(common, *guide) - interpolated(common, *phase))
+    distance = interpolated(low, *guide) - interpolated(low, *phase)
     return phase[0], phase[1] + 360 * np.round(distance / 360)
 
 

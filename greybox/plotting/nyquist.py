@@ -13,7 +13,7 @@ from greybox.plotting.figure import Figure, Limits, Panel, Series
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw, flat_axes
 from greybox.plotting.responses import DrawnResponse, drawn_responses, ratio, title
 
-UNLIKE = 5.0  # ratio of magnitudes above which the smaller one would vanish beside the larger
+UNLIKE = 5.0  # ratio of magnitudes above which the data would vanish beside the curves
 
 
 def nyquist(
@@ -28,8 +28,8 @@ def nyquist(
     A circle around each point of known variance is the region of the true response at this level.
     Shaded around a fitted curve are the confidence ellipses of its points (`Fit.response_band`).
 
-    Input-output pairs whose magnitudes differ by more than a factor of 5 have one panel each. A
-    curve that extends so far that the data would be a dot is cut off; the title says so.
+    Every input-output pair has a panel. A curve that extends so far that the data would be a dot is
+    cut off; the title says so.
 
     Parameters
     ----------
@@ -69,9 +69,7 @@ def nyquist_figures(
     level: float | None = 0.95,
     count: int | None = None,
 ) -> list[Figure]:
-    """Return one figure for each input-output pair, or one for all.
-
-    By default they are separate if their magnitudes differ; `count` states the number of figures.
+    """Return one figure for each input-output pair, or one for all if their `count` is 1.
 
     Raises
     ------
@@ -79,19 +77,17 @@ def nyquist_figures(
         If there are not `count` pairs.
     """
     responses = drawn_responses(fits, labels, level)
-    pairs = _by_pair(responses)
-    # A rotor of 1000 rad/s beside a tilt of 10 would leave the tilt as a dot.
-    if count is None:
-        sizes = [size for size in map(_largest_magnitude, pairs) if size > 0]
-        differ = sizes and max(sizes) > UNLIKE * min(sizes)
-        count = len(pairs) if differ else 1
-    if count not in (1, len(pairs)):
+    # Panels are in the order of the data, which is the one that a user knows.
+    measured_first = sorted(responses, key=lambda drawn: not drawn.is_measured)
+    pairs = dict.fromkeys(drawn.pair for drawn in measured_first)
+    if count == 1:
+        return [_figure(responses, level)]
+    if count not in (None, len(pairs)):
         raise ValueError(
             f"`axes` has {count} axes for {counted(len(pairs), 'input-output pair')}: "
             "give one, or one for each pair."
         )
-
-    return [_figure(group, level) for group in (pairs if count > 1 else [responses])]
+    return [_figure([drawn for drawn in responses if drawn.pair == pair], level) for pair in pairs]
 
 
 def columns_of(count: int) -> int:
@@ -140,13 +136,6 @@ def _note(response: FrequencyResponse, k: int) -> str:
 def _brief(omega: float) -> str:
     """Return a frequency with three digits, without exponent where that is readable."""
     return f"{float(f'{omega:.3g}'):g}"
-
-
-def _by_pair(responses: Sequence[DrawnResponse]) -> list[list[DrawnResponse]]:
-    # Panels are in the order of the data, which is the one that a user knows.
-    measured_first = sorted(responses, key=lambda drawn: not drawn.is_measured)
-    pairs = dict.fromkeys(drawn.pair for drawn in measured_first)
-    return [[drawn for drawn in responses if drawn.pair == pair] for pair in pairs]
 
 
 def _regions(responses: Sequence[DrawnResponse], level: float | None) -> list[Series]:

@@ -1,13 +1,14 @@
 """The curves and points in diagrams of frequency responses: their names, colors and styles."""
 
 import contextlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.response_band import ResponseBand
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
@@ -64,6 +65,23 @@ class DrawnResponse:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """Data and curve of one part of a fit; a response alone is one of both."""
+
+    label: str
+    checksum: str = ""
+    data: FrequencyResponse | None = None
+    curve: FrequencyResponse | None = None
+    fit: Fit | None = None
+    number: int = 0
+
+    @property
+    def pair(self) -> Pair:
+        named = self.curve or self.data
+        return (named.input, named.output) if named else ("", "")
+
+
 def drawn_responses(
     items: Sequence[Fit | FrequencyResponse], labels: Sequence[str], level: float | None = None
 ) -> list[DrawnResponse]:
@@ -77,34 +95,43 @@ def drawn_responses(
         For an item that is not a response, for no items, or for a wrong number of labels.
     """
     names = distinct_labels([_label(item) for item in items], labels)
-    if all(isinstance(item, Fit) and not item.responses for item in items):
+    parts = [_parts(item, name) for item, name in zip(items, names, strict=True)]
+    every = [part for several in parts for part in several]
+    if not every:
         raise ValueError(
             "there is no frequency response to draw: gb.plotting.time_history draws fitted records."
         )
 
     # By checksum: data that several fits share are drawn once.
-    data: dict[str, tuple[FrequencyResponse, str]] = {}
-    for item, name in zip(items, names, strict=True):
-        if isinstance(item, Fit):
-            data |= {part.data.checksum: (part.data, part.name) for part in item.responses}
-        elif item.source != "model":
-            data[item.checksum] = (item, name)
+    data = {part.checksum: part for part in every if part.data is not None}
+    pairs = {part.checksum: part.pair for part in every if all(part.pair)}
+    # Data without names belong to the curve of these data, or else to the only pair.
+    only = next(iter(pairs.values())) if len(set(pairs.values())) == 1 else ("", "")
 
-    pairs = _pairs(items)
+    curves = [_distinct(several) for several in parts]
+    # One curve for several data sets must not have the color of one of them.
+    is_shared = any(
+        0 < len(distinct) < len([part for part in several if part.curve is not None])
+        for several, distinct in zip(parts, curves, strict=True)
+    )
+    colors = {} if is_shared else {checksum: k for k, checksum in enumerate(data)}
+    drawn = []
+    for i, name in enumerate(names):
+        other = i if len(data) <= 1 else (INK if i == 0 else GRAY)
+        for part, curve in curves[i]:
+            color = colors.get(part.checksum, other) if len(data) > 1 else other
+            look = {"fit": part.fit, "band": _band(part, level)}
+            pair = part.pair if all(part.pair) else only
+            drawn.append(DrawnResponse(curve, name, color, i, False, part.checksum, pair, **look))
 
-    measured = [
-        DrawnResponse(
-            response,
-            label,
-            color=k if len(data) > 1 else INK,
-            style=k,
-            is_measured=True,
-            checksum=checksum,
-            pair=_pair(response, pairs),
-        )
-        for k, (checksum, (response, label)) in enumerate(data.items())
-    ]
-    return [*_curves(items, names, [*data], pairs, level), *measured]
+    for k, (checksum, part) in enumerate(data.items()):
+        assert part.data is not None
+        named = part.data.input, part.data.output
+        pair = named if all(named) else pairs.get(checksum, only)
+        color = k if len(data) > 1 else INK
+        drawn.append(DrawnResponse(part.data, part.label, color, k, True, checksum, pair))
+
+    return drawn
 
 
 def title(items: Sequence[Fit | FrequencyResponse]) -> str:
@@ -132,101 +159,41 @@ def interpolated(omega: NDArray, grid: NDArray, values: NDArray) -> NDArray:
     return np.interp(np.log(omega), np.log(grid), values)
 
 
-def _curves(
-    items: Sequence[Fit | FrequencyResponse],
-    names: Sequence[str],
-    checksums: Sequence[str],
-    pairs: Mapping[str, Pair],
-    level: float | None,
-) -> list[DrawnResponse]:
-    """Return the curves, in the color of their data where the data differ in color."""
-    curves = [_distinct(_curves_of(item)) for item in items]
-    # One curve for several data sets must not have the color of one of them.
-    is_shared = any(
-        isinstance(item, Fit) and 0 < len(distinct) < len(item.responses)
-        for item, distinct in zip(items, curves, strict=True)
-    )
-    drawn = []
-    for i, item in enumerate(items):
-        for checksum, curve in curves[i]:
-            color = i
-            if len(checksums) > 1:
-                has_color = checksum in checksums and not is_shared
-                color = checksums.index(checksum) if has_color else (INK if i == 0 else GRAY)
-            fit = item if isinstance(item, Fit) else None
-            drawn.append(
-                DrawnResponse(
-                    curve,
-                    names[i],
-                    color,
-                    style=i,
-                    is_measured=False,
-                    checksum=checksum,
-                    pair=_pair(curve, pairs),
-                    fit=fit,
-                    band=_band(fit, checksum, level) if fit and level is not None else None,
-                )
-            )
-
-    return drawn
+def _parts(item: Fit | FrequencyResponse, name: str) -> list[_Part]:
+    if isinstance(item, Fit):
+        return [
+            _Part(part.name, part.data.checksum, part.data, part.curve, item, k)
+            for k, part in enumerate(item.parts)
+            if isinstance(part, FittedResponse)
+        ]
+    return [_Part(name, curve=item) if item.source == "model" else _Part(name, item.checksum, item)]
 
 
-def _band(fit: Fit, checksum: str, level: float) -> ResponseBand | None:
-    """Return the band of the curve that was fitted to these data, if its covariance is known."""
-    if fit.directions is None:
+def _band(part: _Part, level: float | None) -> ResponseBand | None:
+    """Return the band of a curve, if its covariance is known."""
+    if level is None or part.fit is None or part.fit.directions is None:
         return None
-    part = next(k for k, part in enumerate(fit.parts) if part.data.checksum == checksum)
     with contextlib.suppress(LookupError):  # a loaded fit of a model that greybox does not include
-        band = fit.response_band(level=level, part=part)
+        band = part.fit.response_band(level=level, part=part.number)
         return band if np.any(np.isfinite(band.relative_error)) else None
     return None
 
 
-def _pairs(items: Sequence[Fit | FrequencyResponse]) -> dict[str, Pair]:
-    """Return the names of input and output by checksum of the data."""
-    pairs = {}
-    for item in items:
-        if isinstance(item, FrequencyResponse):
-            pairs.setdefault(item.checksum, (item.input, item.output))
-            continue
-        for part in item.responses:
-            named = part.curve or part.data
-            pairs[part.data.checksum] = (named.input, named.output)
-
-    return {checksum: pair for checksum, pair in pairs.items() if all(pair)}
-
-
-def _pair(response: FrequencyResponse, pairs: Mapping[str, Pair]) -> Pair:
-    """Return the names of input and output; missing ones come from the curve of these data."""
-    # Data without names and without a curve belong to the only pair, if there is just one.
-    pair = response.input, response.output
-    if all(pair):
-        return pair
-    only = next(iter(pairs.values())) if len(set(pairs.values())) == 1 else pair
-    return pairs.get(response.checksum, only)
-
-
-def _curves_of(item: Fit | FrequencyResponse) -> list[tuple[str, FrequencyResponse]]:
-    """Return the curves of an item, each with the checksum of its data."""
-    if isinstance(item, Fit):
-        parts = [(part.data.checksum, part.curve) for part in item.responses]
-        return [(checksum, _sorted(curve)) for checksum, curve in parts if curve is not None]
-    return [("", _sorted(item))] if item.source == "model" else []
-
-
-def _sorted(curve: FrequencyResponse) -> FrequencyResponse:
-    order = np.argsort(curve.omega)
-    return replace(curve, omega=curve.omega[order], response=curve.response[order])
-
-
-def _distinct(curves: list[tuple[str, FrequencyResponse]]) -> list[tuple[str, FrequencyResponse]]:
-    """Leave out curves that lie on a longer one, as those of several rotors with one model do."""
+def _distinct(parts: Sequence[_Part]) -> list[tuple[_Part, FrequencyResponse]]:
+    """Return the curves, except those that lie on a longer one."""
     # Four rotors with one model would draw one line four times, in four colors.
-    longest_first = sorted(curves, key=lambda pair: pair[1].omega.min() / pair[1].omega.max())
-    distinct: list[tuple[str, FrequencyResponse]] = []
-    for checksum, curve in longest_first:
+    curves = []
+    for part in parts:
+        if part.curve is not None:
+            order = np.argsort(part.curve.omega)
+            sorted_values = part.curve.omega[order], part.curve.response[order]
+            curve = replace(part.curve, omega=sorted_values[0], response=sorted_values[1])
+            curves.append((part, curve))
+
+    distinct: list[tuple[_Part, FrequencyResponse]] = []
+    for part, curve in sorted(curves, key=lambda pair: pair[1].omega[0] / pair[1].omega[-1]):
         if not any(_lies_on(curve, longer) for _, longer in distinct):
-            distinct.append((checksum, curve))
+            distinct.append((part, curve))
     return distinct
 
 

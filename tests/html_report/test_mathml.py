@@ -6,7 +6,7 @@ import greybox as gb
 from greybox.html_report.elements import html, tag
 from greybox.html_report.equation import equations
 from greybox.html_report.mathml import parenthesized, symbol, written
-from greybox.modeling.expression_tree import Function, Number, Power, Product, Sum, Symbol
+from greybox.modeling.expression_tree import Function, Symbol, Term, factor, number, power
 from greybox.models.drag import Drag
 from greybox.models.rate import DampedAngle
 from greybox.models.tilt import LinearTilt
@@ -75,35 +75,37 @@ def test_elements_escape_what_they_hold():
 
 
 A, B, T = Symbol("a"), Symbol("b"), Symbol("tau")
-DIFFERENCE = Sum(((-1, A), (1, B)))
-ABOVE = Function("<", (A, B))
+DIFFERENCE = (Term(-1, (A,)), Term(1, (B,)))
+GROUP = Function("()", (DIFFERENCE,))
+ABOVE = Function("<", (factor(A), factor(B)))
+(E_TO_B,) = power(factor(Symbol("e")), factor(B))[0].over
 
 
 @pytest.mark.parametrize(
     ("expression", "text"),
     [
-        (Number(1 / 3), "0.33333"),
-        (Number(-1.5e-7), "-1.5·10−7"),
-        (Number(2e9), "2·109"),
-        (Number(float("inf")), "∞"),
-        (Number(float("nan")), "?"),
+        (number(1 / 3), "0.33333"),
+        (number(-1.5e-7), "−1.5·10−7"),
+        (number(2e9), "2·109"),
+        (number(0.0), "0"),
+        (number(float("inf")), "∞"),
+        (number(float("nan")), "?"),
         (DIFFERENCE, "−a+b"),
-        (Sum(((1, A), (-1, B), (1, ABOVE))), "a−b+(a<b)"),
-        (Product((A, DIFFERENCE, Number(2.0))), "a(−a+b)·2"),
-        (Product((Number(2.0), ABOVE)), "2(a<b)"),
-        (Product((DIFFERENCE,)), "−a+b"),
-        (Product((A, Power(Symbol("e"), B)), (T,)), "aτeb"),
-        (Product((Power(Symbol("e"), B),), (T,)), "1τeb"),
-        (Product((Power(A, Number(2.0)),), (T,)), "a2τ"),
-        (Power(Symbol("u", "tau"), Number(2.0)), "(u(t−τ))2"),
-        (Power(Number(10.0), A), "10a"),
-        (Power(DIFFERENCE, Number(3.0)), "(−a+b)3"),
-        (Function("abs", (A,)), "|a|"),
-        (Function("if", (ABOVE, DIFFERENCE)), "[a<b](−a+b)"),
-        (Function("if", (ABOVE, T)), "[a<b]τ"),
-        (Function("≤", (B, A)), "b≤a"),
-        (Function("arctan2", (A, DIFFERENCE, B)), "arctan2(a,−a+b,b)"),
-        (Symbol("u", "T_delay"), "u(t−Tdelay)"),
+        ((Term(1, (A,)), Term(-1, (B,)), Term(1, (ABOVE,))), "a−b+(a<b)"),
+        ((Term(2.0, (A, GROUP)),), "2a(−a+b)"),
+        ((Term(2.0, (ABOVE,)),), "2(a<b)"),
+        ((Term(1, (A, E_TO_B), (T,)),), "aτeb"),
+        ((Term(1, (E_TO_B,), (T,)),), "1τeb"),
+        ((Term(1, power(factor(A), number(2.0))[0].over, (T,)),), "a2τ"),
+        (power(factor(Symbol("u", "tau")), number(2.0)), "(u(t−τ))2"),
+        (power(number(10.0), factor(A)), "10a"),
+        (power(DIFFERENCE, number(3.0)), "(−a+b)3"),
+        (factor(Function("abs", (factor(A),))), "|a|"),
+        (factor(Function("if", (factor(ABOVE), DIFFERENCE))), "[a<b](−a+b)"),
+        (factor(Function("if", (factor(ABOVE), factor(T)))), "[a<b]τ"),
+        (factor(Function("≤", (factor(B), factor(A)))), "b≤a"),
+        (factor(Function("arctan2", (factor(A), DIFFERENCE, factor(B)))), "arctan2(a,−a+b,b)"),
+        (factor(Symbol("u", "T_delay")), "u(t−Tdelay)"),
     ],
 )
 def test_every_kind_of_expression_is_written_as_on_paper(expression, text):
@@ -111,14 +113,13 @@ def test_every_kind_of_expression_is_written_as_on_paper(expression, text):
 
 
 def test_roots_powers_and_fractions_have_their_elements():
-    root = written(Power(DIFFERENCE, Number(0.5)))
+    root = written(power(DIFFERENCE, number(0.5)))
     assert (root.tag, read(root)) == ("msqrt", "−a+b")
-    assert written(Function("sqrt", (A,))).tag == "msqrt"
-    power = written(Power(A, B))
-    assert (power.tag, [read(part) for part in power]) == ("msup", ["a", "b"])
-    row = written(Product((A, Power(Symbol("e"), B), Number(3.0)), (T,)))
+    raised = written(power(factor(A), factor(B)))
+    assert (raised.tag, [read(part) for part in raised]) == ("msup", ["a", "b"])
+    row = written((Term(3.0, (A, E_TO_B), (T,)),))
     assert [(part.tag, read(part)) for part in row] == [
-        ("mfrac", "a·3τ"),
+        ("mfrac", "3aτ"),
         ("mspace", ""),
         ("msup", "eb"),
     ]

@@ -11,13 +11,13 @@ import pytest
 import greybox as gb
 from greybox.modeling.expression_tree import (
     Function,
-    Number,
-    Power,
-    Product,
-    Sum,
     Symbol,
+    Term,
     _operate,
     expressions,
+    factor,
+    number,
+    power,
     size,
 )
 from greybox.modeling.model_file import models_of
@@ -27,7 +27,6 @@ FUNCTIONS = {
     "sin": np.sin,
     "cos": np.cos,
     "tan": np.tan,
-    "sqrt": np.sqrt,
     "abs": np.abs,
     "sign": np.sign,
     "tanh": np.tanh,
@@ -43,21 +42,22 @@ FUNCTIONS = {
 
 def evaluated(expression, values):
     """The value of a tree, in plain arithmetic."""
-    match expression:
-        case Number(value):
-            return value
-        case Symbol(name):
-            return math.e if name == "e" else values[name]
-        case Sum(terms):
-            return sum(sign * evaluated(term, values) for sign, term in terms)
-        case Product(over, under):
-            return math.prod(evaluated(f, values) for f in over) / math.prod(
-                evaluated(f, values) for f in under
-            )
-        case Power(base, exponent):
-            return evaluated(base, values) ** evaluated(exponent, values)
-        case Function(name, arguments):
-            return FUNCTIONS[name](*(evaluated(argument, values) for argument in arguments))
+
+    def value(part):
+        match part:
+            case Symbol(name):
+                return math.e if name == "e" else values[name]
+            case Function("^", (base, exponent)):
+                return evaluated(base, values) ** evaluated(exponent, values)
+            case Function("()", (terms,)):
+                return evaluated(terms, values)
+            case Function(name, arguments):
+                return FUNCTIONS[name](*(evaluated(argument, values) for argument in arguments))
+
+    return sum(
+        term.number * math.prod(map(value, term.over)) / math.prod(map(value, term.under))
+        for term in expression
+    )
 
 
 def included():
@@ -121,13 +121,20 @@ def test_signs_fractions_and_branches_keep_the_value(function, at):
     assert evaluated(numbers, {}) == pytest.approx(float(function(*at)), rel=1e-14)
 
 
+def group(*terms):
+    return Function("()", (terms,))
+
+
 def test_it_is_what_a_person_would_write():
     s, k = Symbol("s"), Symbol("K")
-    assert tree(lambda s, k: k * s * s**2 / (s * 2), "s", "K") == Product(
-        (Number(0.5), k, Power(s, Number(3.0))), (s,)
+    (cube,) = power(factor(s), number(3.0))
+    assert tree(lambda s, k: k * s * s**2 / (s * 2), "s", "K") == (
+        Term(0.5, (k, *cube.over), (s,)),
     )
-    assert tree(lambda s, k: k - (s - 1), "s", "K") == Sum(((1, k), (-1, s), (1, Number(1.0))))
-    assert tree(lambda s, k: k * s + 3, "s", "K", values={"K": 0.0}) == Number(3.0)
+    assert tree(lambda s, k: k - (s - 1), "s", "K") == (Term(1, (k,)), Term(-1, (s,)), Term(1))
+    assert tree(lambda s, k: k * s + 3, "s", "K", values={"K": 0.0}) == number(3.0)
+    assert tree(lambda s, k: 3 * (s - k) / 3, "s", "K") == (Term(1, (s,)), Term(-1, (k,)))
+    assert tree(lambda s, k: -1 * (s - k), "s", "K") == (Term(-1, (s,)), Term(1, (k,)))
 
 
 def test_the_size_of_what_repeats_is_that_of_what_would_be_written():
@@ -139,40 +146,24 @@ def test_the_size_of_what_repeats_is_that_of_what_would_be_written():
     assert size(tree(nested, "a")) > 2**59
 
 
-def test_the_size_counts_symbols_numbers_and_operations():
-    s, k, two = Symbol("s"), Symbol("K", "T"), Number(2.0)
-    assert [size(part) for part in (s, two, Power(s, two))] == [1, 1, 3]
-    assert size(Product((two, k, Power(s, two)), (s, k))) == 8
-    assert size(Sum(((1, k), (-1, Product((s,), (k,)))))) == 5
-    assert size(Function("if", (Function("<", (s, k)), two))) == 5
+def test_the_size_counts_symbols_numbers_and_functions():
+    s, k, two = Symbol("s"), Symbol("K", "T"), number(2.0)
+    assert [size(part) for part in (factor(s), two, power(factor(s), two))] == [1, 1, 3]
+    assert size((Term(2.0, (k, *power(factor(s), two)[0].over), (s, k)),)) == 7
+    assert size((Term(1.0, (k,)), Term(-1.0, (s,), (k,)))) == 3
+    assert size(factor(Function("if", (factor(Function("<", (factor(s), factor(k)))), two)))) == 5
 
 
 def test_values_stand_in_the_place_of_all_symbols_that_they_name():
-    s = Symbol("s")
-    found = tree(lambda s, k: gb.maximum(s**k, 3 * k / (s - k)), "s", "K", values={"K": 2.0})
-    two = Number(2.0)
-    assert found == Function(
-        "max", (Power(s, two), Product((Number(6.0),), (Sum(((1, s), (-1, two))),)))
-    )
-    assert tree(lambda s, k: 3 * k / s, "s", "K", values={"K": -0.5}) == Sum(
-        ((-1, Product((Number(1.5),), (s,))),)
-    )
-    assert tree(lambda s, k: k / s, "s", "K", values={"K": 0.0}) == Number(0.0)
-    assert tree(lambda s, k: k, "s", "K") == Symbol("K")
-
-
-def test_negative_numbers_stand_behind_their_sign():
-    s, k = Symbol("s"), Symbol("K")
-    assert tree(lambda s, k: -2.5 * s, "s", "K") == Sum(((-1, Product((Number(2.5), s), ())),))
-    assert tree(lambda s, k: k - 2.5, "s", "K") == Sum(((1, k), (-1, Number(2.5))))
-    assert tree(lambda s, k: s + k, "s", "K", values={"K": -3.0}) == Sum(
-        ((1, s), (-1, Number(3.0)))
-    )
-    assert tree(lambda s, k: s * k, "s", "K", values={"K": -3.0}) == Sum(
-        ((-1, Product((Number(3.0), s), ())),)
-    )
+    s, two = Symbol("s"), number(2.0)
+    maximum = tree(lambda s, k: gb.maximum(s**k, 3 * k / (s - k)), "s", "K", values={"K": 2.0})
+    quotient = (Term(6.0, (), (group(Term(1.0, (s,)), Term(-2.0)),)),)
+    assert maximum == factor(Function("max", (power(factor(s), two), quotient)))
+    assert tree(lambda s, k: 3 * k / s, "s", "K", values={"K": -0.5}) == (Term(-1.5, (), (s,)),)
+    assert tree(lambda s, k: k / s, "s", "K", values={"K": 0.0}) == ()
+    assert tree(lambda s, k: k, "s", "K") == factor(Symbol("K"))
 
 
 def test_an_operation_without_a_sign_of_its_own_is_refused():
     with pytest.raises(ValueError, match="operation -7"):
-        _operate(-7, [Symbol("x")])
+        _operate(-7, [factor(Symbol("x"))])

@@ -53,11 +53,11 @@ def test_each_pair_has_a_panel_when_one_would_vanish_beside_another(rotors, pitc
     assert len(gb.plotting.bode(joint)) == 4
 
 
-@pytest.mark.parametrize(("factor", "count"), [(4, 1), (1 / 4, 1), (6, 2), (1 / 6, 2), (1e-9, 2)])
-def test_pairs_of_like_size_share_a_panel(factor, count):
+def test_every_pair_has_a_panel():
     one = gb.FrequencyResponse([1.0, 2.0], [1, 1j], "u", "theta")
-    other = gb.FrequencyResponse([1.0, 2.0], [factor, 1j * factor], "u", "phi")
-    assert len(nyquist_figures([one, other])) == count
+    other = gb.FrequencyResponse([1.0, 2.0], [2, 2j], "u", "phi")
+    assert len(nyquist_figures([one, other])) == 2
+    assert len(nyquist_figures([one, other], count=1)) == 1
     assert len(nyquist_figures([one, replace(other, output="theta")])) == 1
 
 
