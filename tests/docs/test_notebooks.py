@@ -1,14 +1,12 @@
-"""Every notebook runs from top to bottom, with public names only, and is kept without outputs.
+"""Every notebook has public names only, and is kept without outputs.
 
-Cells are run here as Jupyter runs them, which saves a kernel, and one figure of each notebook is
-drawn; the documentation runs them in Jupyter and draws all.
+The documentation runs them all from top to bottom, in Jupyter, and fails where a cell does.
 """
 
-import ast
+import json
 import re
 from pathlib import Path
 
-import nbformat
 import pytest
 
 NOTEBOOKS = sorted((Path(__file__).parents[2] / "notebooks").glob("*.ipynb"))
@@ -16,39 +14,20 @@ each = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda p: p.stem)
 
 
 def code_cells(path):
-    return [cell.source for cell in nbformat.read(path, 4).cells if cell.cell_type == "code"]
-
-
-def shown(source, names):
-    """Run a cell, and return the value of its last line."""
-    *statements, last = ast.parse(source).body
-    if not isinstance(last, ast.Expr):
-        statements, last = [*statements, last], None
-    exec(compile(ast.Module(statements, []), "cell", "exec"), names)
-    return eval(compile(ast.Expression(last.value), "cell", "eval"), names) if last else None
-
-
-@pytest.mark.filterwarnings("default")
-@each
-def test_it_runs_and_draws(path, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    names = {"__name__": "__main__"}
-    values = {source: shown(source, names) for source in code_cells(path)}
-    assert not capsys.readouterr().err
-    figures = [value for source, value in values.items() if "\ngb.plot" in f"\n{source}"]
-    assert all(hasattr(figure, "_repr_png_") for figure in figures)
-    assert figures[0]._repr_png_().startswith(b"\x89PNG")
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    return [cell for cell in cells if cell["cell_type"] == "code"]
 
 
 @each
 def test_outputs_are_stripped(path):
-    for cell in nbformat.read(path, as_version=4).cells:
-        assert cell.cell_type != "code" or (not cell.outputs and cell.execution_count is None)
+    for cell in code_cells(path):
+        assert not cell["outputs"]
+        assert cell["execution_count"] is None
 
 
 @each
 def test_public_names_only(path):
-    source = "\n".join(code_cells(path))
+    source = "\n".join("".join(cell["source"]) for cell in code_cells(path))
     imported = re.findall(r"^\s*(?:from|import) (greybox\S*)", source, re.MULTILINE)
     assert all(
         re.fullmatch(r"greybox|greybox\.(models|problems)(\.\w+)?", name) for name in imported
