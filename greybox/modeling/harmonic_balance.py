@@ -13,7 +13,7 @@ state decides a jump, as the speed does in dry friction, its harmonics fall slow
 with nine of them is exact to half a per cent, with 50 to a tenth of a per cent.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -57,7 +57,7 @@ def harmonic_function(
     signals: dict[str, Any] = {"input": input, "output": output, "at": at, "pade": pade}
     if sine.harmonics is None:
         sine = enough_harmonics(model, omega, sine, **signals)
-    return CompiledBalance.at(model, omega, sine, **signals).response(omega)
+    return compiled_balance(model, omega, sine, **signals).response(omega)
 
 
 def enough_harmonics(
@@ -139,129 +139,179 @@ def check_sine(model: Model, sine: Sine, input: str, omega: Array) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Balance:
-    """The balance at one frequency, in unknown harmonics per amplitude.
+class HarmonicBalance:
+    """The periodic motions of a `model` under a `sine` from its operating point (`trim`).
 
-    `unknown` (k,) are mean, cosine and sine coefficients of the states and the driven input, and
-    the means of the other inputs, about the operating point, divided by the amplitude. `settings`
-    are parameters, operating point, omega and amplitude. `balance` must vanish, and so must as many
-    of the conditions `means` on the means as the ODE leaves open. `response` is real and imaginary
-    part, `slopes` the function from unknown and settings to the derivatives of `balance` and
-    `means` by the unknown.
+    Harmonics are mean, cosine and sine coefficients of the states and the driven input, and the
+    means of the other inputs, about the operating point, divided by the amplitude. Settings are
+    parameters, operating point, omega and amplitude.
+
+    `newton` and `careful`, which searches along a line, take them as `x0` and `p`; `finish` gives
+    the response and whether the harmonics are a motion; `guess` finds harmonics from the settings
+    alone.
     """
 
-    unknown: Any
-    settings: Any
-    balance: Any
-    means: Any
-    response: Any
+    model: StateSpace
+    sine: Sine
+    trim: ca.Function
+    newton: ca.Function
+    careful: ca.Function
+    finish: ca.Function
+    guess: ca.Function
     is_linear: bool
-    slopes: ca.Function
 
-    @classmethod
-    @one_thread_at_a_time
-    def of(
-        cls,
-        model: StateSpace,
-        harmonics: int,
-        signal: str,
-        input: str,
-        output: str,
-        pade: int | None,
-    ) -> "Balance":
-        """Return the balance of a model with so many harmonics."""
-        kind: Any = ca.SX if harmonics <= MOST_SCALARS else ca.MX
-        n = len(model.states)
-        names = (*model.states, *model.inputs)
-        symbols = ca.SX.sym("z", len(names))
-        parameters = ca.SX.sym("p", len(model.parameters))
-        outputs = traced_output(model, symbols, parameters)
-        rows = [outputs[model.outputs.index(y)] for y in (output, signal) if y in model.outputs]
-        formulas = ca.vertcat(traced_derivative(model, symbols, parameters), *rows)
-        at_point = ca.Function("at_point", [symbols, parameters], [rows[-1]])
+    def response(self, omega: Array) -> ca.Function:
+        """Return the function from the parameter vector to real and imaginary part (n,)."""
+        p = ca.MX.sym("p", len(self.model.parameters))
+        settings = self.settings(p, omega)
+        n = settings.size2()
+        guesses = self.guess.map(n)(settings)
 
-        p = kind.sym("p", len(model.parameters))
-        point = kind.sym("point", len(names))
-        omega = kind.sym("omega")
-        amplitude = kind.sym("amplitude")
+        # Newton's method once more, from its own solution: derivatives then go through this call
+        # and leave out the guess.
+        harmonics = self.newton.map(n)(x0=guesses, p=settings)["x"]
+        response, converged = self.finish.map(n)(harmonics, settings)
 
-        # A signal that is a state or an input itself has no unknown coefficients but its mean.
-        driven = names.index(input)
-        held = names.index(signal) if signal in names else None
-        if signal in model.outputs:  # perhaps a state under the name of an output
-            held = next((k for k in range(len(names)) if ca.is_equal(rows[-1], symbols[k])), None)
+        # A missing motion becomes infinite, so that the run fails instead of using it.
+        response = response / ca.repmat(converged, 2, 1)
+        return ca.Function("response", [p], [response[0, :].T, response[1, :].T])
 
-        columns = 2 * harmonics + 1
-        places, constant = _places([*range(n), driven], len(names), columns, held)
-        unknown = kind.sym("harmonics", places.size2())
-        per_amplitude = ca.reshape(places @ unknown + constant, columns, len(names)).T
-        first_column = ca.DM(ca.Sparsity.unit(columns, 0)).T
-        series = amplitude * per_amplitude + point @ first_column
-        balanced, is_linear = _harmonics(formulas, symbols, parameters, series, p, harmonics)
+    def settings(self, p: Any, omega: Array) -> Any:
+        """Return columns of parameters `p`, operating point, frequency and amplitude."""
+        columns = ca.repmat(ca.vertcat(p, *self.trim(p)), 1, omega.size)
+        amplitudes = ca.DM(self.sine.amplitudes(omega)).T
+        return ca.vertcat(columns, ca.DM(omega).T, amplitudes)
 
-        derivative = phase_derivative(harmonics)
-        balance = [ca.vec((omega * series[:n, :] @ derivative - balanced[:n, :]).T)]
-        means = [per_amplitude[k, 0] for k in (*range(n, len(names)), *range(n))]
-        # An output that is computed gets equations instead: its first cosine is the amplitude, all
-        # other harmonics vanish.
-        if held is None:
-            moving = balanced[-1, :] - (at_point(point, p) @ first_column)
-            balance.append(moving[1:].T - amplitude * ca.DM([1, *[0] * (2 * harmonics - 1)]))
-            means.insert(0, moving[0] / amplitude)
-        else:
-            means.insert(0, per_amplitude[held, 0])
 
-        mean_conditions = ca.vertcat(*means)
-        # Per amplitude, so that one tolerance serves sines of any size.
-        residual = ca.vertcat(*balance) / amplitude
-        settings = ca.vertcat(p, point, omega, amplitude)
-        slopes = [ca.jacobian(e, unknown) for e in (residual, mean_conditions)]
+@one_thread_at_a_time
+def compiled_balance(
+    model: Model,
+    omega: Array,
+    sine: Sine,
+    *,
+    input: str = "",
+    output: str = "",
+    at: Mapping[str, float] | None = None,
+    pade: int | None = None,
+) -> HarmonicBalance:
+    """Compile the balance for the number of harmonics of a sine."""
+    input, output = pick_signals(model, input, output)
+    check_sine(model, sine, input, omega)
+    assert isinstance(model, StateSpace)
+    trim = trim_of(model, at or {}).closed()
+    unknown, settings, balance, means, response, is_linear = _equations(
+        model, sine, input, output, pade
+    )
 
-        response = _first(balanced[n, :]) / _first(series[driven, :])
-        if input in model.delays:
-            delay = p[list(model.parameters).index(model.delays[input])]
-            response = response * exp(-Complex(kind(0), omega, pade) * delay)
-
-        return cls(
-            unknown=unknown,
-            settings=settings,
-            balance=residual,
-            means=mean_conditions,
-            response=ca.vertcat(response.re, response.im),
-            is_linear=is_linear,
-            slopes=ca.Function("slopes", [unknown, settings], slopes),
+    start = [q.start for q in model.parameters.values()]
+    middle = int(np.argsort(sine.amplitudes(omega))[omega.size // 2])
+    values = ca.vertcat(start, *trim(start), omega[middle], sine.amplitudes(omega)[middle])
+    blocks = ca.Function(
+        "slopes", [unknown, settings], [ca.jacobian(balance, unknown), ca.jacobian(means, unknown)]
+    )
+    # A random orbit has no symmetry that would make the rank too low.
+    generic = np.random.default_rng(0).normal(size=unknown.numel())
+    conditions = _mean_conditions(*(np.asarray(ca.DM(b)) for b in blocks(generic, values)))
+    if conditions is None:
+        raise ValueError(
+            f"the input {input} cannot make {sine.signal!r} a sine in {model.label} at its "
+            "start values: name a signal that it drives, or check `at`."
         )
 
+    equations = ca.vertcat(balance, *[means[k] for k in conditions])
+    statement = {"x": unknown, "p": settings, "g": equations}
+    options = {"error_on_fail": False, "abstol": 1e-11, "max_iter": 30, "show_eval_warnings": False}
+    # Twice as fast; `careful` is for guesses far from the solution.
+    newton = ca.rootfinder("newton", "newton", statement, {**options, "line_search": False})
+    careful = ca.rootfinder("careful", "newton", statement, options)
 
-def _places(moving: Sequence[int], rows: int, width: int, held: int | None) -> tuple[ca.DM, ca.DM]:
-    """Return matrix and constant from the unknown to all coefficients, row by row.
+    # Relative to the harmonics; Newton's last step squares it.
+    size = ca.norm_inf(equations) / (1 + ca.norm_inf(unknown))
+    finish = ca.Function("finish", [unknown, settings], [response, size < 1e-8])
+    guess = _guess(newton, careful, finish)
+    return HarmonicBalance(model, sine, trim, newton, careful, finish, guess, is_linear)
 
-    A signal that is `held` to a sine, or does not move, has only its mean as unknown.
+
+def _equations(
+    model: StateSpace, sine: Sine, input: str, output: str, pade: int | None
+) -> tuple[Any, Any, Any, Any, Any, bool]:
+    """Return the unknown harmonics, the settings, the balance, means, response, and linearity.
+
+    The balance must vanish, and so must as many of the conditions on the means as the ODE leaves
+    open. The response is real and imaginary part.
     """
-    places = [
-        k * width + i for k in range(rows) for i in range(width if k in moving and k != held else 1)
-    ]
-    matrix = _scatter(places, rows * width)
-    constant = ca.DM(rows * width, 1)
-    if held is not None:
-        constant[held * width + 1] = 1
-    return matrix, constant
+    harmonics = sine.harmonics or 0
+    kind: Any = ca.SX if harmonics <= MOST_SCALARS else ca.MX
+    n = len(model.states)
+    names = (*model.states, *model.inputs)
+    symbols = ca.SX.sym("z", len(names))
+    parameters = ca.SX.sym("p", len(model.parameters))
+    outputs = traced_output(model, symbols, parameters)
+    rows = [outputs[model.outputs.index(y)] for y in (output, sine.signal) if y in model.outputs]
+    formulas = ca.vertcat(traced_derivative(model, symbols, parameters), *rows)
+    at_point = ca.Function("at_point", [symbols, parameters], [rows[-1]])
 
+    p = kind.sym("p", len(model.parameters))
+    point = kind.sym("point", len(names))
+    omega = kind.sym("omega")
+    amplitude = kind.sym("amplitude")
 
-def _scatter(rows: Sequence[int], size: int) -> ca.DM:
-    """Return the matrix that puts entries into these rows of a vector of this size."""
-    count = len(rows)
-    return ca.DM.triplet(list(rows), list(range(count)), [1.0] * count, size, count)
+    # A signal that is a state or an input itself has no unknown coefficients but its mean.
+    driven = names.index(input)
+    held = names.index(sine.signal) if sine.signal in names else None
+    if sine.signal in model.outputs:  # perhaps a state under the name of an output
+        held = next((k for k in range(len(names)) if ca.is_equal(rows[-1], symbols[k])), None)
+
+    columns = 2 * harmonics + 1
+    moving = {*range(n), driven} - {held}
+    per_signal = [kind.sym(name, columns if k in moving else 1) for k, name in enumerate(names)]
+    unknown = ca.vertcat(*per_signal)
+    full = []
+    for k, coefficients in enumerate(per_signal):
+        fixed = ca.DM(columns - coefficients.numel(), 1)
+        if k == held:
+            fixed[0] = 1
+        full.append(ca.vertcat(coefficients, fixed))
+    per_amplitude = ca.horzcat(*full).T
+
+    first_column = ca.DM(ca.Sparsity.unit(columns, 0)).T
+    series = amplitude * per_amplitude + point @ first_column
+    balanced, is_linear = _harmonics(formulas, symbols, parameters, series, p, harmonics)
+
+    derivative = phase_derivative(harmonics)
+    balance = [ca.vec((omega * series[:n, :] @ derivative - balanced[:n, :]).T)]
+    means = [per_amplitude[k, 0] for k in (*range(n, len(names)), *range(n))]
+    # An output that is computed gets equations instead: its first cosine is the amplitude, all
+    # other harmonics vanish.
+    if held is None:
+        moving_output = balanced[-1, :] - (at_point(point, p) @ first_column)
+        balance.append(moving_output[1:].T - amplitude * ca.DM([1, *[0] * (2 * harmonics - 1)]))
+        means.insert(0, moving_output[0] / amplitude)
+    else:
+        means.insert(0, per_amplitude[held, 0])
+
+    response = _first(balanced[n, :]) / _first(series[driven, :])
+    if input in model.delays:
+        delay = p[list(model.parameters).index(model.delays[input])]
+        response = response * exp(-Complex(kind(0), omega, pade) * delay)
+
+    return (
+        unknown,
+        ca.vertcat(p, point, omega, amplitude),
+        # Per amplitude, so that one tolerance serves sines of any size.
+        ca.vertcat(*balance) / amplitude,
+        ca.vertcat(*means),
+        ca.vertcat(response.re, response.im),
+        is_linear,
+    )
 
 
 def phase_derivative(harmonics: int) -> ca.DM:
     """Return the matrix, applied from the right, that differentiates a series by the phase."""
     matrix = ca.DM(2 * harmonics + 1, 2 * harmonics + 1)
     for k in range(1, harmonics + 1):
-        cosine = 2 * k - 1
-        sine = 2 * k
-        matrix[sine, cosine] = k
-        matrix[cosine, sine] = -k
+        matrix[2 * k, 2 * k - 1] = k
+        matrix[2 * k - 1, 2 * k] = -k
     return matrix
 
 
@@ -270,7 +320,6 @@ def _first(row: Any) -> Complex:
     return Complex(row[1], -row[2])
 
 
-@one_thread_at_a_time
 def _harmonics(
     formulas: ca.SX, z: ca.SX, parameters: ca.SX, series: Any, p: Any, harmonics: int
 ) -> tuple[Any, bool]:
@@ -290,26 +339,22 @@ def _harmonics(
 
     # Linear rows are balanced exactly, so that a linear model keeps its linear response.
     jacobian = ca.jacobian(formulas, z)
-    rows = [k for k in range(formulas.numel()) if ca.depends_on(jacobian[k, :], z)]
-    constants = ca.substitute(formulas, z, ca.SX.zeros(z.numel()))
-    for k in rows:
-        jacobian[k, :] = 0
-        constants[k] = 0
-
-    linear, constant = ca.Function("linear", [parameters], [jacobian, constants])(p)
-    coefficients = linear @ series + constant @ ca.DM(ca.Sparsity.unit(2 * harmonics + 1, 0)).T
-    if not rows:
+    curved = ca.DM([ca.depends_on(jacobian[k, :], z) for k in range(formulas.numel())])
+    linear = (1 - curved) * formulas
+    constant = ca.substitute(linear, z, ca.SX.zeros(z.numel()))
+    slope, constant = ca.Function("linear", [parameters], [ca.jacobian(linear, z), constant])(p)
+    coefficients = slope @ series + constant @ ca.DM(ca.Sparsity.unit(2 * harmonics + 1, 0)).T
+    if curved.is_zero():
         return coefficients, True
 
     speeds = series @ phase_derivative(harmonics)
     rms_speeds = ca.sqrt(ca.sum2(speeds**2) / 2)
-    terms = ca.vertcat(*[formulas[k] for k in rows])
-    term = ca.Function("term", [z, slopes, sizes, parameters], [terms])
+    term = ca.Function("term", [z, slopes, sizes, parameters], [curved * formulas])
     sampled = term.map("terms", "serial", points, [2, 3], [])(
         series @ to_samples, speeds @ to_samples, rms_speeds, p
     )
 
-    return coefficients + _scatter(rows, formulas.numel()) @ (sampled @ to_series), False
+    return coefficients + sampled @ to_series, False
 
 
 def transforms(harmonics: int, points: int) -> tuple[ca.DM, ca.DM]:
@@ -326,71 +371,28 @@ def transforms(harmonics: int, points: int) -> tuple[ca.DM, ca.DM]:
     return ca.DM(to_samples), ca.DM(to_series)
 
 
-def _mean_conditions(balance: Balance, settings: Array) -> tuple[int, ...] | None:
-    """Return the first conditions on the means that the balance leaves open at a random orbit.
+def _mean_conditions(*slopes: Array) -> list[int] | None:
+    """Return the first conditions on the means that the balance leaves open.
 
-    The mean of the sine's own signal comes first. It determines nothing if an integrator follows
-    it, as the angle follows the rate; the mean of a state then does. None if the balance leaves
-    more open.
+    The `slopes` are those of the balance and of the conditions. The mean of the sine's own signal
+    comes first. It determines nothing if an integrator follows it, as the angle follows the rate;
+    the mean of a state then does. None if no conditions close the balance.
     """
-    # A random orbit has no symmetry that would make the rank too low.
-    generic = np.random.default_rng(0).normal(size=balance.unknown.numel())
-    slopes = [
-        np.nan_to_num(np.asarray(ca.DM(block))) for block in balance.slopes(generic, settings)
-    ]
     rows, conditions = (
-        block / np.maximum(np.linalg.norm(block, axis=1, keepdims=True), 1e-300) for block in slopes
+        block / np.maximum(np.linalg.norm(block, axis=1, keepdims=True), 1e-300)
+        for block in map(np.nan_to_num, slopes)
     )
-    # Directions of the unknown that change no harmonic of the balance are open.
-    _, singular, basis = np.linalg.svd(rows)
-    open_directions = basis[int(np.sum(singular > 1e-9)) :]  # below, rounding alone
-    missing = balance.unknown.numel() - balance.balance.numel()
-
+    closed = rows
     chosen: list[int] = []
-    for k, row in enumerate(conditions):
-        in_open = np.array([*conditions[chosen], row]) @ open_directions.T
-        if len(chosen) < missing and np.linalg.matrix_rank(in_open, 1e-7) == len(in_open):
+    for k, condition in enumerate(conditions):
+        further = np.vstack([closed, condition])
+        # Smaller singular values are rounding alone.
+        if np.linalg.matrix_rank(further, 1e-9) > np.linalg.matrix_rank(closed, 1e-9):
+            closed = further
             chosen.append(k)
 
-    return None if len(chosen) < missing or len(open_directions) > missing else tuple(chosen)
-
-
-@dataclass(frozen=True, eq=False)
-class Newton:
-    """Newton's method on the balance, as functions of the harmonics and the settings.
-
-    `newton` and `careful`, which searches along a line, take them as `x0` and `p`; `finish` gives
-    the response and whether the harmonics are a motion; `guess` finds harmonics from the settings
-    alone.
-    """
-
-    newton: ca.Function
-    careful: ca.Function
-    finish: ca.Function
-    guess: ca.Function
-
-    @classmethod
-    @one_thread_at_a_time
-    def of(cls, balance: Balance, conditions: tuple[int, ...]) -> "Newton":
-        """Compile with those `conditions` on the means."""
-        x = balance.unknown
-        equations = ca.vertcat(balance.balance, *[balance.means[k] for k in conditions])
-        statement = {"x": x, "p": balance.settings, "g": equations}
-        options = {
-            "error_on_fail": False,
-            "abstol": 1e-11,
-            "max_iter": 30,
-            "show_eval_warnings": False,
-        }
-        # Twice as fast; `careful` is for guesses far from the solution.
-        without_line_search = {**options, "line_search": False}
-        newton = ca.rootfinder("newton", "newton", statement, without_line_search)
-        careful = ca.rootfinder("careful", "newton", statement, options)
-
-        # Relative to the harmonics; Newton's last step squares it.
-        size = ca.norm_inf(equations) / (1 + ca.norm_inf(x))
-        finish = ca.Function("finish", [x, balance.settings], [balance.response, size < 1e-8])
-        return cls(newton, careful, finish, _guess(newton, careful, finish))
+    rank = np.linalg.matrix_rank(closed, 1e-9)
+    return chosen if len(closed) == closed.shape[1] == rank else None
 
 
 def _guess(newton: ca.Function, careful: ca.Function, finish: ca.Function) -> ca.Function:
@@ -412,70 +414,3 @@ def _guess(newton: ca.Function, careful: ca.Function, finish: ca.Function) -> ca
     direct = newton(x0=small, p=settings)["x"]
     chosen = ca.if_else(finish(direct, settings)[1], direct, by_doubling(settings), True)
     return ca.Function("guess", [settings], [chosen])
-
-
-@dataclass(frozen=True, eq=False)
-class CompiledBalance:
-    """The balance of a `model` under a `sine` from its operating point (`trim`), and its solver."""
-
-    balance: Balance
-    solver: Newton
-    model: StateSpace
-    sine: Sine
-    trim: ca.Function
-
-    @classmethod
-    def at(
-        cls,
-        model: Model,
-        omega: Array,
-        sine: Sine,
-        *,
-        input: str = "",
-        output: str = "",
-        at: Mapping[str, float] | None = None,
-        pade: int | None = None,
-    ) -> "CompiledBalance":
-        """Compile for the number of harmonics of a sine."""
-        input, output = pick_signals(model, input, output)
-        check_sine(model, sine, input, omega)
-        assert isinstance(model, StateSpace)
-        assert sine.harmonics is not None
-        trim = trim_of(model, at or {}).closed()
-        balance = Balance.of(model, sine.harmonics, sine.signal, input, output, pade)
-
-        start = [q.start for q in model.parameters.values()]
-        point = np.concatenate([np.asarray(part).ravel() for part in trim(start)])
-        amplitudes = sine.amplitudes(omega)
-        middle = int(np.argsort(amplitudes)[omega.size // 2])
-        settings = np.concatenate([start, point, [omega[middle], amplitudes[middle]]])
-        conditions = _mean_conditions(balance, settings)
-        if conditions is None:
-            raise ValueError(
-                f"the input {input} cannot make {sine.signal!r} a sine in {model.label} at its "
-                "start values: name a signal that it drives, or check `at`."
-            )
-
-        return cls(balance, Newton.of(balance, conditions), model, sine, trim)
-
-    def response(self, omega: Array) -> ca.Function:
-        """Return the function from the parameter vector to real and imaginary part (n,)."""
-        p = ca.MX.sym("p", len(self.model.parameters))
-        settings = self.settings(p, omega)
-        n = settings.size2()
-        guesses = self.solver.guess.map(n)(settings)
-
-        # Newton's method once more, from its own solution: derivatives then go through this call
-        # and leave out the guess.
-        harmonics = self.solver.newton.map(n)(x0=guesses, p=settings)["x"]
-        response, converged = self.solver.finish.map(n)(harmonics, settings)
-
-        # A missing motion becomes infinite, so that the run fails instead of using it.
-        response = response / ca.repmat(converged, 2, 1)
-        return ca.Function("response", [p], [response[0, :].T, response[1, :].T])
-
-    def settings(self, p: Any, omega: Array) -> Any:
-        """Return columns of parameters `p`, operating point, frequency and amplitude."""
-        columns = ca.repmat(ca.vertcat(p, *self.trim(p)), 1, omega.size)
-        amplitudes = ca.DM(self.sine.amplitudes(omega)).T
-        return ca.vertcat(columns, ca.DM(omega).T, amplitudes)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.files.arrays import Array, ComplexArray
-from greybox.modeling.harmonic_balance import CompiledBalance, directly_found
+from greybox.modeling.harmonic_balance import HarmonicBalance, compiled_balance, directly_found
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.pade_delay import delay_order
@@ -131,8 +131,8 @@ def periodic_motions(
         # One harmonic has the folds of a spring at other amplitudes.
         number = max(number, 3)
 
-    balance = CompiledBalance.at(model, omega, replace(sine, harmonics=number), **options)
-    if balance.balance.is_linear:
+    balance = compiled_balance(model, omega, replace(sine, harmonics=number), **options)
+    if balance.is_linear:
         return direct, []
 
     vector = ca.DM(list(model.values(values).values()))
@@ -159,27 +159,27 @@ def periodic_motions(
     return response, messages
 
 
-def _followed(balance: CompiledBalance, settings: Array, shares: Array) -> complex:
+def _followed(balance: HarmonicBalance, settings: Array, shares: Array) -> complex:
     """Return the response at the given amplitude, approached in `shares` of it; NaN if lost."""
-    x = np.zeros(0)
+    x = None
     for share in shares:
-        step = settings.copy()
-        step[-1] *= share
-        converged = False
-        if x.size:
-            x, converged = _solved(balance, x, step)
-        if not converged:  # the first step, or past a jump
-            x, converged = _solved(balance, np.asarray(balance.solver.guess(step)).ravel(), step)
-        if not converged:
+        step = np.append(settings[:-1], share * settings[-1])
+        motion = None if x is None else _motion(balance, x, step)
+        if motion is None:  # the first step, or past a jump
+            motion = _motion(balance, balance.guess(step), step)
+        if motion is None:
             return complex(np.nan)
+        x, response = motion
+    return response
 
-    real, imaginary = np.asarray(balance.solver.finish(x, settings)[0]).ravel()
-    return complex(real, imaginary)
 
-
-def _solved(balance: CompiledBalance, guess: Array, settings: Array) -> tuple[Array, bool]:
-    x = np.asarray(balance.solver.careful(x0=guess, p=settings)["x"]).ravel()
-    return x, bool(balance.solver.finish(x, settings)[1]) and bool(np.all(np.isfinite(x)))
+def _motion(
+    balance: HarmonicBalance, guess: ca.DM, settings: Array
+) -> tuple[ca.DM, complex] | None:
+    """Return the harmonics and the response that Newton's method finds from a guess, if any."""
+    x = balance.careful(x0=guess, p=settings)["x"]
+    response, converged = balance.finish(x, settings)
+    return (x, complex(*map(float, ca.vertsplit(response)))) if converged else None
 
 
 def _same(response: complex, other: complex) -> bool:

@@ -594,7 +594,7 @@ def test_what_is_given_at_every_frequency():
     omega, amplitudes = np.array([1.0, 3.0, 2.0]), np.array([0.1, 0.2, 0.3])
     sine = gb.modeling.Sine("theta", amplitudes, harmonics=1)
     at = {"theta": 0.05, "wind": 2.0}
-    balance = harmonic_balance.CompiledBalance.at(
+    balance = harmonic_balance.compiled_balance(
         Leaned(), omega, sine, input="theta", output="v", at=at
     )
     given = np.asarray(ca.DM(balance.settings(ca.DM([0.4]), omega)))
