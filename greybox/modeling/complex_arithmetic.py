@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.modeling.function_of_s import CASADI_TYPES, FunctionOfS, is_whole, whole_power
+from greybox.modeling.function_of_s import FunctionOfS, is_casadi, is_whole, whole_power
 from greybox.modeling.functions import arctan2, cos, exp, log, sin, sqrt
 from greybox.modeling.pade_delay import pade_exponential
 
@@ -24,8 +24,6 @@ class Complex(FunctionOfS):
 
     def _with(self, operand: Any, combine: Callable[..., tuple[Any, Any]]) -> "Complex":
         operand = _complex(operand)
-        if operand is None:
-            return NotImplemented
         # The order of s reaches every intermediate result; parameters have none.
         return Complex(
             *combine(self.re, self.im, operand.re, operand.im), self.pade or operand.pade
@@ -84,14 +82,11 @@ def _quotient(a: Any, b: Any, c: Any, d: Any) -> tuple[Any, Any]:
     return (a * c + b * d) / size, (b * c - a * d) / size
 
 
-def _complex(value: Any) -> Complex | None:
+def _complex(value: Any) -> Complex:
     if isinstance(value, Complex):
         return value
-    if isinstance(value, (int, float, np.floating, np.integer, *CASADI_TYPES)):
+    if is_casadi(value):
         return Complex(value, 0.0)
-    if isinstance(value, (complex, np.complexfloating)) or (
-        isinstance(value, np.ndarray) and value.dtype.kind in "fiuc"
-    ):
-        return Complex(np.real(value), np.imag(value))
-
-    return None
+    if np.asarray(value).dtype.kind not in "fiuc":
+        raise TypeError(f"{value!r:.60} in a formula of s: give numbers or expressions.")
+    return Complex(np.real(value), np.imag(value))

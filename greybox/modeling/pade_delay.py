@@ -47,37 +47,38 @@ def pade_exponential(z: Any, order: int) -> Any:
     return polynomial_value(coefficients, z) / polynomial_value(coefficients, -z)
 
 
+def observer_form(
+    x: Sequence[Any], u: Any, numerator: Sequence[Any], denominator: Sequence[Any]
+) -> tuple[Any, list[Any]]:
+    """Return the output of a rational function of s, and the derivatives of its states x (n,).
+
+    The coefficients (n + 1,) have the highest power first. The states of the observer canonical
+    form are always observable. Source: Kailath 1980, Linear Systems, section 2.1.
+    """
+    a = [c / denominator[0] for c in denominator]
+    # Without the direct feedthrough, the rest is strictly proper.
+    feedthrough = numerator[0] / denominator[0]
+    b = [c / denominator[0] - feedthrough * a[k] for k, c in enumerate(numerator)]
+    following = [*x[1:], 0]
+    rows = [following[k] - a[k + 1] * x[0] + b[k + 1] * u for k in range(len(x))]
+    return (x[0] if x else 0) + feedthrough * u, rows
+
+
 def pade_rows(x: Sequence[Any], u: Any, delay: Any, order: int) -> tuple[Any, list[Any]]:
     """Return the delayed input and the derivatives of its states x (order,), in observer form.
 
     Time is in units of the delay, so that the states are of the input's size whatever the delay.
     """
-    a, b, feedthrough = _observer_form(order)
-    rows = [
-        (
-            (x[k + 1] if k + 1 < order else 0)
-            - a[k + 1] * x[0]
-            + (b[k + 1] - feedthrough * a[k + 1]) * u
-        )
-        / delay
-        for k in range(order)
-    ]
-
-    return x[0] + feedthrough * u, rows
+    # exp(-z) ≈ Σ c_k (-z)^k / Σ c_k z^k with z = s · delay
+    denominator = pade_coefficients(order)[::-1]
+    numerator = [c * (-1) ** (order - k) for k, c in enumerate(denominator)]
+    output, rows = observer_form(x, u, numerator, denominator)
+    return output, [row / delay for row in rows]
 
 
 def pade_steady(u: Any, order: int) -> list[Any]:
     """Return the states at which `pade_rows` is zero for a constant input."""
-    a, b, feedthrough = _observer_form(order)
-    first = (1 - feedthrough) * u
-    return [first, *(a[k] * first - (b[k] - feedthrough * a[k]) * u for k in range(1, order))]
-
-
-def _observer_form(order: int) -> tuple[list[float], list[float], float]:
-    """Return the coefficients of denominator and numerator, highest first, and the feedthrough."""
-    c = pade_coefficients(order)
-    leading = c[order] * (-1) ** order
-    # exp(-z) ≈ Σ c_k (-z)^k / Σ c_k z^k with z = s · delay, divided by c_n; highest power first.
-    a = [c[order - k] / c[order] for k in range(order + 1)]
-    b = [c[order - k] * (-1) ** (order - k) / c[order] for k in range(order + 1)]
-    return a, b, leading / c[order]
+    # The output is the input, less its feedthrough of 1 or -1; every row then gives its successor.
+    first = u - (-1) ** order * u
+    _, rows = pade_rows([first, *[0] * (order - 1)], u, 1.0, order)
+    return [first, *(-row for row in rows[:-1])]

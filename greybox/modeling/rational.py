@@ -11,7 +11,6 @@ import numpy as np
 
 from greybox.files.arrays import ComplexArray
 from greybox.modeling.function_of_s import (
-    CASADI_TYPES,
     FunctionOfS,
     is_casadi,
     is_whole,
@@ -46,9 +45,9 @@ class Rational(FunctionOfS):
 
     def _same_delay(self, operand: "Rational") -> Any:
         # Zero has any delay.
-        if _is_zero_polynomial(self.numerator):
+        if _is_zero(self.numerator[0]):
             return operand.delay
-        if _is_zero_polynomial(operand.numerator) or _equal(self.delay, operand.delay):
+        if _is_zero(operand.numerator[0]) or _is_equal([self.delay], [operand.delay]):
             return self.delay
         raise ValueError(
             "terms with different delays are added (as in a loop around a delay), which has no "
@@ -57,12 +56,10 @@ class Rational(FunctionOfS):
 
     def __add__(self, operand: Any) -> "Rational":
         operand = _rational(operand)
-        if operand is None:
-            return NotImplemented
         delay = self._same_delay(operand)
         pade = self.pade or operand.pade
         # A product of equal denominators would double the order of the sum.
-        if _equal_polynomials(self.denominator, operand.denominator):
+        if _is_equal(self.denominator, operand.denominator):
             return Rational(_sum(self.numerator, operand.numerator), self.denominator, delay, pade)
 
         numerator = _sum(
@@ -73,8 +70,6 @@ class Rational(FunctionOfS):
 
     def __mul__(self, operand: Any) -> "Rational":
         operand = _rational(operand)
-        if operand is None:
-            return NotImplemented
         # Equal factors cancel. Otherwise the order would grow with every product of a formula, and
         # the realization would have unobservable states.
         n1, d2 = _cancel(self.numerator, operand.denominator)
@@ -90,12 +85,10 @@ class Rational(FunctionOfS):
         return Rational(self.denominator, self.numerator, -self.delay, self.pade)
 
     def __truediv__(self, operand: Any) -> "Rational":
-        operand = _rational(operand)
-        return NotImplemented if operand is None else self * operand._inverse()
+        return self * _rational(operand)._inverse()
 
     def __rtruediv__(self, operand: Any) -> "Rational":
-        operand = _rational(operand)
-        return NotImplemented if operand is None else operand * self._inverse()
+        return operand * self._inverse()
 
     def __neg__(self) -> "Rational":
         return Rational([-c for c in self.numerator], self.denominator, self.delay, self.pade)
@@ -112,12 +105,8 @@ class Rational(FunctionOfS):
         # Every result of a formula in s has the order of s, so that a model need not know of it.
         if self.pade is not None:
             return pade_exponential(self, self.pade)
-        constant = len(self.denominator) == 1 and not is_casadi(self.delay) and self.delay == 0
-        if (
-            not constant
-            or len(self.numerator) > 2
-            or (len(self.numerator) and not _is_zero(self.numerator[-1]))
-        ):
+        is_constant = len(self.denominator) == 1 and _is_zero(self.delay)
+        if not is_constant or len(self.numerator) > 2 or not _is_zero(self.numerator[-1]):
             raise ValueError(
                 "only exp(-s T) with a T that does not depend on s has a rational form with a "
                 "delay."
@@ -139,7 +128,7 @@ class Rational(FunctionOfS):
         return np.roots([float(c) for c in self.numerator]).astype(complex)
 
     def __str__(self) -> str:
-        delay = "" if not is_casadi(self.delay) and self.delay == 0 else f" exp(-{self.delay} s)"
+        delay = "" if _is_zero(self.delay) else f" exp(-{self.delay} s)"
         return f"({_written(self.numerator)}) / ({_written(self.denominator)}){delay}"
 
     def __call__(self, s: Any) -> Any:
@@ -192,25 +181,21 @@ def rational(
     return result * exp(Rational([-1.0, 0.0], pade=pade) * system.delays[i])
 
 
-def _rational(value: Any) -> Rational | None:
+def _rational(value: Any) -> Rational:
     if isinstance(value, Rational):
         return value
-    if (
-        isinstance(value, (int, float, np.floating, np.integer, *CASADI_TYPES))
-        or np.ndim(value) == 0
-    ):
-        return Rational([value])
-    return None
+    if not is_casadi(value) and np.ndim(value):
+        raise TypeError(f"{value!r:.60} in a formula of s: give one number for each coefficient.")
+    return Rational([value])
 
 
 def _is_zero(c: Any) -> bool:
-    return c.is_zero() if is_casadi(c) else bool(c == 0)
+    return ca.SX(c).is_zero()
 
 
-def _equal(a: Any, b: Any) -> bool:
-    if is_casadi(a) or is_casadi(b):
-        return ca.is_equal(ca.SX(a), ca.SX(b), 8)
-    return bool(a == b)
+def _is_equal(a: Sequence[Any], b: Sequence[Any]) -> bool:
+    """Return whether two polynomials have the same coefficients."""
+    return len(a) == len(b) and ca.is_equal(ca.SX(ca.vertcat(*a)), ca.SX(ca.vertcat(*b)), 8)
 
 
 def _written(polynomial: Sequence[Any]) -> str:
@@ -236,26 +221,18 @@ def _without_leading_zeros(polynomial: Sequence[Any]) -> list[Any]:
     return terms
 
 
-def _is_zero_polynomial(polynomial: list[Any]) -> bool:
-    return all(_is_zero(c) for c in polynomial)
-
-
-def _equal_polynomials(a: list[Any], b: list[Any]) -> bool:
-    return a is b or (len(a) == len(b) and all(_equal(x, y) for x, y in zip(a, b, strict=True)))
-
-
 def _cancel(numerator: list[Any], denominator: list[Any]) -> tuple[list[Any], list[Any]]:
     """Drop a numerator and a denominator that are the same polynomial."""
-    if len(numerator) > 1 and _equal_polynomials(numerator, denominator):
+    if len(numerator) > 1 and _is_equal(numerator, denominator):
         return [1.0], [1.0]
     return numerator, denominator
 
 
 def _sum(a: list[Any], b: list[Any]) -> list[Any]:
-    size = max(len(a), len(b))
-    a = [0.0] * (size - len(a)) + a
-    b = [0.0] * (size - len(b)) + b
-    return [x + y for x, y in zip(a, b, strict=True)]
+    # Both have the same length with zeros in front of the shorter one.
+    padding = [0.0] * abs(len(a) - len(b))
+    shorter, longer = sorted((a, b), key=len)
+    return [x + y for x, y in zip(padding + shorter, longer, strict=True)]
 
 
 def _convolve(a: list[Any], b: list[Any]) -> list[Any]:

@@ -10,7 +10,7 @@ import numpy as np
 from greybox.modeling.formula_structure import has_switches
 from greybox.modeling.model import Model
 from greybox.modeling.one_thread import one_thread_at_a_time
-from greybox.modeling.pade_delay import pade_rows
+from greybox.modeling.pade_delay import observer_form, pade_rows
 from greybox.modeling.rational import Rational
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import (
@@ -80,9 +80,8 @@ class Dynamics:
 def dynamics(model: Model, pade: int | None = None) -> Dynamics:
     """Compile a model for the time domain; with an order `pade`, delays become states.
 
-    A transfer function is realized in observer canonical form (Kailath 1980, Linear Systems,
-    section 2.1), whose states are always observable, with time scaled by its poles at the start
-    values.
+    A transfer function is realized in observer canonical form, with time scaled by its poles at the
+    start values.
 
     Raises
     ------
@@ -137,27 +136,18 @@ def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
         )
 
     numerator = [ca.SX(0)] * (n + 1 - len(numerator)) + numerator
-    a = [c / denominator[0] for c in denominator]
-    # Without the direct feedthrough, the rest is strictly proper.
-    feedthrough = numerator[0] / denominator[0]
-    b = [c / denominator[0] - feedthrough * a[k] for k, c in enumerate(numerator)]
     # With time in units of the poles, all states have one size; in seconds, the coefficients of a
     # fast system of order n would differ by the n-th power of its poles.
-    scale = _time_scale(a, p, model)
-
-    x = ca.SX.sym("x", n)
-    u = ca.SX.sym("u", 1)
-    rows = [
-        scale
-        * (
-            (x[k + 1] if k + 1 < n else 0)
-            - a[k + 1] / scale ** (k + 1) * x[0]
-            + b[k + 1] / scale ** (k + 1) * u
-        )
-        for k in range(n)
-    ]
-    f = ca.vertcat(ca.SX(0, 1), *rows)
-    y = (x[0] if n else 0) + feedthrough * u
+    scale = _time_scale(denominator, p, model)
+    powers = scale ** np.arange(n + 1)
+    x, u = ca.SX.sym("x", n), ca.SX.sym("u", 1)
+    y, rows = observer_form(
+        [x[k] for k in range(n)],
+        u,
+        [c / power for c, power in zip(numerator, powers.tolist(), strict=True)],
+        [c / power for c, power in zip(denominator, powers.tolist(), strict=True)],
+    )
+    f = scale * ca.vertcat(ca.SX(0, 1), *rows)
     for expression in (f, y):
         require_no_nan(f"{model.label}.response", ca.SX(expression))
 
@@ -206,11 +196,9 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
 
     full = ca.vertcat(x, *[symbol for _, symbol in added])
     delayed = ca.vertcat(*delayed_inputs)
-    return Dynamics(
+    return replace(
+        exact,
         states=(*exact.states, *(name for name, _ in added)),
-        inputs=exact.inputs,
-        outputs=exact.outputs,
-        parameters=exact.parameters,
         derivative=ca.Function(
             "derivative", [full, u, p], [ca.vertcat(exact.derivative(x, delayed, p), *rows)]
         ),
