@@ -62,17 +62,12 @@ class KnownTransferFunction(TransferFunction):
             for letter, values in (("b", b), ("a", a))
             for k, value in enumerate(values)
         }
-        self._names = tuple(
-            [f"{prefix}{letter}{k}" for k in reversed(range(len(values)))]
-            for letter, values in (("b", b), ("a", a))
-        )
 
     def response(self, s: Any, p: Any) -> Any:
         """Return the ratio."""
-        b, a = self._names
-        return polynomial_value([p[name] for name in b], s) / polynomial_value(
-            [p[name] for name in a], s
-        )
+        coefficients = [p[name] for name in self.parameters]
+        count = len(self.arguments[0][0])
+        return polynomial_value(coefficients[:count], s) / polynomial_value(coefficients[count:], s)
 
 
 class KnownStateSpace(StateSpace):

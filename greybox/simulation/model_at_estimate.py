@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -13,34 +13,6 @@ from greybox.formulation.time_criteria import OutputError, PredictionError, Time
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameter, is_finite_number
 from greybox.modeling.realization import Dynamics, dynamics
-
-
-class FittedTo(Protocol):
-    """The record of a fit, see `greybox.estimate.fitted_part.FittedRecord`."""
-
-    @property
-    def data(self) -> Record:
-        """The signals that the fit used."""
-        ...
-
-    @property
-    def outputs(self) -> tuple[str, ...]:
-        """Names of the outputs that were compared."""
-        ...
-
-    @property
-    def noise(self) -> Array:
-        """Covariance (k, k) of the errors of the outputs."""
-        ...
-
-    @property
-    def initial(self) -> Mapping[str, Array]:
-        """States at the first sample of every gapless stretch, (stretches,) each."""
-        ...
-
-    def residual(self, output: str) -> Array:
-        """Return measured less simulated, NaN for samples that were not compared."""
-        ...
 
 
 @runtime_checkable
@@ -72,8 +44,8 @@ class ModelAtEstimate:
     criterion : TimeCriterion
         How inputs run between samples, which signals are biased, and whether innovations correct
         the states.
-    part : FittedTo or None
-        The record to which the values were fitted.
+    part : FittedRecord or None
+        The record to which the values were fitted, see `greybox.estimate.fitted_part`.
     declared : mapping of name to Parameter
         The model's parameters.
     own : tuple of str
@@ -89,7 +61,7 @@ class ModelAtEstimate:
     q: Array
     covariance: Array | None
     criterion: TimeCriterion
-    part: FittedTo | None
+    part: Any
     declared: Mapping[str, Parameter] = field(default_factory=dict)
     own: tuple[str, ...] = ()
     held: tuple[bool, ...] = ()
@@ -183,12 +155,11 @@ def model_at(
 
 def _of_values(model: Model, given: Mapping[str, float], inputs: Inputs) -> ModelAtEstimate:
     system = dynamics(model)
-    biases = tuple(n for n in (*model.output_names, *model.input_names) if f"{n}_bias" in given)
-    gains = tuple((s, o) for s in system.states for o in system.outputs if f"K_{s}_{o}" in given)
-    added = [f"{n}_bias" for n in biases] + [f"K_{s}_{o}" for s, o in gains]
-
     # A parameter of the model may itself be called `<signal>_bias`.
-    added = [name for name in added if name not in model.parameters]
+    extra = given.keys() - model.parameters.keys()
+    biases = tuple(n for n in (*model.output_names, *model.input_names) if f"{n}_bias" in extra)
+    gains = tuple((s, o) for s in system.states for o in system.outputs if f"K_{s}_{o}" in extra)
+    added = [f"{n}_bias" for n in biases] + [f"K_{s}_{o}" for s, o in gains]
     require_known(given, (*model.parameters, *added), "parameter", model.label)
     for name, value in given.items():
         # A result of numpy may be an array without dimensions.
@@ -200,7 +171,7 @@ def _of_values(model: Model, given: Mapping[str, float], inputs: Inputs) -> Mode
     # Parameters first, then biases and gains: the criterion expects this order.
     values = dict(model.values({n: v for n, v in given.items() if n in model.parameters}))
     values |= {name: float(given[name]) for name in added}
-    criterion = criterion_of(inputs, tuple(b for b in biases if f"{b}_bias" in added), gains)
+    criterion = criterion_of(inputs, biases, gains)
     return ModelAtEstimate(
         model.label,
         system,

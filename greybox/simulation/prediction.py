@@ -97,18 +97,16 @@ class Prediction:
 
         A state with the name of an output is given once, as the output.
         """
-        signals = {}
-        units = {}
-        for k, name in enumerate(self.outputs):
-            signals |= {
-                name: self._spread(self.predicted[k]),
-                f"{name}_error": self._spread(self.error[k]),
-            }
-            units |= dict.fromkeys((name, f"{name}_error"), self.data.units.get(name, ""))
-        for i, name in enumerate(self.states):
-            if name not in signals:
-                signals[name] = self._spread(self.trajectory[i])
-                units[name] = self.data.units.get(name, "")
+        named: dict[str, Array] = {}
+        for name, predicted, error in zip(self.outputs, self.predicted, self.error, strict=True):
+            named |= {name: predicted, f"{name}_error": error}
+        states = zip(self.states, self.trajectory, strict=True)
+        named |= {name: values for name, values in states if name not in named}
+
+        signals = {name: np.full(len(self.data), np.nan) for name in named}
+        for name, values in named.items():
+            signals[name][self.rows] = values
+        units = {n: self.data.units.get(n.removesuffix("_error"), "") for n in named}
         return Record(self.data.time, signals, units, name=self.title, has_time=self.data.has_time)
 
     @property
@@ -175,30 +173,22 @@ class Prediction:
             )
         return self.outputs.index(output)
 
-    def _spread(self, values: Array) -> Array:
-        result = np.full(len(self.data), np.nan)
-        result[self.rows.ravel()] = values.ravel()
-        return result
-
     def __repr__(self) -> str:
         return one_line(self, self.title, counted(len(self), self.window), ", ".join(self.outputs))
 
     def __str__(self) -> str:
-        head = (
-            f"{self.label}: {counted(len(self), 'window')} of {seconds(self.horizon)} s in "
-            f"{self.data.name or 'the record'}, the state of each estimated from the "
-            f"{seconds(self.lead)} s before it"
-        )
-
         # Rows without a time have no lead-in, and no error that grows.
-        shares = reported_shares([self.rows.shape[1]])
-        if not self.data.has_time:
-            head = f"{self.label}: {counted(len(self), 'row')} of {self.data.name or 'the record'}"
-            shares = []
-        ends = [
-            f"after {seconds(self.ahead[samples_ahead(s, self.rows.shape[1]) - 1])} s"
-            for s in shares
-        ]
+        samples = self.rows.shape[1]
+        shares = reported_shares([samples]) if self.data.has_time else []
+        ends = [f"after {seconds(self.ahead[samples_ahead(s, samples) - 1])} s" for s in shares]
+        name = self.data.name or "the record"
+        head = f"{self.label}: {counted(len(self), self.window)} of {name}"
+        if self.data.has_time:
+            head = (
+                f"{self.label}: {counted(len(self), 'window')} of {seconds(self.horizon)} s in "
+                f"{name}, the state of each estimated from the {seconds(self.lead)} s before it"
+            )
+
         rows = [self._row(name, shares) for name in self.outputs]
         table = text_table(
             ["output", "unit", "fit %", "error (rms)", *ends, "noise", "standard error"],

@@ -28,6 +28,7 @@ from greybox.simulation.windows import (
 # s: shortest default horizon and lead-in. The roll axis of the paper, whose unstable poles in
 # (3.18) have the real part 1.7 1/s, doubles in 0.4 s.
 SHORTEST = 0.5
+DOMAINS = "keep its formulas within their domains, e.g. gb.sqrt(gb.maximum(x.level, 0))"
 
 
 def simulate(
@@ -209,15 +210,11 @@ def predict_windows(
 
     # On its own record the fit has estimated these values already.
     if own is None:
-        own = (
-            ()
-            if model.part is None or share_samples(model.part.data, windows.record)
-            else model.own
-        )
+        new = model.part is not None and not share_samples(model.part.data, windows.record)
+        own = model.own if new else ()
     integrator = integrator or RungeKutta()
-    model, values, notes = with_own_values(
-        model, windows, outputs, integrator, (own,) if isinstance(own, str) else own
-    )
+    own = (own,) if isinstance(own, str) else own
+    model, values, notes = with_own_values(model, windows, outputs, integrator, own)
     simulator = Simulator(model, model.criterion, outputs, integrator)
     simulated = simulator.windows(windows)
     error, unknown = simulator.standard_errors(simulated)
@@ -269,10 +266,7 @@ def _not_finite(
 
 def cure(called: str) -> str:
     """Return the cure for a model that is not finite; the user's horizon is `called` so."""
-    return (
-        f"give a shorter {called} if the model is unstable, or keep its formulas within their "
-        "domains, e.g. gb.sqrt(gb.maximum(x.level, 0))"
-    )
+    return f"give a shorter {called} if the model is unstable, or {DOMAINS}"
 
 
 def _not_known(unknown: tuple[str, ...], model: ModelAtEstimate) -> str:
@@ -307,18 +301,9 @@ def _require_bounded(simulated: Mapping[str, Array], time: Array, model: ModelAt
         return
     when = int(np.argmax(bad))
     name = next(name for name, values in signals.items() if not abs(values[when]) < DIVERGED)
-    # In SI units. A signal above 1e6 diverged before it overflowed; a smaller one left the domain
-    # of a formula.
-    if abs(signals[name][max(when - 1, 0)]) > 1e6 or np.isfinite(signals[name][when]):
-        raise ValueError(
-            f"the simulation of {model.label} diverges at {time[when]:.6g} s: the model is "
-            "unstable at this estimate; predict it over windows instead, gb.predict(..., "
-            "horizon=...)."
-        )
     raise ValueError(
-        f"the simulation of {model.label} is not finite from {time[when]:.6g} s on, {name} first: "
-        "keep its formulas within their domains, e.g. gb.sqrt(gb.maximum(x.level, 0)), "
-        "or give other initial states."
+        f"the simulation of {model.label} diverges at {time[when]:.6g} s, {name} first: predict an "
+        f"unstable model over windows instead, gb.predict(..., horizon=...), or {DOMAINS}."
     )
 
 
@@ -344,19 +329,13 @@ def _initial_states(
     require_known(initial, model.system.states, "state", model.label)
     states = np.zeros((stretches, len(model.system.states)))
     for name, value in initial.items():
-        try:
-            values = np.asarray(value, dtype=float)
-        except (TypeError, ValueError):
-            values = np.array(np.nan)
-        if not np.all(np.isfinite(values)):
+        values = np.asarray(value)
+        is_number = values.dtype.kind in "iuf" and np.all(np.isfinite(values))
+        if not is_number or values.ndim > 1 or values.size not in (1, stretches):
             raise ValueError(
-                f"initial gives {name!r} the value {value!r:.60}: give a finite number."
-            )
-        if values.ndim > 1 or values.size not in (1, stretches):
-            raise ValueError(
-                f"initial gives {name!r} {values.size} values and the record has "
-                f"{counted(stretches, 'stretch', 'stretches')} without a gap: give one value, or "
-                "one for each."
+                f"initial gives {name!r} the value {value!r:.60}: give a finite number, or one for "
+                f"each stretch; the record has {counted(stretches, 'stretch', 'stretches')} "
+                "without a gap."
             )
         states[:, model.system.states.index(name)] = values
     return states

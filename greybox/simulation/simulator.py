@@ -188,7 +188,8 @@ class Simulator:
         data = sample_data(windows, model.system.inputs, self._outputs, model.delays)
         # Innovations correct the states in the lead-in only: the rest is a prediction.
         present = np.isfinite(data["measured"]) & (np.arange(length) < lead)
-        measured, in_lead = (np.moveaxis(v, 0, -1) for v in (data["measured"], present))
+        measured = np.moveaxis(data["measured"], 0, -1)
+        in_lead = np.moveaxis(present, 0, -1)
         past = np.where(in_lead, measured, np.nan)[:, :lead]
         informing = in_lead[:, :lead, :, None]
         # A constant signal has no size of its own.
@@ -313,17 +314,11 @@ def diverged(signals: Mapping[str, Array]) -> BoolArray:
 @one_thread_at_a_time
 def _first_substeps(model: ModelAtEstimate, step: float) -> int:
     """Return the substeps of a sample by the poles near rest."""
-    n = len(model.system.states)
-    m = len(model.system.inputs)
-    if not n:
-        return 1
-    x = ca.SX.sym("x", n)
-    u = ca.SX.sym("u", m)
-    jacobian = ca.Function(
-        "A", [x, u], [ca.densify(ca.jacobian(model.system.derivative(x, u, model.p), x))]
-    )
+    x = ca.SX.sym("x", len(model.system.states))
+    rest = np.zeros(len(model.system.inputs))
+    jacobian = ca.Function("A", [x], [ca.jacobian(model.system.derivative(x, rest, model.p), x)])
     # Not at zero itself, where the slope of |v| v vanishes and that of a root is infinite.
-    matrix = jacobian(np.full(n, 1e-3), np.zeros(m)).full()
+    matrix = jacobian(np.full(x.numel(), 1e-3)).full()
     if not np.all(np.isfinite(matrix)):
         return 1
     return stable_substeps(np.linalg.eigvals(matrix), step, reach=FIRST_REACH, most=MOST_AT_FIRST)
@@ -413,20 +408,18 @@ def _initial_guesses(model: ModelAtEstimate, outputs: tuple[str, ...], past: Arr
     States with the name of an output begin at its first measurement; others at zero, at the values
     of the fit, or at the size of the outputs.
     """
-    n = len(model.system.states)
+    states = model.system.states
+    w = len(past)
     fitted = {} if model.part is None else model.part.initial
     size = float(np.nanmean(np.abs(past))) or 1.0
-    levels = [np.zeros(n)]
-    levels.append(np.array([float(np.mean(fitted.get(name, 0.0))) for name in model.system.states]))
-    levels += [np.full(n, factor * size) for factor in SIZES]
-
-    guesses = [np.tile(values, (len(past), 1)) for values in levels]
+    levels = [np.zeros(len(states)), [float(np.mean(fitted.get(name, 0.0))) for name in states]]
+    levels += [np.full(len(states), factor * size) for factor in SIZES]
+    guesses = np.repeat(np.array(levels)[:, None], w, axis=1)
 
     # A measured state need not be guessed.
-    for i, name in enumerate(model.system.states):
+    for i, name in enumerate(states):
         if name in outputs:
             values = past[:, :, outputs.index(name)]
             first = np.isfinite(values).argmax(axis=1)
-            for guess in guesses:
-                guess[:, i] = np.nan_to_num(values[np.arange(len(values)), first])
-    return guesses
+            guesses[:, :, i] = np.nan_to_num(values[np.arange(w), first])
+    return [*guesses]
