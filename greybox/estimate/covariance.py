@@ -11,12 +11,11 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import ColoredErrors, CorrelatedPoints, Information, Trajectory
 from greybox.estimate.identifiability import KnownDirections
 from greybox.estimate.undetermined import (
-    BLIND,
     Combination,
     collinear_groups,
     invisible_groups,
 )
-from greybox.files.arrays import Array, BoolArray
+from greybox.files.arrays import Array
 from greybox.formulation.held_estimate import HeldEstimate
 from greybox.modeling.one_thread import one_thread_at_a_time
 
@@ -109,58 +108,37 @@ class Accuracy:
 
 @dataclass(frozen=True, eq=False)
 class _Share:
-    """The information of one part: bread (p, k) by all values, its root (n, p), and meat (p, p).
+    """The information of one part: a root (n, k) of its bread by all values, and its meat (p, p).
 
-    `jacobian` is the root with a limit on the weight that one part may have beside others, and
-    `reach` (p,) has the lengths of its columns before the initial states were fitted along. `pull`
-    (p,) is the gradient that noise has in the mean at the true values.
+    `reach` (p,) has the lengths of the root's columns before the initial states were fitted along.
+    `limit` is a factor on both that limits the weight of a part beside others. `pull` (p,) is the
+    gradient that noise has in the mean at the true values.
     """
 
-    bread: Array
     root: Array
     meat: Array
-    jacobian: Array
     reach: Array
+    limit: float
     pull: Array
-    dof: float
 
 
 @dataclass(frozen=True, eq=False)
 class _Corrected:
     """The information of a part, its noise larger for the parameters that the noise pays for.
 
-    `independent` is the same for errors that are independent along frequency, with `numbers`
-    degrees of freedom; `colored` and `neighbors` describe how the errors are correlated.
+    Meats (r, r) are in the directions of the root of the inverse bread before the correction:
+    `meat` with `dof` degrees of freedom, and `independent` for errors that are independent along
+    frequency, with `numbers` degrees of freedom. `colored` and `neighbors` describe how the errors
+    are correlated.
     """
 
     share: _Share
-    independent: _Share
+    meat: Array
+    dof: float
+    independent: Array
     numbers: float
-    colored: ColoredErrors | None
-    neighbors: CorrelatedPoints | None
-
-    @property
-    def dof(self) -> float:
-        return self.numbers if self.neighbors is None else min(self.numbers, self.neighbors.dof)
-
-
-@dataclass(frozen=True, eq=False)
-class _Sandwich:
-    """The covariance of all parts and earlier fits.
-
-    `root` (p, r) is a square root of the inverse bread, `slope` (k, k) has the derivatives of all
-    values by the constants. `terms` are B⁻¹ Mᵢ B⁻¹ of every part and S Σ Sᵀ of every earlier fit,
-    with their degrees of freedom; `unknown` (k,) marks the constants without a known error.
-    """
-
-    root: Array
-    slope: Array
-    terms: tuple[tuple[Array, float], ...]
-    unknown: BoolArray
-
-    @property
-    def covariance(self) -> Array:
-        return np.sum([term for term, _ in self.terms], axis=0)
+    colored: ColoredErrors | None = None
+    neighbors: CorrelatedPoints | None = None
 
 
 def assess(
@@ -178,14 +156,14 @@ def assess(
     p, k = len(nlp.free), len(nlp.names)
     parts = informations(nlp, x, trajectories)
     shares = [_share(part, p=p) for part in parts]
-    jacobian = np.vstack([share.jacobian for share in shares])
+    jacobian = np.vstack([share.limit * share.root[:, :p] for share in shares])
     at_bound = _at_bound(nlp, x, shares, trajectories)
     active, holding = _active_constraints(nlp, x)
 
     # A column may be mere rounding, relative to the parameter or after the initial states have
     # compensated for it. It must not count as information.
     length = np.linalg.norm(jacobian, axis=0)
-    reach = np.sqrt(sum((share.reach**2 for share in shares), np.zeros(p)))
+    reach = np.sqrt(sum(((share.limit * share.reach) ** 2 for share in shares), np.zeros(p)))
     reach[reach * np.abs(1 / nlp.scaling.slope(x)) < ROUNDING] = 0
     length[(length * np.abs(1 / nlp.scaling.slope(x)) < ROUNDING) | (length < DEAD * reach)] = 0
     jacobian = jacobian * (length > 0)
@@ -219,7 +197,7 @@ def assess(
         informations=tuple(parts),
     )
 
-    if accuracy.dof > 0 and all(np.all(np.isfinite(share.bread)) for share in shares):
+    if accuracy.dof > 0 and all(np.all(np.isfinite(share.root)) for share in shares):
         accuracy = _with_covariance(nlp, accuracy, shares, seen * size[:, None], known_noise)
 
     # Collinearity matters where an error exceeds half of a value.
@@ -237,48 +215,58 @@ def _with_covariance(
     known_noise: bool,
 ) -> Accuracy:
     """Return the accuracy with a covariance within a basis (p, r) of the determined directions."""
-    p = len(nlp.free)
-    root = _root_of_inverse(shares, basis)
-    corrected = [
-        _corrected(part, share, root)
-        for part, share in zip(accuracy.informations, shares, strict=True)
-    ]
-    neighbors = tuple(part.neighbors for part in corrected)
-    colored = tuple(part.colored for part in corrected)
-    dof = sum(part.dof for part in corrected)
+    p, k = len(nlp.free), len(nlp.names)
+    first = _root_of_inverse(shares, basis)
+    pairs = zip(accuracy.informations, shares, strict=True)
+    parts = [_corrected(part, share, first) for part, share in pairs]
+    root = _root_of_inverse([part.share for part in parts], basis)
+    inverse = root @ root.T
+
+    # How the estimate follows the constants, from the optimality condition: -B⁻¹ Bᵪ.
+    slope = np.eye(k)
+    slope[:p] = 0
+    for part in parts:
+        slope[:p, p:] -= root @ (root.T @ part.share.root[:, :p].T) @ part.share.root[:, p:]
+
+    stacked = np.vstack([share.root[:, :p] for share in shares])
+    turned = np.zeros((k, first.shape[1]))
+    turned[:p] = root @ ((stacked @ root).T @ (stacked @ first))
+    earlier = known_covariances(nlp)
+    terms = [(turned @ part.meat @ turned.T, part.dof) for part in parts]
+    terms += [(slope @ np.nan_to_num(covariance) @ slope.T, dof) for covariance, dof in earlier]
+    covariance = np.sum([term for term, _ in terms], axis=0)
+
+    neighbors = tuple(part.neighbors for part in parts)
+    dof = sum(min(part.numbers, part.dof) for part in parts)
     if known_noise:
         # Variances that were given have no uncertainty; the estimated correlation has.
         dof = min((points.dof for points in neighbors if points is not None), default=math.inf)
-
     independent = None
     if any(neighbors):
         # Tests of terms need errors that are taken as independent: a term that is missing looks
         # like a correlation.
-        alone = _sandwich(
-            nlp, shares, root, [part.independent for part in corrected], colored, basis
-        )
-        numbers = sum(part.numbers for part in corrected)
-        independent = alone.covariance[:p, :p], math.inf if known_noise else numbers
+        change = sum(turned @ (part.independent - part.meat) @ turned.T for part in parts)
+        numbers = sum(part.numbers for part in parts)
+        independent = (covariance + change)[:p, :p], math.inf if known_noise else numbers
 
-    sandwich = _sandwich(nlp, shares, root, [part.share for part in corrected], colored, basis)
     # The bias is the least-squares answer to what noise adds to the residuals in the mean.
-    inverse = sandwich.root @ sandwich.root.T
-    bias = np.zeros(len(nlp.names))
-    bias[:p] = inverse @ sum(part.share.pull for part in corrected)
+    bias = np.zeros(k)
+    bias[:p] = inverse @ sum(part.share.pull for part in parts)
     # What depends on a constant without a standard error has none either.
-    lost = sandwich.slope[:, sandwich.unknown] / accuracy.size[:, None]
+    unknown = np.isnan(sum((np.diag(covariance) for covariance, _ in earlier), np.zeros(k)))
+    lost = slope[:, unknown] / accuracy.size[:, None]
     lost = lost / np.maximum(np.linalg.norm(lost, axis=0), 1e-300)
 
     return replace(
         accuracy,
-        covariance=sandwich.covariance,
+        covariance=covariance,
         blind=np.hstack([accuracy.blind, lost]),
         dof=float(max(dof, 0)),
-        shares=sandwich.terms,
+        shares=tuple(terms),
         bias=bias,
         white=inverse,
         independent=independent,
-        correlation=colored,
+        correlation=tuple(part.colored for part in parts),
         neighbors=neighbors,
     )
 
@@ -296,7 +284,7 @@ def prior_shares(nlp: CompiledProblem, accuracy: Accuracy) -> dict[str, float]:
     if accuracy.white is None:
         return dict.fromkeys(nlp.free, math.nan)
 
-    roots = [_share(part, p=p).root @ accuracy.white for part in accuracy.informations]
+    roots = [_share(part, p=p).root[:, :p] @ accuracy.white for part in accuracy.informations]
     information = np.array([np.sum(root**2, axis=0) for root in roots])
     share = information[is_prior].sum(axis=0) / np.maximum(information.sum(axis=0), 1e-300)
     share[np.isnan(propagate(accuracy, np.eye(p, len(nlp.names))))] = math.nan
@@ -382,12 +370,8 @@ def propagate(accuracy: Accuracy, gradient: Array) -> Array:
 
     NaN for a quantity that depends on a direction about which the data say nothing.
     """
-    variance = np.einsum("ij,jk,ik->i", gradient, accuracy.covariance, gradient)
-    # The covariance is zero along unseen directions: without this test a quantity that depends on
-    # one would seem certain.
-    scaled = gradient * accuracy.size
-    unseen = np.abs(scaled @ accuracy.blind) > BLIND * np.linalg.norm(scaled, axis=1)[:, None]
-    return np.where(unseen.any(axis=1), np.nan, np.sqrt(np.maximum(variance, 0)))
+    known = KnownDirections(accuracy.covariance, accuracy.blind, accuracy.size, accuracy.size)
+    return known.errors(gradient)
 
 
 def _corrected(part: Information, share: _Share, root: Array) -> _Corrected:
@@ -396,71 +380,30 @@ def _corrected(part: Information, share: _Share, root: Array) -> _Corrected:
     # part had been fitted alone with pᵢ parameters. Correlated errors have their own.
     p = len(root)
     problem = part.part.problem
-    paid = round(float(np.sum((share.root @ root) ** 2)), 9)  # a whole number for a single part
+    # A whole number for a single part.
+    paid = round(float(np.sum((share.root[:, :p] @ root) ** 2)), 9)
     numbers = max(part.numbers - paid, 0.5)
-    if part.colored is not None:
-        colored = part.colored(math.sqrt(problem.weight) * root)
-        if colored is not None:
-            share = replace(share, dof=colored.dof)
-            return _Corrected(share, share, colored.dof, colored, None)
+    colored = part.colored and part.colored(math.sqrt(problem.weight) * root)
+    if colored:
+        meat = problem.weight * colored.meat
+        return _Corrected(share, meat, colored.dof, meat, colored.dof, colored)
 
     dof = math.inf if problem.criterion.known_noise else numbers
     correction = math.sqrt(max(part.numbers, numbers) / numbers)
-    independent = corrected = _share(part, p=p, correction=correction, dof=dof)
-    neighbors = None if part.correlated is None else part.correlated(correction, root, dof)
-    if neighbors is not None:
-        meat = problem.weight**2 * neighbors.meat[:p, :p]
-        corrected = replace(independent, meat=meat, dof=neighbors.dof)
-
-    return _Corrected(corrected, independent, numbers, None, neighbors)
+    share = _share(part, p=p, correction=correction)
+    meat = independent = root.T @ share.meat @ root
+    neighbors = part.correlated and part.correlated(correction, root, dof)
+    if neighbors:
+        meat = problem.weight**2 * root.T @ neighbors.meat[:p, :p] @ root
+        dof = neighbors.dof
+    return _Corrected(share, meat, dof, independent, numbers, neighbors=neighbors)
 
 
 def _root_of_inverse(shares: Sequence[_Share], basis: Array) -> Array:
     """Return a square root (p, r) of B⁻¹ within `basis` (p, r), accurate where B itself is not."""
     # B itself has the squares of the singular values: it loses the digits that a root keeps.
-    triangle = np.linalg.qr(np.vstack([share.root for share in shares]) @ basis, mode="r")
-    return basis @ np.linalg.inv(triangle).astype(float)
-
-
-def _sandwich(
-    nlp: CompiledProblem,
-    uncorrected: Sequence[_Share],
-    uncorrected_root: Array,
-    shares: Sequence[_Share],
-    correlation: Sequence[ColoredErrors | None],
-    basis: Array,
-) -> _Sandwich:
-    """Return the covariance of the parts and of earlier fits.
-
-    The meat of colored errors is known in the directions of the root of the inverse before the
-    correction.
-    """
-    p = len(nlp.free)
-    k = len(nlp.names)
-    root = _root_of_inverse(shares, basis)
-    bread = sum((share.bread for share in shares), np.zeros((p, k)))
-
-    # How the estimate follows the constants, from the optimality condition: -B⁻¹ Bᵪ.
-    slope = np.zeros((k, k))
-    slope[:p, p:] = -root @ (root.T @ bread[:, p:])
-    slope[p:, p:] = np.eye(k - p)
-
-    stacked = np.vstack([share.root for share in uncorrected])
-    turned = (stacked @ root).T @ (stacked @ uncorrected_root)
-    terms = []
-    for share, colored, part in zip(shares, correlation, nlp.parts, strict=True):
-        meat = root.T @ share.meat @ root
-        if colored is not None:
-            meat = part.weight * turned @ colored.meat @ turned.T
-        term = np.zeros((k, k))
-        term[:p, :p] = root @ meat @ root.T
-        terms.append((term, share.dof))
-
-    unknown = np.zeros(k, dtype=bool)
-    for covariance, dof in known_covariances(nlp):
-        unknown |= np.isnan(np.diag(covariance))
-        terms.append((slope @ np.nan_to_num(covariance) @ slope.T, dof))
-    return _Sandwich(root, slope, tuple(terms), unknown)
+    stacked = np.vstack([share.root[:, : len(basis)] for share in shares])
+    return basis @ np.linalg.inv(np.linalg.qr(stacked @ basis, mode="r")).astype(float)
 
 
 def determined_directions(
@@ -482,21 +425,16 @@ def determined_directions(
     return basis @ rows[:rank].T, basis @ rows[rank:].T
 
 
-def _share(part: Information, *, p: int, correction: float = 1.0, dof: float = math.inf) -> _Share:
+def _share(part: Information, *, p: int, correction: float = 1.0) -> _Share:
     """Return the information of a part on `p` unknowns, its noise scaled by `correction`."""
-    # Exact data would have infinite weight, and rounding in them would hide all other parts.
     scale, meat = part.spread(correction)
-    free, weight = part.jacobian[:, :p], part.part.weight
-    pull = np.zeros(p) if part.offset is None else weight * scale * free.T @ part.offset(correction)
-    return _Share(
-        bread=weight * scale * free.T @ part.jacobian,
-        root=math.sqrt(weight * scale) * free,
-        meat=weight**2 * meat[:p, :p],
-        jacobian=math.sqrt(weight * min(scale, 1e12)) * free,
-        reach=math.sqrt(weight * min(scale, 1e12)) * part.reach[:p],
-        pull=pull,
-        dof=dof,
-    )
+    weight = part.part.weight
+    size = math.sqrt(weight * scale)
+    root = size * part.jacobian
+    # Exact data would have infinite weight, and rounding in them would hide all other parts.
+    limit = math.sqrt(min(scale, 1e12) / scale)
+    pull = np.zeros(p) if part.offset is None else size * root[:, :p].T @ part.offset(correction)
+    return _Share(root, weight**2 * meat[:p, :p], size * part.reach[:p], limit, pull)
 
 
 def _at_bound(
@@ -516,7 +454,7 @@ def _at_bound(
     held = distance <= 1e-7 * size
 
     p = len(x)
-    curvature = sum((np.diag(share.bread[:, :p]) for share in shares), np.zeros(p))
+    curvature = sum((np.sum(share.root[:, :p] ** 2, axis=0) for share in shares), np.zeros(p))
     spread = sum((np.diag(share.meat) for share in shares), np.zeros(p))
     is_seen = np.isfinite(curvature) & (curvature > 0) & np.isfinite(spread)
     error = np.sqrt(np.where(is_seen, spread, 0.0)) / np.where(is_seen, curvature, 1.0)

@@ -3,7 +3,6 @@
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -159,19 +158,13 @@ class _Regression:
     changes: Callable[[Sequence[Term]], Numbers]
     rows: Callable[[Any, bool], Array]
 
-    @cached_property
-    def size(self) -> int:
-        """The number of rows."""
-        return len(self.rows(self.residuals, False))
-
     def columns(self, keys: Sequence[Key], *, white: bool = True) -> Array:
         """Return the rows (N, c) of terms, zero for those that this part does not have."""
         present = [k for k, key in enumerate(keys) if key in self.terms]
-        result = np.zeros((self.size, len(keys)))
+        values = np.repeat(0 * self.residuals, len(keys), axis=1)
         if present:
-            values = self.changes([self.terms[keys[k]] for k in present])
-            result[:, present] = self.rows(values, white)
-        return result
+            values[:, present] = self.changes([self.terms[keys[k]] for k in present])
+        return self.rows(values, white)
 
     def left(self, keys: Sequence[Key]) -> tuple[float, float]:
         """Return the shares of the squares that are left without and with terms."""
@@ -233,42 +226,38 @@ def _of_group(
     terms = {key: term for part in parts for key, term in part.terms.items()}
     if not terms:
         return 0, [], []
-    residuals, fitted = (
-        np.vstack([part.rows(values(part), True) for part in parts])
-        for values in (lambda part: part.residuals, lambda part: part.fitted)
-    )
+    white = [part.rows(part.residuals, True) for part in parts]
+    residuals = np.vstack(white)
+    fitted = np.vstack([part.rows(part.fitted, True) for part in parts])
     keys, best, tried = [*terms], {}, 0
     size = max(COLUMNS // len(residuals), 1)
     for chosen in (keys[first : first + size] for first in range(0, len(keys), size)):
         columns = np.vstack([part.columns(chosen) for part in parts])
         tests = score_tests(residuals[:, 0], fitted, columns, in_time=in_time)
-        tried += int(np.isfinite(tests.p_value).sum())
+        numbers = np.array([tests.decrease, tests.p_value, tests.value, tests.error]).T.tolist()
         for k in np.flatnonzero(np.isfinite(tests.p_value)):
-            test = (tests.decrease[k], tests.p_value[k], tests.value[k], tests.error[k], chosen[k])
+            tried += 1
             family = chosen[k][0]
-            best[family] = max(best.get(family, test), test)
+            if family not in best or numbers[k] > best[family][0]:
+                best[family] = numbers[k], chosen[k], columns[:, [k]]
 
-    ranked = sorted(best.values(), reverse=True)
-    together = [test[-1] for test in ranked[:TOGETHER]]
-    columns = np.vstack([part.columns(together) for part in parts])
-    remaining = (_remaining(residuals, taken) for taken in (fitted, np.hstack([fitted, columns])))
+    ranked = sorted(best.values(), key=lambda test: test[0], reverse=True)
+    together = [column for *_, column in ranked[:TOGETHER]]
+    remaining = (_remaining(residuals, np.hstack(c)) for c in ([fitted], [fitted, *together]))
     without, beside = (float(np.sum(rows**2)) for rows in remaining)
     total = len(residuals) * (1 - beside / without) if without > 0 else 0.0
 
     causes = []
-    for decrease, p_value, value, error, key in ranked:
-        chance = float(p_value)
+    for (decrease, p_value, value, error), key, column in ranked:
+        chance = p_value
         if not in_time and chance < FALSE_ALARMS:
-            column = np.vstack([part.columns([key]) for part in parts])
             # Real and imaginary parts follow one another in every response.
-            lengths = [part.rows(part.residuals, True).size // 2 for part in parts for _ in "ri"]
+            lengths = [len(rows) // 2 for rows in white for _ in "ri"]
             chance = max(chance, p_value_beside_correlation(residuals, fitted, column, lengths))
         share = min(decrease / total, 1.0) if total > 0 else 0.0
-        text, code = terms[key].described(value)
-        causes.append(
-            Cause(text, code, float(value), float(error), float(share), float(p_value), chance)
-        )
-    return tried, [part.left(together) for part in parts], causes
+        causes.append(Cause(*terms[key].described(value), value, error, share, p_value, chance))
+    named = [key for _, key, _ in ranked[:TOGETHER]]
+    return tried, [part.left(named) for part in parts], causes
 
 
 def _remaining(values: Array, columns: Array) -> Array:
