@@ -7,6 +7,7 @@ from itertools import combinations, product
 
 import numpy as np
 
+from greybox.estimate.undetermined import BLIND
 from greybox.files.arrays import Array, BoolArray
 from greybox.files.text_table import counted, number, one_line, text_table, with_error
 
@@ -20,9 +21,6 @@ CORRELATED = 0.9
 
 # A combination is reported if its error is this many times smaller than those of its members.
 GAIN = 5.0
-
-# Share of an unseen direction from which a combination has no standard error, as for parameters.
-UNSEEN = 1e-5
 
 # Largest power in a product of two parameters: a length squared or cubed. In products of more, up
 # to four, only first powers: nobody reads longer ones.
@@ -90,20 +88,18 @@ class KnownDirections:
         """Return the standard errors (m,) of quantities by their gradients (m, p); NaN if open."""
         variance = np.einsum("ij,jk,ik->i", gradients, self.covariance, gradients)
         scaled = gradients * self.size
-        lost = np.abs(scaled @ self.unseen) > UNSEEN * np.linalg.norm(scaled, axis=1)[:, None]
+        lost = np.abs(scaled @ self.unseen) > BLIND * np.linalg.norm(scaled, axis=1)[:, None]
         return np.where(lost.any(axis=1), np.nan, np.sqrt(np.maximum(variance, 0)))
 
-    def gradients(self, rows: Array, *, is_product: bool) -> Array:
+    def gradients(self, rows: Array, is_product: BoolArray) -> Array:
         """Return gradients (m, p) of logarithms of products of powers `rows` (m, p), or of sums."""
-        return rows / np.where(self.at == 0, 1.0, self.at) if is_product else rows
+        return rows / np.where(is_product[:, None] & (self.at != 0), self.at, 1.0)
 
-    def hold_elsewhere(self, rows: Array, *, is_product: bool) -> BoolArray:
+    def hold_elsewhere(self, rows: Array, is_product: BoolArray) -> BoolArray:
         """Tell which combinations are determined beside the estimate too, (m,)."""
         if self.elsewhere is None:
             return np.ones(len(rows), dtype=bool)
-        return ~np.isnan(
-            self.elsewhere.errors(self.elsewhere.gradients(rows, is_product=is_product))
-        )
+        return ~np.isnan(self.elsewhere.errors(self.elsewhere.gradients(rows, is_product)))
 
 
 @dataclass(frozen=True)
@@ -203,7 +199,7 @@ def identifiability(
     errors = inside.errors(np.eye(len(places)))
     matrix = inside.matrix
     diagonal = np.diag(matrix)
-    is_seen = diagonal > UNSEEN**2 * diagonal.max(initial=0.0)
+    is_seen = diagonal > BLIND**2 * diagonal.max(initial=0.0)
 
     error = np.full(len(names), np.nan)
     insensitivity = np.full(len(names), np.nan)
@@ -251,90 +247,65 @@ def _combinations(
     """Return the simplest independent combinations that are determined."""
     value = directions.at
     loose = np.flatnonzero(~(errors <= ERROR_GUIDELINE * np.abs(value))).tolist()
-    candidates = []
-    for is_product in (True, False):
-        members = [k for k in loose if value[k] != 0] if is_product else loose
-        rows = _products(members, len(value)) if is_product else _sums(members, units, len(value))
-        if not len(rows):
-            continue
-        gradients = directions.gradients(rows, is_product=is_product)
-        error = directions.errors(gradients)
-        # The contribution of each member alone. One that is not determined at all, NaN, is
-        # infinite.
-        single = np.where(rows != 0, np.abs(gradients) * np.nan_to_num(errors, nan=0.0), np.inf)
-        smallest = np.where((rows != 0) & np.isnan(errors), np.inf, single).min(axis=1)
-        good = (error * GAIN < smallest) & directions.hold_elsewhere(rows, is_product=is_product)
-        if is_product:
-            good &= error < ERROR_GUIDELINE
-        else:
-            # A sum of values of opposite sign may be nearly zero: measure its error by the larger
-            # of the members then.
-            good &= error < ERROR_GUIDELINE * np.maximum(
-                np.abs(rows @ value), np.abs(rows * value).max(axis=1)
-            )
-        candidates += [
-            (
-                float(np.abs(rows[k]).sum()),
-                not is_product,
-                int((rows[k] < 0).sum()),
-                float(error[k] / smallest[k]),
-                rows[k],
-                float(error[k]),
-            )
-            for k in np.flatnonzero(good)
-        ]
+    products = [*_products([k for k in loose if value[k] != 0])]
+    members = [*products, *_sums(loose, units)]
+    is_product = np.arange(len(members)) < len(products)
+    rows = np.zeros((len(members), len(value)))
+    for row, powers in zip(rows, members, strict=True):
+        row[[*powers]] = [*powers.values()]
+
+    gradients = directions.gradients(rows, is_product)
+    error = directions.errors(gradients)
+    # The contribution of each member alone. One that is not determined at all, NaN, is infinite.
+    single = np.where(np.isnan(errors), np.inf, np.abs(gradients) * errors)
+    smallest = np.where(rows != 0, single, np.inf).min(axis=1, initial=np.inf)
+    # A sum of values of opposite sign may be nearly zero: measure its error by the larger of the
+    # members then.
+    largest = np.abs(rows * value).max(axis=1, initial=0.0)
+    size = np.where(is_product, 1.0, np.maximum(np.abs(rows @ value), largest))
+    good = (error * GAIN < smallest) & (error < ERROR_GUIDELINE * size)
+    good &= directions.hold_elsewhere(rows, is_product)
 
     # The simplest first: fewest factors, products before sums, few divisors, smallest error. Others
     # follow from the chosen ones.
+    factors, divisors = np.abs(rows).sum(axis=1), (rows < 0).sum(axis=1)
+    order = np.lexsort((error / smallest, divisors, ~is_product, factors))
     chosen: list[DeterminedCombination] = []
     spanned = np.zeros((0, len(value)))
-    for _, is_sum, _, _, row, error in sorted(candidates, key=lambda candidate: candidate[:4]):
-        is_product = not is_sum
-        scaled = directions.gradients(row[None], is_product=is_product)[0] * directions.size
+    for k in order[good[order]]:
+        scaled = gradients[k] * directions.size
         extended = np.vstack([spanned, scaled / np.linalg.norm(scaled)])
         # Their number is limited by the directions that the members have left.
         if np.linalg.matrix_rank(extended, tol=1e-6) == len(extended):
             spanned = extended
-            chosen.append(_named(names, value, row, error, is_product=is_product))
+            chosen.append(_named(names, value, rows[k], float(error[k]), bool(is_product[k])))
 
     return chosen
 
 
-def _products(members: Sequence[int], p: int) -> Array:
-    """Return candidate powers (m, p): of two members, and first powers of more."""
-    rows = []
+def _products(members: Sequence[int]) -> Iterator[dict[int, int]]:
+    """Yield candidate powers by place: of two members, and first powers of more."""
     # Powers without a common divisor and with a positive first one: others are powers of these.
-    for count in range(2, MEMBERS + 1):
-        if count > 2 and len(members) > CANDIDATES:
-            break
+    for count in range(2, MEMBERS + 1 if len(members) <= CANDIDATES else 3):
         highest = POWERS if count == 2 else 1
         powers = [n for n in range(-highest, highest + 1) if n]
-        for powers_of in product(powers, repeat=count):
-            if math.gcd(*powers_of) > 1 or powers_of[0] < 0:
-                continue
-            for group in combinations(members, count):
-                row = np.zeros(p)
-                row[list(group)] = powers_of
-                rows.append(row)
-
-    return np.array(rows).reshape(len(rows), p)
+        for chosen in product(powers, repeat=count):
+            if chosen[0] > 0 and math.gcd(*chosen) == 1:
+                for group in combinations(members, count):
+                    yield dict(zip(group, chosen, strict=True))
 
 
-def _sums(members: Sequence[int], units: Sequence[str], p: int) -> Array:
-    """Return sums and differences (m, p) of two members of one unit."""
+def _sums(members: Sequence[int], units: Sequence[str]) -> Iterator[dict[int, int]]:
+    """Yield sums and differences of two members of one unit, as signs by place."""
     # A sum of a length and a time has no meaning, whatever the data determine.
-    rows = []
     for i, j in combinations(members, 2):
         if units[i] == units[j]:
-            for sign in (1.0, -1.0):
-                row = np.zeros(p)
-                row[i], row[j] = 1.0, sign
-                rows.append(row)
-    return np.array(rows).reshape(len(rows), p)
+            yield {i: 1, j: 1}
+            yield {i: 1, j: -1}
 
 
 def _named(
-    names: Sequence[str], value: Array, row: Array, error: float, *, is_product: bool
+    names: Sequence[str], value: Array, row: Array, error: float, is_product: bool
 ) -> DeterminedCombination:
     """Write a combination as people do: few divisors, the larger value over the smaller."""
     if is_product:
@@ -346,28 +317,17 @@ def _named(
     places = np.flatnonzero(row).tolist()
     members = tuple(names[k] for k in places)
     powers = tuple(int(row[k]) for k in places)
-    if not is_product:
-        return DeterminedCombination(
-            f"{members[0]} {'+' if powers[1] > 0 else '-'} {members[1]}",
-            members,
-            powers,
-            False,
-            float(row @ value),
-            error,
-        )
-
-    above = [_power(n, k) for n, k in zip(members, powers, strict=True) if k > 0]
-    below = [_power(n, -k) for n, k in zip(members, powers, strict=True) if k < 0]
-    divisor = below[0] if len(below) == 1 else f"({' '.join(below)})"
-    result = float(np.prod(value[places] ** row[places]))
-    return DeterminedCombination(
-        " ".join(above) + (f"/{divisor}" if below else ""),
-        members,
-        powers,
-        True,
-        result,
-        error * abs(result),
-    )
+    if is_product:
+        above = [_power(n, k) for n, k in zip(members, powers, strict=True) if k > 0]
+        below = [_power(n, -k) for n, k in zip(members, powers, strict=True) if k < 0]
+        divisor = below[0] if len(below) == 1 else f"({' '.join(below)})"
+        formula = " ".join(above) + (f"/{divisor}" if below else "")
+        result = float(np.prod(value[places] ** row[places]))
+        error *= abs(result)
+    else:
+        formula = f" {'+' if powers[1] > 0 else '-'} ".join(members)
+        result = float(row @ value)
+    return DeterminedCombination(formula, members, powers, is_product, result, error)
 
 
 def _power(name: str, power: int) -> str:

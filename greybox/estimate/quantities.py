@@ -3,6 +3,8 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
+from operator import itemgetter
 from typing import Any, Literal, NamedTuple
 
 import casadi as ca
@@ -110,13 +112,15 @@ def _evaluated(
     symbols = ca.SX.sym("x", len(nlp.names))
     named = dict(zip(nlp.names, ca.vertsplit(symbols), strict=True))
     stacked = ca.vertcat(ca.SX(0, 1), *[ca.SX(formula.evaluate(named)) for formula in formulas])
-    values_and_slopes = ca.Function(
-        "quantities", [symbols], [stacked, ca.jacobian(stacked, symbols)]
-    )
-    value, gradient = values_and_slopes([estimate[name] for name in nlp.names])
-    return np.asarray(value).ravel(), np.asarray(ca.DM(gradient)).reshape(
-        len(formulas), len(nlp.names)
-    )
+    columns = ca.densify(ca.horzcat(stacked, ca.jacobian(stacked, symbols)))
+    function = ca.Function("quantities", [symbols], [columns])
+    values_and_slopes = function([estimate[name] for name in nlp.names]).full()
+    return values_and_slopes[:, 0], values_and_slopes[:, 1:]
+
+
+def _from_part(part: Problem, function: Callable[[Any], Any], values: Mapping[str, Any]) -> Any:
+    """Return a function of a part's own values, from values by outside name."""
+    return function(part.local_values(values))
 
 
 def _tied(problem: AnyProblem) -> list[Formula]:
@@ -124,10 +128,7 @@ def _tied(problem: AnyProblem) -> list[Formula]:
     for part in problem.parts:
         for name in part.tied:
             declared = part.model.parameters[name]
-
-            def value(values: Mapping[str, Any], part: Problem = part, name: str = name) -> Any:
-                return part.local_values(values)[name]
-
+            value = partial(_from_part, part, itemgetter(name))
             formula = Formula(part.outside(name), "tied", declared.unit, declared.about, value)
             formulas_by_name.setdefault(formula.name, formula)
 
@@ -146,14 +147,7 @@ def _derived(problem: AnyProblem) -> list[Formula]:
             label = f"{name} ({part.name})" if differs or name in used_names else name
             if differs and label in formulas_by_name:  # two parts of one name
                 label = f"{name} (part {position})"
-
-            def value(
-                values: Mapping[str, Any],
-                part: Problem = part,
-                function: Callable[[Any], Any] = function,
-            ) -> Any:
-                return function(part.local_values(values))
-
+            value = partial(_from_part, part, function)
             formulas_by_name.setdefault(label, Formula(label, "derived", "", "", value))
 
     return list(formulas_by_name.values())

@@ -7,6 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from greybox.compiled.response_map import Mapped
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.identifiability import KnownDirections
 from greybox.files.arrays import Array, ComplexArray
@@ -182,32 +183,21 @@ def response_and_slope(
     input, output = pick_signals(model, signals["input"], signals["output"])
     options: dict[str, Any] = {"input": input, "output": output, "at": signals["at"]}
     options["pade"] = delay_order(signals["delay"])
-    p = np.array([values[name] for name in model.parameters])
-    if sine is None and (formula := formula_at_one_frequency(model, omega, **options)) is not None:
-        q, frequency = ca.SX.sym("p", p.size), ca.SX.sym("omega")
-        rows = ca.vertcat(*formula(q, frequency))
-        # One small function mapped over the frequencies compiles twenty times faster than one
+    p = [values[name] for name in model.parameters]
+    if sine is not None:
+        sine = enough_harmonics(model, omega, sine.between(measured, omega), values, **options)
+        compiled = harmonic_function(model, omega, sine, **options)
+    elif (formula := formula_at_one_frequency(model, omega, **options)) is not None:
+        # One small function mapped over the frequencies compiles several times faster than one
         # expression of all of them.
-        slope = ca.Function(
-            "slope", [q, frequency], [ca.densify(ca.horzcat(rows, ca.jacobian(rows, q)))]
-        )
-        values_and_slopes = np.asarray(
-            slope.map("slopes", "serial", omega.size, [0], [])(p, omega[None])
-        )
-        values_and_slopes = values_and_slopes.reshape(2, omega.size, 1 + p.size)
+        compiled = Mapped(formula, omega).function()
     else:
-        if sine is None:
-            compiled = response_formula(model, omega, **options).closed()
-        else:
-            sine = enough_harmonics(model, omega, sine.between(measured, omega), values, **options)
-            compiled = harmonic_function(model, omega, sine, **options)
-        q = ca.MX.sym("p", p.size)
-        rows = ca.vertcat(*compiled(q))
-        slope = ca.Function("slope", [q], [rows, ca.jacobian(rows, q)])
-        value, jacobian = (np.asarray(ca.DM(result)) for result in slope(p))
-        values_and_slopes = np.concatenate([value, jacobian], axis=1)
-        values_and_slopes = values_and_slopes.reshape(2, omega.size, 1 + p.size)
+        compiled = response_formula(model, omega, **options).closed()
 
+    q = ca.MX.sym("p", len(p))
+    rows = ca.vertcat(*compiled(q))
+    slope = ca.Function("slope", [q], [ca.densify(ca.horzcat(rows, ca.jacobian(rows, q)))])
+    values_and_slopes = slope(p).full().reshape(2, omega.size, 1 + len(p))
     columns = values_and_slopes[0] + 1j * values_and_slopes[1]
     response = FrequencyResponse(
         omega, columns[:, 0], input, output, name=model.label, source="model"
