@@ -9,6 +9,7 @@ clustered data using the independence loglikelihood, Biometrika 94.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -223,19 +224,32 @@ class _Point:
 
 
 @dataclass(frozen=True, eq=False)
+class _Estimate:
+    """The estimate x (p,) of a fit with its accuracy and cost, as a point of a solver.
+
+    `numbers` is N for costs that are N/2 log of a sum of squares; infinite for other costs.
+    """
+
+    x: Array
+    accuracy: Accuracy
+    cost: float
+    point: Array
+    solver: HeldResponses | HeldRecords
+    numbers: float
+
+
+@dataclass(frozen=True, eq=False)
 class _Search:
     """What the points of one profile, or of one ray of a contour, share.
 
     Attributes
     ----------
-    solver : HeldResponses or HeldRecords
+    estimate : _Estimate
     held : Held
     best : _Point
         The estimate.
-    factor, numbers : float
-        c and N of the likelihood ratio.
-    limit : float
-        Limit of |r|.
+    factor : float
+        c of the likelihood ratio.
     bounds : (float, float)
     size : float
         Typical size of the quantity.
@@ -249,27 +263,26 @@ class _Search:
         Where the values are distances along a ray of two parameters: its origin and direction.
     """
 
-    solver: HeldResponses | HeldRecords
+    estimate: _Estimate
     held: Held
     best: _Point
     factor: float
-    numbers: float
-    limit: float
     bounds: tuple[float, float]
     size: float
     first: float
-    starts: Array
+    starts: Sequence[Array] = ()
     bias: float = 0.0
-    ray: tuple[Array, Array] | None = None
+    ray: tuple[Any, Array] = 0.0, np.ones(())
 
     def root(self, point: _Point) -> float:
         """Return |r|."""
         increase = 2 * max(point.cost - self.best.cost, 0.0)
-        if math.isfinite(self.numbers) and math.isfinite(increase):
+        numbers = self.estimate.numbers
+        if math.isfinite(numbers) and math.isfinite(increase):
             # For N numbers of an estimated variance the cost is N/2 log of a sum of squares, and r²
             # is the F statistic of that sum: exact for a linear model, however few the numbers. An
             # exponent of 100 is beyond any limit; larger ones would overflow.
-            increase = self.numbers * math.expm1(min(increase / self.numbers, 100.0))
+            increase = numbers * math.expm1(min(increase / numbers, 100.0))
         return math.sqrt(self.factor * increase)
 
     def signed_root(self, point: _Point) -> float:
@@ -278,15 +291,12 @@ class _Search:
 
     def point(self, value: float, *starts: Array) -> _Point:
         """Return the lowest minimum from these starts with the quantity at a value."""
-        held_at: float | Array = value
-        if self.ray is not None:
-            held_at = self.ray[0] + value * self.ray[1]
-        minima = self.solver.solve(self.held, starts, held_at)
-        z, cost = min(minima, key=lambda minimum: minimum[1])
-        return _Point(value, z, cost)
+        origin, direction = self.ray
+        minima = self.estimate.solver.solve(self.held, starts, origin + value * direction)
+        return _Point(value, *min(minima, key=lambda minimum: minimum[1]))
 
-    def side(self, direction: int) -> tuple[list[_Point], End]:
-        """Walk from the estimate until the limit is crossed; the points, and how the walk ended."""
+    def side(self, direction: int, limit: float) -> tuple[list[_Point], End]:
+        """Walk from the estimate until |r| crosses a limit; the points, and how the walk ended."""
         points = [self.best]
         step = self.first
         bound = self.bounds[direction > 0]
@@ -306,21 +316,19 @@ class _Search:
                 ahead = last.z + share * (last.z - previous.z)
 
             point = self.point(value, ahead, *self.starts)
-            rise = self.root(point) - self.root(last) if math.isfinite(point.cost) else math.inf
+            rise = self.root(point) - self.root(last)
             # A jump over the crossing does not show the curve before it.
-            if rise > self.limit and step > 1e-3 * self.first:
+            if rise > limit and step > 1e-3 * self.first:
                 step = min(step, room) / GROWTH
                 continue
-            if not math.isfinite(point.cost):
-                point = self.point(value, last.z)
-            if not math.isfinite(point.cost):
+            if math.isinf(rise):
                 return points, "failed"
             points.append(point)
-            if self.root(point) > BEYOND * self.limit:
+            if self.root(point) > BEYOND * limit:
                 return points, "crossed"
             if abs(value - self.best.value) > FAR * self.size:
                 break
-            step *= min(max(STEP * self.limit / max(rise, 1e-12), 1 / GROWTH), GROWTH)
+            step *= min(max(STEP * limit / max(rise, 1e-12), 1 / GROWTH), GROWTH)
 
         return points, "flat"
 
@@ -347,33 +355,27 @@ def _value_of(nlp: CompiledProblem, name: str) -> ca.Function:
     return ca.Function("value", [z], [expressions(nlp.problem, values)[name]])
 
 
-@dataclass(frozen=True, eq=False)
-class _Estimate:
-    """The estimate x (p,) of a fit with its accuracy and cost, as a point of a solver."""
-
-    x: Array
-    accuracy: Accuracy
-    cost: float
-    point: Array
-    solver: HeldResponses | HeldRecords
-
-
 def _estimate(nlp: CompiledProblem, fit: Fit) -> _Estimate:
     """Return the estimate of a fit, if costs are ratios of likelihoods there."""
     x = np.array([fit.estimate[name] for name in nlp.free])
     refusal = _ratio_refusal(nlp, x)
+    solver: HeldResponses | HeldRecords
     if any(part.has_states for part in nlp.parts):
+        # Records are solved again, and may end slightly lower than the fit: r is zero there.
         solver, point, cost, trajectories = best_of_records(nlp, x)
         x = nlp.scaling.to_parameters(point[: len(x)])
-        estimate = _Estimate(x, assess(nlp, x, trajectories), cost, point, solver)
     else:
-        point = nlp.scaling.to_solver(x)
-        accuracy = assess(nlp, x, tuple(part.initial_trajectory(point) for part in nlp.parts))
-        estimate = _Estimate(x, accuracy, nlp.cost(nlp.all_values(x)), point, HeldResponses(nlp))
+        solver, point, cost = (
+            HeldResponses(nlp),
+            nlp.scaling.to_solver(x),
+            nlp.cost(nlp.all_values(x)),
+        )
+        trajectories = tuple(part.initial_trajectory(point) for part in nlp.parts)
 
-    if refusal or estimate.accuracy.white is None:
+    accuracy = assess(nlp, x, trajectories)
+    if refusal or accuracy.white is None:
         raise ValueError(f"no profile of {fit.name!r}: {refusal or 'its errors are not known'}.")
-    return estimate
+    return _Estimate(x, accuracy, cost, point, solver, _numbers(nlp))
 
 
 # --- profiles
@@ -382,21 +384,19 @@ def _estimate(nlp: CompiledProblem, fit: Fit) -> _Estimate:
 def _profiles(
     nlp: CompiledProblem, fit: Fit, lines: Sequence[Quantity], level: float, fresh: int
 ) -> Profiles:
-    # Records are solved again, and may end slightly lower than the fit: r is zero there.
     estimate = _estimate(nlp, fit)
-    parameters = nlp.problem.parameters
     starts = np.zeros((0, len(nlp.free)))
     if fresh:
-        starts = Sobol(fresh, 0).draw({name: parameters[name] for name in nlp.free})
+        boxes = {name: nlp.problem.parameters[name] for name in nlp.free}
+        starts = nlp.scaling.to_solver(Sobol(fresh, 0).draw(boxes))
 
-    starts = nlp.scaling.to_solver(starts)
     profiles = []
     limits = {}
     for line in counted_off(lines, "profiles", "profile"):
         dof = line.dof if math.isfinite(line.dof) else estimate.accuracy.dof
-        limits[line.name] = t_quantile(level, dof)
-        search = _search(nlp, estimate, line, limits[line.name], starts)
-        profiles.append(_profile_of(nlp, search, line))
+        limits[line.name] = limit = t_quantile(level, dof)
+        search = _search(nlp, estimate, line, limit, starts)
+        profiles.append(_profile_of(nlp, search, line, limit))
 
     lowest = min((float(profile.costs.min()) for profile in profiles), default=math.inf)
     warnings = ()
@@ -432,12 +432,10 @@ def _search(
     error = line.standard_error
     first = STEP * limit * error if math.isfinite(error) and error > 0 else 0.02 * size
     return _Search(
-        solver=estimate.solver,
+        estimate=estimate,
         held=held,
         best=_Point(value, estimate.point, estimate.cost),
         factor=likelihood_factor(estimate.accuracy, slope),
-        numbers=_numbers(nlp),
-        limit=limit,
         bounds=bounds,
         size=size,
         first=min(first, *(STEP * abs(bound - line.value) or math.inf for bound in bounds)),
@@ -446,38 +444,29 @@ def _search(
     )
 
 
-def _profile_of(nlp: CompiledProblem, search: _Search, line: Quantity) -> ProfileOf:
+def _profile_of(nlp: CompiledProblem, search: _Search, line: Quantity, limit: float) -> ProfileOf:
     # A relative criterion biases the estimate by b, so that at the truth r has the mean -b over the
     # standard error. The interval is where r plus this ratio is within the limit: like the interval
     # of the standard error, it is about the value less b.
-    lowest = -search.limit - search.bias
-    highest = search.limit - search.bias
+    lowest, highest = -limit - search.bias, limit - search.bias
     # With a bias beyond the limit one end lies on the other side of the estimate: that walk still
     # takes a step, which shows the curve.
-    walks = [replace(search, limit=max(limit, STEP * search.limit)) for limit in (-lowest, highest)]
-    down, low_end = walks[0].side(-1)
-    up, high_end = walks[1].side(1)
+    down, low_end = search.side(-1, max(-lowest, STEP * limit))
+    up, high_end = search.side(1, max(highest, STEP * limit))
     points = [*down[::-1], *up[1:]]
     roots = np.array([search.signed_root(point) for point in points])
     inside = np.flatnonzero((roots >= lowest) & (roots <= highest))
-
     if not inside.size:  # beyond the bound at which the walk ended
         inside = np.array([np.argmin(np.abs(roots + search.bias))])
 
-    first = int(inside[0])
-    last = int(inside[-1])
-    low, high = -math.inf, math.inf
-    at_low: tuple[str, ...] = ()
-    at_high: tuple[str, ...] = ()
-
-    if first > 0:
-        low = search.crossing(points[first - 1], points[first], lowest)
-        low_end = "crossed"
-        at_low = _newly_at_bound(nlp, points[first - 1], search.best, line.name)
-    if last < len(points) - 1:
-        high = search.crossing(points[last], points[last + 1], highest)
-        high_end = "crossed"
-        at_high = _newly_at_bound(nlp, points[last + 1], search.best, line.name)
+    interval, ends = [-math.inf, math.inf], [low_end, high_end]
+    at_bound: list[tuple[str, ...]] = [(), ()]
+    first, last = int(inside[0]), int(inside[-1])
+    for side, k, outside, root in ((0, first, first - 1, lowest), (1, last, last + 1, highest)):
+        if 0 <= outside < len(points):
+            interval[side] = search.crossing(points[k], points[outside], root)
+            ends[side] = "crossed"
+            at_bound[side] = _newly_at_bound(nlp, points[outside], search.best, line.name)
 
     return ProfileOf(
         name=line.name,
@@ -488,11 +477,11 @@ def _profile_of(nlp: CompiledProblem, search: _Search, line: Quantity) -> Profil
         costs=np.array([point.cost for point in points]),
         roots=roots,
         others=nlp.scaling.to_parameters(np.array([point.z[: len(nlp.free)] for point in points])),
-        interval=(low, high),
-        ends=(low_end, high_end),
+        interval=(interval[0], interval[1]),
+        ends=(ends[0], ends[1]),
         bounds=line.bounds,
         bias=search.bias,
-        at_bound=(at_low, at_high),
+        at_bound=(at_bound[0], at_bound[1]),
         connected=len(inside) == last - first + 1,
     )
 
@@ -572,19 +561,15 @@ def _contour(
     axes = np.diag(accuracy.size[places])
     if np.linalg.det(block) > 0:
         axes = np.linalg.cholesky(block)
+    factors = [likelihood_factor(accuracy, np.eye(len(x))[place]) for place in places]
     search = _Search(
-        solver=estimate.solver,
+        estimate=estimate,
         held=places,
         best=_Point(0.0, estimate.point, estimate.cost),
-        factor=float(
-            np.mean([likelihood_factor(accuracy, np.eye(len(x))[place]) for place in places])
-        ),
-        numbers=_numbers(nlp),
-        limit=limit,
+        factor=float(np.mean(factors)),
         bounds=(0.0, math.inf),
         size=limit,
         first=limit / 2,
-        starts=np.zeros((0, len(x))),
     )
     origin = x[places]
     bounds = np.array([line.bounds for line in lines])
@@ -601,14 +586,10 @@ def _contour(
         ray = axes @ direction
         along = float(direction @ bias)
         with np.errstate(divide="ignore", invalid="ignore"):
-            room = np.where(ray > 0, bounds[:, 1] - origin, bounds[:, 0] - origin) / ray
+            room = np.max((bounds - origin[:, None]) / ray[:, None], axis=1)
         reach, end = _reach(
-            replace(
-                search,
-                limit=math.sqrt(limit**2 - bias @ bias + along**2) - along,
-                bounds=(0.0, float(np.nanmin(np.where(ray == 0, np.nan, room)))),
-                ray=(origin, ray),
-            )
+            replace(search, bounds=(0.0, float(np.nanmin(room))), ray=(origin, ray)),
+            math.sqrt(limit**2 - bias @ bias + along**2) - along,
         )
         points.append(origin + reach * ray)
         ends.append(end)
@@ -624,11 +605,10 @@ def _contour(
     )
 
 
-def _reach(search: _Search) -> tuple[float, End]:
-    """Return how far along a ray the limit is crossed, or where else the walk ended."""
-    points, end = search.side(1)
-    outside = [k for k, point in enumerate(points) if search.root(point) > search.limit]
-    if outside:
-        k = outside[0]
-        return search.crossing(points[k - 1], points[k], search.limit), "crossed"
+def _reach(search: _Search, limit: float) -> tuple[float, End]:
+    """Return how far along a ray a limit is crossed, or where else the walk ended."""
+    points, end = search.side(1, limit)
+    for inner, outer in pairwise(points):
+        if search.root(outer) > limit:
+            return search.crossing(inner, outer, limit), "crossed"
     return {"bound": search.bounds[1], "flat": math.inf}.get(end, math.nan), end
