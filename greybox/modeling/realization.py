@@ -7,7 +7,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.modeling.formula_structure import has_switches
 from greybox.modeling.model import Model
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import observer_form, pade_rows
@@ -111,14 +110,6 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
         ),
         pade,
     )
-
-
-def has_branches(model: Model) -> bool:
-    """Return whether the equations of a `StateSpace` contain comparisons or limits."""
-    if not isinstance(model, StateSpace):
-        return False
-    z, p = symbols(model)
-    return has_switches(ca.vertcat(traced_derivative(model, z, p), traced_output(model, z, p)))
 
 
 def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:

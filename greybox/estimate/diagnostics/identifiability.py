@@ -11,7 +11,6 @@ from greybox.estimate.result import Fit
 from greybox.estimate.undetermined import Combination
 from greybox.files.text_table import counted, listed
 from greybox.formulation.time_criteria import TimeCriterion
-from greybox.modeling.realization import has_branches
 from greybox.solve.minima import Minimum
 
 
@@ -23,7 +22,7 @@ def not_determined(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str]:
     combinations.sort(key=lambda c: -c.index)
     for combination in combinations[:3]:
         if math.isinf(combination.index):
-            yield _not_determined(nlp, combination)
+            yield _not_determined(combination)
         else:
             yield (
                 f"{listed(combination.names)} are poorly identifiable: their effects nearly cancel "
@@ -56,14 +55,13 @@ def determined_together(fit: Fit) -> Iterator[str]:
     )
 
 
-def _not_determined(nlp: CompiledProblem, combination: Combination) -> str:
+def _not_determined(combination: Combination) -> str:
     """Name parameters without an effect, or with effects only in combination; say what to fix."""
     names, count = combination.names, combination.directions
-    branch = _inactive_branch(nlp, names)
     if len(names) == 1 and not combination.states:
         return (
             f"{names[0]} is not determined: it does not change the response to these data at this "
-            f"estimate; fix it{branch}."
+            "estimate; fix it, or try starts at which it does."
         )
 
     members = [*names, *(f"the initial state of {name}" for name in combination.states)]
@@ -74,23 +72,7 @@ def _not_determined(nlp: CompiledProblem, combination: Combination) -> str:
     combined = "a combination" if count == 1 else "combinations"
     return (
         f"{listed(members)} are not determined: at this estimate the data depend only on "
-        f"{combined} of them, so no standard error is given; {cure}{branch}."
-    )
-
-
-def _inactive_branch(nlp: CompiledProblem, names: tuple[str, ...]) -> str:
-    """Return another cure for parameters of a model with branches."""
-    models = [
-        part.model
-        for part in nlp.problem.parts
-        if any(part.outside(declared) in names for declared in part.declared)
-    ]
-
-    if not any(has_branches(model) for model in models):
-        return ""
-    return (
-        ", unless it acts in a branch or beyond a limit of the model (gb.where, gb.minimum, "
-        "gb.maximum) that is not active at this estimate: then try starts at which it is active"
+        f"{combined} of them, so no standard error is given; {cure}."
     )
 
 

@@ -1,5 +1,6 @@
 """Where and why a model has no finite value: which response, state or output, and what helps."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -9,7 +10,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array
 from greybox.modeling.integrators import Rosenbrock
 from greybox.solve.ipopt import INVALID
 from greybox.solve.minima import Multistart
@@ -85,57 +86,49 @@ def _trouble_of(part: Part, z: Array) -> Trouble | None:
 
 
 def _located(part: RecordPart, trajectory: Trajectory) -> Trouble | None:
-    """Look at the first states of the segments, at the integration, and at all samples."""
-    # Formulas at the nodes first: they are given, while all other states follow from integration.
-    samples = np.arange(part.data.samples)
-    at_nodes = _of_formulas(part, trajectory, samples[:: part.data.segment_length])
-    if at_nodes is not None:
-        return at_nodes
-    states_are_finite = np.all(np.isfinite(trajectory.states))
-    if not (states_are_finite and np.all(np.isfinite(trajectory.ends))):
-        return _of_integration(part, trajectory)
-    return _of_formulas(part, trajectory, samples)
+    """Return the first state, derivative or output that is not finite."""
+    # Later values that are not finite follow from the first. Where a state diverges, so do the
+    # formulas of that sample.
+    first = min(_diverged(part, trajectory), _invalid(part, trajectory), key=lambda pair: pair[0])
+    return first[1]
 
 
-def _of_formulas(part: RecordPart, trajectory: Trajectory, samples: IntArray) -> Trouble | None:
-    """Return the first derivative or output that is not finite at one of the samples."""
-    system = part.system
-    placed = trajectory.detail
-    x, data = (
-        part.segments.in_order(values)[:, samples] for values in (trajectory.states, placed.data)
-    )
+def _invalid(part: RecordPart, trajectory: Trajectory) -> tuple[float, Trouble | None]:
+    """Return the first sample at which a derivative or output is not finite, and which."""
+    system, placed = part.system, trajectory.detail
+    x, data = map(part.segments.in_order, (trajectory.states, placed.data))
     _, u, _, residual, _ = (value.full() for value in part.step.measurement(x, placed.q, data))
-    rows = {f"the output {name}": row for name, row in zip(part.outputs, residual, strict=True)}
-
+    names = [f"the output {name}" for name in part.outputs]
+    rows = residual
     if part.states:
         slopes = system.derivative(x, u, placed.q[: len(system.parameters)]).full()
-        names = [f"the derivative of {name}" for name in system.states]
-        rows = dict(zip(names, slopes, strict=True)) | rows
+        names = [*(f"the derivative of {name}" for name in system.states), *names]
+        rows = np.vstack([slopes, residual])
 
-    lost = ~np.isfinite([*rows.values()])
+    lost = ~np.isfinite(rows)
     if not lost.any():
-        return None
-
-    # The first sample: later values that are not finite follow from it.
+        return math.inf, None
     at = int(np.argmax(lost.any(axis=0)))
-    what = [*rows][int(np.argmax(lost[:, at]))]
+    what = names[int(np.argmax(lost[:, at]))]
     point = zip((*system.states, *system.inputs), (*x[:, at], *u[:, at]), strict=True)
     values = ", ".join(f"{name} = {value:.4g}" for name, value in point)
-    when = _time(part, int(samples[at]))
+    when = _time(part, at)
     place = f"at {when:.6g} s" if part.model.record.has_time else f"in row {when + 1:.0f}"
+    why = f"{what} is not finite {place}, where {values}"
+    return at, Trouble(what, why, _elsewhere(part))
 
-    return Trouble(what, f"{what} is not finite {place}, where {values}", _elsewhere(part))
 
-
-def _of_integration(part: RecordPart, trajectory: Trajectory) -> Trouble:
-    """Return the states that diverge between samples."""
+def _diverged(part: RecordPart, trajectory: Trajectory) -> tuple[float, Trouble | None]:
+    """Return the first sample at which simulated states are not finite, and which."""
     states = part.segments.in_order(trajectory.states).T
     within = states.reshape(len(trajectory.ends), -1, part.states)
     lost = ~np.isfinite(np.concatenate([within, trajectory.ends[:, None]], axis=1))
+    if not lost.any():
+        return math.inf, None
     segment, sample = (int(k) for k in np.argwhere(lost.any(axis=2))[0])
     diverged = zip(part.system.states, lost[segment, sample], strict=True)
     names = [name for name, is_lost in diverged if is_lost]
-    when = _time(part, segment * part.data.segment_length + sample)
+    at = segment * part.data.segment_length + sample
 
     cure = f"{_elsewhere(part)}, or use method=MultipleShooting(segment=2)"
     if not isinstance(part.model.method.scheme, Rosenbrock):
@@ -143,12 +136,10 @@ def _of_integration(part: RecordPart, trajectory: Trajectory) -> Trouble:
             "; if the model is stiff, with time constants far below a sample, use "
             "method=MultipleShooting(integrator=Rosenbrock())"
         )
-
     verb = "is" if len(names) == 1 else "are"
     joined = " and ".join(names)
-    return Trouble(
-        f"{joined}, simulated", f"{joined} {verb} no longer finite at {when:.6g} s", cure
-    )
+    why = f"{joined} {verb} no longer finite at {_time(part, at):.6g} s"
+    return at, Trouble(f"{joined}, simulated", why, cure)
 
 
 def _elsewhere(part: RecordPart) -> str:

@@ -1,6 +1,5 @@
 """Whether the residuals in time look like noise, and whether all samples were compared."""
 
-import math
 import re
 from collections.abc import Iterator, Sequence
 
@@ -15,7 +14,6 @@ from greybox.data.record import Record
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.repeated import Finding, once
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
-from greybox.files.arrays import Array
 from greybox.files.text_table import counted, some
 from greybox.statistics.metrics import feedback_correlation, whiteness
 from greybox.statistics.noise_ratio import noise_ratio
@@ -73,8 +71,8 @@ def _short(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[Finding]:
             continue
         slowest = int(np.argmax(colored.correlation_times))
         time = float(colored.correlation_times[slowest])
-        name = part.model.record.name or part.problem.name
-        place = "" if len(nlp.parts) == 1 else f" in {name!r}"
+        record, alone = part.model.record, len(nlp.parts) == 1
+        place = _place(record, part.problem.name, alone=alone)
         text = (
             f"the residuals of {part.outputs[slowest]}{place} stay correlated for about {time:.2g} "
             f"s, and the longest gap-free stretch lasts only {colored.duration / time:.2g} times "
@@ -82,7 +80,7 @@ def _short(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[Finding]:
             f"({counted(max(round(colored.dof), 1), 'degree of', 'degrees of')} freedom); use a "
             "longer record."
         )
-        yield part.outputs[slowest], name, text
+        yield part.outputs[slowest], record.name or part.problem.name, text
 
 
 def unexplained_outputs(
@@ -98,7 +96,7 @@ def unexplained_outputs(
         if not percent < 10:
             continue
         record = fitted.data.name or fitted.name
-        name = output if alone else f"{output} in {record!r}"
+        name = output + _place(fitted.data, fitted.name, alone=alone)
         text = f"the model reproduces almost none of the variation of {name} (fit {percent:.1f} %)"
         if not fitted.data.has_time:  # the order of rows does not show the noise
             yield (
@@ -129,11 +127,11 @@ def colored_predictions(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Ite
         if not part.model.criterion.errors_are_white:
             continue
         for output in fitted.outputs:
-            value, count = successive_correlation(fitted.residual(output))
+            test = whiteness([fitted.residual(output)], lags=1)
             # Five standard deviations of the correlation of white errors, and a fifth at least.
-            if abs(value) > max(0.2, 5 / math.sqrt(max(count, 1))):
-                place = "" if len(pairs) == 1 else f" in {fitted.data.name or fitted.name!r}"
-                values.append(f"{value:.3g} for {output}{place}")
+            if abs(test.correlations[0]) > max(0.2, 2 * test.bound):
+                place = _place(fitted.data, fitted.name, alone=len(pairs) == 1)
+                values.append(f"{test.correlations[0]:.3g} for {output}{place}")
 
     if values:
         yield (
@@ -166,7 +164,7 @@ def biased_by_feedback(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iter
         # Lags across a gap would compare samples that are not neighbors.
         ends = np.cumsum([len(piece) for piece in fitted.data.pieces])[:-1]
         inputs = {name: np.split(fitted.data[name], ends) for name in part.system.inputs}
-        place = "" if len(pairs) == 1 else f" in {fitted.data.name or fitted.name!r}"
+        place = _place(fitted.data, fitted.name, alone=len(pairs) == 1)
         for output in fitted.outputs:
             residuals = np.split(fitted.residual(output), ends)
             if not whiteness(residuals).p_value < FALSE_ALARMS / outputs:
@@ -213,12 +211,9 @@ def _bounded(
             yield "limit", name, text
 
 
-def successive_correlation(error: Array) -> tuple[float, int]:
-    """Return the correlation of successive residuals (n,), and the number of complete pairs."""
-    is_pair = np.isfinite(error[1:]) & np.isfinite(error[:-1])
-    squares = float(np.nansum(error**2))
-    product = float(error[1:][is_pair] @ error[:-1][is_pair])
-    return product / squares if squares else 0.0, int(is_pair.sum())
+def _place(record: Record, part: str, *, alone: bool) -> str:
+    """Return which record is meant; nothing where there is only one."""
+    return "" if alone else f" in {record.name or part!r}"
 
 
 def _resting(parts: Sequence[RecordPart]) -> Iterator[str]:
