@@ -18,6 +18,10 @@ from greybox.modeling.model import Model
 FACTOR = 100.0
 WIDENINGS = 3
 
+# The starts of least squares are close to a minimum. IPOPT would otherwise begin by moving toward the
+# middle between the bounds, which are decades apart.
+NEAR_MINIMUM = {"mu_init": 1e-5, "bound_push": 1e-8, "bound_frac": 1e-8}
+
 STATED = ("fixed", "free", "bounds", "start")
 
 
@@ -81,7 +85,9 @@ def fit_within_far_bounds(
     # One widening is not enough for gains in µs or degrees, which are decades off.
     while True:
         problem = problem_of_structure(model, responses, bounds=bounds, starts=boxes, **options)
-        result = fit(problem, points, seed, profiles=False, progress=False)
+        result = fit(
+            problem, points, seed, solver_options=NEAR_MINIMUM, profiles=False, progress=False
+        )
         held = [
             q for q in result.quantities if q.at_bound and q.name not in stated.get("bounds", {})
         ]

@@ -322,7 +322,7 @@ def fit_band(
     ):
         return None
 
-    transients = _transients(lines.stretch[rows], stretches, powers[:, : transient_order + 1])
+    transients = _transients(lines, rows, stretches, transient_order)
     regressors = _without(transients, np.hstack([c[:, None] * powers for c in (u, *conditioned)]))
     # Least squares is the special case in which the regressors are their own instruments.
     instruments = regressors
@@ -337,14 +337,16 @@ def fit_band(
     return Fitted(center, half, rows, x, regressors, basis, solution, transients, order)
 
 
-def _transients(stretch: IntArray, stretches: Sequence[int], powers: Array) -> Array:
-    """Return an orthonormal basis (n, t) of the polynomials of each stretch, from powers (n, k)."""
-    width = powers.shape[1]
-    basis = np.zeros((len(powers), width * len(stretches)))
+def _transients(lines: Lines, rows: IntArray, stretches: Sequence[int], order: int) -> Array:
+    """Return an orthonormal basis (n, t) of polynomials in 1/ω for each stretch."""
+    omega = lines.omega[rows]
+    # Integrators and drift leave transients that are proportional to 1/ω.
+    powers = np.vander(omega.mean() / omega - 1, order + 1, increasing=True)
+    basis = np.zeros((rows.size, len(stretches), order + 1))
     for place, number in enumerate(stretches):
-        rows = np.flatnonzero(stretch == number)
-        basis[rows, width * place : width * (place + 1)] = np.linalg.qr(powers[rows])[0]
-    return basis
+        within = lines.stretch[rows] == number
+        basis[within, place] = np.linalg.qr(powers[within])[0]
+    return basis.reshape(rows.size, -1)
 
 
 def _without(basis: Array, columns: ComplexArray) -> ComplexArray:
@@ -467,8 +469,9 @@ def _with_pole(
     rows, stretches = _rows(lines, center, half, TRANSIENT_ORDER)
     x = (lines.omega[rows] - center) / half
     u, y, r, *conditioned = lines.values[:, rows]
-    powers = np.vander(x, ORDER + 2, increasing=True)
-    transients = _transients(lines.stretch[rows], stretches, powers[:, : TRANSIENT_ORDER + 1])
+    # Divided by the frequency, the numerator allows for an integrator beside the pole.
+    powers = np.vander(x, ORDER + 2, increasing=True) * (center / lines.omega[rows])[:, None]
+    transients = _transients(lines, rows, stretches, TRANSIENT_ORDER)
     shared = [c[:, None] * powers[:, :-1] for c in conditioned]
     regressors = np.hstack([u[:, None] * powers[:, :-1], -(x * y)[:, None], *shared])
     instruments = np.hstack([r[:, None] * powers, *shared])
@@ -488,9 +491,8 @@ def _with_pole(
     coefficients[ORDER + 1] = 0.0
     output = (regressors @ coefficients + transient) / (1 + pole * x)
     at = (omega - center) / half
-    response = (
-        np.vander(at, ORDER + 1, increasing=True) @ coefficients[: ORDER + 1] / (1 + pole * at)
-    )
+    numerator = np.vander(at, ORDER + 1, increasing=True) @ coefficients[: ORDER + 1]
+    response = numerator * (center / omega) / (1 + pole * at)
     correction = fitted.weights(omega) @ output[places] - response
     squares = float(np.sum(np.abs(y - output) ** 2))
     if not (np.all(np.isfinite(correction)) and math.isfinite(squares)):

@@ -91,8 +91,7 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
         For a signal that a record does not hold.
     """
     signals = [input, output, instrument or input, *conditioned]
-    # A trend would leak into the lowest frequencies.
-    stretches = uniform_stretches(records, signals, detrended=True)
+    stretches = uniform_stretches(records, signals)
     longest = max(s.values.shape[1] * s.step for s in stretches)
     lowest = LOWEST * HZ / longest
     lines = lines_of(stretches)

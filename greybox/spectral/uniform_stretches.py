@@ -15,7 +15,7 @@ from greybox.files.arrays import Array
 # 2π · 0.4 · 0.05 = 0.13 rad, and a window averages it.
 JITTER = 0.05
 
-# Largest change of a constant signal, in its unit: rounding errors of detrending some thousands.
+# Largest change of a constant signal, in its unit: rounding errors of resampling some thousands.
 CONSTANT = 1e-12
 
 
@@ -30,7 +30,7 @@ class UniformStretch(NamedTuple):
 
 
 def uniform_stretches(
-    records: Record | Sequence[Record], signals: Sequence[str], *, detrended: bool = False
+    records: Record | Sequence[Record], signals: Sequence[str]
 ) -> list[UniformStretch]:
     """Cut records at gaps and missing samples.
 
@@ -39,8 +39,6 @@ def uniform_stretches(
     records : Record or sequence of Record
     signals : sequence of str
         Rows of the values; only samples at which all are present are used.
-    detrended : bool
-        Remove the straight line of least squares from each stretch.
 
     Raises
     ------
@@ -62,7 +60,7 @@ def uniform_stretches(
                     _check_uniform(time, record)
                     origin = Stretch(record.checksum, float(time[0]), float(time[-1]))
                     stretch = UniformStretch(
-                        _without_trend(values[:, rows]) if detrended else values[:, rows],
+                        values[:, rows],
                         piece.step,
                         record.source,
                         origin,
@@ -97,9 +95,3 @@ def _check_uniform(time: Array, record: Record) -> None:
             f"ms off at {time[deviation.argmax()]:.2f} s): resample it with gb.prepare(..., "
             "rate=...)."
         )
-
-
-def _without_trend(values: Array) -> Array:
-    centered = values - values.mean(axis=1, keepdims=True)
-    ramp = np.linspace(-1, 1, values.shape[1])
-    return centered - np.outer(centered @ ramp / (ramp @ ramp), ramp)

@@ -18,13 +18,6 @@ def test_stretches_are_cut_at_gaps_and_missing_samples():
     assert stretches[0].step == pytest.approx(0.02)
 
 
-def test_the_line_of_least_squares_is_removed():
-    values = np.random.default_rng(0).standard_normal(100) + RAMP
-    (stretch,) = uniform_stretches(Record(TIME, {"u": values}), ["u"], detrended=True)
-    fitted = np.polyval(np.polyfit(TIME, values, 1), TIME)
-    np.testing.assert_allclose(stretch.values[0], values - fitted, atol=1e-12)
-
-
 @pytest.mark.parametrize(("share", "accepted"), [(0.9, True), (1.1, False)])
 @pytest.mark.parametrize("start", [0.0, 1000.0])
 def test_a_time_base_may_be_off_by_a_twentieth_of_a_step(share, accepted, start):
