@@ -18,8 +18,8 @@ from greybox.modeling.model import Model
 FACTOR = 100.0
 WIDENINGS = 3
 
-# The starts of least squares are close to a minimum. IPOPT would otherwise begin by moving toward the
-# middle between the bounds, which are decades apart.
+# The starts of least squares are close to a minimum. IPOPT would otherwise begin by moving toward
+# the middle between the bounds, which are decades apart.
 NEAR_MINIMUM = {"mu_init": 1e-5, "bound_push": 1e-8, "bound_frac": 1e-8}
 
 STATED = ("fixed", "free", "bounds", "start")

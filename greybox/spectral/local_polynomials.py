@@ -2,10 +2,11 @@
 
 At the lines of the discrete Fourier transform of a whole stretch, input and output obey Y = P U + T
 + V. The transient T began before the stretch or lasts beyond it, and is as smooth as P (Pintelon
-and Schoukens, System Identification, 2nd ed., chapter 7). In a band of lines, both are polynomials,
-estimated by least squares, or by instrumental variables with an instrument r from outside the loop.
-There is no window, so nothing is smeared. The remaining error is that of the polynomials; it falls
-with the fourth power of the width of the band, the error of windows with the square.
+and Schoukens, System Identification, 2nd ed., chapter 7). In a band of lines, P is a polynomial in
+the frequency and T one in its inverse, as integrators and drift leave it. They are estimated by
+least squares, or by instrumental variables with an instrument r from outside the loop. There is no
+window, so nothing is smeared. The remaining error is that of the polynomials; it falls with the
+fourth power of the width of the band, the error of windows with the square.
 
 Resolution
     A quadratic over a band has three coefficients. It is evaluated at the three Gauss nodes of the
@@ -20,8 +21,8 @@ Error of the polynomials
     known, and subtracted (the local rational method: McKelvey and Guérin (2012), 16th IFAC
     Symposium on System Identification).
 Noise
-    Its spectrum S is estimated from the residuals of the narrowest bands in a neighborhood, where
-    the polynomials are most accurate. For the estimate aY, the variance E|P̂ - P|² is S aaᴴ.
+    Its spectrum S is estimated from the residuals of the band, with the pole if one is needed, and
+    of the bands beside it if these are few. For the estimate aY, the variance E|P̂ - P|² is S aaᴴ.
 """
 
 import math
@@ -68,20 +69,13 @@ LEAST_RESIDUALS = 3  # complex residuals in the narrowest band of a point: six d
 # need many of them.
 TRANSIENT_SHARE = 0.5
 
-# Fewest residuals of the neighborhood from which the noise is estimated, and the number of narrow
-# bands in it. As these overlap, 8 residuals become about 12, and the variance has 25 degrees of
-# freedom.
-NEIGHBORHOOD = 8
-PLACES = 24  # for bands with one residual
-LEAST_PLACES = 6
+# Residuals from which the noise is estimated: 24 degrees of freedom. A band with fewer residuals
+# uses those of the bands beside it, up to an octave away.
+NEIGHBORHOOD = 12
 
 # Noise falls or rises with a power of the frequency. The exponent is estimated from an octave on
-# either side, by least squares on logarithms, whose scatter is π/√6 for one residual, and a prior
-# of this standard deviation. With 2, the squared errors of the three lowest points of a sweep are
-# 1.39 times the stated variance, with 1 they are 1.24 times (white noise; with AR(0.95), 1.32 and
-# 1.37 times).
+# either side, by least squares on logarithms, with a prior of this standard deviation.
 STEEP = 1.0
-LOG_SCATTER = math.pi / math.sqrt(6)
 
 # Largest half-width of a band over its frequency: 0.15 decades on either side.
 WIDEST = 0.35
@@ -175,16 +169,17 @@ class Band(NamedTuple):
         Subtracted from the response.
     squared_error : (k,) array
         Squared error that remains after the correction.
-    pole_noise : (float, float) or None
-        Sum of squared residuals with a pole, and their number, if the polynomials alone are visibly
-        wrong.
+    squares, number : float
+        Sum of squared residuals, for noise of variance one their number; with a pole, if the
+        polynomials alone are visibly wrong.
     """
 
     fitted: Fitted
     omega: Array
     correction: ComplexArray
     squared_error: Array
-    pole_noise: tuple[float, float] | None
+    squares: float
+    number: float
 
 
 def lines_of(stretches: Sequence[UniformStretch]) -> Lines:
@@ -192,7 +187,7 @@ def lines_of(stretches: Sequence[UniformStretch]) -> Lines:
     omega, values, stretch = [], [], []
     for index, piece in enumerate(stretches):
         count = piece.values.shape[1]
-        # The line at zero is left out: it has the mean, which was removed with the trend.
+        # The line at zero is left out: it has the mean, and the transient is infinite there.
         spectrum = np.fft.rfft(piece.values, axis=1)[:, 1:] * math.sqrt(piece.step / count)
         omega.append(HZ / (count * piece.step) * np.arange(1, spectrum.shape[1] + 1))
         values.append(spectrum)
@@ -217,12 +212,12 @@ def tiled_points(
     If the response is smooth, there are about `points`, log spaced; more where it is not, and fewer
     where the lines do not resolve as many.
     """
-    widths = _Widths.of(lines, math.sqrt(low * high))
-    edges = _edges(low, high, max(round(points / NODES), 1), widths.point)
+    narrowest = _narrowest(lines, math.sqrt(low * high))
+    edges = _edges(low, high, max(round(points / NODES), 1), narrowest)
     bands = [
-        band for first, last in pairwise(edges) for band in _halved(lines, first, last, widths)
+        band for first, last in pairwise(edges) for band in _halved(lines, first, last, narrowest)
     ]
-    estimates = [point for band in bands for point in _estimates(lines, band, bands, widths)]
+    estimates = [point for band in bands for point in _estimates(lines, band, bands)]
     return np.concatenate([band.omega for band in bands] or [np.zeros(0)]), estimates
 
 
@@ -232,38 +227,21 @@ def points_at(lines: Lines, omega: Array) -> list[EstimatedPoint]:
     If frequencies are closer than the resolution, the bands overlap and the errors of neighbors are
     correlated.
     """
-    widths = _Widths.of(lines, float(np.exp(np.mean(np.log(omega)))))
+    narrowest = _narrowest(lines, float(np.exp(np.mean(np.log(omega)))))
     order = np.sort(omega)
     gaps = np.concatenate([[np.inf], np.diff(order), [np.inf]])
     nearest = dict(zip(order.tolist(), np.minimum(gaps[:-1], gaps[1:]), strict=True))
 
     bands = []
     for center in omega.tolist():
-        half = max(min(nearest[center] / 2, WIDEST * center), widths.point / 2)
-        bands.append(_centered(lines, center, half, widths))
+        half = max(min(nearest[center] / 2, WIDEST * center), narrowest / 2)
+        bands.append(_centered(lines, center, half, narrowest))
     fitted = [band for band in bands if band is not None]
-    return [
-        _estimates(lines, band, fitted, widths)[0] if band else EstimatedPoint() for band in bands
-    ]
+    return [_estimates(lines, band, fitted)[0] if band else EstimatedPoint() for band in bands]
 
 
-class _Widths(NamedTuple):
-    """Widths of the narrowest bands for a point and for noise, rad/s; residuals of the second."""
-
-    point: float
-    noise: float
-    residuals: int
-
-    @classmethod
-    def of(cls, lines: Lines, omega: float) -> "_Widths":
-        point, _ = _narrowest(lines, omega, LEAST_RESIDUALS, TRANSIENT_SHARE)
-        return cls(point, *_narrowest(lines, omega, 1))
-
-
-def _narrowest(
-    lines: Lines, omega: float, residuals: int, transient_share: float = 1.0
-) -> tuple[float, int]:
-    """Return the narrowest width of a band with enough residuals, and their number.
+def _narrowest(lines: Lines, omega: float) -> float:
+    """Return the narrowest width of a band with enough residuals.
 
     The number of lines in a band of given width depends on its position: the worst case counts.
     """
@@ -276,16 +254,14 @@ def _narrowest(
                 "the records are too short for a polynomial in frequency: record longer."
             )
         fits = [
-            fit_band(lines, center + shift * lines.spacing, half, residuals=residuals)
+            fit_band(lines, center + shift * lines.spacing, half, residuals=LEAST_RESIDUALS)
             for shift in (0.0, 0.25, 0.5)
         ]
-        usable = [
-            fit
+        if all(
+            fit is not None and fit.transients.shape[1] <= TRANSIENT_SHARE * fit.rows.size
             for fit in fits
-            if fit is not None and fit.transients.shape[1] <= transient_share * fit.rows.size
-        ]
-        if len(usable) == len(fits):
-            return 2 * half, min(fit.number for fit in usable)
+        ):
+            return 2 * half
         half_lines += 1
 
 
@@ -386,31 +362,31 @@ def _solved(
     return basis, np.linalg.solve(square, basis.conj().T) / x_length[:, None]
 
 
-def _halved(lines: Lines, low: float, high: float, widths: _Widths) -> list[Band]:
+def _halved(lines: Lines, low: float, high: float, narrowest: float) -> list[Band]:
     """Return the band, or its halves if its polynomials are visibly wrong."""
     center, half = (low + high) / 2, (high - low) / 2
     fitted = fit_band(lines, center, half, residuals=LEAST_RESIDUALS)
     if fitted is None:
         return []
     band, wrong = _judged(lines, fitted, gauss_nodes(lines, fitted))
-    if wrong and high - low >= 2 * widths.point:
-        halves = [_halved(lines, low, center, widths), _halved(lines, center, high, widths)]
+    if wrong and high - low >= 2 * narrowest:
+        halves = [_halved(lines, low, center, narrowest), _halved(lines, center, high, narrowest)]
         # A half without enough lines would leave a hole in the band.
         if all(halves):
             return halves[0] + halves[1]
     return [band]
 
 
-def _centered(lines: Lines, center: float, half: float, widths: _Widths) -> Band | None:
+def _centered(lines: Lines, center: float, half: float, narrowest: float) -> Band | None:
     """Return the widest band around `center`, up to `half`, whose polynomials are accurate."""
     while True:
         fitted = fit_band(lines, center, half, residuals=LEAST_RESIDUALS)
         if fitted is None:
             return None
         band, wrong = _judged(lines, fitted, np.array([center]))
-        if not wrong or half <= widths.point / 2:
+        if not wrong or half <= narrowest / 2:
             return band
-        half = max(half / 2, widths.point / 2)
+        half = max(half / 2, narrowest / 2)
 
 
 def gauss_nodes(lines: Lines, fitted: Fitted) -> Array:
@@ -429,7 +405,10 @@ def gauss_nodes(lines: Lines, fitted: Fitted) -> Array:
 
 def _judged(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Band, bool]:
     """Return the band evaluated at `omega`, and whether its polynomials are visibly wrong."""
-    plain = Band(fitted, omega, np.zeros(omega.size, complex), np.zeros(omega.size), None)
+    squares = float(np.sum(np.abs(fitted.residuals(lines.values[1, fitted.rows])) ** 2))
+    squares *= fitted.number / fitted.trace()
+    nothing = np.zeros(omega.size)
+    plain = Band(fitted, omega, nothing.astype(complex), nothing, squares, fitted.number)
     wide, wider_half = fitted.center, DOUBLED * fitted.half
     quadratic = fit_band(lines, wide, wider_half)
     quartic = fit_band(lines, wide, wider_half, extra=EXTRA)
@@ -453,14 +432,17 @@ def _judged(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Band, bool]:
     with_pole = _with_pole(lines, fitted, omega) if certain else None
     if with_pole is None:
         return plain._replace(squared_error=np.maximum(squared - variance, 0) / GROWTH**2), True
-    correction, pole_noise = with_pole
-    return Band(fitted, omega, correction, UNCORRECTED * np.abs(correction) ** 2, pole_noise), True
+    correction, squares, number = with_pole
+    remaining = UNCORRECTED * np.abs(correction) ** 2
+    return Band(fitted, omega, correction, remaining, squares, number), True
 
 
 def _with_pole(
     lines: Lines, fitted: Fitted, omega: Array
-) -> tuple[ComplexArray, tuple[float, float]] | None:
-    """Return the error of the polynomials at `omega` given a pole, and the residuals with it.
+) -> tuple[ComplexArray, float, int] | None:
+    """Return the error of the polynomials at `omega` given a pole, and its residuals.
+
+    These are the sum of their squares, and their number.
 
     Y = (B U + T) / (1 + a x) + V is linear in the coefficients of B, T and a as Y + a x Y = B U +
     T. The instrument of x Y is the next power times the input, which the noise in Y does not enter.
@@ -476,7 +458,7 @@ def _with_pole(
     regressors = np.hstack([u[:, None] * powers[:, :-1], -(x * y)[:, None], *shared])
     instruments = np.hstack([r[:, None] * powers, *shared])
     number = rows.size - regressors.shape[1] - transients.shape[1]
-    if number < 1:
+    if number < LEAST_RESIDUALS:
         return None
     solved = _solved(_without(transients, regressors), _without(transients, instruments))
     # The correction compares both models on the lines of the narrow band.
@@ -497,26 +479,20 @@ def _with_pole(
     squares = float(np.sum(np.abs(y - output) ** 2))
     if not (np.all(np.isfinite(correction)) and math.isfinite(squares)):
         return None
-    return correction, (squares, float(number))
+    return correction, squares, number
 
 
-def _estimates(
-    lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths
-) -> list[EstimatedPoint]:
+def _estimates(lines: Lines, band: Band, bands: Sequence[Band]) -> list[EstimatedPoint]:
     """Return the estimates of a band at its frequencies."""
-    densities = _noise(lines, band, bands, widths)
-    if densities is None:
-        return [EstimatedPoint()] * band.omega.size
-    noise, input_noise, dof = densities
-
     fitted = band.fitted
+    noise, dof = _noise(band, bands)
     weights = fitted.weights(band.omega)
     spread = np.sum(np.abs(weights) ** 2, axis=1)
     response = weights @ lines.values[1, fitted.rows] - band.correction
     variance = noise * spread + band.squared_error
     # A lower bound of the variance, for data without noise.
     rounding = (4 * EPS * np.abs(response)) ** 2
-    coherence = _coherence(lines, fitted, noise)
+    coherence, input_noise = _coherence(lines, fitted, noise)
     weak = STRONG * spread * input_noise > 1
     return [
         EstimatedPoint(weak=True)
@@ -526,136 +502,32 @@ def _estimates(
     ]
 
 
-class _Residual(NamedTuple):
-    """Residuals of a narrow band.
+def _noise(band: Band, bands: Sequence[Band]) -> tuple[float, float]:
+    """Return the noise density in a band, by its residuals and those beside, and its dof."""
+    if band.number >= NEIGHBORHOOD:
+        return band.squares / band.number, 2 * band.number
 
-    `squares` (2,) are the sums of squares for the output and for the part of the input that the
-    instrument does not explain, `number` their count, `projection` (n, n) maps signals to them.
-    """
+    away = np.log([b.fitted.center / band.fitted.center for b in bands])
+    squares, number = np.array([(b.squares, b.number) for b in bands]).T
+    near = np.argsort(np.abs(away), kind="stable")
+    near = near[np.abs(away[near]) <= math.log(2)]
+    away, squares, number = away[near], squares[near], number[near]
 
-    center: float
-    rows: IntArray
-    squares: Array
-    number: int
-    projection: ComplexArray
+    level = np.log(np.maximum(squares / number, np.finfo(float).tiny))
+    x = away - number @ away / number.sum()
+    # The logarithm of the mean of n residuals has a variance of 1/n.
+    slope = (number * x) @ level / (number @ x**2 + 1 / STEEP**2)
 
-
-def _noise(
-    lines: Lines, band: Band, bands: Sequence[Band], widths: _Widths
-) -> tuple[float, float, float] | None:
-    """Return the noise densities of output and input around a band, and the degrees of freedom.
-
-    The noise of the input is the part that the instrument does not explain: zero in the direct
-    estimate. Bands with visibly wrong polynomials are skipped; if the band itself is one, its
-    residuals with the pole are used.
-    """
-    squares, number = band.pole_noise or (0.0, 0.0)
-    pole_suffices = number >= LEAST_RESIDUALS
-    if pole_suffices and lines.direct:
-        return squares / number, 0.0, 2 * number
-
-    center, half = band.fitted.center, band.fitted.half
-    wrong = [b.fitted for b in bands if b.pole_noise is not None]
-
-    def residuals(centers: Array) -> list[_Residual]:
-        right = [c for c in centers if not any(abs(c - f.center) < f.half for f in wrong)]
-        return [
-            r
-            for c in right
-            if (r := _residual(lines, float(c), widths.noise / 2, bands)) is not None
-        ]
-
-    places = max(math.ceil(PLACES / widths.residuals), LEAST_PLACES)
-    octaves = residuals(np.geomspace(center / 2, 2 * center, places))
-    if not octaves:
-        return None
-    # 1.5 times the center is the width of the two octaves.
-    slopes = _slopes(octaves, 1.5 * center / widths.noise)
-
-    width = max(2 * half, math.ceil(NEIGHBORHOOD / widths.residuals) * widths.noise)
-    near: list[_Residual] = []
-    # A neighborhood full of visibly wrong bands is widened up to four times.
-    for reach in (1, 2, 4):
-        low = max(center - reach * width / 2, lines.spacing / 2)
-        near = residuals(
-            np.linspace(
-                low + widths.noise / 2, low + reach * width - widths.noise / 2, reach * places
-            )
-        )
-        if len(near) >= places / 2:
-            break
-    if not near:
-        return None
-
-    # Divided by the slope, all residuals have the level of the noise at the center.
-    level = np.array([(r.center / center) ** slopes for r in near])
-    trace = sum(r.number for r in near)
-    output, input = np.sum([r.squares for r in near] / level, axis=0) / trace
-    if pole_suffices:
-        return squares / number, float(input), 2 * number
-    return float(output), float(input), 2 * trace**2 / _overlap(near)
+    used = np.cumsum(number) - number < NEIGHBORHOOD
+    total = number[used].sum()
+    return float(np.exp(-slope * away[used]) @ squares[used] / total), 2 * float(total)
 
 
-def _overlap(residuals: Sequence[_Residual]) -> float:
-    """Return Σ |projection_i projection_jᴴ|² over all pairs, for Satterthwaite's formula."""
-    total = 0.0
-    for i, first in enumerate(residuals):
-        for second in residuals[i:]:
-            # The bands are sorted: from here on, none overlaps the first.
-            if second.rows[0] > first.rows[-1]:
-                break
-            _, columns, rows = np.intersect1d(
-                first.rows, second.rows, assume_unique=True, return_indices=True
-            )
-            product = np.sum(np.abs(first.projection[:, columns] @ second.projection[rows]) ** 2)
-            total += float(product) * (1 if second is first else 2)
-    return total
+def _coherence(lines: Lines, fitted: Fitted, noise: float) -> tuple[float, float]:
+    """Return the partial γ² of instrument and output, and the noise density of the input.
 
-
-def _residual(lines: Lines, center: float, half: float, bands: Sequence[Band]) -> _Residual | None:
-    """Return the residuals of a narrow band; None if its polynomials are not determined.
-
-    With an instrument, Y - P̂U is projected with the response P̂ of the nearest band: the
-    instrument may be too weak for a response in the narrow band. Without one, these are the
-    residuals of least squares.
-    """
-    fitted = fit_band(lines, center, half)
-    if fitted is None:
-        return None
-    u, y, *_ = lines.values[:, fitted.rows]
-    if not lines.direct:
-        nearest = min((b.fitted for b in bands), key=lambda f: abs(center - f.center) / f.half)
-        inside = np.clip(
-            lines.omega[fitted.rows], nearest.center - nearest.half, nearest.center + nearest.half
-        )
-        y = y - nearest.weights(inside) @ lines.values[1, nearest.rows] * u
-    # Both bases are orthogonal to one another, so that the projections subtract.
-    projection = np.eye(fitted.rows.size) - fitted.basis @ fitted.basis.conj().T
-    projection -= fitted.transients @ fitted.transients.T
-    squares = np.sum(np.abs(projection @ np.stack([y, u], axis=1)) ** 2, axis=0)
-    return _Residual(center, fitted.rows, squares, fitted.number, projection)
-
-
-def _slopes(residuals: Sequence[_Residual], apart: float) -> Array:
-    """Return the slopes (2,) of the noise, log power over log frequency, shrunk by a prior.
-
-    Only `apart` bands are disjoint; more residuals than that have no more information.
-    """
-    omega = np.log([r.center for r in residuals])
-    power = np.log(np.maximum([r.squares / r.number for r in residuals], np.finfo(float).tiny))
-    # The mean level is estimated too, but it is not of interest here.
-    omega = omega - omega.mean()
-    scatter = (
-        LOG_SCATTER / math.sqrt(residuals[0].number) * math.sqrt(max(len(residuals) / apart, 1.0))
-    )
-    slopes: Array = omega @ power / (omega @ omega + (scatter / STEEP) ** 2)
-    return slopes
-
-
-def _coherence(lines: Lines, fitted: Fitted, noise: float) -> float:
-    """Return the partial γ² of instrument and output, without transients and conditioned inputs.
-
-    With an instrument, it is the lower of the coherences with input and output.
+    Transients and conditioned inputs are removed. With an instrument, the coherence is the lower of
+    those with input and output, and the noise is the part of the input that it does not explain.
     """
     u, y, *_ = lines.values[:, fitted.rows]
     n = fitted.rows.size
@@ -669,7 +541,8 @@ def _coherence(lines: Lines, fitted: Fitted, noise: float) -> float:
 
     output = max(unexplained(y, nuisance), np.finfo(float).tiny)
     if lines.direct:
-        return float(np.clip(1 - noise / output, EPS, 1))
+        return float(np.clip(1 - noise / output, EPS, 1)), 0.0
     input = max(unexplained(u, nuisance), np.finfo(float).tiny)
-    shares = (unexplained(y, complete) / output, unexplained(u, complete) / input)
-    return float(np.clip(1 - max(shares), EPS, 1))
+    input_noise = unexplained(u, complete)
+    shares = (unexplained(y, complete) / output, input_noise / input)
+    return float(np.clip(1 - max(shares), EPS, 1)), input_noise

@@ -13,8 +13,7 @@ from greybox.spectral.estimated_points import HZ, response_at, without_incoheren
 from greybox.spectral.local_polynomials import Lines, lines_of, points_at, tiled_points
 from greybox.spectral.uniform_stretches import uniform_stretches
 
-# Fewest periods in the longest stretch: below, a band of polynomials would reach the frequencies
-# that removing a trend changes.
+# Fewest periods in the longest stretch: below, a band of polynomials would reach zero.
 LOWEST = 6
 
 HIGHEST = 0.4  # of the sampling rate
@@ -49,7 +48,7 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     gives three points whose errors are independent, so that a likelihood may use them.
 
     Stretches between gaps or missing samples are transformed separately and used together, as are
-    several records. A straight line is removed from each stretch.
+    several records. Offsets and straight lines in the output count as transients.
 
     Parameters
     ----------

@@ -131,7 +131,9 @@ def by_matrices(lines, center, half):
     rows = np.flatnonzero(np.abs(lines.omega - center) <= half)
     x = (lines.omega[rows] - center) / half
     powers = np.vander(x, local_polynomials.ORDER + 1, increasing=True)
-    slow = np.vander(center / lines.omega[rows], local_polynomials.TRANSIENT_ORDER + 1, increasing=True)
+    slow = np.vander(
+        center / lines.omega[rows], local_polynomials.TRANSIENT_ORDER + 1, increasing=True
+    )
     transients = [slow * (lines.stretch[rows] == k)[:, None] for k in (0, 1)]
     u, _, r, *others = lines.values[:, rows]
     regressors, instruments = (
@@ -174,7 +176,9 @@ def solution_of(lines, center, half, order, slow):
     rows = np.flatnonzero(np.abs(lines.omega - center) <= half)
     x = (lines.omega[rows] - center) / half
     columns = [lines.values[0, rows, None] * np.vander(x, order + 1, increasing=True)]
-    columns = np.hstack([*columns, np.vander(center / lines.omega[rows], slow + 1, increasing=True)])
+    columns = np.hstack(
+        [*columns, np.vander(center / lines.omega[rows], slow + 1, increasing=True)]
+    )
     return (
         rows,
         np.linalg.pinv(columns)[: order + 1],
