@@ -8,10 +8,10 @@ Begin with `batch`.
 | `study` | members and answers of a study, also while it runs |
 | `store` | a study on disk: one SQLite database and a file for each fit |
 | `bootstrap` | repeat one fit on data that are drawn anew |
+| `replicates` | replicates of any data, by their number |
 | `response_replicates` | drawn frequency responses and their refits |
 | `record_replicates` | drawn records and their refits |
 | `open_data` | a compiled problem whose data are an input |
-| `resampling` | intervals from replicates, blocks of a series |
 """
 
 from greybox.study.batch import Member as Member

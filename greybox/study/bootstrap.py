@@ -33,12 +33,12 @@ from greybox.solve.discretization_error import refine_discretization
 from greybox.solve.executors import packed, require_executor, run_all
 from greybox.solve.interruption import Response, listening, responding, take_interrupt
 from greybox.solve.kept_runs import Memory
-from greybox.solve.local_solver import Runner
 from greybox.solve.minima import same_cost
 from greybox.solve.multistart import multistart, solver_for
 from greybox.solve.runs import Outcome
 from greybox.study.open_data import open_program
 from greybox.study.record_replicates import RecordReplicates, record_draws
+from greybox.study.replicates import Replicates
 from greybox.study.response_replicates import ResponseReplicates, response_draws
 from greybox.study.store import StoredRuns, locked
 
@@ -324,7 +324,7 @@ def bootstrap(
 
     outcomes = _made(runner, replicates, executor, folder, progress)
     points = [
-        np.append(outcome.estimate, runner.constants_of(k)) for k, outcome in enumerate(outcomes)
+        np.append(outcome.estimate, runner.draws.of(k)[0]) for k, outcome in enumerate(outcomes)
     ]
     # Derived quantities follow from the drawn constants too, so that their errors are included.
     values = np.asarray(function(np.array(points).T)).T.copy()
@@ -372,8 +372,7 @@ def _response_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> tuple[Respons
     about = "normal errors of the fitted size"
     if any(neighbors):
         about += " with their correlation along frequency"
-    # The compiled cost travels, not the problem: workers need not know the model of the user.
-    return ResponseReplicates(draws, open_program(nlp), x, nlp.lower, nlp.upper, nlp.scaling), about
+    return ResponseReplicates(nlp, draws, x, open_program(nlp)), about
 
 
 def _record_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> tuple[RecordReplicates, str]:
@@ -422,7 +421,7 @@ def _quantities(fit: Fit, nlp: CompiledProblem) -> tuple[list[Quantity], ca.Func
 
 
 def _made(
-    runner: Runner,
+    runner: Replicates,
     replicates: int,
     executor: Executor | None,
     folder: str | Path | None,

@@ -5,7 +5,7 @@ would spend most of their time on compilations. Here they share one compilation:
 are an input, and so are the constants of the problem, which an earlier fit may give with errors.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,7 +22,7 @@ from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.one_thread import one_thread_at_a_time
 
 
-def program_input(constants: Array, measured: Sequence[ComplexArray]) -> Array:
+def program_input(constants: Array, measured: Iterable[ComplexArray]) -> Array:
     """Return the third input of an `open_program`: constants, then measured values by part."""
     return np.concatenate(
         [constants, *(part for values in measured for part in (values.real, values.imag))]

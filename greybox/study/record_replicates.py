@@ -1,15 +1,10 @@
-"""Refits of records whose outputs are drawn anew, from the estimate.
-
-As in `response_replicates`, a run draws its data by its number. A worker receives the compiled
-problem with the fitted outputs and the residuals.
-"""
+"""Refits of records whose outputs are drawn anew, from the estimate."""
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -18,13 +13,13 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.driver import GaussNewton
-from greybox.solve.local_solver import Runner
 from greybox.solve.runs import Outcome
 from greybox.statistics.error_spectrum import ErrorSpectrum
+from greybox.study.replicates import DrawnPart, Draws, Replicates
 
 
 @dataclass(frozen=True, eq=False)
-class DrawnRecord:
+class DrawnRecord(DrawnPart):
     """The fitted outputs of one part, and the errors of its data.
 
     Attributes
@@ -43,7 +38,7 @@ class DrawnRecord:
     residuals: Array
     spectrum: ErrorSpectrum | None
 
-    def outputs(self, random: np.random.Generator) -> list[Array]:
+    def drawn(self, random: np.random.Generator) -> list[Array]:
         """Return the fitted outputs (k, n) of every stretch with drawn residuals."""
         outputs = []
         for measured, fitted in zip(self.measured, self.fitted, strict=True):
@@ -69,25 +64,12 @@ class DrawnRecord:
         return drawn
 
 
-@dataclass(frozen=True, eq=False)
-class RecordDraws:
-    """How the outputs of replicates of a problem of records are drawn."""
-
-    seed: int
-    records: tuple[DrawnRecord, ...]
-
-    def outputs(self, number: int) -> list[list[Array]]:
-        """Return the outputs (k, n) of every stretch of every part for a replicate."""
-        random = np.random.default_rng([self.seed, number])
-        return [record.outputs(random) for record in self.records]
-
-
 def record_draws(
     nlp: CompiledProblem,
     trajectories: tuple[Trajectory, ...],
     spectra: Sequence[ErrorSpectrum | None],
     seed: int,
-) -> RecordDraws:
+) -> Draws:
     """Return how replicates of a problem of records are drawn, along its best `trajectories`.
 
     Residuals are whitened by the `spectra` of the errors, one for every part. Without a spectrum
@@ -109,7 +91,8 @@ def record_draws(
                 "and added: use OutputError, or fit.interval()."
             )
         records.append(_drawn_record(part, trajectory, spectrum, share))
-    return RecordDraws(seed, tuple(records))
+    constants = nlp.constant_values
+    return Draws(seed, tuple(records), constants, np.zeros((len(constants), 0)))
 
 
 def _drawn_record(
@@ -140,51 +123,33 @@ def _centered(stretches: Sequence[Array]) -> Array:
     return values - np.nansum(values, axis=1, keepdims=True) / np.maximum(counts, 1)
 
 
-class RecordReplicates(Runner):
+@dataclass(frozen=True, eq=False)
+class RecordReplicates(Replicates):
     """Gauss-Newton steps from the estimate, for records with drawn outputs.
 
-    Parameters
+    Attributes
     ----------
-    nlp : CompiledProblem
-    draws : RecordDraws
-    start : (p,) array
-        The estimate.
     nodes : tuple of (s, n) arrays
-        Its states at the beginning of every segment, for every part.
+        The states of the fit at the beginning of every segment, for every part.
     """
 
-    def __init__(
-        self, nlp: CompiledProblem, draws: RecordDraws, start: Array, nodes: tuple[Array, ...]
-    ) -> None:
-        self._nlp = nlp
-        self._draws = draws
-        self._start = start
-        self._nodes = nodes
-
-    def __reduce__(self) -> tuple[Callable[..., "RecordReplicates"], tuple[Any, ...]]:
-        return RecordReplicates, (self._nlp, self._draws, self._start, self._nodes)
-
-    def constants_of(self, number: int) -> Array:
-        """Return the constants (c,) of a replicate."""
-        return self._nlp.constant_values
+    nodes: tuple[Array, ...]
 
     def run(self, start: Array) -> Outcome:
         """Refit the replicate with this number (1,)."""
         began = time.perf_counter()
-        records = [part for part in self._nlp.parts if isinstance(part, RecordPart)]
-        outputs = self._draws.outputs(int(start[0]))
+        records = [part for part in self.nlp.parts if isinstance(part, RecordPart)]
+        _, outputs = self.draws.of(int(start[0]))
         parts = [part.with_outputs(o) for part, o in zip(records, outputs, strict=True)]
 
         # Only the data change: what was compiled is shared with the original.
-        nlp = copy(self._nlp)
+        nlp = copy(self.nlp)
         object.__setattr__(nlp, "parts", tuple(parts))
         solver = GaussNewton(nlp)
-        outcome = solver.run_simulated(
-            self._start, self._nodes, self._nlp.strategies.max_iterations
-        )
+        outcome = solver.run_simulated(self.start, self.nodes, nlp.strategies.max_iterations)
         # The states of the fit are a good start only if the drawn errors are small.
         if outcome is None or not outcome.converged:
-            outcome = solver.run(self._start)
+            outcome = solver.run(self.start)
         # States and signature would multiply the size of the stored runs: nothing reads them.
         seconds = time.perf_counter() - began
         return replace(outcome, seconds=seconds, signature=None, nodes=None)

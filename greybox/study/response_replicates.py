@@ -1,30 +1,25 @@
-"""Refits of frequency responses to drawn data, many at once, from the estimate.
-
-A run draws its data by its number: seed and number determine its random numbers. A worker receives
-the measured data and the fitted response as numbers, and the compiled cost.
-"""
+"""Refits of frequency responses to drawn data, many at once, from the estimate."""
 
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING, ResponsePart
-from greybox.compiled.scaling import Scaling
 from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.ipopt import CONVERGED, WARM, Ipopt
-from greybox.solve.local_solver import Runner
 from greybox.solve.response_solver import AT_MINIMUM, ITERATIONS, TOLERANCE, fits_a_batch
 from greybox.solve.runs import IMPROVED, Outcome
 from greybox.study.open_data import program_input
+from greybox.study.replicates import DrawnPart, Draws, Replicates
 
 # Share of the variance of an error that is left in its residual, at least: a fit that nearly passes
 # through a point shows nothing of the error there, and must not make it infinite.
@@ -32,7 +27,7 @@ LEAST_LEFT = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class DrawnPart:
+class DrawnResponse(DrawnPart):
     """The fitted response of one part, and the errors of its data.
 
     Attributes
@@ -91,47 +86,14 @@ class DrawnPart:
         return normal[np.argsort(order)] * np.exp(1j * np.angle(self.response))
 
 
-@dataclass(frozen=True, eq=False)
-class ResponseDraws:
-    """How the data of replicates of a problem of responses are drawn.
-
-    Attributes
-    ----------
-    seed : int
-    parts : tuple of DrawnPart
-    constants : (c,) array
-        Constants of the problem.
-    root : (c, r) array
-        A square root of their covariance.
-    """
-
-    seed: int
-    parts: tuple[DrawnPart, ...]
-    constants: Array
-    root: Array
-
-    def replicate(self, number: int) -> Array:
-        """Return the data of a replicate as input (g,) of the program."""
-        random = np.random.default_rng([self.seed, number])
-        constants = self._constants(random)
-        return program_input(constants, [part.drawn(random) for part in self.parts])
-
-    def constants_of(self, number: int) -> Array:
-        """Return the constants (c,) of a replicate."""
-        return self._constants(np.random.default_rng([self.seed, number]))
-
-    def _constants(self, random: np.random.Generator) -> Array:
-        return self.constants + self.root @ random.standard_normal(self.root.shape[1])
-
-
 def response_draws(
     nlp: CompiledProblem,
     x: Array,
     at_bound: BoolArray,
     covariance: Array,
     seed: int,
-    neighbors: Sequence[tuple[float, float] | None] = (),
-) -> ResponseDraws:
+    neighbors: Sequence[tuple[float, float] | None],
+) -> Draws:
     """Return how replicates of a problem of responses are drawn, at the estimate x (p,).
 
     Source: Davison and Hinkley (1997), Bootstrap Methods and their Application, section 6.2.2.
@@ -145,9 +107,9 @@ def response_draws(
     covariance : (c, c) array
         Covariance of the constants.
     seed
-        See `ResponseDraws`.
+        See `Draws`.
     neighbors
-        For every part, see `DrawnPart`.
+        For every part, see `DrawnResponse`.
 
     Raises
     ------
@@ -155,65 +117,52 @@ def response_draws(
         If the data are fitted exactly.
     """
     values = nlp.all_values(x)
-    parts = [part for part in nlp.parts if isinstance(part, ResponsePart)]
-    fitted = [_fitted(part, values) for part in parts]
-    slopes = [
-        part.sensitivity(values)[:, : len(x)][:, ~at_bound] / (points.size * points.rms)[:, None]
-        for part, points in zip(parts, fitted, strict=True)
-    ]
+    responses = [part for part in nlp.parts if isinstance(part, ResponsePart)]
+    parts, slopes = [], []
+    for part, pair in zip(responses, neighbors, strict=True):
+        drawn = _drawn_part(part, values, pair)
+        parts.append(drawn)
+        # In units of the residuals of the part.
+        size = drawn.size * drawn.deviation
+        slopes.append(part.sensitivity(values)[:, : len(x)][:, ~at_bound] / size[:, None])
+
     # The fit makes a residual smaller than its error by the root of one minus its leverage. A
     # parameter at its bound takes nothing from the residuals.
     leverages = _leverages(slopes, nlp.scaling.slope(x)[~at_bound])
-    pairs = neighbors or [None] * len(parts)
+    triples = zip(responses, parts, leverages, strict=True)
     # Cholesky needs a definite matrix, and constants without errors make this one singular.
     eigenvalues, vectors = np.linalg.eigh(covariance)
     root = (vectors * np.sqrt(np.maximum(eigenvalues, 0.0)))[:, eigenvalues > 0]
-    return ResponseDraws(
-        seed,
-        tuple(map(_drawn_part, parts, fitted, leverages, pairs)),
-        constants=nlp.constant_values,
-        root=root,
-    )
-
-
-class _Fitted(NamedTuple):
-    response: ComplexArray
-    size: Array
-    residuals: ComplexArray
-    rms: float
-
-
-def _fitted(part: ResponsePart, values: Array) -> _Fitted:
-    """Return the fitted response of a part, and its residuals over the size of the errors."""
-    response = part.response(values)
-    size = part.criterion.error_size(response, part.data)
-    # What all points have in common is drawn once for all of them, not point by point.
-    if part.criterion.known_noise:
-        size = size * np.sqrt(np.maximum(part.data.independent_share, LEAST_LEFT))
-
-    residuals = (part.data.response - response) / size
-    rms = math.sqrt(float(np.mean(np.abs(residuals) ** 2)))
-    if not rms > math.sqrt(np.finfo(float).eps):
-        raise ValueError(f"{part.name!r} is fitted exactly: the size of its errors is not known.")
-    return _Fitted(response, size, residuals, rms)
+    enlarged = tuple(_enlarged(*triple) for triple in triples)
+    return Draws(seed, enlarged, nlp.constant_values, root)
 
 
 def _drawn_part(
-    part: ResponsePart, fitted: _Fitted, leverage: Array, neighbors: tuple[float, float] | None
-) -> DrawnPart:
+    part: ResponsePart, values: Array, neighbors: tuple[float, float] | None
+) -> DrawnResponse:
+    """Return a part with errors of the size of its residuals."""
+    response = part.response(values)
+    size = part.criterion.error_size(response, part.data)
     has_variances = part.criterion.known_noise
-    square = float(np.mean(np.abs(fitted.residuals) ** 2 / np.maximum(1 - leverage, LEAST_LEFT)))
-    if has_variances:  # given variances are believed, unless the residuals are larger
+    # What all points have in common is drawn once for all of them, not point by point.
+    if has_variances:
+        size = size * np.sqrt(np.maximum(part.data.independent_share, LEAST_LEFT))
+
+    rms = float(np.linalg.norm((part.data.response - response) / size)) / math.sqrt(len(size))
+    if not rms > math.sqrt(np.finfo(float).eps):
+        raise ValueError(f"{part.name!r} is fitted exactly: the size of its errors is not known.")
+    dof = part.data.dof if has_variances else None
+    common = part.data.common_errors
+    return DrawnResponse(part.data.omega, response, size, rms, dof, common, neighbors)
+
+
+def _enlarged(part: ResponsePart, drawn: DrawnResponse, leverage: Array) -> DrawnResponse:
+    """Return the errors without the share that the fit took from the residuals."""
+    residuals = (part.data.response - drawn.response) / drawn.size
+    square = float(np.mean(np.abs(residuals) ** 2 / np.maximum(1 - leverage, LEAST_LEFT)))
+    if part.criterion.known_noise:  # given variances are believed, unless the residuals are larger
         square = max(square, 1.0)
-    return DrawnPart(
-        part.data.omega,
-        fitted.response,
-        fitted.size,
-        math.sqrt(square / 2),
-        dof=part.data.dof if has_variances else None,
-        common=part.data.common_errors,
-        neighbors=neighbors,
-    )
+    return replace(drawn, deviation=math.sqrt(square / 2))
 
 
 def _leverages(slopes: Sequence[ComplexArray], scale: Array) -> list[Array]:
@@ -227,48 +176,21 @@ def _leverages(slopes: Sequence[ComplexArray], scale: Array) -> list[Array]:
     return [part.reshape(2, -1).mean(axis=0) for part in np.split(leverage, ends)]
 
 
-class ResponseReplicates(Runner):
+@dataclass(frozen=True, eq=False)
+class ResponseReplicates(Replicates):
     """Newton's method on many data sets at once from the estimate; IPOPT where it fails.
 
-    Parameters
+    Attributes
     ----------
-    draws : ResponseDraws
     program : casadi.Function
-        (z, smoothing, given) -> cost, limits.
-    start : (p,) array
-        The estimate.
-    lower, upper : (p,) arrays
-        Bounds of the parameters.
-    scaling : Scaling
+        See `open_program`. It travels because the problem, with the user's classes, does not.
     """
+
+    program: ca.Function
 
     # A batch of 128 takes a tenth of a second for the tilt model: enough for workers to share a
     # thousand replicates evenly, at 0.2 ms more for each than in one batch.
     together = 128
-
-    def __init__(
-        self,
-        draws: ResponseDraws,
-        program: ca.Function,
-        start: Array,
-        lower: Array,
-        upper: Array,
-        scaling: Scaling,
-    ) -> None:
-        self._arguments = draws, program, start, lower, upper, scaling
-        self._draws = draws
-        self._program = program
-        self._limits = lower, upper
-        self._scaling = scaling
-        self._bounds = scaling.to_solver(lower), scaling.to_solver(upper)
-        self._start = np.clip(scaling.to_solver(start), *self._bounds)
-
-    def __reduce__(self) -> tuple[Callable[..., "ResponseReplicates"], tuple[Any, ...]]:
-        return ResponseReplicates, self._arguments
-
-    def constants_of(self, number: int) -> Array:
-        """Return the constants (c,) of a replicate."""
-        return self._draws.constants_of(number)
 
     def run(self, start: Array) -> Outcome:
         """Refit the replicate with this number (1,)."""
@@ -277,57 +199,60 @@ class ResponseReplicates(Runner):
     def run_together(self, starts: Array) -> list[Outcome]:
         """Refit the replicates with these numbers (r, 1)."""
         began = time.perf_counter()
-        numbers = starts[:, 0].astype(int).tolist()
-        outcomes = self._solved(np.array([self._draws.replicate(number) for number in numbers]).T)
+        data = [program_input(*self.draws.of(int(number))) for [number] in starts]
+        outcomes = self._solved(np.array(data).T)
         seconds = (time.perf_counter() - began) / len(starts)
         return [replace(outcome, seconds=seconds) for outcome in outcomes]
 
-    def _solved(self, numbers: Array) -> list[Outcome]:
-        """Solve for the data in the columns of `numbers` (g, m)."""
+    def _solved(self, data: Array) -> list[Outcome]:
+        """Solve for the data in the columns (g, m)."""
         if self._newton is None:
-            return [self._by_ipopt(column) for column in numbers.T]
+            return [self._by_ipopt(column) for column in data.T]
         ends = self._newton.minimize(
-            np.tile(self._start[:, None], numbers.shape[1]),
+            np.tile(self._begin[:, None], data.shape[1]),
             max_iterations=ITERATIONS,
             tolerance=TOLERANCE,
             from_near=True,
-            given=numbers,
+            given=data,
         )
         return [
-            Outcome(
-                self._estimate(ends.z[:, k]),
-                AT_MINIMUM,
-                int(ends.iterations[k]),
-                0.0,
-                converged=True,
-                stage=IMPROVED,
-            )
+            self._outcome(ends.z[:, k], AT_MINIMUM, int(ends.iterations[k]), stage=IMPROVED)
             if ends.at_minimum[k]
             else self._by_ipopt(column)
-            for k, column in enumerate(numbers.T)
+            for k, column in enumerate(data.T)
         ]
+
+    def _by_ipopt(self, data: Array) -> Outcome:
+        # IPOPT takes much longer than a batch: check the time limit before each solve.
+        if cut := reason_to_end():
+            return self._outcome(np.full(len(self.start), np.nan), cut, 0)
+        lower, upper = self._bounds
+        bounds = {"lbx": lower, "ubx": upper, "lbg": 0.0, "ubg": math.inf}
+        p = np.append(SMOOTHING, data)
+        return self._outcome(*self._ipopt.solve(self._begin, p, bounds))
+
+    def _outcome(self, z: Array, status: str, iterations: int, **stage: Any) -> Outcome:
+        estimate = np.clip(self.nlp.scaling.to_parameters(z), self.nlp.lower, self.nlp.upper)
+        converged = status in (AT_MINIMUM, *CONVERGED)
+        return Outcome(estimate, status, iterations, 0.0, converged, **stage)
+
+    @cached_property
+    def _begin(self) -> Array:
+        return np.clip(self.nlp.scaling.to_solver(self.start), *self._bounds)
+
+    @property
+    def _bounds(self) -> tuple[Array, Array]:
+        scaling = self.nlp.scaling
+        return scaling.to_solver(self.nlp.lower), scaling.to_solver(self.nlp.upper)
 
     @cached_property
     def _newton(self) -> BatchedNewton | None:
-        return BatchedNewton(self._program, *self._bounds) if fits_a_batch(self._program) else None
+        return BatchedNewton(self.program, *self._bounds) if fits_a_batch(self.program) else None
 
     @cached_property
     def _ipopt(self) -> Ipopt:
-        kind: Any = ca.SX if self._program.is_a("SXFunction") else ca.MX
-        z = kind.sym("z", self._program.numel_in(0))
-        p = kind.sym("p", 1 + self._program.numel_in(2))
-        cost, limits = self._program(z, p[0], p[1:])
+        kind: Any = ca.SX if self.program.is_a("SXFunction") else ca.MX
+        z = kind.sym("z", self.program.numel_in(0))
+        p = kind.sym("p", 1 + self.program.numel_in(2))
+        cost, limits = self.program(z, p[0], p[1:])
         return Ipopt({"x": z, "p": p, "f": cost, "g": limits}, WARM)
-
-    def _by_ipopt(self, numbers: Array) -> Outcome:
-        # IPOPT takes much longer than a batch: check the time limit before each solve.
-        if cut := reason_to_end():
-            return Outcome(np.full(len(self._start), np.nan), cut, 0, 0.0, converged=False)
-        lower, upper = self._bounds
-        bounds = {"lbx": lower, "ubx": upper, "lbg": 0.0, "ubg": math.inf}
-        p = np.concatenate([[SMOOTHING], numbers])
-        end, status, iterations = self._ipopt.solve(self._start, p, bounds)
-        return Outcome(self._estimate(end), status, iterations, 0.0, converged=status in CONVERGED)
-
-    def _estimate(self, z: Array) -> Array:
-        return np.clip(self._scaling.to_parameters(z), *self._limits)

@@ -81,10 +81,8 @@ def test_a_replicate_is_the_fit_to_its_data(criterion):
     nothing = np.zeros((len(nlp.constants),) * 2)
     neighbors = [pair and (pair.correlation, pair.scale) for pair in assess(nlp, x).neighbors]
     draws = response_draws(nlp, x, np.zeros(len(x), bool), nothing, 0, neighbors)
-    numbers = draws.replicate(7)[len(nlp.constants) :].reshape(2, len(data))
-    drawn = gb.FrequencyResponse(
-        data.omega, numbers[0] + 1j * numbers[1], input=data.input, output=data.output
-    )
+    (response,) = draws.of(7)[1]
+    drawn = replace(data, response=response)
     again = gb.fit(problem.with_(data=drawn), starts=[fit.estimate], progress=False)
     assert_allclose(
         [found[name][7] for name in nlp.free],

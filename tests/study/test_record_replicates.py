@@ -35,8 +35,8 @@ def draws_of(values=VALUES):
 
 def test_drawn_errors_have_the_variance_with_n_less_one_degrees_of_freedom():
     draws = draws_of()
-    (fitted,) = draws.records[0].fitted
-    assert_allclose(draws.records[0].residuals.std(), np.std(VALUES, ddof=1))
+    (fitted,) = draws.parts[0].fitted
+    assert_allclose(draws.parts[0].residuals.std(), np.std(VALUES, ddof=1))
     assert_allclose(fitted, VALUES.mean())
 
 
@@ -60,7 +60,7 @@ def test_drawn_errors_that_are_correlated_move_the_estimate_as_far_as_theory_say
         trajectories = (nlp.parts[0].initial_trajectory(nlp.scaling.to_solver(estimate)),)
         spectra = [each.spectrum for each in assess(nlp, estimate, trajectories).correlation]
         draws = record_draws(nlp, trajectories, spectra, 0)
-        errors = [row @ np.nan_to_num(draws.outputs(number)[0][0][0]) for number in range(60)]
+        errors = [row @ np.nan_to_num(next(draws.of(number)[1])[0][0]) for number in range(60)]
         logarithms.append(np.log(np.std(errors) / expected))
     assert_allclose(np.exp(np.mean(logarithms)), 1, atol=0.15)
 
@@ -68,9 +68,9 @@ def test_drawn_errors_that_are_correlated_move_the_estimate_as_far_as_theory_say
 def test_missing_samples_stay_missing_and_do_not_count():
     values = np.where(np.arange(12) % 3 == 1, np.nan, VALUES)
     draws = draws_of(values)
-    assert_allclose(np.nanstd(draws.records[0].residuals), np.nanstd(values, ddof=1))
+    assert_allclose(np.nanstd(draws.parts[0].residuals), np.nanstd(values, ddof=1))
     for number in range(5):
-        ((drawn,),) = draws.outputs(number)
+        ((drawn,),) = draws.of(number)[1]
         assert np.isnan(drawn[0]).tolist() == np.isnan(values).tolist()
 
 
@@ -125,16 +125,16 @@ def test_residuals_are_enlarged_for_the_fitted_parameters():
     """One parameter of sixty numbers."""
     draws, errors = pair_draws()
     expected = np.sqrt(60 / 59) * (errors - errors.mean(axis=1, keepdims=True))
-    assert_allclose(draws.records[0].residuals, expected, rtol=1e-9)
+    assert_allclose(draws.parts[0].residuals, expected, rtol=1e-9)
 
 
 def test_residuals_are_drawn_of_both_outputs_at_once_and_missing_ones_from_the_others():
     draws, _ = pair_draws(missing=(3, 4, 17), noise="diagonal")
-    residuals = draws.records[0].residuals
+    residuals = draws.parts[0].residuals
     known = residuals[0][np.isfinite(residuals[0])]
     replaced = 0
     for number in range(4):
-        drawn = draws.outputs(number)[0][0] - draws.records[0].fitted[0]
+        drawn = next(draws.of(number)[1])[0] - draws.parts[0].fitted[0]
         assert np.flatnonzero(np.isnan(drawn[0])).tolist() == [3, 4, 17]
         places = [int(np.argmin(np.abs(residuals[1] - value))) for value in drawn[1]]
         assert_allclose(residuals[1][places], drawn[1], atol=1e-12)

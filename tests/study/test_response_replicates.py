@@ -10,27 +10,22 @@ import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.interruption import TimeLimits, limited
 from greybox.solve.runs import SEARCH_OVER
-from greybox.study.open_data import open_program
-from greybox.study.response_replicates import (
-    DrawnPart,
-    ResponseDraws,
-    ResponseReplicates,
-    response_draws,
-)
+from greybox.study.open_data import open_program, program_input
+from greybox.study.replicates import Draws
+from greybox.study.response_replicates import DrawnResponse, ResponseReplicates, response_draws
 
 
 def draws(*, points=3, constants=(), root=(), **changes):
     """Draws of one part of so many points, without noise."""
     ones = np.ones(points, complex)
-    part = DrawnPart(1.0 + np.arange(points), ones, np.ones(points), deviation=0.0)
+    part = DrawnResponse(1.0 + np.arange(points), ones, np.ones(points), deviation=0.0)
     root = np.zeros((0, 0)) if len(root) == 0 else root
-    return ResponseDraws(0, (replace(part, **changes),), np.array(constants, float), root)
+    return Draws(0, (replace(part, **changes),), np.array(constants, float), root)
 
 
-def measured_points(found, points=3):
-    """The measured responses in the data of replicates of one part without constants: (replicates, points)."""
-    real, imaginary = np.array(found).reshape(len(found), 2, points).transpose(1, 0, 2)
-    return real + 1j * imaginary
+def measured_points(made, numbers):
+    """The measured responses in replicates of one part: (replicates, points)."""
+    return np.array([next(made.of(number)[1]) for number in numbers])
 
 
 @pytest.mark.parametrize("dof", [None, 12.0])
@@ -43,23 +38,23 @@ def test_parametric_errors_are_normal_or_of_student_and_what_points_have_in_comm
         dof=None if dof is None else np.full(3, dof),
         common=np.array([[0.4, 0.4j, 0.0]]),
     )
-    errors = measured_points([made.replicate(k) for k in range(4000)]) - made.parts[0].response
+    errors = measured_points(made, range(4000)) - made.parts[0].response
     size = 0.3 * np.array([1.0, 0.5, 2.0]) * (1 if dof is None else np.sqrt(dof / (dof - 2)))
     assert errors.mean(axis=0) == pytest.approx(np.zeros(3), abs=0.04)
     assert errors.real.std(axis=0) == pytest.approx(np.hypot(size, [0.4, 0, 0]), rel=0.06)
     assert errors.imag.std(axis=0) == pytest.approx(np.hypot(size, [0, 0.4, 0]), rel=0.06)
     assert np.mean(errors[:, 0].real * errors[:, 1].imag) == pytest.approx(0.16, abs=0.02)
     assert np.mean(errors[:, 0].real * errors[:, 2].real) == pytest.approx(0, abs=0.02)
-    assert [*made.replicate(3)] == [*made.replicate(3)]
+    assert [*measured_points(made, [3])[0]] == [*measured_points(made, [3])[0]]
 
 
 def test_constants_of_an_earlier_fit_are_drawn_with_their_covariance():
     root = np.array([[0.3], [-0.6]])
     made = draws(constants=[5.0, 7.0], root=root)
-    found = np.array([made.constants_of(k) for k in range(2000)])
+    found = np.array([made.of(k)[0] for k in range(2000)])
     assert found.mean(axis=0) == pytest.approx([5, 7], abs=0.05)
     assert np.cov(found.T) == pytest.approx(root @ root.T, rel=0.1)
-    assert made.replicate(8)[:2] == pytest.approx(found[8])
+    assert program_input(*made.of(8))[:2] == pytest.approx(found[8])
 
 
 class Lag(gb.TransferFunction):
@@ -82,7 +77,7 @@ def lag_draws(noise, criterion, *, at_bound=(False, False), covariance=None, **c
     data = gb.FrequencyResponse(OMEGA, model * (1 + left), "u", "y", **columns)
     nlp = compile_problem(gb.Problem(Lag(), data, criterion))
     covariance = np.zeros((0, 0)) if covariance is None else covariance
-    made = response_draws(nlp, np.array([2.0, 0.5]), np.array(at_bound), covariance, 4)
+    made = response_draws(nlp, np.array([2.0, 0.5]), np.array(at_bound), covariance, 4, [None])
     return made, model, left, np.transpose([model / 2, -1j * OMEGA * model**2 / 2])
 
 
@@ -166,11 +161,11 @@ def test_a_replicate_is_refitted_as_its_data_would_be(monkeypatch, by_ipopt):
         )
     )
     runner = runner_from(nlp, made, np.array([2.0, 0.5]))
-    assert runner.constants_of(3).size == 0
+    assert runner.draws.of(3)[0].size == 0
     if by_ipopt:
         monkeypatch.setattr(ResponseReplicates, "_newton", None)
     (outcome,) = runner.run_together(np.array([[7.0]]))
-    (measured,) = measured_points([made.replicate(7)], 5)
+    (measured,) = measured_points(made, [7])
     data = gb.FrequencyResponse(OMEGA, measured, "u", "y")
     assert outcome.converged
     assert outcome.iterations > 0
@@ -187,14 +182,14 @@ def test_errors_of_neighbors_in_frequency_are_correlated_along_and_across_the_re
     size = np.array([1.0, 0.5, 2.0, 1.5])
     part = {"omega": omega, "response": response, "size": size, "deviation": 0.3}
     made = draws(points=4, neighbors=(0.8, 2.5), **part)
-    errors = (measured_points([made.replicate(k) for k in range(2000)], 4) - response) / size
+    errors = (measured_points(made, range(2000)) - response) / size
     turned = errors * np.exp(-1j * np.angle(response))
     wanted = 2.5 * 0.09 * 0.8 ** np.abs(omega - omega[:, None])
     for component in (turned.real, turned.imag):
         assert component.T @ component / 2000 == pytest.approx(wanted, abs=0.025)
     assert turned.real.T @ turned.imag / 2000 == pytest.approx(np.zeros((4, 4)), abs=0.025)
     plain = draws(points=4, **part)
-    errors = (measured_points([plain.replicate(k) for k in range(2000)], 4) - response) / size
+    errors = (measured_points(plain, range(2000)) - response) / size
     assert errors.real.T @ errors.real / 2000 == pytest.approx(0.09 * np.eye(4), abs=0.012)
 
 
@@ -223,13 +218,13 @@ def refitted(problem):
 
 
 def runner_from(nlp, made, x):
-    return ResponseReplicates(made, open_program(nlp), x, nlp.lower, nlp.upper, nlp.scaling)
+    return ResponseReplicates(nlp, made, x, open_program(nlp))
 
 
 def runner_of(sets):
     nlp = compile_problem(joint(sets))
     x = np.array(refitted(joint(sets)))
-    made = response_draws(nlp, x, np.zeros(2, bool), np.zeros((0, 0)), 4)
+    made = response_draws(nlp, x, np.zeros(2, bool), np.zeros((0, 0)), 4, [None, None])
     return runner_from(nlp, made, x), made, x
 
 

@@ -1,0 +1,70 @@
+"""Replicates of a problem: data that are drawn anew, and what refits them.
+
+Seed and number of a replicate determine its random numbers. A run is this number, so that the
+result does not depend on how many workers there are.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from greybox.compiled.compiled_problem import CompiledProblem
+from greybox.files.arrays import Array
+from greybox.solve.local_solver import Runner
+
+
+class DrawnPart(ABC):
+    """The fitted values of one part of a problem, and the errors of its data."""
+
+    @abstractmethod
+    def drawn(self, random: np.random.Generator) -> Any:
+        """Return the fitted values with drawn errors."""
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """How the data of replicates are drawn.
+
+    Attributes
+    ----------
+    seed : int
+    parts : tuple of DrawnPart
+    constants : (c,) array
+        Constants of the problem.
+    root : (c, r) array
+        A square root of their covariance.
+    """
+
+    seed: int
+    parts: tuple[DrawnPart, ...]
+    constants: Array
+    root: Array
+
+    def of(self, number: int) -> tuple[Array, Iterator[Any]]:
+        """Return the constants (c,) of a replicate, and yield the data of its parts."""
+        random = np.random.default_rng([self.seed, number])
+        constants = self.constants + self.root @ random.standard_normal(self.root.shape[1])
+        return constants, (part.drawn(random) for part in self.parts)
+
+
+@dataclass(frozen=True, eq=False)
+class Replicates(Runner):
+    """What refits replicates of a compiled problem.
+
+    Attributes
+    ----------
+    nlp : CompiledProblem
+    draws : Draws
+    start : (p,) array
+        The estimate, from which every replicate is solved.
+    """
+
+    nlp: CompiledProblem
+    draws: Draws
+    start: Array
+
+    def __reduce__(self) -> tuple[Callable[..., "Replicates"], tuple[Any, ...]]:
+        return type(self), tuple(getattr(self, field.name) for field in fields(self))
