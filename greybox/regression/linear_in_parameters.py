@@ -7,6 +7,7 @@ from typing import Any, Literal
 import casadi as ca
 import numpy as np
 
+from greybox.modeling.formula_structure import has_switches
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
 
@@ -164,19 +165,9 @@ class _Analysis:
             n for n in self.free if n not in linear and any(n in e.parameters for e in equations)
         )
 
-        symbols = _column([self._symbol(n) for n in linear])
-        right_sides = _column(rows)
-        slopes = ca.jacobian(right_sides, symbols)
-        zero = ca.SX.zeros(symbols.numel())
-        base = ca.substitute(right_sides, symbols, zero) if linear else right_sides
-
         # x' = matrix x + drive for the simulated states
         simulated = [s.name for s in states if s.how == "simulated"]
         derivative = _column([self.f[name] for name in simulated])
-        x = self._states(simulated)
-        drive = ca.substitute(derivative, x, ca.SX.zeros(x.numel())) if simulated else derivative
-        matrix = ca.jacobian(derivative, x)
-        arguments = [self.x, self.u, self.p]
         return Equations(
             states=tuple(sorted(states, key=lambda s: s.how == "simulated")),
             equations=equations,
@@ -185,11 +176,16 @@ class _Analysis:
             free=self.free,
             linear=linear,
             nonlinear=nonlinear,
-            rows=ca.Function("rows", arguments, [ca.densify(base), ca.densify(slopes)]),
-            simulated=ca.Function("simulated", arguments, [ca.densify(drive), ca.densify(matrix)]),
+            rows=self._affine_function(_column(rows), _column([*map(self._symbol, linear)])),
+            simulated=self._affine_function(derivative, self._states(simulated)),
             delay=ca.Function("delay", [self.p], [ca.densify(self.delays)]),
             left_out=tuple(self.left_out),
         )
+
+    def _affine_function(self, rows: ca.SX, symbols: ca.SX) -> ca.Function:
+        """Return (x, u, p) -> the rows where the symbols are zero, and their slopes."""
+        results = [ca.substitute(rows, symbols, 0 * symbols), ca.jacobian(rows, symbols)]
+        return ca.Function("affine", [self.x, self.u, self.p], [*map(ca.densify, results)])
 
     def _know_measured_states(self) -> None:
         """Take states from signals, then from outputs and derivatives of known states."""
@@ -247,20 +243,12 @@ class _Analysis:
     def _states(self, names: Sequence[str]) -> ca.SX:
         return _column([self.x[self.model.states.index(n)] for n in names])
 
-    def _affine(self, row: ca.SX, symbols: ca.SX) -> bool:
-        """Return whether a row is affine in the symbols, by numbers: a sign has no derivative."""
-        step = ca.SX.sym("step", symbols.numel())
-        moved = ca.substitute(row, symbols, symbols + step)
-        error = moved - row - ca.mtimes(ca.jacobian(row, symbols), step)
-        test = ca.Function("test", [self.x, self.u, self.p, step], [ca.vertcat(error, row, moved)])
-        # Kinks such as |x| bend a row at every second point: twenty leave one chance in a million.
-        # In this cube exponentials are still finite.
-        random = np.random.default_rng(0)
-        sizes = [test.size1_in(k) for k in range(4)]
-        points = [[random.uniform(-3, 3, (n, 1)) for n in sizes] for _ in range(20)]
-        values = np.array([np.asarray(test(*point)).ravel() for point in points])
-        values = values[np.all(np.isfinite(values), axis=1)]
-        return bool(np.all(np.abs(values[:, 0]) <= 1e-9 * (1 + np.abs(values[:, 1:]).sum(axis=1))))
+    def _affine(self, rows: ca.SX, symbols: ca.SX) -> bool:
+        """Return whether rows are affine in the symbols."""
+        others = [s for s in ca.symvar(rows) if not ca.depends_on(symbols, s)]
+        alone = ca.substitute(rows, _column(others), ca.DM.ones(len(others)))
+        # CasADi takes a sign for linear: its derivative is zero.
+        return ca.is_linear(rows, symbols) and not has_switches(alone)
 
     def _candidates(self) -> Iterator[tuple[ca.SX, Equation]]:
         """Yield the right side and the description of every equation that can be used."""
@@ -343,13 +331,12 @@ class _Analysis:
 
         right_sides = _column(rows)
         partners = {n: self._partners(right_sides, n, names) for n in names}
-        linear: set[str] = set()
+        linear: list[str] = []
         # If parameters multiply one another, the search is over the one with the most partners: the
         # others are then linear.
         for name in sorted(names, key=lambda n: len(partners[n])):
-            is_affine = all(self._affine(row, self._symbol(name)) for row in rows)
-            if is_affine and not partners[name] & {name, *linear}:
-                linear.add(name)
+            if self._affine(right_sides, _column([self._symbol(n) for n in (*linear, name)])):
+                linear.append(name)
         return tuple(name for name in names if name in linear)
 
     def _partners(self, right_sides: ca.SX, name: str, others: list[str]) -> set[str]:
