@@ -5,13 +5,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from greybox.data.record import Record
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
 from greybox.simulation.prediction import Prediction
 from greybox.statistics.metrics import (
     fit_percent,
-    input_correlation,
     rms,
     theil_coefficient,
     whiteness,
@@ -142,7 +140,7 @@ def _one_step(
     predictions: Sequence[Sequence[Prediction]],
     fits: Sequence[Fit],
 ) -> Iterator[Measure]:
-    """Yield the size of the errors one step ahead over their noise, and their tests in time."""
+    """Yield the size of the errors one step ahead over their noise, and whether they are white."""
     # Errors further ahead are correlated even for the true model; those one step ahead are white.
     errors = [
         [piece for p in of_fit for piece in _in_time_order(p, output)] for of_fit in predictions
@@ -158,24 +156,6 @@ def _one_step(
     ]
     tests = [whiteness(e, fitted=count) for e, count in zip(errors, gains, strict=True)]
     yield "  white (p)", "", [test.p_value for test in tests]
-    yield from _correlations(errors, predictions)
-
-
-def _correlations(
-    errors: Sequence[Sequence[Array]],
-    predictions: Sequence[Sequence[Prediction]],
-) -> Iterator[Measure]:
-    """Yield p-values of no correlation with the inputs: Ljung (1999), section 16.6."""
-    # An input that never changes has no correlation with anything.
-    every = [p for of_fit in predictions for p in of_fit]
-    for name in dict.fromkeys(name for p in every for name in p.inputs):
-        if all(name in p.data.signals and np.nanstd(p.data[name]) > 0 for p in every):
-            signals = [
-                [piece for p in of_fit for piece in _pieces(p.data, p.data[name])]
-                for of_fit in predictions
-            ]
-            tests = [input_correlation(*pair) for pair in zip(errors, signals, strict=True)]
-            yield f"  not correlated with {name} (p)", "", [test.p_value for test in tests]
 
 
 def _in_time_order(prediction: Prediction, output: str) -> list[Array]:
@@ -183,8 +163,4 @@ def _in_time_order(prediction: Prediction, output: str) -> list[Array]:
     along = np.full(len(prediction.data), np.nan)
     errors = prediction.one_step[prediction.outputs.index(output)]
     along[prediction.rows.ravel()] = errors.ravel()
-    return _pieces(prediction.data, along)
-
-
-def _pieces(record: Record, values: Array) -> list[Array]:
-    return [values[rows] for rows in record.independent_pieces]
+    return [along[rows] for rows in prediction.data.independent_pieces]
