@@ -152,7 +152,7 @@ def stepwise(
     fits = _Fits(problem, absent, starts, {})
     current: Terms = frozenset()
     without = fits.fitted(current, None)
-    if without is None:
+    if not without.converged:
         raise ValueError(
             f"the problem {problem.name!r} has no fit without any of {', '.join(absent)}."
         )
@@ -172,7 +172,7 @@ def stepwise(
             break
         current = current | {best.term}
         seen.add(current)
-        fit = fits.required(current)
+        fit = fits.fitted(current, fit)
         while len(current) > 1:
             chosen = [name for name in absent if name in current]
             tried = [fits.trial(step, "remove", n, current, fit, size) for n in chosen]
@@ -183,7 +183,7 @@ def stepwise(
                 break
             current = current - {worst.term}
             seen.add(current)
-            fit = fits.required(current)
+            fit = fits.fitted(current, fit)
     return StepwiseSelection(
         candidates=tuple(absent),
         terms=tuple(name for name in absent if name in current),
@@ -202,14 +202,13 @@ class _Fits:
     problem: AnyProblem
     absent: Mapping[str, float]
     starts: int
-    cache: dict[Terms, Fit | None]
+    cache: dict[Terms, Fit]
 
-    def fitted(self, terms: Terms, near: Fit | None) -> Fit | None:
-        """Return the fit with these terms, also started from a fit nearby; None where it failed."""
+    def fitted(self, terms: Terms, near: Fit | None) -> Fit:
+        """Return the fit with these terms, also started from a fit nearby."""
         if terms not in self.cache:
             # No test needs profiles, which take a third of the time.
-            fit = self.made(terms, near, profiles=False)
-            self.cache[terms] = fit if fit.converged else None
+            self.cache[terms] = self.made(terms, near, profiles=False)
         return self.cache[terms]
 
     def made(self, terms: Terms, near: Fit | None, *, profiles: bool) -> Fit:
@@ -220,31 +219,16 @@ class _Fits:
         rules = [start, Sobol(self.starts, 0)]
         return fit_problem(problem, rules, profiles=profiles, progress=False)
 
-    def required(self, terms: Terms) -> Fit:
-        """Return a fit that was made and converged."""
-        fit = self.cache[terms]
-        assert fit is not None
-        return fit
-
     def trial(
         self, step: int, change: str, term: str, terms: Terms, fit: Fit, limit: float
     ) -> Trial:
         """Test a term that is added to the `terms` of a fit, or removed from them."""
         changed = self.fitted(terms ^ {term}, fit)
-        if changed is None:
-            return Trial(step, change, term, math.nan, math.nan, limit, why_not="no fit converged")
-        small, large = (fit, changed) if change == "add" else (changed, fit)
-        p_value = math.nan
-        why_not = ""
-        # A missing term leaves residuals that look like errors correlated along frequency. With
-        # such errors allowed, no test would find the term: here they count as independent.
-        try:
-            p_value = nested_test(small, with_independent_errors(large)).p_value
-        except ValueError:
-            quantity = large.by_name[term]
-            is_determined = math.isfinite(quantity.standard_error)
-            why_not = "no test" if is_determined else "not determined"
-            why_not = "at its bound" if quantity.at_bound else why_not
+        p_value, why_not = math.nan, "no fit converged"
+        if changed.converged:
+            p_value, why_not = _tested(
+                term, *((fit, changed) if change == "add" else (changed, fit))
+            )
         return Trial(step, change, term, changed.cost, p_value, limit, why_not=why_not)
 
     def best(self, trials: Sequence[Trial], terms: Terms) -> Trial | None:
@@ -258,7 +242,7 @@ class _Fits:
 
         def independence(trial: Trial) -> float:
             """Return 1 - |r| for the strongest correlation r of the term with another parameter."""
-            fit = self.required(terms | {trial.term})
+            fit = self.cache[terms | {trial.term}]
             k = fit.free.index(trial.term)
             covariance = fit.covariance_of(fit.free)
             r = np.abs(covariance[k]) / np.sqrt(covariance[k, k] * np.diag(covariance))
@@ -274,10 +258,24 @@ class _Fits:
         for term in (name for name in self.absent if name in terms):
             for rival in (name for name in self.absent if name not in terms):
                 swapped = self.fitted(terms - {term} | {rival}, fit)
-                above = math.inf if swapped is None else 2 * (swapped.cost - fit.cost) / scale
-                if above < EQUAL_AIC:
+                above = 2 * (swapped.cost - fit.cost) / scale
+                if swapped.converged and above < EQUAL_AIC:
                     rivals.setdefault(term, {})[rival] = above
         return rivals
+
+
+def _tested(term: str, small: Fit, large: Fit) -> tuple[float, str]:
+    """Return the p-value of a term, or NaN and why there is no test."""
+    # A missing term leaves residuals that look like errors correlated along frequency. With
+    # such errors allowed, no test would find the term: here they count as independent.
+    try:
+        return nested_test(small, with_independent_errors(large)).p_value, ""
+    except ValueError:
+        quantity = large.by_name[term]
+        if quantity.at_bound:
+            return math.nan, "at its bound"
+        is_determined = math.isfinite(quantity.standard_error)
+        return math.nan, "no test" if is_determined else "not determined"
 
 
 def with_terms(problem: AnyProblem, terms: Terms, absent: Mapping[str, float]) -> AnyProblem:
@@ -286,14 +284,9 @@ def with_terms(problem: AnyProblem, terms: Terms, absent: Mapping[str, float]) -
 
 
 def _part(part: Problem, terms: Terms, absent: Mapping[str, float]) -> Problem:
-    inside: dict[str, str] = {part.outside(name): name for name in part.declared}
-    chosen = {inside[name] for name in terms if name in inside}
-    left_out = {
-        inside[name]: value
-        for name, value in absent.items()
-        if name not in terms and name in inside
-    }
+    values = {n: absent[part.outside(n)] for n in part.declared if part.outside(n) in absent}
+    chosen = {name for name in values if part.outside(name) in terms}
+    left_out = {name: value for name, value in values.items() if name not in chosen}
     fixed = {n: v for n, v in part.fixed_values.items() if n not in chosen} | left_out
-    declared_fixed = [name for name in chosen if part.model.parameters[name].fixed]
-    free = [name for name in part.free if name not in left_out and name not in declared_fixed]
-    return part.with_(fixed=fixed, free=[*free, *declared_fixed])
+    free = [name for name in part.free if name not in values]
+    return part.with_(fixed=fixed, free=[*free, *sorted(chosen)])
