@@ -72,6 +72,9 @@ class Accuracy:
         not known.
     informations : (parts,) tuple of Information
         Information of every part.
+    numbers : (parts,) tuple of float
+        Degrees of freedom of the residuals of each part, at least 0.5; empty where nothing is left
+        for them.
     """
 
     names: tuple[str, ...]
@@ -89,6 +92,7 @@ class Accuracy:
     correlation: tuple[ColoredErrors | None, ...] = ()
     neighbors: tuple[CorrelatedPoints | None, ...] = ()
     informations: tuple[Information, ...] = ()
+    numbers: tuple[float, ...] = ()
 
     @classmethod
     def unknown(cls, nlp: CompiledProblem) -> "Accuracy":
@@ -268,6 +272,7 @@ def _with_covariance(
         independent=independent,
         correlation=tuple(part.colored for part in parts),
         neighbors=neighbors,
+        numbers=tuple(part.numbers for part in corrected),
     )
 
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from greybox.data.record import GAP
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, IntArray
 from greybox.files.text_table import counted
 
 POWER = 8  # twice the order of the smoothing spline
@@ -126,31 +126,30 @@ def reach(cutoff: float) -> float:
 
 def stretches(time: Array, *signals: Array) -> list[slice]:
     """Return the runs of rows in which no signal is missing and time has no gap."""
-    present = np.logical_and.reduce([np.isfinite(values) for values in signals])
-    rows = np.flatnonzero(present)
-    if rows.size == 0:
-        return []
-    step = float(np.median(np.diff(time)))
-    cuts = np.flatnonzero((np.diff(rows) > 1) | (np.diff(time[rows]) > GAP * step)) + 1
-    return [slice(int(part[0]), int(part[-1]) + 1) for part in np.split(rows, cuts)]
+    present = np.flatnonzero(np.logical_and.reduce([np.isfinite(values) for values in signals]))
+    # Time is uniform but for gaps.
+    runs = _cut(time, present, 1.5)
+    return [slice(int(rows[0]), int(rows[-1]) + 1) for rows in runs if rows.size]
 
 
 def without_holes(time: Array, values: Array) -> Array:
     """Return the signal with single missing samples interpolated by a cubic spline."""
     from scipy.interpolate import CubicSpline  # noqa: PLC0415  (imports slowly)
 
-    present = np.flatnonzero(np.isfinite(values))
     filled = np.array(values, dtype=float)
-    if present.size in (0, values.size):
-        return filled
-    step = float(np.median(np.diff(time)))
-    near = np.diff(time[present]) <= GAP * step
-    for part in np.split(present, np.flatnonzero(~near) + 1):
-        inside = np.setdiff1d(np.arange(part[0], part[-1] + 1), part)
+    present = np.isfinite(values)
+    for part in _cut(time, np.flatnonzero(present), GAP):
+        holes = np.setdiff1d(np.arange(part.min(initial=0), part.max(initial=0)), part)
         # A cubic needs four samples.
-        if inside.size and part.size >= 4:
-            filled[inside] = CubicSpline(time[part], values[part])(time[inside])
+        if holes.size and part.size >= 4:
+            filled[holes] = CubicSpline(time[part], values[part])(time[holes])
     return filled
+
+
+def _cut(time: Array, rows: IntArray, gap: float) -> list[IntArray]:
+    """Cut rows where time advances by more than `gap` median steps."""
+    step = float(np.median(np.diff(time)))
+    return np.split(rows, np.flatnonzero(np.diff(time[rows]) > gap * step) + 1)
 
 
 def require_uniform(time: Array) -> None:

@@ -19,8 +19,9 @@ import numpy as np
 from tqdm import tqdm
 
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
+from greybox.compiled.part import Trajectory
 from greybox.compiled.transcription.method import Transcription
-from greybox.estimate.covariance import assess, known_covariances
+from greybox.estimate.covariance import Accuracy, assess
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.quantities import Quantity, expressions
 from greybox.estimate.response_band import t_quantile
@@ -319,7 +320,7 @@ def bootstrap(
     _require_drawable(fit)
     nlp = compiled_again(fit, problem, method)
     refits = _record_refits if fit.records else _response_refits
-    runner, about = refits(fit, nlp, seed)
+    runner = refits(fit, nlp, seed)
     lines, function = _quantities(fit, nlp)
 
     outcomes = _made(runner, replicates, executor, folder, progress)
@@ -333,7 +334,7 @@ def bootstrap(
     statuses = tuple("" if outcome.converged else outcome.status for outcome in outcomes)
     return Bootstrap(
         name=fit.name,
-        about=about,
+        about=runner.draws.about,
         seed=seed,
         names=tuple(q.name for q in lines),
         units=tuple(q.unit for q in lines),
@@ -359,24 +360,23 @@ def _require_drawable(fit: Fit) -> None:
             raise ValueError(f"the fit {fit.name!r} has {obstacle}: use fit.interval().")
 
 
-def _response_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> tuple[ResponseReplicates, str]:
-    """Return the refits of responses, and a description of the draws."""
+def _response_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> ResponseReplicates:
     x = np.array([fit.estimate[name] for name in nlp.free])
-    at_bound = np.array([fit.by_name[name].at_bound for name in nlp.free])
-    nothing = np.zeros((len(nlp.names), len(nlp.names)))
-
-    constants = sum((covariance for covariance, _ in known_covariances(nlp)), nothing)
-    neighbors = [pair and (pair.correlation, pair.scale) for pair in assess(nlp, x).neighbors]
-    draws = response_draws(nlp, x, at_bound, constants[len(x) :, len(x) :], seed, neighbors)
-
-    about = "normal errors of the fitted size"
-    if any(neighbors):
-        about += " with their correlation along frequency"
-    return ResponseReplicates(nlp, draws, x, open_program(nlp)), about
+    draws = response_draws(nlp, x, _accuracy(nlp, x, ()), seed)
+    return ResponseReplicates(nlp, draws, x, open_program(nlp))
 
 
-def _record_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> tuple[RecordReplicates, str]:
-    """Return the refits of records, and a description of the draws."""
+def _accuracy(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory]) -> Accuracy:
+    accuracy = assess(nlp, x, trajectories)
+    if not accuracy.numbers:
+        raise ValueError(
+            f"the data of {nlp.problem.name!r} are too few for the size of their errors: "
+            "fix parameters."
+        )
+    return accuracy
+
+
+def _record_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> RecordReplicates:
     if nlp.problem.held_estimates:
         names = ", ".join(nlp.problem.held_estimates)
         raise ValueError(
@@ -399,13 +399,8 @@ def _record_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> tuple[RecordRep
 
     x = search.minima[0].estimate
     trajectories = solver.profile(x, search.nodes).trajectories
-    correlations = assess(nlp, x, trajectories).correlation
-    spectra = [correlation and correlation.spectrum for correlation in correlations]
-    draws = record_draws(nlp, trajectories, spectra, seed)
-    about = "residuals drawn"
-    if any(spectra):
-        about += " with their correlation in time"
-    return RecordReplicates(nlp, draws, x, search.nodes), about
+    draws = record_draws(nlp, trajectories, _accuracy(nlp, x, trajectories), seed)
+    return RecordReplicates(nlp, draws, x, search.nodes)
 
 
 @one_thread_at_a_time

@@ -11,6 +11,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
+from greybox.estimate.covariance import Accuracy
 from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.runs import Outcome
@@ -65,40 +66,34 @@ class DrawnRecord(DrawnPart):
 
 
 def record_draws(
-    nlp: CompiledProblem,
-    trajectories: tuple[Trajectory, ...],
-    spectra: Sequence[ErrorSpectrum | None],
-    seed: int,
+    nlp: CompiledProblem, trajectories: Sequence[Trajectory], accuracy: Accuracy, seed: int
 ) -> Draws:
     """Return how replicates of a problem of records are drawn, along its best `trajectories`.
-
-    Residuals are whitened by the `spectra` of the errors, one for every part. Without a spectrum
-    they are enlarged for the parameters and initial states that were fitted.
 
     Raises
     ------
     ValueError
         If the residuals correct the states, or if the data are fitted exactly.
     """
-    # Shared parameters take degrees of freedom from all records.
-    share = len(nlp.free) / len(nlp.parts)
-    records = []
-    for part, trajectory, spectrum in zip(nlp.parts, trajectories, spectra, strict=True):
+    records: list[DrawnPart] = []
+    spectra = [colored and colored.spectrum for colored in accuracy.correlation]
+    for part, *errors in zip(nlp.parts, trajectories, spectra, accuracy.numbers, strict=True):
         assert isinstance(part, RecordPart)
         if part.gains:
             raise ValueError(
                 f"the residuals of {part.name!r} correct its states, so that they cannot be drawn "
                 "and added: use OutputError, or fit.interval()."
             )
-        records.append(_drawn_record(part, trajectory, spectrum, share))
+        records.append(_drawn_record(part, *errors))
+    about = "residuals drawn" + (" with their correlation in time" if any(spectra) else "")
     constants = nlp.constant_values
-    return Draws(seed, tuple(records), constants, np.zeros((len(constants), 0)))
+    return Draws(seed, tuple(records), constants, np.zeros((len(constants), 0)), about)
 
 
 def _drawn_record(
-    part: RecordPart, trajectory: Trajectory, spectrum: ErrorSpectrum | None, parameters: float
+    part: RecordPart, trajectory: Trajectory, spectrum: ErrorSpectrum | None, dof: float
 ) -> DrawnRecord:
-    """Return the errors of a part whose residuals determined this number of `parameters`."""
+    """Return the errors of a part whose residuals have these degrees of freedom if white."""
     fitted = tuple(part.data.unpadded(part.simulated_outputs(trajectory)))
     measured = tuple(stretch.outputs for stretch in part.data.stretches)
     differences = [y - model for y, model in zip(measured, fitted, strict=True)]
@@ -109,9 +104,7 @@ def _drawn_record(
     # White residuals are too small by the fitted parameters and initial states. The spectrum of
     # colored ones is corrected for the fit already.
     if spectrum is None:
-        numbers = max(part.numbers, 1)
-        dof = max(numbers - parameters - part.unknown_initial_states, 1)
-        return DrawnRecord(measured, fitted, math.sqrt(numbers / dof) * residuals, None)
+        return DrawnRecord(measured, fitted, math.sqrt(part.numbers / dof) * residuals, None)
     white = _centered([spectrum.whitened(values) for values in differences])
     return DrawnRecord(measured, fitted, white, spectrum.of_draws(white))
 

@@ -36,12 +36,15 @@ class Draws:
         Constants of the problem.
     root : (c, r) array
         A square root of their covariance.
+    about : str
+        Description of the draws.
     """
 
     seed: int
     parts: tuple[DrawnPart, ...]
     constants: Array
     root: Array
+    about: str
 
     def of(self, number: int) -> tuple[Array, Iterator[Any]]:
         """Return the constants (c,) of a replicate, and yield the data of its parts."""

@@ -2,7 +2,6 @@
 
 import math
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -10,8 +9,10 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
+from greybox.compiled.part import CorrelatedPoints, Part
 from greybox.compiled.response_part import SMOOTHING, ResponsePart
-from greybox.files.arrays import Array, BoolArray, ComplexArray
+from greybox.estimate.covariance import Accuracy, known_covariances
+from greybox.files.arrays import Array, ComplexArray
 from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.interruption import reason_to_end
@@ -21,8 +22,8 @@ from greybox.solve.runs import IMPROVED, Outcome
 from greybox.study.open_data import program_input
 from greybox.study.replicates import DrawnPart, Draws, Replicates
 
-# Share of the variance of an error that is left in its residual, at least: a fit that nearly passes
-# through a point shows nothing of the error there, and must not make it infinite.
+# Share of the variance of a point that is its own, at least: where nearly all of it is common to
+# the points, residuals over the rest would be infinite.
 LEAST_LEFT = 0.1
 
 
@@ -86,30 +87,10 @@ class DrawnResponse(DrawnPart):
         return normal[np.argsort(order)] * np.exp(1j * np.angle(self.response))
 
 
-def response_draws(
-    nlp: CompiledProblem,
-    x: Array,
-    at_bound: BoolArray,
-    covariance: Array,
-    seed: int,
-    neighbors: Sequence[tuple[float, float] | None],
-) -> Draws:
+def response_draws(nlp: CompiledProblem, x: Array, accuracy: Accuracy, seed: int) -> Draws:
     """Return how replicates of a problem of responses are drawn, at the estimate x (p,).
 
     Source: Davison and Hinkley (1997), Bootstrap Methods and their Application, section 6.2.2.
-
-    Parameters
-    ----------
-    nlp : CompiledProblem
-    x : (p,) array
-    at_bound : (p,) array of bool
-        Parameters that are held by a bound.
-    covariance : (c, c) array
-        Covariance of the constants.
-    seed
-        See `Draws`.
-    neighbors
-        For every part, see `DrawnResponse`.
 
     Raises
     ------
@@ -117,30 +98,29 @@ def response_draws(
         If the data are fitted exactly.
     """
     values = nlp.all_values(x)
-    responses = [part for part in nlp.parts if isinstance(part, ResponsePart)]
-    parts, slopes = [], []
-    for part, pair in zip(responses, neighbors, strict=True):
-        drawn = _drawn_part(part, values, pair)
-        parts.append(drawn)
-        # In units of the residuals of the part.
-        size = drawn.size * drawn.deviation
-        slopes.append(part.sensitivity(values)[:, : len(x)][:, ~at_bound] / size[:, None])
+    parts = [
+        _drawn_part(part, values, dof, neighbors)
+        for part, dof, neighbors in zip(
+            nlp.parts, accuracy.numbers, accuracy.neighbors, strict=True
+        )
+    ]
+    about = "normal errors of the fitted size"
+    if any(accuracy.neighbors):
+        about += " with their correlation along frequency"
 
-    # The fit makes a residual smaller than its error by the root of one minus its leverage. A
-    # parameter at its bound takes nothing from the residuals.
-    leverages = _leverages(slopes, nlp.scaling.slope(x)[~at_bound])
-    triples = zip(responses, parts, leverages, strict=True)
+    nothing = np.zeros((len(values), len(values)))
+    covariance = sum((earlier for earlier, _ in known_covariances(nlp)), nothing)
     # Cholesky needs a definite matrix, and constants without errors make this one singular.
-    eigenvalues, vectors = np.linalg.eigh(covariance)
+    eigenvalues, vectors = np.linalg.eigh(covariance[len(x) :, len(x) :])
     root = (vectors * np.sqrt(np.maximum(eigenvalues, 0.0)))[:, eigenvalues > 0]
-    enlarged = tuple(_enlarged(*triple) for triple in triples)
-    return Draws(seed, enlarged, nlp.constant_values, root)
+    return Draws(seed, tuple(parts), nlp.constant_values, root, about)
 
 
 def _drawn_part(
-    part: ResponsePart, values: Array, neighbors: tuple[float, float] | None
+    part: Part, values: Array, dof: float, neighbors: CorrelatedPoints | None
 ) -> DrawnResponse:
-    """Return a part with errors of the size of its residuals."""
+    """Return the errors of a part whose residuals have these degrees of freedom."""
+    assert isinstance(part, ResponsePart)
     response = part.response(values)
     size = part.criterion.error_size(response, part.data)
     has_variances = part.criterion.known_noise
@@ -148,32 +128,20 @@ def _drawn_part(
     if has_variances:
         size = size * np.sqrt(np.maximum(part.data.independent_share, LEAST_LEFT))
 
-    rms = float(np.linalg.norm((part.data.response - response) / size)) / math.sqrt(len(size))
-    if not rms > math.sqrt(np.finfo(float).eps):
+    variance = float(np.sum(np.abs((part.data.response - response) / size) ** 2)) / dof
+    if not variance > np.finfo(float).eps:
         raise ValueError(f"{part.name!r} is fitted exactly: the size of its errors is not known.")
-    dof = part.data.dof if has_variances else None
-    common = part.data.common_errors
-    return DrawnResponse(part.data.omega, response, size, rms, dof, common, neighbors)
-
-
-def _enlarged(part: ResponsePart, drawn: DrawnResponse, leverage: Array) -> DrawnResponse:
-    """Return the errors without the share that the fit took from the residuals."""
-    residuals = (part.data.response - drawn.response) / drawn.size
-    square = float(np.mean(np.abs(residuals) ** 2 / np.maximum(1 - leverage, LEAST_LEFT)))
-    if part.criterion.known_noise:  # given variances are believed, unless the residuals are larger
-        square = max(square, 1.0)
-    return replace(drawn, deviation=math.sqrt(square / 2))
-
-
-def _leverages(slopes: Sequence[ComplexArray], scale: Array) -> list[Array]:
-    """Return the leverages (n,) of the points by part, from the derivatives (n, p) of errors."""
-    rows = [np.vstack([slope.real, slope.imag]) for slope in slopes]
-    basis, singular, _ = np.linalg.svd(np.vstack(rows) / scale, full_matrices=False)
-    # Below this singular value a direction takes nothing from the residuals.
-    seen = basis[:, singular > 1e-7 * singular.max(initial=0.0)]
-    leverage = (seen**2).sum(axis=1)
-    ends = np.cumsum([len(row) for row in rows])[:-1]
-    return [part.reshape(2, -1).mean(axis=0) for part in np.split(leverage, ends)]
+    if has_variances:  # given variances are believed, unless the residuals are larger
+        variance = max(variance, 0.5)
+    return DrawnResponse(
+        part.data.omega,
+        response,
+        size,
+        math.sqrt(variance),
+        dof=part.data.dof if has_variances else None,
+        common=part.data.common_errors,
+        neighbors=neighbors and (neighbors.correlation, neighbors.scale),
+    )
 
 
 @dataclass(frozen=True, eq=False)

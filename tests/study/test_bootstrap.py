@@ -78,9 +78,7 @@ def test_a_replicate_is_the_fit_to_its_data(criterion):
     found = gb.bootstrap(fit, 20, progress=False)
     nlp = compile_problem(problem)
     x = np.array([fit.estimate[name] for name in nlp.free])
-    nothing = np.zeros((len(nlp.constants),) * 2)
-    neighbors = [pair and (pair.correlation, pair.scale) for pair in assess(nlp, x).neighbors]
-    draws = response_draws(nlp, x, np.zeros(len(x), bool), nothing, 0, neighbors)
+    draws = response_draws(nlp, x, assess(nlp, x), 0)
     (response,) = draws.of(7)[1]
     drawn = replace(data, response=response)
     again = gb.fit(problem.with_(data=drawn), starts=[fit.estimate], progress=False)

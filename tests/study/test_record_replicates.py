@@ -1,6 +1,7 @@
 """Errors that replicates of a record draw, against those of a mean."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -29,8 +30,16 @@ def draws_of(values=VALUES):
     record = gb.Record(np.arange(len(values)) / 10, {"u": np.ones(len(values)), "y": values})
     nlp = compile_problem(gb.Problem(Ramp(), record))
     (part,) = nlp.parts
-    z = nlp.scaling.to_solver(np.array([np.nanmean(values)]))
-    return record_draws(nlp, (part.initial_trajectory(z),), (None,), 0)
+    x = np.array([np.nanmean(values)])
+    return white_draws(nlp, x, (part.initial_trajectory(nlp.scaling.to_solver(x)),))
+
+
+def white_draws(nlp, x, trajectories, seed=0):
+    """Draws of errors that are taken as white, however they are correlated."""
+    accuracy = assess(nlp, x, trajectories)
+    numbers = tuple(part.numbers - len(x) / len(nlp.parts) for part in accuracy.informations)
+    white = replace(accuracy, correlation=(None,) * len(nlp.parts), numbers=numbers)
+    return record_draws(nlp, trajectories, white, seed)
 
 
 def test_drawn_errors_have_the_variance_with_n_less_one_degrees_of_freedom():
@@ -58,8 +67,7 @@ def test_drawn_errors_that_are_correlated_move_the_estimate_as_far_as_theory_say
         nlp = compile_problem(gb.Problem(Ramp(), record))
         estimate = np.array([row @ y])
         trajectories = (nlp.parts[0].initial_trajectory(nlp.scaling.to_solver(estimate)),)
-        spectra = [each.spectrum for each in assess(nlp, estimate, trajectories).correlation]
-        draws = record_draws(nlp, trajectories, spectra, 0)
+        draws = record_draws(nlp, trajectories, assess(nlp, estimate, trajectories), 0)
         errors = [row @ np.nan_to_num(next(draws.of(number)[1])[0][0]) for number in range(60)]
         logarithms.append(np.log(np.std(errors) / expected))
     assert_allclose(np.exp(np.mean(logarithms)), 1, atol=0.15)
@@ -86,7 +94,7 @@ def levels():
 
 def test_replicates_of_several_records_are_the_same_where_the_problem_was_left_behind():
     _, nlp, start, trajectories = levels()
-    draws = record_draws(nlp, trajectories, (None,) * 5, 0)
+    draws = white_draws(nlp, np.array([2.0]), trajectories)
     here = RecordReplicates(nlp, draws, start, tuple(t.nodes for t in trajectories))
     there = pickle.loads(pickle.dumps(here))
     assert_allclose(
@@ -117,8 +125,9 @@ def pair_draws(missing=(), noise="full"):
             gb.OutputError(noise=noise),
         )
     )
-    trajectory = nlp.parts[0].initial_trajectory(nlp.scaling.to_solver(np.array([2.0])))
-    return record_draws(nlp, (trajectory,), (None,), 5), np.array([y - 2 * u, z - 6 * u])
+    x = np.array([2.0])
+    trajectory = nlp.parts[0].initial_trajectory(nlp.scaling.to_solver(x))
+    return white_draws(nlp, x, (trajectory,), 5), np.array([y - 2 * u, z - 6 * u])
 
 
 def test_residuals_are_enlarged_for_the_fitted_parameters():

@@ -8,6 +8,7 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
+from greybox.estimate.covariance import assess
 from greybox.solve.interruption import TimeLimits, limited
 from greybox.solve.runs import SEARCH_OVER
 from greybox.study.open_data import open_program, program_input
@@ -20,7 +21,7 @@ def draws(*, points=3, constants=(), root=(), **changes):
     ones = np.ones(points, complex)
     part = DrawnResponse(1.0 + np.arange(points), ones, np.ones(points), deviation=0.0)
     root = np.zeros((0, 0)) if len(root) == 0 else root
-    return Draws(0, (replace(part, **changes),), np.array(constants, float), root)
+    return Draws(0, (replace(part, **changes),), np.array(constants, float), root, "")
 
 
 def measured_points(made, numbers):
@@ -69,55 +70,38 @@ class Lag(gb.TransferFunction):
 OMEGA = np.array([0.5, 1.0, 2.0, 4.0, 8.0])
 
 
-def lag_draws(noise, criterion, *, at_bound=(False, False), covariance=None, **columns):
-    """The draws at K = 2 and T = 0.5, the residuals over the modelled response, and its derivatives (n, 2)."""
+def lag_draws(noise, criterion, x=(2.0, 0.5), fixed=None, **columns):
+    """The draws at K = 2 and T = 0.5, the modelled response, and the residuals over it."""
     model = 2 / (0.5j * OMEGA + 1)
     random = np.random.default_rng(3)
     left = noise * (random.normal(size=5) + 1j * random.normal(size=5))
     data = gb.FrequencyResponse(OMEGA, model * (1 + left), "u", "y", **columns)
-    nlp = compile_problem(gb.Problem(Lag(), data, criterion))
-    covariance = np.zeros((0, 0)) if covariance is None else covariance
-    made = response_draws(nlp, np.array([2.0, 0.5]), np.array(at_bound), covariance, 4, [None])
-    return made, model, left, np.transpose([model / 2, -1j * OMEGA * model**2 / 2])
+    nlp = compile_problem(gb.Problem(Lag(), data, criterion, fixed=fixed or {}))
+    x = np.array(x)
+    return response_draws(nlp, x, assess(nlp, x), 4), model, left
 
 
-def leverage(slopes, size):
-    """The mean of the diagonal of the hat matrix over both components of every point."""
-    rows = np.vstack([(slopes / size[:, None]).real, (slopes / size[:, None]).imag])
-    return np.diag(rows @ np.linalg.pinv(rows)).reshape(2, -1).mean(axis=0)
-
-
-def test_residuals_of_several_parts_have_leverages_in_one_fit():
+def test_residuals_of_several_parts_share_the_parameters():
+    """Two parameters of five and four points: each part has its share of them, as in the standard errors."""
     sets = two_parts()
     _, made, (gain, lag) = runner_of(sets)
-    slopes, left = [], []
-    for data in sets:
+    dof = []
+    for data, part in zip(sets, made.parts, strict=True):
         model = gain / (lag * 1j * data.omega + 1)
-        rows = (
-            np.transpose([model / gain, -1j * data.omega * model**2 / gain])
-            / np.abs(model)[:, None]
-        )
-        left.append((data.response - model) / np.abs(model))
-        slopes.append(
-            rows / np.sqrt(np.mean(np.abs(left[-1]) ** 2))
-        )  # each in units of its own residuals
-    stacked = np.vstack([np.vstack([rows.real, rows.imag]) for rows in slopes])
-    each = np.diag(stacked @ np.linalg.pinv(stacked))
-    found = each[:10].reshape(2, 5).mean(axis=0), each[10:].reshape(2, 4).mean(axis=0)
-    for part, own, h in zip(made.parts, left, found, strict=True):
-        expected = np.sqrt(np.mean(np.abs(own) ** 2 / (1 - h)) / 2)
-        assert part.deviation == pytest.approx(expected, rel=1e-6)
+        squares = np.sum(np.abs((data.response - model) / model) ** 2)
+        dof.append(squares / part.deviation**2)
+    assert sum(dof) == pytest.approx(18 - 2)
+    assert 8 < dof[0] < 10
 
 
-@pytest.mark.parametrize(("at_bound", "free"), [((False, False), [0, 1]), ((True, False), [1])])
-def test_residuals_are_enlarged_by_their_leverage(at_bound, free):
-    made, model, left, slopes = lag_draws(0.05, gb.SquaredRelativeError(), at_bound=at_bound)
+@pytest.mark.parametrize(("fixed", "parameters"), [({}, 2), ({"K": 2.0}, 1)])
+def test_residuals_are_enlarged_for_the_fitted_parameters(fixed, parameters):
+    x = (2.0, 0.5)[len(fixed) :]
+    made, model, left = lag_draws(0.05, gb.SquaredRelativeError(), x, fixed)
     assert_allclose(made.parts[0].response, model)
     assert_allclose(made.parts[0].size, np.abs(model))
-    wanted = left * model / np.abs(model) / np.sqrt(1 - leverage(slopes[:, free], np.abs(model)))
-    assert made.parts[0].deviation == pytest.approx(
-        np.sqrt(np.mean(np.abs(wanted) ** 2) / 2), rel=1e-6
-    )
+    wanted = np.sqrt(np.sum(np.abs(left) ** 2) / (10 - parameters))
+    assert made.parts[0].deviation == pytest.approx(wanted, rel=1e-6)
     assert (made.parts[0].dof, made.parts[0].common) == (None, None)
 
 
@@ -126,23 +110,21 @@ def test_given_variances_are_believed_where_residuals_are_smaller(given, believe
     """And what the points have in common is no error of their own."""
     variance, dof = given**2 * np.arange(1.0, 6.0), np.full(5, 20.0)
     common = np.sqrt(variance * np.array([0.0, 0.5, 0.5, 0.99, 0.0]))[None]
-    made, model, left, slopes = lag_draws(
+    made, model, left = lag_draws(
         0.01, gb.MaximumLikelihood(), variance=variance, dof=dof, common_errors=common
     )
     size = np.sqrt(variance * [1.0, 0.5, 0.5, 0.1, 1.0])  # a tenth of the variance is left at least
     assert_allclose(made.parts[0].size, size)
-    wanted = left * model / size / np.sqrt(1 - leverage(slopes, size))
-    expected = np.sqrt(0.5) if believed else np.sqrt(np.mean(np.abs(wanted) ** 2) / 2)
+    expected = np.sqrt(0.5 if believed else np.sum(np.abs(left * model / size) ** 2) / 8)
     assert made.parts[0].deviation == pytest.approx(expected, rel=1e-6)
     assert made.parts[0].dof.tolist() == dof.tolist()
     assert_allclose(made.parts[0].common, common)
 
 
-def test_a_covariance_of_constants_has_its_root():
-    covariance = np.array([[0.04, 0.02, 0.0], [0.02, 0.01, 0.0], [0.0, 0.0, 0.09]])
-    made, *_ = lag_draws(0.05, gb.SquaredRelativeError(), covariance=covariance)
-    assert_allclose(made.root @ made.root.T, covariance, atol=1e-12)
-    assert made.root.shape[1] <= 3
+def test_constants_have_the_covariance_of_the_fit_that_they_come_from():
+    earlier = gb.fit(joint(two_parts()), starts=[{}], progress=False, profiles=False)
+    made, *_ = lag_draws(0.05, gb.SquaredRelativeError(), (0.5,), {"K": earlier})
+    assert_allclose(made.root @ made.root.T, [[earlier.standard_error["K"] ** 2]])
 
 
 def test_data_that_are_fitted_exactly_have_no_errors_to_draw():
@@ -224,7 +206,7 @@ def runner_from(nlp, made, x):
 def runner_of(sets):
     nlp = compile_problem(joint(sets))
     x = np.array(refitted(joint(sets)))
-    made = response_draws(nlp, x, np.zeros(2, bool), np.zeros((0, 0)), 4, [None, None])
+    made = response_draws(nlp, x, assess(nlp, x), 4)
     return runner_from(nlp, made, x), made, x
 
 
