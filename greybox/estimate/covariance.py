@@ -272,7 +272,7 @@ def _with_covariance(
         independent=independent,
         correlation=tuple(part.colored for part in parts),
         neighbors=neighbors,
-        numbers=tuple(part.numbers for part in corrected),
+        numbers=tuple(part.numbers for part in parts),
     )
 
 
