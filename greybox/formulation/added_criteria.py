@@ -21,30 +21,22 @@ def with_costs_that_add(parts: Sequence[Any]) -> tuple[Any, ...]:
     """
     # One likelihood makes the sum one: all others must be likelihoods too.
     likelihood = next((part for part in parts if part.criterion.is_likelihood), None)
-    if likelihood is None:
-        first = parts[0]
-        second = next((part for part in parts if part.criterion != first.criterion), None)
-        if second is not None:
-            raise ValueError(
-                f"{first.name!r} has the criterion {first.criterion!r} and {second.name!r} "
-                f"{second.criterion!r}: costs of different criteria add only where both are "
-                "likelihoods, so give both the same criterion, or RelativeLikelihood(), or "
-                "MaximumLikelihood() where variances are known."
-            )
-        return tuple(parts)
-
-    result = []
+    if likelihood:
+        parts = [
+            part.with_(criterion=RelativeLikelihood())
+            if part.has_default_criterion and not part.criterion.is_likelihood
+            else part
+            for part in parts
+        ]
+    first = likelihood or parts[0]
     for part in parts:
-        if not (part.criterion.is_likelihood or part.has_default_criterion):
+        if not (part.criterion.is_likelihood if likelihood else part.criterion == first.criterion):
             raise ValueError(
-                f"{part.name!r} has the criterion {type(part.criterion).__name__} and "
-                f"{likelihood.name!r} {type(likelihood.criterion).__name__}: the cost of a "
-                "likelihood adds to that of another likelihood alone, so leave the criterion of "
-                "the response out, or give RelativeLikelihood(), or MaximumLikelihood() where "
-                "variances are known."
+                f"{part.name!r} has the criterion {part.criterion!r} and {first.name!r} "
+                f"{first.criterion!r}: costs of different criteria add only where both are "
+                "likelihoods, so leave out the criterion of the response, or give both the same "
+                "criterion, or RelativeLikelihood(), or MaximumLikelihood() where variances are "
+                "known."
             )
-        result.append(
-            part if part.criterion.is_likelihood else part.with_(criterion=RelativeLikelihood())
-        )
 
-    return tuple(result)
+    return tuple(parts)

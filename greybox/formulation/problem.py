@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
@@ -132,26 +133,18 @@ class Problem:
         # An unknown word is refused here, not in the middle of a search.
         delay_order(self.delay)
 
-        object.__setattr__(
-            self, "_declared", {**self.model.parameters, **self._added_by_criterion()}
-        )
-        self._check_names()
-        object.__setattr__(
-            self, "_declared", {name: self._restated(name, p) for name, p in self.declared.items()}
-        )
+        # The names come first: with `declared`, they are checked.
         self._check_rename()
         self._check_operating_point()
         self._check_amplitude()
-
-        parameters = {
-            name: self._as_stated(name, p)
-            for name, p in self.declared.items()
-            if name not in self.tied
-        }
-        object.__setattr__(self, "_stated_parameters", parameters)
-        # Functions come after the names, since they are called with the checked parameters.
         self._check_functions()
-        self._check_prior()
+        if self.priors and not (self.criterion.is_likelihood or self.has_default_criterion):
+            raise ValueError(
+                f"{self.priors[0].names[0]!r} has a prior, and the cost of "
+                f"{type(self.criterion).__name__} is no likelihood to which it could be added: "
+                "leave the criterion out, or give RelativeLikelihood(), or MaximumLikelihood() "
+                "where variances are known."
+            )
 
     def _fill_in_defaults(self) -> None:
         object.__setattr__(self, "_has_default_criterion", self.criterion is None)
@@ -203,7 +196,7 @@ class Problem:
 
         # A misspelled name would otherwise be ignored silently.
         for what, names in {**kinds, **mappings}.items():
-            require_known(names, self.declared, "parameter", f"{what}: {self.model.label}")
+            require_known(names, self._as_declared, "parameter", f"{what}: {self.model.label}")
 
         for first, second in (("fixed", "free"), ("fixed", "tied"), ("free", "tied")):
             for name in kinds[first]:
@@ -284,26 +277,6 @@ class Problem:
             value = value.estimate[self.outside(name)]
         return held_at(name, parameter, value)
 
-    def _check_prior(self) -> None:
-        """Gather the priors, and require a likelihood where there are any."""
-        # Biases and gains of a criterion have no priors, and an earlier fit has no part in them.
-        outside = {name: self.outside(name) for name in self.declared}
-        of_model = {
-            name: p
-            for name, p in self.__dict__["_stated_parameters"].items()
-            if name in self.model.parameters
-        }
-        priors = normal_priors(of_model, self.tied, self.prior, outside)
-        if priors and not (self.criterion.is_likelihood or self.has_default_criterion):
-            raise ValueError(
-                f"{priors[0].names[0]!r} has a prior, and the cost of "
-                f"{type(self.criterion).__name__} is no likelihood to which it could be added: "
-                "leave the criterion out, or give RelativeLikelihood(), or MaximumLikelihood() "
-                "where variances are known."
-            )
-
-        object.__setattr__(self, "_priors", tuple(priors))
-
     def _check_functions(self) -> None:
         """Try ties, constraints and derived quantities with numbers and with expressions.
 
@@ -328,10 +301,24 @@ class Problem:
             _require_number(_call(function, numbers, what), what)
             require_no_nan(what, ca.SX(_call(function, symbols, what)))
 
-    @property
+    @cached_property
+    def _as_declared(self) -> Mapping[str, Parameter]:
+        return {**self.model.parameters, **self._added_by_criterion()}
+
+    @cached_property
     def declared(self) -> Mapping[str, Parameter]:
         """Parameters of model and criterion by inside name, with the bounds and starts given."""
-        return self.__dict__["_declared"]
+        self._check_names()
+        return {name: self._restated(name, p) for name, p in self._as_declared.items()}
+
+    @cached_property
+    def _stated(self) -> Mapping[str, Parameter]:
+        """Parameters by inside name, fixed or free as in this problem, without tied ones."""
+        return {
+            name: self._as_stated(name, p)
+            for name, p in self.declared.items()
+            if name not in self.tied
+        }
 
     @property
     def fixed_values(self) -> Mapping[str, float | HeldEstimate]:
@@ -343,7 +330,9 @@ class Problem:
 
         # An earlier fit may have other parameters, which this model does not need.
         shared = {
-            name: self.fixed for name in self.declared if self.outside(name) in self.fixed.estimate
+            name: self.fixed
+            for name in self._as_declared
+            if self.outside(name) in self.fixed.estimate
         }
         if not shared:
             raise ValueError(
@@ -366,15 +355,15 @@ class Problem:
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Parameters by outside name, fixed or free as in this problem, without tied ones."""
-        return {
-            self.outside(name): parameter
-            for name, parameter in self.__dict__["_stated_parameters"].items()
-        }
+        return {self.outside(name): parameter for name, parameter in self._stated.items()}
 
-    @property
+    @cached_property
     def priors(self) -> tuple[NormalPrior, ...]:
         """Priors of the parameters, by outside name."""
-        return self.__dict__["_priors"]
+        # Biases and gains of a criterion have no priors, and an earlier fit has no part in them.
+        outside = {name: self.outside(name) for name in self.declared}
+        of_model = {name: p for name, p in self._stated.items() if name in self.model.parameters}
+        return tuple(normal_priors(of_model, self.tied, self.prior, outside))
 
     @property
     def response(self) -> FrequencyResponse:
@@ -393,7 +382,7 @@ class Problem:
 
     def local_values(self, values: Mapping[str, Any]) -> Names:
         """Return the parameters by inside name, ties evaluated, from values by outside name."""
-        local = {name: values[self.outside(name)] for name in self.__dict__["_stated_parameters"]}
+        local = {name: values[self.outside(name)] for name in self._stated}
         for name, tie in self.tied.items():
             local[name] = _call(
                 tie, Names(local, f"the problem {self.name!r}, at this tie,"), f"tied[{name!r}]"

@@ -21,6 +21,7 @@ SDLOG_PROFILE at https://docs.px4.io/main/en/advanced_config/parameter_reference
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -153,8 +154,8 @@ def low_pass(order: int, cutoff: float, omega: Array) -> Complex:
 
     if cutoff <= 0:
         return np.ones(omega.size, dtype=complex)
-    numerator, denominator = butter(order, 2 * math.pi * cutoff, analog=True)[:2]
-    return freqs(numerator, denominator, omega)[1]
+    polynomials: Any = butter(order, 2 * math.pi * cutoff, analog=True)
+    return freqs(*polynomials, omega)[1]  # type: ignore[arg-type]
 
 
 def _of_controller(parameters: Mapping[str, float], axis: str, name: str) -> float:
