@@ -1,7 +1,7 @@
 """Writes and reads frequency responses as CSV files."""
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -85,9 +85,8 @@ def write_response(response: FrequencyResponse, path: str | Path) -> None:
     require_csv(path)
     facts = {
         **{key: text for key in NAMES[:2] if (text := getattr(response, key))},
-        **{f"{UNIT}{name}": unit for name, unit in response.units.items() if unit},
         **{key: text for key, text in response.about.items() if key not in NAMES},
-        **{f"{STRETCH}{k}": stretch_text(s) for k, s in enumerate(response.stretches, start=1)},
+        **common_facts(response.units, response.stretches),
     }
     columns = {key: x.tolist() for key, x in {OMEGA: response.omega, **response.columns}.items()}
     write_delimited(path, facts, columns)
@@ -127,38 +126,33 @@ def require_csv(path: Path) -> None:
         raise ValueError(f"{path} is not the name of a table: give one that ends in .csv.")
 
 
+def common_facts(units: Mapping[str, str], stretches: Iterable[Stretch]) -> dict[str, str]:
+    """Return units and stretches of records as facts for a file."""
+    texts = (f"{s.checksum} {s.start!r} {s.end!r}" for s in stretches)
+    return {
+        **{f"{UNIT}{name}": unit for name, unit in units.items() if unit},
+        **{f"{STRETCH}{k}": text for k, text in enumerate(texts, start=1)},
+    }
+
+
 def described(facts: Mapping[str, str]) -> dict[str, Any]:
     """Return input, output, units, remarks and stretches from the facts of a file."""
-    about = {
-        key: text
-        for key, text in facts.items()
-        if key not in NAMES and not key.startswith((UNIT, STRETCH))
-    }
-    return {
-        "input": facts.get("input", ""),
-        "output": facts.get("output", ""),
-        "units": units_in(facts),
-        "about": about,
-        "stretches": stretches_in(facts),
-    }
-
-
-def units_in(facts: Mapping[str, str]) -> dict[str, str]:
-    """Return the units by the names of the signals."""
-    return {key.removeprefix(UNIT): unit for key, unit in facts.items() if key.startswith(UNIT)}
-
-
-def stretches_in(facts: Mapping[str, str]) -> tuple[Stretch, ...]:
-    """Return the stretches of records; a comment that only begins like one is ignored."""
-    stretches = []
+    units, about, stretches = {}, {}, []
     for key, text in facts.items():
-        if key.startswith(STRETCH):
+        if key.startswith(UNIT):
+            units[key.removeprefix(UNIT)] = text
+        elif key.startswith(STRETCH):
+            # A comment that only begins like a stretch is ignored.
             with contextlib.suppress(ValueError):
                 checksum, start, end = text.rsplit(maxsplit=2)
                 stretches.append(Stretch(checksum, float(start), float(end)))
-    return tuple(stretches)
+        elif key not in NAMES:
+            about[key] = text
 
-
-def stretch_text(stretch: Stretch) -> str:
-    """Return a stretch as text for a file."""
-    return f"{stretch.checksum} {stretch.start!r} {stretch.end!r}"
+    return {
+        "input": facts.get("input", ""),
+        "output": facts.get("output", ""),
+        "units": units,
+        "about": about,
+        "stretches": tuple(stretches),
+    }

@@ -4,14 +4,7 @@ import json
 from pathlib import Path
 
 from greybox.data.response_columns import OMEGA
-from greybox.data.response_file import (
-    STRETCH,
-    UNIT,
-    require_csv,
-    stretch_text,
-    stretches_in,
-    units_in,
-)
+from greybox.data.response_file import common_facts, described, require_csv
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.delimited_text import DelimitedText, read_delimited, write_delimited
 from greybox.files.safe_files import require_file
@@ -45,10 +38,8 @@ def write_spectrum(spectrum: TransientSpectrum, path: str | Path) -> None:
         "inputs": json.dumps(list(spectrum.inputs), ensure_ascii=False),
         "outputs": json.dumps(list(spectrum.outputs), ensure_ascii=False),
         **{f"{CHANGE}{name}": repr(spectrum.change(name)) for name in spectrum.inputs},
-        **{f"{UNIT}{name}": unit for name, unit in spectrum.units.items() if unit},
+        **common_facts(spectrum.units, [spectrum.stretch] if spectrum.stretch else []),
     }
-    if spectrum.stretch is not None:
-        facts[f"{STRETCH}1"] = stretch_text(spectrum.stretch)
 
     columns = {OMEGA: spectrum.omega.tolist()}
     for name, values in spectrum.signals.items():
@@ -97,7 +88,7 @@ def _from_table(table: DelimitedText) -> TransientSpectrum:
         }
         for kind in names
     }
-    stretches = stretches_in(facts)
+    about = described(facts)
 
     return TransientSpectrum(
         columns[OMEGA],
@@ -105,8 +96,8 @@ def _from_table(table: DelimitedText) -> TransientSpectrum:
         duration=float(facts["duration"]),
         step=float(facts["step"]),
         input_change={name: float(facts[f"{CHANGE}{name}"]) for name in names["inputs"]},
-        units=units_in(facts),
+        units=about["units"],
         name=facts.get("name", ""),
         source=facts.get("source", ""),
-        stretch=stretches[0] if stretches else None,
+        stretch=next(iter(about["stretches"]), None),
     )

@@ -265,14 +265,12 @@ def _band(
         return low, 2 * low
 
     omega, size = omega[inside], np.abs(np.fft.rfft(x, FINER * t.size))[inside]
-    strong = np.flatnonzero(size >= STRONG * size.max())
+    strong = omega[size >= STRONG * size.max()]
     # The band ends at the first hole of an octave.
-    weak = np.flatnonzero(np.diff(strong) > 1)
-    stop = next(
-        (strong[k] for k in weak if omega[strong[k + 1]] > 2 * omega[strong[k]]), strong[-1]
-    )
+    holes = np.flatnonzero(strong[1:] > 2 * strong[:-1])
+    stop = strong[holes[0] if holes.size else -1]
 
-    return low, float(max(omega[stop], 2 * low))
+    return low, float(max(stop, 2 * low))
 
 
 def _usual_inputs(data: Recording | Record) -> list[str]:

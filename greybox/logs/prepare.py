@@ -49,16 +49,15 @@ def horizontal_velocity(
     up accelerates backward, so that it is the negative of "forward"; with the right side down it
     accelerates to the "right".
     """
-    if axis in ("pitch", "forward"):
-        sign = -1 if axis == "pitch" else 1
-        return Derived(
-            (north, east, yaw), lambda n, e, psi: sign * (n * np.cos(psi) + e * np.sin(psi)), "m/s"
-        )
-    if axis in ("roll", "right"):
-        return Derived(
-            (north, east, yaw), lambda n, e, psi: e * np.cos(psi) - n * np.sin(psi), "m/s"
-        )
-    raise ValueError(f"axis {axis!r} is not known: use 'pitch', 'roll', 'forward' or 'right'.")
+    # From forward, the axes are turned by so much.
+    turns = {"forward": 0.0, "pitch": np.pi, "right": np.pi / 2, "roll": np.pi / 2}
+    if axis not in turns:
+        raise ValueError(f"axis {axis!r} is not known: use 'pitch', 'roll', 'forward' or 'right'.")
+    return Derived(
+        (north, east, yaw),
+        lambda n, e, psi: n * np.cos(psi + turns[axis]) + e * np.sin(psi + turns[axis]),
+        "m/s",
+    )
 
 
 def negative(of: str | Derived) -> Derived:

@@ -156,27 +156,27 @@ def _announced(
 ) -> list[Segment]:
     record = data[message] if isinstance(data, Recording) else data
     chosen = dict(fields) if fields else {k: v for k, v in ANNOUNCED.items() if v in record.signals}
-    unknown = set(chosen) - {*ANNOUNCED, "frequency"}
-    if unknown or not {"omega", "frequency"} & set(chosen):
-        what = (
-            f"{sorted(unknown)[0]!r} is not one of them"
-            if unknown
-            else "neither omega nor frequency is among them"
-        )
+    if not set(chosen) <= {*ANNOUNCED, "frequency"} or not {"omega", "frequency"} & set(chosen):
         raise ValueError(
-            f"the fields of {message or 'the record'} must be given as {', '.join(ANNOUNCED)} or "
-            f"frequency, but {what}"
-            f': write fields={{"omega": "W"}}; the message has {", ".join(record.signals)}.'
+            f"the fields of {message or 'the record'} are {', '.join(chosen) or 'not known'}: "
+            "name omega or frequency and, if there are such fields, segment, axis, amplitude and "
+            f"offset, as in fields={{'omega': 'W'}}; it has {', '.join(record.signals)}."
         )
 
     columns = {key: record[name] for key, name in chosen.items()}
     if "frequency" in columns:
         columns["omega"] = 2 * np.pi * columns.pop("frequency")
-    unit = record.units.get(chosen.get("amplitude", ""), "")
-
-    return [
-        _one_test(record, rows, columns, unit, message) for rows in _tests(record.time, columns)
-    ]
+    segments = []
+    for rows in _tests(record.time, columns):
+        value = {key: float(values[rows[0]]) for key, values in columns.items()}
+        start, end = record.time[rows[[0, -1]]].tolist()
+        axis = f"{value.pop('axis'):g}" if "axis" in value else ""
+        value.pop("segment", None)
+        unit = record.units.get(chosen.get("amplitude", ""), "")
+        segments.append(
+            Segment(start, end, axis=axis, unit=unit, source=message or "record", **value)
+        )
+    return segments
 
 
 def _tests(time: Array, columns: Mapping[str, Array]) -> list[IntArray]:
@@ -190,22 +190,6 @@ def _tests(time: Array, columns: Mapping[str, Array]) -> list[IntArray]:
         change = change | (np.diff(np.nan_to_num(values)) != 0)
     groups = np.split(np.arange(time.size), np.flatnonzero(change) + 1)
     return [rows for rows in groups if rows.size > 1 and columns["omega"][rows[0]] > 0]
-
-
-def _one_test(
-    record: Record, rows: IntArray, columns: Mapping[str, Array], unit: str, message: str
-) -> Segment:
-    value = {key: float(values[rows[0]]) for key, values in columns.items()}
-    return Segment(
-        start=float(record.time[rows[0]]),
-        end=float(record.time[rows[-1]]),
-        axis=f"{value['axis']:g}" if "axis" in value else "",
-        omega=value["omega"],
-        amplitude=value.get("amplitude", math.nan),
-        offset=value.get("offset", math.nan),
-        unit=unit,
-        source=message or "record",
-    )
 
 
 def _checked(segment: Segment, data: Recording | Record) -> Segment:

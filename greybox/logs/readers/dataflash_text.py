@@ -7,13 +7,12 @@ from collections.abc import Collection, Iterable
 from pathlib import Path
 
 import numpy as np
-from pymavlink.DFReader import FORMAT_TO_STRUCT
 
 from greybox.data.record import Recording
 from greybox.files.text_table import is_number
 from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.dataflash import ALWAYS, CLOCKS, TABLES, clock_column, recording
-from greybox.logs.readers.dataflash_index import Layout
+from greybox.logs.readers.dataflash_index import Layout, sound_layout
 from greybox.logs.readers.dataflash_units import Units, UnitTables
 from greybox.logs.readers.messages import Messages, bare
 
@@ -57,14 +56,11 @@ class Lines:
 def _layout(body: str) -> Layout | None:
     """Return the layout that an FMT line describes, None if the line is damaged."""
     fields = [field.strip() for field in body.split(",", 4)]
-    if len(fields) < 5 or not fields[0].isdecimal():
+    if len(fields) < 5 or not fields[0].isdecimal() or fields[2] == "FMT":
         return None
     kind, _, name, letters, names = fields
     columns = tuple(column.strip() for column in names.split(",") if column.strip())
-    is_known = all(letter in FORMAT_TO_STRUCT for letter in letters)
-    if not is_known or not len(columns) == len(letters) == len(set(columns)) or name == "FMT":
-        return None
-    return Layout(int(kind), name, 0, letters, columns)
+    return sound_layout(int(kind), name, None, letters, columns)
 
 
 class _MessageLines:

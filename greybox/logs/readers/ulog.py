@@ -128,7 +128,8 @@ def with_angles(name: str, record: Record) -> Record:
     """Add roll, pitch and yaw, rad, to a record of quaternions, and the units of known fields."""
     units = {field: "rad/s" for field in record.signals if re.fullmatch(RATES.get(name, ""), field)}
     # Quaternions w, x, y, z turn from the vehicle to the earth.
-    q = [record.signals.get(f"{QUATERNIONS.get(name, '')}[{k}]") for k in range(4)]
+    first, *_ = parts = [f"{QUATERNIONS.get(name, '')}[{k}]" for k in range(4)]
+    q = [record.signals.get(part) for part in parts]
     angles: dict[str, Any] = {}
     if not any(part is None for part in q):
         w, x, y, z = (np.asarray(part) for part in q)
@@ -140,11 +141,7 @@ def with_angles(name: str, record: Record) -> Record:
         }
         angles = {name: values for name, values in angles.items() if name not in record.signals}
 
-    hold = {
-        angle: record.hold[f"{QUATERNIONS[name]}[0]"]
-        for angle in angles
-        if f"{QUATERNIONS[name]}[0]" in record.hold
-    }
+    hold = dict.fromkeys(angles, record.hold[first]) if first in record.hold else {}
 
     return replace(
         record,
