@@ -143,7 +143,7 @@ def test_what_cannot_be_found_is_said():
         find_segments(announced(), message="SINE", fields={"omega": "F"})
     with pytest.raises(ValueError, match="name omega or frequency"):
         find_segments(announced(), message="SINE", fields={"axis": "Ax"})
-    with pytest.raises(ValueError, match="are omega, speed|are speed, omega|are speed"):
+    with pytest.raises(ValueError, match="are omega, speed"):
         find_segments(announced(), message="SINE", fields={"omega": "W", "speed": "W"})
     with pytest.raises(KeyError, match="ATT"):
         find_segments(announced(), setpoint="ATT.DesPitch")

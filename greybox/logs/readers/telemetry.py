@@ -9,7 +9,6 @@ import hashlib
 import mmap
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -23,13 +22,6 @@ from greybox.logs.readers.telemetry_packets import TICKS, Kind, Packets
 
 ABOUT = ("HEARTBEAT", "PARAM_VALUE", "STATUSTEXT")  # the metadata are made of these
 SENDER = "sender"  # the text column that distinguishes senders and instances
-
-
-class Clock(NamedTuple):
-    """The boots of one sender: number of the first packet of each, and its start, µs since 1970."""
-
-    first: IntArray
-    starts: Array
 
 
 def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
@@ -70,11 +62,10 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
 
     # Times count from the start of the vehicle, or else of another sender, or from the first
     # packet.
-    clocks = _clocks(kinds)
+    stamps, boots = _clocks(kinds)
     vehicle = telemetry_metadata.vehicle_sender(kinds)
-    reference = clocks.get(vehicle) or next((clocks[sender] for sender in sorted(clocks)), None)
-    zero = float(reference.starts[0]) if reference else first_received
-    times = {name: _times(kind, clocks, zero) for name, kind in kinds.items()}
+    zero, *_ = boots.get(vehicle) or next(iter(boots.values()), [first_received])
+    times = {name: (stamps[kind.numbers] - zero) / 1e6 for name, kind in kinds.items()}
     about = telemetry_metadata.metadata(kinds, times)
     wanted = [
         name for name in kinds if (name not in ABOUT[1:] if messages is None else name in messages)
@@ -89,7 +80,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     )
     findings = (
         *_damage(packets),
-        *_restarts(clocks, zero),
+        *_restarts(boots, zero),
         *(f"there is no message {name}; the log has {present}." for name in missing),
         *_received(untimed),
         *problems,
@@ -113,43 +104,31 @@ def _kinds(packets: Packets, messages: Collection[str] | None) -> tuple[dict[str
     return kinds, first_received
 
 
-def _clocks(kinds: Mapping[str, Kind]) -> dict[int, Clock]:
-    """Return the clock of every sender of packets with a time of their own."""
-    timed = [kind for kind in kinds.values() if kind.timer]
-    if not timed:
-        return {}
-    # A restart shows in the order in which the packets came, whatever their kinds.
-    order = np.argsort(np.concatenate([kind.numbers for kind in timed]))
+def _clocks(kinds: Mapping[str, Kind]) -> tuple[Array, dict[int, list[float]]]:
+    """Return the time of every packet by its number, and the start of every boot of each sender.
+
+    All times are in µs since 1970.
+    """
     numbers, senders, received, sent = (
-        np.concatenate([getattr(kind, name) for kind in timed])[order]
+        np.concatenate([getattr(kind, name) for kind in kinds.values()])
         for name in ("numbers", "senders", "received", "sent")
     )
+    stamps = np.full(1 + numbers.max(initial=-1), np.nan)
+    stamps[numbers] = received
+    # A restart shows in the order in which the packets came, whatever their kinds.
+    order = np.argsort(numbers)
+    order = order[np.isfinite(sent[order])]
 
-    clocks = {}
-    for sender in np.unique(senders).tolist():
-        rows = np.flatnonzero((senders == sender) & np.isfinite(sent))
-        if not rows.size:
-            continue
-        boots = np.split(rows, time_stamps.restarts(sent[rows]))
-        # The median is insensitive to the jitter of the link.
-        starts = [float(np.median(received[boot] - 1e6 * sent[boot])) for boot in boots]
-        clocks[sender] = Clock(numbers[[boot[0] for boot in boots]], np.array(starts))
+    boots: dict[int, list[float]] = {}
+    for sender in np.unique(senders[order]).tolist():
+        rows = order[senders[order] == sender]
+        for boot in np.split(rows, time_stamps.restarts(sent[rows])):
+            # The median is insensitive to the jitter of the link.
+            start = float(np.median(received[boot] - 1e6 * sent[boot]))
+            boots.setdefault(sender, []).append(start)
+            stamps[numbers[boot]] = start + 1e6 * sent[boot]
 
-    return clocks
-
-
-def _times(kind: Kind, clocks: Mapping[int, Clock], zero: float) -> Array:
-    """Return the times of all packets of a kind, s from `zero`, µs since 1970."""
-    time = np.array(kind.received)
-    numbers = np.asarray(kind.numbers)
-    senders = np.asarray(kind.senders)
-    sent = np.asarray(kind.sent)
-    for sender, clock in clocks.items():
-        rows = np.flatnonzero((senders == sender) & np.isfinite(sent))
-        # The boot of each packet: the last one that began before it.
-        boot = np.searchsorted(clock.first, numbers[rows], side="right") - 1
-        time[rows] = clock.starts[boot] + 1e6 * sent[rows]
-    return (time - zero) / 1e6
+    return stamps, boots
 
 
 def _messages(kind: Kind, time: Array) -> Messages:
@@ -179,18 +158,12 @@ def _messages(kind: Kind, time: Array) -> Messages:
 
 def _labels(senders: IntArray, names: Sequence[str] | None, instances: Array | None) -> list[str]:
     """Return the parts of ``system:component:instance`` that differ between packets, if any."""
-    columns = []
-    if np.unique(senders).size > 1:
-        # Equal labels share one text: a log has millions.
-        addresses = {sender: _address(sender) for sender in np.unique(senders).tolist()}
-        columns.append([addresses[sender] for sender in senders.tolist()])
+    # Equal labels share one text: a log has millions.
+    addresses = {sender: _address(sender) for sender in np.unique(senders).tolist()}
+    columns = [[addresses[sender] for sender in senders.tolist()]] if len(addresses) > 1 else []
     if instances is not None:
         names = [f"{value:g}" for value in instances]
-    if names is not None:
-        columns.append(list(names))
-    if len(columns) == 1:
-        return columns[0]
-
+    columns += [] if names is None else [names]
     return [":".join(parts) for parts in zip(*columns, strict=True)]
 
 
@@ -198,12 +171,12 @@ def _address(sender: int) -> str:
     return f"{sender >> 8}:{sender & 0xFF}"
 
 
-def _restarts(clocks: Mapping[int, Clock], zero: float) -> list[str]:
+def _restarts(boots: Mapping[int, Sequence[float]], zero: float) -> list[str]:
     return [
         f"sender {_address(sender)} restarted at {(start - zero) / 1e6:.1f} s; its clock continues "
         "there."
-        for sender, clock in clocks.items()
-        for start in clock.starts[1:]
+        for sender, starts in boots.items()
+        for start in starts[1:]
     ]
 
 
