@@ -71,6 +71,9 @@ SWEEP_RATIO = 1.3
 # that of a linear sweep, its square.
 KNOWN_PERIODS = 4
 OFF_SWEEP = 0.25
+# Weights of the regression line through them, one step and one and a half before the first.
+NEXT = np.array([1.0, 0.5, 0.0, -0.5])
+BEYOND = np.array([1.15, 0.55, -0.05, -0.65])
 
 
 def sines_and_sweeps(time: Array, values: Array) -> list[Segment]:
@@ -333,14 +336,8 @@ def _whole(
 def _end_frequency(crossings: Array) -> tuple[float, float]:
     """Return the frequency half a wave beyond the first of these crossings, and at it, rad/s."""
     frequency = math.pi / np.abs(np.diff(crossings))
-    beyond = float(_beyond(1.5) @ frequency)
+    beyond = float(BEYOND @ frequency)
     return float(np.clip(beyond, 0.5 * frequency[0], frequency[0])), float(frequency[0])
-
-
-def _beyond(steps: float) -> Array:
-    """Return the weights that extrapolate a regression line to `steps` before the first value."""
-    centered = np.arange(KNOWN_PERIODS) - (KNOWN_PERIODS - 1) / 2
-    return 1 / KNOWN_PERIODS + centered * (centered[0] - steps) / np.sum(centered**2)
 
 
 def _follows(crossings: Array, swings: Array, k: int, way: int, step: float) -> bool:
@@ -349,8 +346,8 @@ def _follows(crossings: Array, swings: Array, k: int, way: int, step: float) -> 
     # In half periods per second; the first is next to the predicted crossing.
     frequency = 1 / np.abs(np.diff(crossings_used))
     least = 0.5 * frequency[0]
-    linear = max(float(_beyond(1.0) @ frequency), least)
-    square = math.sqrt(max(float(_beyond(1.0) @ frequency**2), least**2))
+    linear = max(float(NEXT @ frequency), least)
+    square = math.sqrt(max(float(NEXT @ frequency**2), least**2))
     short, long = sorted((1 / linear, 1 / square))
     period = abs(crossings[k + way] - crossings[k])
     # 1/2 on the way from a rest, whose middle is not that of the sweep.

@@ -1,7 +1,7 @@
 """Metadata of an ArduPilot log: vehicle, firmware, parameters, texts, modes; names of units."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from pymavlink.mavutil import mode_mapping_bynumber
@@ -47,14 +47,31 @@ def unit(label: str) -> str:
 def metadata(groups: Iterable[Messages]) -> dict[str, Any]:
     """Return the known metadata of a recording from MSG, VER, PARM and MODE."""
     by_name = {group.name: group for group in groups}
+    parm, msg = by_name.get("PARM"), by_name.get("MSG")
+    texts = column(msg, "Message")
+    names, values = column(parm, "Name"), [float(value) for value in column(parm, "Value")]
+    # Older firmware has no VER message.
+    firmware = next(filter(vehicle_in, (*column(by_name.get("VER"), "FWS"), *texts)), "")
+    vehicle = vehicle_in(firmware)
     about: dict[str, Any] = {
-        **_firmware(by_name),
-        "parameters": _parameters(by_name.get("PARM")),
-        "parameter_changes": _changes(by_name.get("PARM")),
-        "texts": _texts(by_name.get("MSG")),
+        "vehicle": vehicle,
+        "firmware": firmware,
+        "parameters": dict(zip(names, values, strict=False)),
+        "parameter_changes": parameter_changes(zip(_times(parm), names, values, strict=False)),
+        "texts": tuple(zip(_times(msg), texts, strict=False)),
+        "modes": _modes(by_name.get("MODE"), vehicle),
     }
-    about["modes"] = _modes(by_name.get("MODE"), about.get("vehicle", ""))
     return {key: value for key, value in about.items() if value}
+
+
+def column(group: Messages | None, *names: str) -> Sequence[Any]:
+    """Return the first of these columns that messages have, of numbers or texts; empty if none."""
+    columns = {**group.columns, **group.texts} if group else {}
+    return next((columns[name] for name in names if name in columns), ())
+
+
+def _times(group: Messages | None) -> list[float]:
+    return [] if group is None or group.time is None else group.time.tolist()
 
 
 def mode_name(vehicle: str, number: int) -> str:
@@ -63,55 +80,21 @@ def mode_name(vehicle: str, number: int) -> str:
     return str(table.get(number, f"mode {number}"))
 
 
-def _firmware(by_name: Mapping[str, Messages]) -> dict[str, Any]:
-    """Return vehicle and firmware, from VER or else from a text message."""
-    # Older firmware has no VER message.
-    texts = list(by_name["VER"].texts.get("FWS", ())) if "VER" in by_name else []
-    texts += by_name["MSG"].texts.get("Message", ()) if "MSG" in by_name else ()
-    for text in texts:
-        vehicle = vehicle_in(text)
-        if vehicle:
-            return {"vehicle": vehicle, "firmware": text}
-    return {}
-
-
 def vehicle_in(text: str) -> str:
     """Return the firmware that a text such as ``ArduCopter V4.6.0`` names, or nothing."""
     name = text.partition(" ")[0]
     return name if name in VEHICLES else ""
 
 
-def _parameters(parm: Messages | None) -> dict[str, float]:
-    if parm is None or "Name" not in parm.texts or "Value" not in parm.columns:
-        return {}
-    return dict(zip(parm.texts["Name"], parm.columns["Value"].tolist(), strict=True))
-
-
-def _changes(parm: Messages | None) -> tuple[tuple[float, str, float, float], ...]:
-    if parm is None or parm.time is None or not _parameters(parm):
-        return ()
-    names, values = parm.texts["Name"], parm.columns["Value"].tolist()
-    return parameter_changes(zip(parm.time.tolist(), names, values, strict=True))
-
-
-def _texts(msg: Messages | None) -> tuple[tuple[float, str], ...]:
-    if msg is None or msg.time is None or "Message" not in msg.texts:
-        return ()
-    return tuple(zip(msg.time.tolist(), msg.texts["Message"], strict=True))
-
-
 def _modes(mode: Messages | None, vehicle: str) -> tuple[tuple[float, str], ...]:
     """Return (time, name): by number, or by the name that text logs write."""
-    if mode is None or mode.time is None:
-        return ()
-    numbers = mode.columns.get("ModeNum", mode.columns.get("Mode"))
-    if "Mode" in mode.texts:
-        names = [name.upper() for name in mode.texts["Mode"]]
-    elif numbers is not None:
-        names = [
-            mode_name(vehicle, int(number)) if math.isfinite(number) else "?" for number in numbers
-        ]
-    else:
-        return ()
-
-    return tuple(zip(mode.time.tolist(), names, strict=True))
+    modes = (mode and mode.texts.get("Mode")) or column(mode, "ModeNum", "Mode")
+    names = [
+        value.upper()
+        if isinstance(value, str)
+        else mode_name(vehicle, int(value))
+        if math.isfinite(value)
+        else "?"
+        for value in modes
+    ]
+    return tuple(zip(_times(mode), names, strict=False))

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from pymavlink.DFReader import MULT_TO_PREFIX
 
-from greybox.logs.readers.ardupilot_metadata import unit
+from greybox.logs.readers.ardupilot_metadata import column, unit
 from greybox.logs.readers.dataflash_index import Layout
 from greybox.logs.readers.messages import Messages
 
@@ -101,9 +101,8 @@ def with_usual_units(groups: list[Messages]) -> tuple[list[Messages], tuple[str,
 
 
 def _pairs(table: Messages | None, key: str, value: str) -> Iterable[tuple[float, Any]]:
-    """Return the pairs of two columns, numbers or texts; empty if a column is missing."""
-    columns = {**table.columns, **table.texts} if table else {}
-    return zip(columns[key], columns[value], strict=True) if {key, value} <= columns.keys() else ()
+    """Return the pairs of two columns; empty if a column is missing."""
+    return zip(column(table, key), column(table, value), strict=False)
 
 
 def _prefixed(label: str, multiplier: float) -> str:
