@@ -152,8 +152,7 @@ def as_starts(
 ) -> Starts:
     """Return the rule for a number of starts, a rule, or a list of points and rules.
 
-    A number of starts begins with the declared values, which are often a good guess: a model of 31
-    parameters is fitted from there, and from one Sobol point in twenty. Sobol points follow.
+    A number means the declared values, which are often a good guess, and then Sobol points.
 
     Raises
     ------
