@@ -11,21 +11,20 @@ take twice as long: memory is given back and asked for again. Start them with it
 --nthreads 1``.
 """
 
-import hashlib
 import math
 import os
 import pickle
 import signal
 import threading
-from collections import OrderedDict, deque
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError, Executor, Future
 from concurrent.futures import TimeoutError as StillRunning
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from contextlib import contextmanager
+from functools import lru_cache
 from itertools import islice
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -91,11 +90,8 @@ def run_all(
             return
         remaining -= len(batch)
 
-        # The first batch is run here: its time decides the size of the tasks.
         recalled = _recalled(memory, batch)
-        outcomes = recalled or _run(
-            solver, np.array([begins.get(number, start) for number, start in batch])
-        )
+        outcomes = recalled or _run(solver, _begins(batch, begins))
         finished = [outcome.status not in (INTERRUPTED, SEARCH_OVER) for outcome in outcomes]
         for (number, start), outcome, is_finished in zip(batch, outcomes, finished, strict=True):
             memory.keep(number, start, outcome)
@@ -103,8 +99,12 @@ def run_all(
                 yield number, start, outcome
 
         if recalled is None and executor is not None:
-            tasks = _Tasks(solver, batches, remaining, executor, memory, begins, outcomes)
-            yield from _on_workers(tasks)
+            # Sixteen tasks or more, so that workers of unlike speed end at about the same time.
+            seconds = sum(outcome.seconds for outcome in outcomes)
+            size = int(TASK_SECONDS * len(batch) / max(seconds, 1e-6))
+            size = max(min(size, math.ceil(remaining / 16)), 1)
+            tasks = _Tasks(solver, executor, memory, begins)
+            yield from _on_workers(tasks, _tasks(batches, memory, size))
             return
 
 
@@ -114,12 +114,6 @@ def require_executor(executor: Any) -> None:
         raise TypeError(
             f"executor is {executor!r:.60}: give an instance such as greybox.solve.WorkerPool(2)."
         )
-
-
-def packed(solver: Runner) -> tuple[str, bytes]:
-    """Return a name of a solver, the same in every process, and the pickled solver."""
-    payload = pickle.dumps(solver)
-    return hashlib.sha256(payload).hexdigest(), payload
 
 
 def _batches(numbered: Iterable[tuple[int, Array]], size: int) -> Iterator[Batch]:
@@ -144,102 +138,89 @@ def _run(solver: Runner, starts: Array) -> list[Outcome]:
         return solver.run_together(starts)
 
 
-def _on_workers(tasks: "_Tasks") -> Iterator[tuple[int, Array, Outcome]]:
+def _begins(batch: Batch, begins: Mapping[int, Array]) -> Array:
+    """Return where the runs of a batch begin, (r, s)."""
+    return np.array([begins.get(number, start) for number, start in batch])
+
+
+def _tasks(
+    batches: Iterator[Batch], memory: Memory, most: int
+) -> Iterator[tuple[Batch, list[Outcome] | None]]:
+    """Yield batches, joined up to so many starts, and stored ones with their outcomes."""
+    starts: Batch = []
+    for batch in batches:
+        recalled = _recalled(memory, batch)
+        if starts and (recalled is not None or len(starts) + len(batch) > most):
+            yield starts, None
+            starts = []
+        if recalled is None:
+            starts = starts + batch
+        else:
+            yield batch, recalled
+    if starts:
+        yield starts, None
+
+
+def _on_workers(
+    tasks: "_Tasks", remaining: Iterator[tuple[Batch, list[Outcome] | None]]
+) -> Iterator[tuple[int, Array, Outcome]]:
+    """Yield the runs of all tasks in order; at most so many are handed out and not yet done."""
+    waiting = tasks.waiting
     try:
         while not stop_requested():
-            tasks.hand_out()
-            if not tasks.waiting:
+            for batch, recalled in islice(remaining, max(tasks.most - len(waiting), 0)):
+                waiting.append(tasks.submitted(batch, recalled))
+            if not waiting:
                 return
             if tasks.is_next_done():
                 yield from tasks.next()
 
         # After Ctrl-C the tasks that have begun are finished.
         tasks.cancel()
-        while tasks.waiting and not tasks.waiting[0].future.cancelled():
+        while waiting and not waiting[0].future.cancelled():
             yield from tasks.next()
     finally:
         tasks.cancel()
 
 
-@dataclass
-class _Task:
-    """A batch of starts, the future of their outcomes, and whether the memory has them."""
+class _Task(NamedTuple):
+    """A batch of starts, and the future of their outcomes."""
 
     batch: Batch
     future: Future[list[Outcome]]
-    is_stored: bool = False
 
 
 class _Tasks:
-    """The tasks of one search, in the order of the starts; `first` are the runs made here."""
+    """The tasks of one search that are handed out, in the order of the starts."""
 
     def __init__(
-        self,
-        solver: Runner,
-        batches: Iterator[Batch],
-        count: int,
-        executor: Executor,
-        memory: Memory,
-        begins: Mapping[int, Array],
-        first: list[Outcome],
+        self, solver: Runner, executor: Executor, memory: Memory, begins: Mapping[int, Array]
     ) -> None:
         self.waiting: deque[_Task] = deque()
-        self._packed, self._together = packed(solver), solver.together
-        self._batches, self._begins = batches, begins
-        self._executor, self._memory = executor, memory
-        self._next_batch: Batch | None = None
-        self._most = min(max(MOST_BYTES // len(self._packed[1]), 2), MOST_WAITING)
-        # Sixteen tasks or more, so that workers of unlike speed end at about the same time.
-        self._largest = max(math.ceil(count / 16), 1)
-        self._runs = len(first)
-        self._seconds = sum(outcome.seconds for outcome in first)
+        self._payload = pickle.dumps(solver)
+        self._executor, self._memory, self._begins = executor, memory, begins
+        self.most = min(max(MOST_BYTES // len(self._payload), 2), MOST_WAITING)
 
-    def hand_out(self) -> None:
-        """Hand out tasks until enough are waiting, or all are handed out."""
-        while len(self.waiting) < self._most and not stop_requested():
-            size = max(int(TASK_SECONDS * self._runs / max(self._seconds, 1e-6)), 1)
-            task = self._next_task(min(size, self._largest))
-            if task is None:
-                return
-            self.waiting.append(task)
-
-    def _next_task(self, most: int) -> _Task | None:
-        """Make a task of the next batches, at most `most` starts, or of one stored batch."""
-        starts: Batch = []
-        while not starts or len(starts) + self._together <= most:
-            batch = self._next_batch or next(self._batches, None)
-            self._next_batch = None
-            if batch is None:
-                break
-            recalled = _recalled(self._memory, batch)
-            if recalled is None:
-                starts += batch
-            elif starts:
-                self._next_batch = batch
-                break
-            else:
-                task = _Task(batch, Future(), is_stored=True)
-                task.future.set_result(recalled)
-                return task
-        return self._submitted(starts) if starts else None
-
-    def _submitted(self, batch: Batch) -> _Task:
-        begins = np.array([self._begins.get(number, start) for number, start in batch])
-        return _Task(
-            batch,
-            self._executor.submit(run_starts, *self._packed, begins, os.getpid(), current_limits()),
-        )
+    def submitted(self, batch: Batch, recalled: list[Outcome] | None = None) -> _Task:
+        """Return the task of a batch, done if its outcomes are `recalled`."""
+        if recalled is not None:
+            task = _Task(batch, Future())
+            task.future.set_result(recalled)
+            return task
+        begins, limits = _begins(batch, self._begins), current_limits()
+        arguments = self._payload, begins, os.getpid(), limits
+        return _Task(batch, self._executor.submit(run_starts, *arguments))
 
     def is_next_done(self) -> bool:
         """Wait for the first of the waiting tasks; False if a stop was requested before."""
         while not stop_requested():
-            # A cancelled task is done, and its result says why.
-            with suppress(CancelledError):
-                try:
-                    self.waiting[0].future.exception(timeout=0.1)
-                except StillRunning:
-                    self._store_finished()
-                    continue
+            try:
+                self.waiting[0].future.exception(timeout=0.1)
+            except StillRunning:
+                self._store_finished()
+                continue
+            except CancelledError:  # it is done, and its result says why
+                pass
             return True
         return False
 
@@ -251,10 +232,8 @@ class _Tasks:
         """
         task = self.waiting.popleft()
         outcomes = self._stored(task)
-
-        # One start of the batch may have ended the worker: each is tried alone.
         if outcomes is None and len(task.batch) > 1:
-            self.waiting.extendleft([self._submitted([start]) for start in reversed(task.batch)])
+            self.waiting.extendleft([self.submitted([start]) for start in reversed(task.batch)])
             return
         if outcomes is None:
             [(number, start)] = task.batch
@@ -281,12 +260,8 @@ class _Tasks:
     def _stored(self, task: _Task) -> list[Outcome] | None:
         """Return the outcomes of a finished task, stored; None if its worker was lost."""
         outcomes = _result(task.future)
-        if outcomes is not None and not task.is_stored:
-            task.is_stored = True
-            self._runs += len(outcomes)
-            self._seconds += sum(outcome.seconds for outcome in outcomes)
-            for (number, start), outcome in zip(task.batch, outcomes, strict=True):
-                self._memory.keep(number, start, outcome)
+        for (number, start), outcome in zip(task.batch, outcomes or (), strict=False):
+            self._memory.keep(number, start, outcome)
         return outcomes
 
 
@@ -323,30 +298,24 @@ class _Built(threading.local):
     """The solvers of this thread: a CasADi function must not be called by two at a time."""
 
     def __init__(self) -> None:
-        self.solvers: OrderedDict[str, Runner] = OrderedDict()
+        # A solver takes longer to build than many of its runs. Four serve the members of a study
+        # in turn.
+        self.solver = lru_cache(maxsize=4)(one_thread_at_a_time(pickle.loads))
 
 
 _built = _Built()
 
 
 def run_starts(
-    key: str, payload: bytes, starts: Array, coordinator: int, limits: TimeLimits
+    payload: bytes, starts: Array, coordinator: int, limits: TimeLimits
 ) -> list[Outcome]:
-    """Run the solver in `payload`, named by `key`, from every row of `starts` (r, p).
+    """Run the pickled solver `payload` from every row of `starts` (r, p).
 
     `coordinator` is the process that decides about Ctrl-C, `limits` are the time limits of its
-    search. A thread keeps the last four solvers, so that it serves the members of a study in turn
-    without building them anew.
+    search.
     """
-    # A solver takes longer to build than many of its runs.
-    solvers = _built.solvers
     with _without_interrupts(os.getpid() != coordinator), limited(limits):
-        if key not in solvers:
-            while len(solvers) >= 4:
-                solvers.popitem(last=False)
-            solvers[key] = one_thread_at_a_time(pickle.loads)(payload)
-        solvers.move_to_end(key)
-        solver = solvers[key]
+        solver = _built.solver(payload)
         size = solver.together
         batches = (starts[k : k + size] for k in range(0, len(starts), size))
         return [outcome for batch in batches for outcome in _run(solver, batch)]

@@ -44,6 +44,7 @@ class Memory:
     def __init__(self, kept: KeptRuns | None = None, fingerprint: str = "") -> None:
         self._kept = kept
         self._known = {} if kept is None else kept.known(fingerprint)
+        self._added: set[int] = set()
 
     def recall(self, number: int, start: Array) -> Outcome | None:
         """Return the stored outcome of a run; None without one, or if a shorter time limit cut it.
@@ -73,9 +74,9 @@ class Memory:
 
     def keep(self, number: int, start: Array, outcome: Outcome) -> None:
         """Store a run, unless it is stored already, or was cut short and has to be made again."""
-        if self._kept is None or outcome.status in (INTERRUPTED, SEARCH_OVER):
-            return
-        if self.recall(number, start) is None:
+        is_new = number not in self._added and self.recall(number, start) is None
+        if self._kept is not None and is_new and outcome.status not in (INTERRUPTED, SEARCH_OVER):
+            self._added.add(number)
             self._kept.add(number, start, outcome)
 
     def look(self) -> None:

@@ -13,7 +13,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.strategies import with_options
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
-from greybox.solve.executors import packed, run_all
+from greybox.solve.executors import run_all
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.shared_runs import SharedRuns
 from greybox.solve.interruption import stop_requested
@@ -94,7 +94,7 @@ def multistart(
     points: Array | FiniteStarts = starts
     if movable and nlp.strategies.moved_starts:
         points = FiniteStarts(nlp, solver, starts)
-    memory = Memory() if kept is None else Memory(kept, packed(solver)[0])
+    memory = Memory() if kept is None else Memory(kept, solver.fingerprint)
     few, enough = promising or (len(starts), 0)
     screened = solver.screened(starts) if movable and few < len(starts) else None
 

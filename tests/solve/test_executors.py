@@ -4,13 +4,13 @@ The same answer from every executor, and what becomes of workers that are killed
 """
 
 import os
+import pickle
 import select
 import signal
 import subprocess
 import sys
 import textwrap
 import time
-from collections import OrderedDict
 from concurrent.futures import (
     CancelledError,
     Executor,
@@ -31,7 +31,6 @@ import greybox as gb
 from greybox.solve.executors import (
     TASK_SECONDS,
     ExecutorLostError,
-    packed,
     run_all,
     run_starts,
 )
@@ -319,13 +318,13 @@ class Recorder(Executor):
     def __init__(self, lost=None):
         self.handed, self.lost = [], lost
 
-    def submit(self, function, /, key, payload, starts, *others):
+    def submit(self, function, /, payload, starts, *others):
         self.handed.append([int(start[0]) for start in starts])
         future = Future()
         if self.lost is not None and self.lost in starts:
             future.set_exception(WorkerLostError("lost"))
         else:
-            future.set_result(function(key, payload, starts, *others))
+            future.set_result(function(payload, starts, *others))
         return future
 
 
@@ -411,7 +410,7 @@ def test_tasks_that_wait_hold_little_memory(monkeypatch, solvers, waiting):
                 self.futures[0].set_exception(ZeroDivisionError())
             return self.futures[-1]
 
-    size = len(packed(Lasting(1.0))[1])
+    size = len(pickle.dumps(Lasting(1.0)))
     monkeypatch.setattr("greybox.solve.executors.MOST_BYTES", int(solvers * size))
     executor = Silent()
     with pytest.raises(ExecutorLostError, match="ZeroDivisionError"):
@@ -419,33 +418,11 @@ def test_tasks_that_wait_hold_little_memory(monkeypatch, solvers, waiting):
     assert len(executor.futures) == waiting
 
 
-def test_runs_on_workers_are_kept_and_the_size_of_tasks_follows_their_speed():
-    """The first run took ten times the work of a task, and those of the workers a hundredth of that."""
-    kept = []
-    memory = Memory()
-    memory.keep = lambda number, start, outcome: kept.append(number)
-    executor = Recorder()
-
-    class Slow(Lasting):
-        def run(self, start):
-            seconds = self.seconds if start[0] else 200 * self.seconds
-            return Outcome(2 * start, "solved", 1, seconds, converged=True)
-
-        def __reduce__(self):
-            return Lasting, (self.seconds, self.together)
-
-    starts = np.arange(4000.0)[:, None]
-    list(run_all(Slow(TASK_SECONDS / 20), enumerate(starts), 4000, executor, memory))
-    assert kept == [*range(4000)]
-    assert len(executor.handed[0]) == 1
-    assert 5 < len(executor.handed[-2]) < 20
-
-
 def test_runs_of_a_later_task_are_stored_while_an_earlier_one_is_waited_for():
     """The first task ends at the third look."""
     kept, looks, futures = [], [], []
     memory = Memory()
-    memory.keep = lambda number, start, outcome: kept.append(number)
+    memory.keep = lambda number, *_: number in kept or kept.append(number)
     late = Future()
 
     class Late(Recorder):
@@ -481,8 +458,8 @@ def test_a_run_begins_where_it_is_told_to():
     seen = []
     executor = LastFirst()
     submit = executor.submit
-    executor.submit = lambda f, key, payload, starts, *more: (
-        seen.append(starts) or submit(f, key, payload, starts, *more)
+    executor.submit = lambda f, payload, starts, *more: (
+        seen.append(starts) or submit(f, payload, starts, *more)
     )
     made = run_all(Fragile(-1.0), enumerate(STARTS[:3]), 3, executor, begins={1: np.array([7.0])})
     assert [(start[0], outcome.estimate[0]) for _, start, outcome in made] == [
@@ -493,24 +470,34 @@ def test_a_run_begins_where_it_is_told_to():
     assert np.concatenate(seen).ravel().tolist() == [7.0, 2.0]
 
 
-def test_a_worker_keeps_the_last_four_solvers(monkeypatch):
-    built = []
-    monkeypatch.setattr(
-        "greybox.solve.executors.pickle",
-        SimpleNamespace(loads=lambda name: built.append(name) or STILL),
-    )
-    monkeypatch.setattr("greybox.solve.executors._built", SimpleNamespace(solvers=OrderedDict()))
+BUILT = []
 
+
+class Counted(Fragile):
+    """Notes when it is built."""
+
+    def __init__(self, name):
+        super().__init__(-1.0)
+        self.name = name
+
+    def __reduce__(self):
+        return build_counted, (self.name,)
+
+
+def build_counted(name):
+    BUILT.append(name)
+    return Counted(name)
+
+
+def test_a_worker_keeps_the_last_four_solvers():
     def serve(names):
         for name in names:
-            (outcome,) = run_starts(name, name, STARTS[3:4], os.getpid(), current_limits())
+            payload = pickle.dumps(Counted(name))
+            (outcome,) = run_starts(payload, STARTS[3:4], os.getpid(), current_limits())
             assert outcome.estimate[0] == 6.0
-        return "".join(built)
+        return "".join(BUILT)
 
     assert serve("abcd") == "abcd"
     assert serve("abab") == "abcd"
     assert serve("ecd") == "abcdecd"  # c and d were the longest unused, one after the other
     assert serve("b") == "abcdecd"
-
-
-STILL = Fragile(-1.0)
