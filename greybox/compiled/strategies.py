@@ -97,16 +97,6 @@ class Strategies:
 
     # --- around the starts
 
-    scaled_neighbors: bool = True
-    """The best end is restarted with every positive parameter a factor smaller and larger.
-
-    The overflow with 12 starts is found only with it. It takes half the time of two starts.
-    """
-    simulated_neighbors: bool = True
-    """Runs from the neighborhood of the best end begin with a simulation from its initial states.
-
-    The overflow with 12 starts is found only with it (cost -1836, -546 without).
-    """
     continued_runs: bool = True
     """An unfinished run at a lower cost than the best so far is continued from its last iterate.
 

@@ -12,7 +12,7 @@ Begin with `multistart`.
 | `gauss_newton/` | Gauss-Newton steps on records |
 | `transcribed_program` | records as one sparse program for IPOPT |
 | `ipopt` | IPOPT on one program |
-| `local_search`, `discretization_error` | further starts near an end; finer integration steps |
+| `discretization_error` | finer integration steps |
 | `runs`, `minima` | the results of runs; distinct minima |
 | `executors`, `worker_pool`, `kept_runs` | runs in other processes; processes here; stored runs |
 | `interruption` | Ctrl-C, and how long a search may take |

@@ -104,6 +104,10 @@ class LocalSolver(Runner):
         """Compare the starts (r, p) with little work; None if that is not possible."""
         return None
 
+    def continued(self, outcome: Outcome) -> Outcome:
+        """Return a run that did not converge with more iterations, if the solver can."""
+        return outcome
+
     def judged(self, estimates: Array) -> tuple[Array, Any] | None:
         """Return costs (r,) and signatures (r, m) at ends (r, p); None if outcomes have them."""
         return None

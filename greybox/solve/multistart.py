@@ -1,5 +1,6 @@
 """Many runs of one compiled problem: their solver, the order of their starts, and their minima."""
 
+import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
@@ -16,26 +17,13 @@ from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.executors import run_all
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.shared_runs import SharedRuns
-from greybox.solve.interruption import stop_requested
+from greybox.solve.interruption import one_run, stop_requested
 from greybox.solve.kept_runs import KeptRuns, Memory
-from greybox.solve.local_search import LocalSearch
-from greybox.solve.local_solver import LocalSolver, Runner
+from greybox.solve.local_solver import LocalSolver, Runner, Screened
 from greybox.solve.minima import Minimum, Multistart, agreeing_runs, find_minima, zero_cost
 from greybox.solve.response_solver import ResponseSolver
-from greybox.solve.runs import SCREENED, Outcome, Run, Runs
+from greybox.solve.runs import CUT_SHORT, NOT_FINITE, SCREENED, Outcome, Run, Runs
 from greybox.solve.transcribed_program import TranscribedProgram
-
-
-def agreeing_runs_of(
-    nlp: CompiledProblem, runs: Sequence[Run], minima: Sequence[Minimum]
-) -> tuple[int, ...]:
-    """Return the indices of the runs at the lowest cost, within the noise of the data."""
-    numbers = sum(part.numbers for part in nlp.parts)
-    is_likelihood = any(part.is_likelihood for part in nlp.parts)
-    return agreeing_runs(
-        runs, minima, numbers=numbers, is_likelihood=is_likelihood, zero=zero_cost(nlp)
-    )
-
 
 ProgressReport = Callable[[int, int], None]
 """Called with the number of finished and of all runs."""
@@ -84,8 +72,8 @@ def multistart(
     eight nearly always reaches the best minimum. With four of eight, as with three of four, the
     chance of an error is below 2 % if less than one start in six leads there.
 
-    A `movable` start moves to where the model is finite. All runs are stored; those from further
-    starts (`greybox.solve.local_search`) follow. A run that fails is a result with its status, and
+    A `movable` start moves to where the model is finite. An unfinished run at a lower cost than all
+    before it is continued. All runs are stored. A run that fails is a result with its status, and
     never ranks before one that converged. When a stop is requested (`greybox.solve.interruption`),
     the current run is the last. With an executor its workers make the runs
     (`greybox.solve.executors`). Runs that were `kept` are not made again.
@@ -97,50 +85,45 @@ def multistart(
     memory = Memory() if kept is None else Memory(kept, solver.fingerprint)
     few, enough = promising or (len(starts), 0)
     screened = solver.screened(starts) if movable and few < len(starts) else None
+    begins = {} if screened is None else dict(enumerate(screened.begins))
 
     # Four screened runs, which begin near their ends, gain little from excerpts.
     many = movable and screened is None and len(starts) > 1
     shared = SharedRuns.of(solver) if many and isinstance(solver, GaussNewton) else None
-    search = LocalSearch(nlp, solver, memory, shared, neighbors=len(starts) > 1)
-
-    waves: list[Sequence[int]] = [range(len(starts))]
-    begins: dict[int, Array] = {}
-    if screened is not None:
-        first = screened.order[:few].tolist()
-        waves = [first, sorted(set(range(len(starts))) - set(first))]
-        begins = dict(enumerate(screened.begins))
 
     results: dict[int, tuple[Array, Outcome]] = {}
-    finished, runs, minima = 0, Runs.of(()), ()
-    for wave in waves:
+    runs, minima, lowest = Runs.of(()), (), math.inf
+    for wave in _waves(screened, few, len(starts)):
         for runner, numbers in _runners(solver, shared, wave):
             numbered = ((number, points[number]) for number in numbers)
             runs_made = run_all(runner, numbered, len(numbers), executor, memory, begins)
-            for number, start, outcome in runs_made:
-                results[number] = start, search.improved(outcome)
-                finished += 1
+            for number, start, ended in runs_made:
+                outcome = _continued(solver, ended, lowest, memory, number)
+                results[number] = start, outcome
+                lowest = min(lowest, outcome.cost) if outcome.converged else lowest
                 if progress is not None:
-                    progress(finished, len(starts))
-        results |= enumerate(search.further, len(starts))
+                    progress(len(results), len(starts))
         results, runs, minima = _certified(nlp, solver, results)
-        if stop_requested() or len(agreeing_runs_of(nlp, runs, minima)) >= enough > 0:
+        if stop_requested() or len(_agreeing(nlp, runs, minima)) >= enough > 0:
             break
 
     # Where nothing converged, a diagnosis needs the last states of every run.
     rows = [*results]
     nodes = results[rows[minima[0].runs[0]]][1].nodes if minima else None
     ends = () if minima else tuple(outcome.nodes for _, outcome in results.values())
-    if screened is not None and finished < len(starts) and not stop_requested():
+    if screened is not None and not stop_requested():
         # Starts that were only compared are listed too, so that the answer counts them.
-        listed = dict(zip(rows, runs, strict=True))
-        for k in set(range(len(starts))) - set(results):
-            cost = float(screened.costs[k])
-            listed[k] = Run(
-                k, starts[k], starts[k], cost, SCREENED, converged=False, stage=SCREENED
-            )
-        runs = Runs.of(replace(listed[k], index=k) for k in sorted(listed))
+        runs = _listed(starts, screened.costs, dict(zip(rows, runs, strict=True)))
         minima = tuple(replace(m, runs=tuple(rows[k] for k in m.runs)) for m in minima)
     return Multistart(runs, minima, time.perf_counter() - began, nodes, ends)
+
+
+def _waves(screened: Screened | None, few: int, count: int) -> list[Sequence[int]]:
+    """Return the numbers of the promising starts, and those of the others; or all of them."""
+    if screened is None:
+        return [range(count)]
+    first = screened.order[:few].tolist()
+    return [first, sorted(set(range(count)) - set(first))]
 
 
 def _runners(
@@ -151,16 +134,49 @@ def _runners(
     The first start of all always runs alone: a longer search then includes what a search from this
     start alone tries.
     """
-    if shared is None:
-        yield solver, wave
-        return
-    if wave[0] == 0:
-        yield solver, wave[:1]
-        wave = wave[1:]
-        if stop_requested():
-            return
-    if wave:
-        yield shared, wave
+    alone = len(wave) if shared is None else int(wave[0] == 0)
+    yield solver, wave[:alone]
+    if shared is not None and not stop_requested():
+        yield shared, wave[alone:]
+
+
+def _continued(
+    solver: LocalSolver, outcome: Outcome, lowest: float, memory: Memory, number: int
+) -> Outcome:
+    """Return the run from the start of this number; continued if it is unfinished and lowest."""
+    # A run that a time limit or Ctrl-C has cut short must not continue.
+    has_ended = outcome.converged or outcome.status in (NOT_FINITE, *CUT_SHORT)
+    if has_ended or not outcome.cost < lowest or stop_requested():
+        return outcome
+
+    # Runs that do not begin at a start have negative numbers.
+    later = memory.recall(-1 - number, outcome.estimate)
+    if later is None:
+        with one_run(outcome.seconds):
+            later = solver.continued(outcome)
+        memory.keep(-1 - number, outcome.estimate, later)
+    return later
+
+
+def _agreeing(
+    nlp: CompiledProblem, runs: Sequence[Run], minima: Sequence[Minimum]
+) -> tuple[int, ...]:
+    """Return the indices of the runs at the lowest cost, within the noise of the data."""
+    numbers = sum(part.numbers for part in nlp.parts)
+    is_likelihood = any(part.is_likelihood for part in nlp.parts)
+    zero = zero_cost(nlp)
+    return agreeing_runs(runs, minima, numbers=numbers, is_likelihood=is_likelihood, zero=zero)
+
+
+def _listed(starts: Array, costs: Array, made: Mapping[int, Run]) -> Runs:
+    """Return the runs that were made by number, and for every other start its cost."""
+    only_compared = {"status": SCREENED, "converged": False, "stage": SCREENED}
+    return Runs.of(
+        replace(made[k], index=k)
+        if k in made
+        else Run(k, start, start, float(costs[k]), **only_compared)
+        for k, start in enumerate(starts)
+    )
 
 
 def _certified(

@@ -139,7 +139,7 @@ class RecordReplicates(Replicates):
         nlp = copy(self.nlp)
         object.__setattr__(nlp, "parts", tuple(parts))
         solver = GaussNewton(nlp)
-        outcome = solver.run_simulated(self.start, self.nodes, nlp.strategies.max_iterations)
+        outcome = solver.run_simulated(self.start, self.nodes)
         # The states of the fit are a good start only if the drawn errors are small.
         if outcome is None or not outcome.converged:
             outcome = solver.run(self.start)

@@ -46,7 +46,7 @@ excerpts first; those that meet there continue as one.
 
 **Where Newton steps fail**, delays at which the cost jumps are held, and a stalled run begins once
 more near the data. `greybox.compiled.strategies` says what each strategy contributes. What a search
-tries besides its starts is in `greybox.solve.local_search` and `greybox.solve.multistart`.
+does with its runs is in `greybox.solve.multistart`.
 
 **Kalman gains** (`PredictionError`) begin with those of steady Kalman filters once continuity is
 exact. Stable predictors forget their initial state and are simulated over whole stretches

@@ -86,35 +86,32 @@ class GaussNewton(LocalSolver):
     # --- runs
 
     @DIVERGING
-    def run(self, start: Array, iterations: int | None = None) -> Outcome:
-        """Solve from the parameters `start` (p,) in so many `iterations`."""
-        return self.run_from(self._nearest(start), iterations)[0]
+    def run(self, start: Array) -> Outcome:
+        """Solve from the parameters `start` (p,)."""
+        return self.run_from(self._nearest(start))[0]
 
     @DIVERGING
-    def run_from(
-        self, z: Array, iterations: int | None = None, *, near_solution: bool = False
-    ) -> tuple[Outcome, Array | None]:
+    def run_from(self, z: Array, *, near_solution: bool = False) -> tuple[Outcome, Array | None]:
         """Solve from z (p,) and nodes from the data; return also the last Hessian (p, p).
 
         Near a solution, continuity is exact from the first step of the parameters. The Hessian is
         None without a step.
         """
         progress = self._parts.first_progress(near_solution=near_solution)
-        return self._solved(self._parts.from_data(z), progress, iterations)
+        return self._solved(self._parts.from_data(z), progress)
 
     @DIVERGING
-    def run_simulated(self, start: Array, nodes: Nodes, iterations: int) -> Outcome | None:
+    def run_simulated(self, start: Array, nodes: Nodes) -> Outcome | None:
         """Solve from a simulation at the parameters `start` (p,); None where it diverges.
 
-        It begins with the first of the `nodes` of every stretch. Limits that a model reaches at
-        times are so seen at once; nodes close to the data would hide them.
+        It begins with the first of the `nodes` of every stretch.
         """
         z = self._nearest(start)
         first = self._parts.at(z, self._parts.groups.joined(nodes))
         iterate = self._parts.at(first.z, first.nodes, simulated=True) if first.finite else first
         if not self._parts.stays_near_data(iterate) or not are_stable(self._parts, iterate):
             return None
-        return self._solved(iterate, EXACT, iterations)[0]
+        return self._solved(iterate, EXACT)[0]
 
     @DIVERGING
     def solved_from(self, x: Array, nodes: Nodes, iterations: int | None = None) -> Outcome:
@@ -123,7 +120,7 @@ class GaussNewton(LocalSolver):
 
     def continued(self, outcome: Outcome) -> Outcome:
         """Continue a run that did not converge, with many more iterations."""
-        if outcome.nodes is None:
+        if outcome.nodes is None or not self.settings.continued_runs:
             return outcome
         # Three million samples are a moment's work. Bennett5, the narrowest valley among NIST's
         # problems, takes 1300 iterations.
@@ -135,7 +132,7 @@ class GaussNewton(LocalSolver):
         return spent(replace(better, iterations=later.iterations, seconds=later.seconds), outcome)
 
     def _solved(
-        self, iterate: Iterate, progress: Progress, iterations: int | None
+        self, iterate: Iterate, progress: Progress, iterations: int | None = None
     ) -> tuple[Outcome, Array | None]:
         nlp, began = self.nlp, time.perf_counter()
         most = iterations or self.settings.max_iterations

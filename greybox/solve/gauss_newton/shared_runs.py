@@ -66,36 +66,33 @@ class SharedRuns(Runner):
         shared = cls(solver)
         return shared if len(shared.levels) > 1 else None
 
-    def run(self, start: Array, iterations: int | None = None) -> Outcome:
-        """Solve from the parameters `start` (p,), in so many `iterations` on every level."""
+    def run(self, start: Array) -> Outcome:
+        """Solve from the parameters `start` (p,)."""
         began = time.perf_counter()
         z = self._alone.limits.nearest(self._alone.nlp.scaling.to_solver(start))
-        outcome, _ = self._end(0, z, iterations)
+        outcome, _ = self._end(0, z)
         if not outcome.converged and outcome.status not in CUT_SHORT:
-            alone = self._alone.run(start, iterations)
+            alone = self._alone.run(start)
             outcome = replace(alone, iterations=outcome.iterations + alone.iterations)
         return replace(outcome, seconds=time.perf_counter() - began)
 
-    def _end(self, level: int, z: Array, iterations: int | None) -> tuple[Outcome, Array | None]:
+    def _end(self, level: int, z: Array) -> tuple[Outcome, Array | None]:
         """Return where a run from z (p,) ends on a level, by way of the shorter excerpts."""
         if level == len(self.levels) - 1:
-            return self.levels[level].run_from(z, iterations)
-        first, hessian = self._end(level + 1, z, iterations)
+            return self.levels[level].run_from(z)
+        first, hessian = self._end(level + 1, z)
         if not first.converged:  # its cost is that of the excerpts
             return replace(first, cost=math.inf, signature=None, nodes=None), None
         z = rounded(self._alone.nlp.scaling.to_solver(first.estimate), hessian)
-        outcome, hessian = self._once(level, self._alone.limits.nearest(z), iterations)
+        outcome, hessian = self._once(level, self._alone.limits.nearest(z))
         return replace(outcome, iterations=first.iterations + outcome.iterations), hessian
 
-    def _once(self, level: int, z: Array, iterations: int | None) -> tuple[Outcome, Array | None]:
+    def _once(self, level: int, z: Array) -> tuple[Outcome, Array | None]:
         """Return where a run from z (p,) ends on a level; equal runs are made once."""
         ends, key = self._ends[level], z.tobytes()
-        most = iterations or self._alone.settings.max_iterations
-
-        # A run with fewer iterations than the stored one took would not have converged.
-        if key in ends and ends[key][0].iterations <= most:
+        if key in ends:
             return ends[key]
-        end = self.levels[level].run_from(z, iterations, near_solution=True)
+        end = self.levels[level].run_from(z, near_solution=True)
         if end[0].converged:
             if len(ends) >= MOST_STORED:
                 ends.clear()

@@ -72,7 +72,8 @@ def test_a_polished_minimum_is_the_same_to_nine_digits_wherever_it_began():
 def test_an_unfinished_run_is_continued_to_its_minimum():
     nlp = compile_problem(gb.Problem(Lag(), record(0), HELD))
     solver = GaussNewton(nlp)
-    unfinished = solver.run(np.array([20.0]), 2)
+    short = replace(nlp.strategies, max_iterations=2)
+    unfinished = GaussNewton(nlp, settings=short).run(np.array([20.0]))
     assert unfinished.status == "iterations exceeded"
     outcome = solver.continued(unfinished)
     assert outcome.converged
@@ -88,7 +89,7 @@ def test_seconds_are_those_of_the_run():
     solver, began = GaussNewton(nlp), time.perf_counter()
     first = solver.run(np.array([1.0]))
     again = solver.solved_from(first.estimate, first.nodes)
-    simulated = solver.run_simulated(first.estimate, first.nodes, 20)
+    simulated = solver.run_simulated(first.estimate, first.nodes)
     for outcome in (first, again, simulated):
         assert outcome.converged
         assert 0 < outcome.seconds <= time.perf_counter() - began

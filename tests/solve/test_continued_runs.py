@@ -1,11 +1,4 @@
-"""What is tried besides the starts.
-
-A longer search never ends higher, and what did not converge goes on.
-"""
-
-import math
-from dataclasses import replace
-from types import SimpleNamespace
+"""Unfinished runs are continued, and hard records: a longer search never ends higher."""
 
 import numpy as np
 import pytest
@@ -13,12 +6,8 @@ from hard_models import THRUST, Lanczos, conversion, thrust
 from nist import certified
 
 import greybox as gb
-from greybox.solve import Strategies
-from greybox.solve.gauss_newton.driver import GaussNewton
-from greybox.solve.kept_runs import Memory
-from greybox.solve.local_search import LocalSearch
 from greybox.solve.minima import Minimum, agreeing_runs
-from greybox.solve.runs import CUT_SHORT, NOT_FINITE, Outcome, Run
+from greybox.solve.runs import Run
 
 
 def lanczos():
@@ -50,6 +39,14 @@ def test_a_run_that_ends_unfinished_and_lowest_goes_on_to_the_minimum():
     )
     assert short.converged
     assert short.runs[0].iterations > 30
+    after = gb.fit(
+        case.problem,
+        starts=[case.values, start],
+        solver_options={"max_iter": 30},
+        progress=False,
+        profiles=False,
+    )
+    assert after.runs[1].status == "iterations exceeded"  # at a higher cost than the first
     stopped = gb.MultipleShooting(
         strategies=gb.solve.Strategies(max_iterations=30, continued_runs=False)
     )
@@ -151,98 +148,3 @@ def test_runs_agree_whose_costs_cannot_be_told_apart():
     assert agreeing_runs(runs, minima, numbers=200, is_likelihood=True) == (0, 1, 4)
     assert agreeing_runs(runs, minima, numbers=200, is_likelihood=False) == (0, 4)
     assert agreeing_runs(runs, (), numbers=200, is_likelihood=True) == ()
-
-
-class Searched(GaussNewton):
-    """Runs end as stated for their start.
-
-    Simulations diverge, but where a cost is stated for them.
-    """
-
-    def __init__(self, costs, simulated=()):
-        self.costs, self.by_simulation, self.asked = costs, dict(simulated), []
-
-    def run(self, start, iterations=None):
-        self.asked.append((tuple(start.tolist()), iterations))
-        cost = self.costs.get(tuple(start.tolist()), math.inf)
-        return ended(start, cost, converged=math.isfinite(cost))
-
-    def run_simulated(self, start, nodes, iterations):
-        cost = self.by_simulation.get(tuple(start.tolist()))
-        return None if cost is None else ended(start, cost)
-
-    def continued(self, outcome):
-        return replace(outcome, cost=outcome.cost - 1, status="went on", converged=True)
-
-
-def ended(x, cost, *, converged=True, status="converged"):
-    return Outcome(
-        np.array(x, dtype=float), status if converged else "lost", 3, 0.1, converged, cost, nodes=()
-    )
-
-
-def searching(solver, *, neighbors=True, **settings):
-    """Of a positive parameter within 0.5 and 8, and one of any sign."""
-    strategies = Strategies(**settings)
-    nlp = SimpleNamespace(
-        strategies=strategies,
-        lower=np.array([0.5, -9.0]),
-        upper=np.array([8.0, 9.0]),
-        parts=[SimpleNamespace(is_likelihood=True)],
-    )
-    return LocalSearch(nlp, solver, Memory(), neighbors=neighbors)
-
-
-def test_the_neighborhood_of_a_best_end_is_tried_as_long_as_it_finds_a_lower_cost():
-    """By a factor of four, within the bounds, and the lowest of what is better by more than the same end is."""
-    solver = Searched({(0.5, 1.0): 5.0, (8.0, 1.0): 4.0, (2.0, 1.0): 3.995})
-    search = searching(solver)
-    end = ended((2.0, 1.0), 10.0)
-    assert search.improved(end) is end
-    assert solver.asked == [
-        (point, 40) for point in ((0.5, 1.0), (8.0, 1.0), (2.0, 1.0), (8.0, 1.0))
-    ]
-    assert [start.tolist() for start, _ in search.further] == [[8.0, 1.0]]
-    assert [outcome.cost for _, outcome in search.further] == [4.0]
-    search.improved(ended((3.0, 1.0), 3.995))  # the same end again
-    search.improved(ended((3.0, 1.0), 4.5, converged=False))
-    assert len(solver.asked) == 4
-    search.improved(ended((1.0, 2.0), 3.9))
-    assert [point for point, _ in solver.asked[4:]] == [(0.5, 2.0), (4.0, 2.0)]
-
-
-def test_a_neighbor_is_simulated_first_and_neighbors_are_tried_where_that_is_wanted():
-    solver = Searched({(8.0, 1.0): 4.0}, simulated={(0.5, 1.0): 3.0})
-    search = searching(solver)
-    search.improved(ended((2.0, 1.0), 10.0))
-    assert [outcome.cost for _, outcome in search.further] == [3.0]
-    assert (0.5, 1.0) not in [point for point, _ in solver.asked]
-    for options in ({"neighbors": False}, {"scaled_neighbors": False}):
-        quiet = Searched({})
-        searching(quiet, **options).improved(ended((2.0, 1.0), 10.0))
-        assert quiet.asked == []
-    plain = Searched({(8.0, 1.0): 4.0}, simulated={(0.5, 1.0): 3.0})
-    search = searching(plain, simulated_neighbors=False)
-    search.improved(ended((2.0, 1.0), 10.0))
-    assert [outcome.cost for _, outcome in search.further] == [4.0]
-
-
-@pytest.mark.parametrize(
-    ("outcome", "goes_on"),
-    [
-        (ended((1.0, 1.0), 5.0, converged=False), True),
-        (ended((1.0, 1.0), 10.5, converged=False), False),  # above the best
-        (ended((1.0, 1.0), math.inf, converged=False), False),
-        (ended((1.0, 1.0), 5.0), False),
-        (Outcome(np.ones(2), NOT_FINITE, 3, 0.1, False, 5.0), False),
-        (Outcome(np.ones(2), CUT_SHORT[0], 3, 0.1, False, 5.0), False),
-    ],
-)
-def test_a_run_that_is_not_finished_and_lowest_goes_on(outcome, goes_on):
-    search = searching(Searched({}), neighbors=False)
-    search.improved(ended((1.0, 1.0), 10.0))
-    found = search.improved(outcome)
-    assert (found.status == "went on") == goes_on
-    assert found is outcome or found.cost == outcome.cost - 1
-    never = searching(Searched({}), neighbors=False, continued_runs=False)
-    assert never.improved(outcome) is outcome
