@@ -46,7 +46,7 @@ from greybox.formulation.starts import Listed, Starts, as_starts
 from greybox.formulation.sum import Sum
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
-from greybox.solve.executors import require_executor
+from greybox.solve.executors import require_executor, runner_fingerprint
 from greybox.solve.interruption import (
     Response,
     TimeLimits,
@@ -289,7 +289,7 @@ def fit_keeping(
 
 def fingerprint(problem: AnyProblem, by: SolverChoice) -> str:
     """Return the key of stored runs: of the compiled problem, its data and the solver options."""
-    return by.compiled(problem)[1].fingerprint
+    return runner_fingerprint(by.compiled(problem)[1])
 
 
 def _with_progress(

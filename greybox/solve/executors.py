@@ -11,6 +11,7 @@ take twice as long: memory is given back and asked for again. Start them with it
 --nthreads 1``.
 """
 
+import hashlib
 import math
 import os
 import pickle
@@ -114,6 +115,11 @@ def require_executor(executor: Any) -> None:
         raise TypeError(
             f"executor is {executor!r:.60}: give an instance such as greybox.solve.WorkerPool(2)."
         )
+
+
+def runner_fingerprint(runner: Runner) -> str:
+    """Return a name of a runner that is the same in every process."""
+    return hashlib.sha256(pickle.dumps(runner)).hexdigest()
 
 
 def _batches(numbered: Iterable[tuple[int, Array]], size: int) -> Iterator[Batch]:

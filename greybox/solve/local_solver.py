@@ -1,7 +1,5 @@
 """The interface of every solver: a run from one start, and what a search needs besides."""
 
-import hashlib
-import pickle
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -38,11 +36,6 @@ class Runner(ABC):
     @abstractmethod
     def __reduce__(self) -> tuple[Callable[..., "Runner"], tuple[Any, ...]]:
         """Return a function that builds the same runner, and its arguments."""
-
-    @property
-    def fingerprint(self) -> str:
-        """A name of the runner that is the same in every process."""
-        return hashlib.sha256(pickle.dumps(self)).hexdigest()
 
     @abstractmethod
     def run(self, start: Array) -> Outcome:
