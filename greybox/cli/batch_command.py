@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from greybox.cli.output import FAILED, INTERRUPTED, USABLE, Answer, attributes
+from greybox.cli.output import Answer, attributes
 from greybox.cli.study_file import find_study, read_study_file
 from greybox.cli.workers import require_folder, stated_executor
 from greybox.solve.executors import ExecutorLostError
@@ -41,12 +41,12 @@ def run(options: argparse.Namespace) -> Answer:
             study = batch(members, options.out, executor=executor, seconds=options.seconds)
     except BatchInterrupted as stopped:
         answer = {**as_json(stopped.study), "error": f"interrupted; {RESUME}."}
-        return answer, str(stopped.study), INTERRUPTED
+        return answer, str(stopped.study)
     except BlockingIOError:  # another process writes to the folder: the study has not failed
         raise
     # Lost workers or a full disk end the command, not the study: its stored runs remain.
     except (ExecutorLostError, OSError) as error:
-        return {"error": f"{str(error).rstrip('.')}; {RESUME}."}, "", FAILED
+        return ({"error": f"{str(error).rstrip('.')}; {RESUME}."},)
 
     answer = as_json(study)
     missing = [member for member in study.members if member.status != "done"]
@@ -59,7 +59,7 @@ def run(options: argparse.Namespace) -> Answer:
             f"{len(missing)} of {len(study.members)} members have no answer: {names}{hint}."
         )
 
-    return answer, str(study), FAILED if missing else USABLE
+    return answer, str(study)
 
 
 def as_json(study: Study) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 import argparse
 
-from greybox.cli.output import FAILED, INTERRUPTED, USABLE, Answer
+from greybox.cli.output import Answer
 from greybox.cli.saved_fits import stated_fit
 from greybox.cli.workers import require_folder, stated_executor
 from greybox.solve.executors import ExecutorLostError
@@ -47,11 +47,11 @@ def run(options: argparse.Namespace) -> Answer:
     # Replicates in a folder survive Ctrl-C; without a folder all of them are lost.
     except KeyboardInterrupt:
         resume = "" if options.out is None else f"; the same command continues in {options.out}"
-        return {"error": f"interrupted{resume}."}, "", INTERRUPTED
+        return ({"error": f"interrupted{resume}."},)
     except ExecutorLostError as error:
-        return {"error": str(error)}, "", FAILED
+        return ({"error": str(error)},)
 
-    answer, status = result.summary(options.level), USABLE
+    answer = result.summary(options.level)
     if result.failed > len(result.values) - 2:  # fewer than two values have no spread
-        answer["error"], status = result.warnings[0], FAILED
-    return answer, result.text(options.level), status
+        answer["error"] = result.warnings[0]
+    return answer, result.text(options.level)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from greybox.cli.batch_command import as_json
 from greybox.cli.options import UsageError
-from greybox.cli.output import USABLE, Answer, attributes
+from greybox.cli.output import Answer, attributes
 from greybox.cli.saved_fits import saved_fit
 from greybox.study.study import read_study
 from greybox.validation.compare import compare
@@ -28,12 +28,12 @@ def run(options: argparse.Namespace) -> Answer:
     """Read the fits, or the study, and compare."""
     if len(options.results) > 1:
         comparison = _comparison(options)
-        return attributes(comparison, *SUMMARY), str(comparison), USABLE
+        return attributes(comparison, *SUMMARY), str(comparison)
     if options.results[0].is_file():  # a study is a folder
         raise UsageError(f"there is one fit, {options.results[0]}: give at least two to compare.")
     # Members of a study may have different data, so that they are listed, not compared by tests.
     study = read_study(options.results[0])
-    return as_json(study), str(study), USABLE
+    return as_json(study), str(study)
 
 
 def _comparison(options: argparse.Namespace) -> Comparison:

@@ -9,15 +9,10 @@ import sys
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from greybox.cli.options import UsageError, as_options
-from greybox.cli.output import (
-    BAD_INPUT,
-    FAILED,
-    INTERRUPTED,
-    Answer,
-    write_answer,
-)
+from greybox.cli.output import BAD_INPUT, FAILED, INTERRUPTED, USABLE, write_answer
 from greybox.modeling.model_reference import UnknownModelError
 from greybox.solve.interruption import Response, listening, responding, take_interrupt
 
@@ -26,25 +21,28 @@ def execute(options: argparse.Namespace, arguments: Sequence[str]) -> int:
     """Run the command of the parsed `options`, write its answer, and return the exit status."""
     # Ctrl-C during the output must not leave half a JSON object.
     with listening():
-        answer = _answer(options, arguments)
+        result, text, status = _answer(options, arguments)
         with responding(Response.FINISH):
-            status = write_answer(*answer, options.json)
+            status = write_answer(result, text, options.json, status)
         return INTERRUPTED if take_interrupt() else status
 
 
-def _answer(options: argparse.Namespace, arguments: Sequence[str]) -> Answer:
-    """Run the command; an error is an answer too."""
+def _answer(
+    options: argparse.Namespace, arguments: Sequence[str]
+) -> tuple[dict[str, Any], str, int]:
+    """Run the command; an error is an answer too, with its exit status."""
     with contextlib.ExitStack() as streams:
         if options.quiet:  # no progress bars, no warnings
             streams.enter_context(contextlib.redirect_stderr(io.StringIO()))
         if options.json:  # what a user's own file prints must not reach standard output
             streams.enter_context(contextlib.redirect_stdout(sys.stderr))
         try:
-            result, text, status = options.command(options)
+            result, *lines = options.command(options)
+            text = "" if options.quiet else "\n".join(lines)
             # Texts about measurements name the arguments that would choose otherwise.
             if "announced" in options:
                 text = as_options(text, options)
-            return result, "" if options.quiet else text, status
+            return result, text, USABLE
         except SystemExit:  # argparse has done its work before: only a user's file calls it here
             return {"error": "a file of your own called sys.exit: remove that call."}, "", BAD_INPUT
         except Exception as error:

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 from greybox.cli.options import UsageError
-from greybox.cli.output import FAILED, INTERRUPTED, USABLE, Answer, require_figure, save_figure
+from greybox.cli.output import Answer, require_figure, save_figure
 from greybox.cli.saved_fits import require_fit_file
 from greybox.cli.stated_problem import PROBLEM_OPTIONS, stated_problem
 from greybox.cli.workers import stated_executor
@@ -78,7 +78,7 @@ def run(options: argparse.Namespace) -> Answer:
             )
     except ExecutorLostError as error:
         resume = "" if options.out is None else "; the same command continues with the stored runs"
-        return {"error": f"{str(error).rstrip('.')}{resume}."}, "", FAILED
+        return ({"error": f"{str(error).rstrip('.')}{resume}."},)
 
 
 def _stated_fit(options: argparse.Namespace) -> Callable[..., Fit]:
@@ -120,7 +120,6 @@ def _answer(
 ) -> Answer:
     """Save and draw a fit; its runs are stored until it is complete and saved."""
     answer = summary(result)
-    status = USABLE if result.converged else FAILED
     if not result.converged:
         answer["error"] = ": ".join([result.status, *result.warnings[:1]]).rstrip(".") + "."
     notes = []
@@ -138,16 +137,14 @@ def _answer(
         notes += save_figure(None if interrupted else options.plot, "plot", result)
     except OSError as error:  # print the answer although the disk is full
         answer["error"] = str(error)
-        status = FAILED
     except KeyboardInterrupt:
         interrupted = True
 
     if interrupted:
         answer["error"] = "interrupted."
-        status = INTERRUPTED
         notes += [f"{options.plot} is not drawn"] if options.plot is not None else []
     if stored is not None and stored.trouble:
         notes.append(f"the last runs are not stored: {stored.trouble}")
     if stored is not None and stored.count:
         notes.append(f"the same command continues with {counted(stored.count, 'run')}")
-    return answer, "\n".join([str(result), *notes]), status
+    return answer, str(result), *notes

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from greybox.cli.catalog import find_model
 from greybox.cli.options import UsageError
-from greybox.cli.output import USABLE, Answer, attributes
+from greybox.cli.output import Answer, attributes
 from greybox.cli.saved_fits import saved_fit
 from greybox.estimate.structural_identifiability import structural_identifiability
 from greybox.files.safe_files import HDF5
@@ -52,7 +52,7 @@ def run(options: argparse.Namespace) -> Answer:
     settings = {name: value for name, value in settings.items() if value}
     if Path(options.subject).suffix.lower() not in HDF5:
         structure = structural_identifiability(find_model(options.subject), **settings)
-        return attributes(structure, *STRUCTURE), str(structure), USABLE
+        return attributes(structure, *STRUCTURE), str(structure)
     if settings:
         # The option has another name than the argument of the library.
         flag = {"fixed": "fix"}.get(min(settings), min(settings))
@@ -62,4 +62,4 @@ def run(options: argparse.Namespace) -> Answer:
 
     fit = saved_fit(Path(options.subject), options)
     answer = {"problem": fit.name, **attributes(fit.identifiability, *DATA)}
-    return answer, f"{fit.name}\n\n{fit.identifiability}", USABLE
+    return answer, f"{fit.name}\n\n{fit.identifiability}"

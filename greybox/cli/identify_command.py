@@ -11,15 +11,7 @@ from greybox.cli.catalog import find_model
 from greybox.cli.measurement_options import MEASUREMENT_OPTIONS, stated_choices
 from greybox.cli.options import UsageError, option_words
 from greybox.cli.orders_command import selection_json
-from greybox.cli.output import (
-    FAILED,
-    USABLE,
-    Answer,
-    attributes,
-    require_figure,
-    require_writable,
-    save_figure,
-)
+from greybox.cli.output import Answer, attributes, require_figure, require_writable, save_figure
 from greybox.cli.parameter_options import stated_values
 from greybox.cli.response_command import response_json
 from greybox.data.response_file import write_response
@@ -101,7 +93,7 @@ def run(options: argparse.Namespace) -> Answer:
     # Nothing is written for data that cannot be trusted: the next command would take the files.
     if identification.refusals or selection is None:
         answer["error"] = " ".join(identification.refusals)
-        return answer, "\n".join(text), FAILED
+        return answer, *text
 
     for measurement, path in zip(identification.measurements, responses, strict=True):
         assert measurement.response is not None
@@ -115,10 +107,10 @@ def run(options: argparse.Namespace) -> Answer:
     # The fit is saved even if no structure explains the data: the user must see what is missing.
     if fit is None or not selection.explains:
         answer["error"] = selection.verdict
-        return answer, "\n".join(text), FAILED
+        return answer, *text
 
     text += ["", "Next:", f"  greybox report {result}", f"  greybox profile {result}"]
-    return answer, "\n".join(text), USABLE
+    return answer, *text
 
 
 def _response_files(prefix: str, count: int) -> list[Path]:

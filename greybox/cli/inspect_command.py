@@ -7,7 +7,7 @@ from typing import Any
 
 from greybox.cli.log_tests import read_log, segments_of
 from greybox.cli.options import option_words
-from greybox.cli.output import USABLE, Answer, attributes, require_figure, save_figure
+from greybox.cli.output import Answer, attributes, require_figure, save_figure
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
 from greybox.files.text_table import number, text_table
@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> Answer:
         "findings": recording.findings,
         "next": command,
     }
-    return answer, "\n\n".join(part for part in parts if part), USABLE
+    return answer, "\n\n".join(filter(None, parts))
 
 
 def _tests(recording: Recording, segments: Sequence[Segment], manoeuvres: Sequence[Segment]) -> str:

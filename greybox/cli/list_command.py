@@ -5,7 +5,7 @@ from types import ModuleType
 from typing import Any
 
 from greybox.cli.catalog import find_model, find_problem, models_of, shipped, shipped_module
-from greybox.cli.output import USABLE, Answer, attributes
+from greybox.cli.output import Answer, attributes
 from greybox.files.text_table import number, text_table
 from greybox.modeling.model import Model, equation
 
@@ -44,14 +44,14 @@ def run(options: argparse.Namespace) -> Answer:
         ]
 
     blocks.append("`greybox list NAME` shows the details of one, with equation and source.")
-    return answer, "\n\n".join(blocks), USABLE
+    return answer, "\n\n".join(blocks)
 
 
 def _show(name: str) -> Answer:
     if ":" in name or name.endswith(".py"):
         model = find_model(name)
         answer = {"name": name, "about": equation(model), **_parameters(model)}
-        return answer, _model_text(model), USABLE
+        return answer, _model_text(model)
 
     doc = _doc(shipped_module("problems", name))
     problem, _ = find_problem(name)
@@ -62,7 +62,7 @@ def _show(name: str) -> Answer:
         "about": doc,
         "models": [{"name": model.label, **_parameters(model)} for model in models],
     }
-    return answer, "\n\n".join([name, doc, *dict.fromkeys(map(_model_text, models))]), USABLE
+    return answer, "\n\n".join([name, doc, *dict.fromkeys(map(_model_text, models))])
 
 
 def _parameters(model: Model) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from importlib.metadata import version
 from typing import Any, NoReturn
 
 from greybox.cli.options import COMMON, HelpFormatter, UsageError, declare
-from greybox.cli.output import BAD_INPUT, INTERRUPTED, USABLE, Answer, write_answer
+from greybox.cli.output import BAD_INPUT, write_answer
 from greybox.files.text_table import alternatives, nearest
 
 # The command `fit` is the module `greybox.cli.fit_command`.
@@ -76,14 +76,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         parsed = _parse(arguments)
         if not isinstance(parsed, argparse.Namespace):
-            return write_answer(*parsed, as_json)
+            return write_answer({}, parsed, as_json)
 
         # Importing the solvers takes half a second, which help and mistakes need not wait for.
         from greybox.cli.execution import execute  # noqa: PLC0415
 
         return execute(parsed, arguments)
     except KeyboardInterrupt:
-        return write_answer({"error": "interrupted."}, "", INTERRUPTED, as_json)
+        return write_answer({"error": "interrupted."}, "", as_json)
+    except UsageError as error:
+        return write_answer({"error": str(error)}, "", as_json, BAD_INPUT)
 
 
 def parser_of(commands: Collection[str] = tuple(COMMANDS)) -> argparse.ArgumentParser:
@@ -118,8 +120,8 @@ def parser_of(commands: Collection[str] = tuple(COMMANDS)) -> argparse.ArgumentP
     return parser
 
 
-def _parse(arguments: Sequence[str]) -> argparse.Namespace | Answer:
-    """Return the options, or what --help, --version or a mistake in the arguments answers."""
+def _parse(arguments: Sequence[str]) -> argparse.Namespace | str:
+    """Return the options, or the text of --help or --version."""
     # The first word that is not an option is the command, wherever --json stands.
     first = [word for word in arguments if not word.startswith("-")][:1]
     help_or_version = io.StringIO()
@@ -127,7 +129,5 @@ def _parse(arguments: Sequence[str]) -> argparse.Namespace | Answer:
         with contextlib.redirect_stdout(help_or_version):
             namespace = argparse.Namespace(arguments=tuple(arguments))
             return parser_of(first).parse_args(arguments, namespace)
-    except UsageError as error:
-        return {"error": str(error)}, "", BAD_INPUT
     except SystemExit:
-        return {}, help_or_version.getvalue().rstrip("\n"), USABLE
+        return help_or_version.getvalue().rstrip("\n")

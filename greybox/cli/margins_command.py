@@ -5,7 +5,7 @@ from typing import Any
 
 from greybox.cli.catalog import find_controller, shipped_module
 from greybox.cli.options import UsageError
-from greybox.cli.output import FAILED, USABLE, Answer, require_figure, save_figure
+from greybox.cli.output import Answer, require_figure, save_figure
 from greybox.cli.saved_fits import stated_fit
 from greybox.experiment.controller import Controller
 from greybox.experiment.margins import margins
@@ -59,10 +59,15 @@ def run(options: argparse.Namespace) -> Answer:
         loop = firmware.loop_of_log(
             read(options.log), fit, options.axis, signals=options.signals, level=options.level
         )
-        return loop.to_dict(), str(loop), USABLE if loop.is_safe else FAILED
+        answer = loop.to_dict()
+        if not loop.is_safe:
+            wrong = "the controllers of the log do not reproduce its control."
+            answer["error"] = wrong if loop.model.is_safe else loop.model.verdict
+        return answer, str(loop)
+
     controllers = stated_controllers(options)
     require_figure(options.plot, options.force)
-    answers = [
+    loops = [
         margins(
             fit,
             controllers,
@@ -73,11 +78,13 @@ def run(options: argparse.Namespace) -> Answer:
         )
         for signal in options.broken_at or [""]
     ]
-    summary: dict[str, Any] = {"loops": [answer.to_dict() for answer in answers]}
     # A loop may be safe where it is broken at one signal, and not at another.
-    usable = all(answer.is_safe for answer in answers)
-    lines = save_figure(options.plot, "loop", answers[0])
-    return summary, "\n\n".join([*map(str, answers), *lines]), USABLE if usable else FAILED
+    answer: dict[str, Any] = {"loops": [loop.to_dict() for loop in loops]}
+    unsafe = [loop.verdict for loop in loops if not loop.is_safe]
+    if unsafe:
+        answer["error"] = " ".join(unsafe)
+    lines = save_figure(options.plot, "loop", loops[0])
+    return answer, "\n\n".join([*map(str, loops), *lines])
 
 
 def stated_controllers(options: argparse.Namespace) -> list[Controller]:

@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from greybox.cli.options import UsageError
-from greybox.cli.output import USABLE, Answer, require_writable
+from greybox.cli.output import Answer, require_writable
 from greybox.cli.starting_files import model_file, problem_file
 from greybox.files.safe_files import write_text
 
@@ -51,11 +51,8 @@ def run(options: argparse.Namespace) -> Answer:
     commands = [f"greybox list {path}", f"greybox fit --model {path} --data DATA.csv"]
     if options.kind == "problem":
         commands = [f"greybox fit {path}"]
-    return (
-        {"file": str(path), "next": commands},
-        "\n".join([f"wrote {path}", *(f"next: {command}" for command in commands)]),
-        USABLE,
-    )
+    lines = [f"next: {command}" for command in commands]
+    return {"file": str(path), "next": commands}, f"wrote {path}", *lines
 
 
 def _class_name(stem: str) -> str:

@@ -3,7 +3,7 @@
 import argparse
 from typing import Any
 
-from greybox.cli.output import FAILED, USABLE, Answer, attributes
+from greybox.cli.output import Answer, attributes
 from greybox.cli.parameter_options import stated_values
 from greybox.cli.saved_fits import require_fit_file, save_fit
 from greybox.cli.stated_problem import filters_of
@@ -64,8 +64,8 @@ def run(options: argparse.Namespace) -> Answer:
     if selection.fit is not None:
         text += ["", str(selection.fit), *save_fit(selection.fit, options.out)]
     if selection.fit is None or not selection.explains:
-        return {**answer, "error": selection.verdict}, "\n".join(text), FAILED
-    return answer, "\n".join(text), USABLE
+        answer["error"] = selection.verdict
+    return answer, *text
 
 
 def selection_json(selection: Selection) -> dict[str, Any]:

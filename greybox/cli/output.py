@@ -13,8 +13,8 @@ from greybox.files.json_numbers import plain
 from greybox.files.safe_files import replacing
 from greybox.files.text_table import printable
 
-Answer = tuple[dict[str, Any], str, int]
-"""The JSON object, the text for a person, and the exit status."""
+Answer = tuple[Any, ...]
+"""The JSON object of a command, then the lines of its text for a person."""
 
 USABLE = 0  # a usable answer
 FAILED = 1  # a run that failed
@@ -22,10 +22,15 @@ BAD_INPUT = 2  # bad usage or bad input
 INTERRUPTED = 130  # what a shell reports of a program that Ctrl-C ended
 
 
-def write_answer(result: dict[str, Any], text: str, status: int, as_json: bool) -> int:
-    """Write an answer to standard output, its error to standard error; return the exit status."""
-    if "error" in result:
-        write(printable(f"greybox: {result['error']}", keep="\n"), sys.stderr)
+def write_answer(result: dict[str, Any], text: str, as_json: bool, status: int = USABLE) -> int:
+    """Write an answer to standard output, its error to standard error; return the exit status.
+
+    By default the status follows from the error.
+    """
+    error = result.get("error")
+    if isinstance(error, str):  # `identifiability` has standard errors of this name
+        status = status or (INTERRUPTED if error.startswith("interrupted") else FAILED)
+        write(printable(f"greybox: {error}", keep="\n"), sys.stderr)
 
     # The text contains names from files. Control characters in them would command the terminal.
     text = printable(text, keep="\n\t")

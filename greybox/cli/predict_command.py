@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.cli.log_tests import read_log
 from greybox.cli.options import UsageError
-from greybox.cli.output import USABLE, Answer, attributes
+from greybox.cli.output import Answer, attributes
 from greybox.cli.saved_fits import saved_fit
 from greybox.estimate.result import Fit
 from greybox.logs.prepare import prepare
@@ -54,8 +54,8 @@ def run(options: argparse.Namespace) -> Answer:
             "model: choose another log, another part (--between), or other --signals."
         )
     notes = [f"{name} never changes: a dead sensor, or a part at rest." for name in dead]
-    text = "\n".join([str(prediction), *notes, *record.findings])
-    return _json(prediction) | {"findings": [*notes, *record.findings]}, text, USABLE
+    findings = [*notes, *record.findings]
+    return _json(prediction) | {"findings": findings}, str(prediction), *findings
 
 
 def _signals_of(fit: Fit) -> dict[str, str]:

@@ -3,7 +3,7 @@
 import argparse
 
 from greybox.cli.options import UsageError
-from greybox.cli.output import USABLE, Answer, attributes, require_figure, save_figure
+from greybox.cli.output import Answer, attributes, require_figure, save_figure
 from greybox.cli.saved_fits import stated_fit
 from greybox.estimate.profile import contour, profile
 
@@ -45,4 +45,4 @@ def run(options: argparse.Namespace) -> Answer:
         answer, figure = result.summary(), "profiles"
 
     lines = save_figure(options.plot, figure, result)
-    return answer, "\n".join([str(result), *lines]), USABLE
+    return answer, str(result), *lines

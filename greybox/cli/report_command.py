@@ -7,7 +7,7 @@ from typing import Any
 
 from greybox.cli.data_file import read_data
 from greybox.cli.options import UsageError
-from greybox.cli.output import USABLE, Answer, require_writable
+from greybox.cli.output import Answer, require_writable
 from greybox.cli.saved_fits import saved_fit
 from greybox.data.record import Record
 from greybox.study.study import read_study
@@ -49,7 +49,7 @@ def run(options: argparse.Namespace) -> Answer:
     # People mail such pages, and want to know their size.
     size = out.stat().st_size
     answer = {"page": out, "bytes": size, "results": [entry.label for entry in entries]}
-    return answer, f"wrote {out} ({size / 1000:.0f} kB)", USABLE
+    return answer, f"wrote {out} ({size / 1000:.0f} kB)"
 
 
 def _entries(options: argparse.Namespace) -> list[Any]:

@@ -6,15 +6,7 @@ from typing import Any
 from greybox.cli.log_tests import read_log
 from greybox.cli.measurement_options import MEASUREMENT_OPTIONS, stated_band, stated_choices
 from greybox.cli.options import UsageError
-from greybox.cli.output import (
-    FAILED,
-    USABLE,
-    Answer,
-    attributes,
-    require_figure,
-    require_writable,
-    save_figure,
-)
+from greybox.cli.output import Answer, attributes, require_figure, require_writable, save_figure
 from greybox.data.record import Recording
 from greybox.data.response_file import write_response, write_responses
 from greybox.data.transient_file import write_spectrum
@@ -71,11 +63,11 @@ def run(options: argparse.Namespace) -> Answer:
     response = measured.response
     if not measured.quality.usable or response is None:
         answer["error"] = " ".join(measured.quality.refusals)
-        return answer, _text(recording, measured), FAILED
+        return answer, *_text(recording, measured)
 
     if options.out is not None:
         write_response(response, options.out)
-    return answer, _text(recording, measured, *_notes(options, "bode", response)), USABLE
+    return answer, *_text(recording, measured), *_notes(options, "bode", response)
 
 
 def _manoeuvre(options: argparse.Namespace) -> Answer:
@@ -103,7 +95,7 @@ def _manoeuvre(options: argparse.Namespace) -> Answer:
         }
     if options.out is not None:
         write_spectrum(spectrum, options.out)
-    return answer, _text(recording, measured, *_notes(options, "spectrum", spectrum)), USABLE
+    return answer, *_text(recording, measured), *_notes(options, "spectrum", spectrum)
 
 
 def _matrix(options: argparse.Namespace) -> Answer:
@@ -140,14 +132,12 @@ def _matrix(options: argparse.Namespace) -> Answer:
         prefix = f"{first.output}_{first.input}_"
         notes.append(f"  fit one: greybox fit --data {options.out} --prefix {prefix} --model MODEL")
 
-    return answer, _text(recording, measured, *notes), USABLE
+    return answer, *_text(recording, measured), *notes
 
 
-def _text(recording: Recording, measured: Any, *notes: str) -> str:
+def _text(recording: Recording, measured: Any) -> list[str]:
     # What the reader of the log has left out concerns every measurement.
-    findings = "\n".join(recording.findings)
-    text = "\n\n".join(part for part in (str(measured), findings) if part)
-    return "\n".join([text, *notes])
+    return [str(measured), *(["", *recording.findings] if recording.findings else [])]
 
 
 def _notes(options: argparse.Namespace, figure: str, *items: Any) -> list[str]:

@@ -3,7 +3,7 @@
 import argparse
 
 from greybox.cli.options import by_name
-from greybox.cli.output import USABLE, Answer, attributes
+from greybox.cli.output import Answer, attributes
 from greybox.cli.saved_fits import require_fit_file, save_fit
 from greybox.cli.stated_problem import PROBLEM_OPTIONS, stated_problem
 from greybox.estimate.summary import summary
@@ -36,4 +36,4 @@ def run(options: argparse.Namespace) -> Answer:
     notes = save_fit(selection.fit, options.out)
     answer = attributes(selection, "terms", "candidates", "verdict", "trials", "alike")
     answer["fit"] = summary(selection.fit)
-    return answer, "\n".join([str(selection), "", str(selection.fit), *notes]), USABLE
+    return answer, str(selection), "", str(selection.fit), *notes

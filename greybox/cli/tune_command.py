@@ -1,10 +1,9 @@
 """The command `greybox tune`: gains that meet requirements on stability."""
 
 import argparse
-from typing import Any
 
 from greybox.cli.margins_command import CONTROLLER_OPTIONS, stated_controllers
-from greybox.cli.output import FAILED, USABLE, Answer, require_figure, require_writable, save_figure
+from greybox.cli.output import Answer, require_figure, require_writable, save_figure
 from greybox.cli.saved_fits import saved_fit
 from greybox.experiment.gain_file import write_gains
 from greybox.experiment.safe_gains import safe_gains
@@ -48,7 +47,7 @@ def run(options: argparse.Namespace) -> Answer:
         options.parameters, options.force, (".param", ".parm", ".params"), "parameter file"
     )
     require_figure(options.plot, options.force)
-    answer = safe_gains(
+    safe = safe_gains(
         [saved_fit(path, options) for path in options.fits],
         controllers,
         options.gains,
@@ -58,12 +57,12 @@ def run(options: argparse.Namespace) -> Answer:
         level=options.level,
         broken_at=options.broken_at,
     )
-    summary: dict[str, Any] = answer.to_dict()
-    text = str(answer)
-    if options.parameters and answer.best:
-        write_gains(
-            {options.names.get(n, n): v for n, v in answer.best.items()}, options.parameters
-        )
-        text += f"\nThe best gains are in {options.parameters}."
-    text = "\n".join([text, *save_figure(options.plot, "gains", answer)])
-    return summary, text, USABLE if answer.best else FAILED
+    answer = safe.to_dict()
+    lines = save_figure(options.plot, "gains", safe)
+    if not safe.best:
+        answer["error"] = safe.verdict
+    elif options.parameters:
+        names = options.names
+        write_gains({names.get(n, n): value for n, value in safe.best.items()}, options.parameters)
+        lines.insert(0, f"The best gains are in {options.parameters}.")
+    return answer, str(safe), *lines

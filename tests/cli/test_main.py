@@ -118,6 +118,6 @@ def test_an_answer_that_cannot_be_written_is_a_failure(capsys, monkeypatch, stat
     monkeypatch.setattr(
         output, "write", lambda text, stream: "disk full" if stream is sys.stdout else ""
     )
-    assert write_answer({}, "an answer", status, False) == told
+    assert write_answer({}, "an answer", False, status) == told
     monkeypatch.setattr(output, "write", lambda text, stream: "")
-    assert write_answer({}, "an answer", status, False) == status
+    assert write_answer({}, "an answer", False, status) == status
