@@ -1,10 +1,11 @@
-"""Solving (s I - A) x = b by elimination, in numbers or in expressions.
+"""The response d + c (s I - A)⁻¹ b of a linear system by elimination, in numbers or in expressions.
 
-Expressions cannot be pivoted as they go. A pivot is zero not only at a pole but wherever a leading
-sub-block of A has an eigenvalue at s, as the undamped position and velocity inside a damped system
-do. So the order of elimination is chosen beforehand: the first one that agrees with a pivoted
-solution in numbers, at sample values of the parameters. The characteristic polynomial would need no
-pivots, but loses all digits if eigenvalues differ by a few decades.
+The states are eliminated from the matrix [[s I - A, b], [-c, d]], in whose last corner the response
+remains. Expressions cannot be pivoted as they go. A pivot is zero not only at a pole but wherever a
+leading sub-block of A has an eigenvalue at s, as the undamped position and velocity inside a damped
+system do. So the order of elimination is chosen beforehand: the first one that agrees with a
+pivoted solution in numbers, at sample values of the parameters. The characteristic polynomial would
+need no pivots, but loses all digits if eigenvalues differ by a few decades.
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,91 +14,72 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.files.arrays import Array, BoolArray
+from greybox.files.arrays import Array
 
-# Relative error of the solution up to which an order is good enough: six of sixteen digits are
+# Relative error of the response up to which an order is good enough: six of sixteen digits are
 # lost.
 ACCURATE = 1e-10
 ORDERS = 200  # random orders to try: of many states, many orders are good
 
 
-def solve(A: Sequence[Sequence[Any]], b: Sequence[Any], s: Any, order: Sequence[int]) -> list[Any]:
-    """Solve (s I - A) x = b; None in A is an entry that is always zero."""
-    n = len(b)
+def eliminated(system: Sequence[Sequence[Any]], s: Any, order: Sequence[int]) -> Any:
+    """Return the response of a system [[-A, b], [-c, d]]; None is an entry that is always zero."""
+    n = len(system) - 1
     # Entries that are always zero are not stored, which keeps the expressions short.
-    rows: list[dict[int, Any]] = [{k: -a for k, a in enumerate(row) if a is not None} for row in A]
+    rows = [{k: v for k, v in enumerate(row) if v is not None} for row in system]
     for i in range(n):
         rows[i][i] = s + rows[i][i] if i in rows[i] else s
 
-    right = list(b)
     for position, i in enumerate(order):
-        for j in order[position + 1 :]:
+        pivot = rows[i].pop(i)
+        for j in (*order[position + 1 :], n):
             if i not in rows[j]:
                 continue
-            factor = rows[j].pop(i) / rows[i][i]
-            for k in order[position + 1 :]:
-                if k in rows[i]:
-                    change = factor * rows[i][k]
-                    rows[j][k] = rows[j][k] - change if k in rows[j] else -change
-            right[j] = right[j] - factor * right[i]
+            factor = rows[j].pop(i) / pivot
+            for k, value in rows[i].items():
+                change = factor * value
+                rows[j][k] = rows[j][k] - change if k in rows[j] else -change
 
-    x: list[Any] = [0.0] * n
-    for position, i in reversed(list(enumerate(order))):
-        for k in order[position + 1 :]:
-            if k in rows[i]:
-                right[i] = right[i] - rows[i][k] * x[k]
-        x[i] = right[i] / rows[i][i]
-
-    return x
+    return rows[n].get(n, 0.0)
 
 
-def elimination_order(
-    samples: Array,
-    b: Array,
-    zero: BoolArray,
-    omega: Array,
-) -> tuple[int, ...]:
-    """Return the order in which to eliminate.
+def elimination_order(samples: Array, omega: Array) -> tuple[int, ...]:
+    """Return the order in which to eliminate the states.
 
     Parameters
     ----------
-    samples : (m, n, n) array
-        A at sample values of the parameters.
-    b : (m, n) array
-        The right-hand side there.
-    zero : (n, n) array of bool
-        Entries of A that are always zero.
+    samples : (m, n + 1, n + 1) array
+        The system [[-A, b], [-c, d]] at sample values of the parameters.
     omega : (k,) array, rad/s
-        Where the solution is needed, s = jω.
+        Where the response is needed, s = jω.
     """
-    m, n, _ = samples.shape
-    if n < 2:
-        return tuple(range(n))
-    s = 1j * omega[None, :]
-    entries = [[None if zero[i, k] else samples[:, i, k, None] for k in range(n)] for i in range(n)]
-    right = [np.broadcast_to(b[:, i, None], (m, omega.size)).astype(complex) for i in range(n)]
-    pencil = s[..., None, None] * np.eye(n) - samples[:, None]
+    n = samples.shape[1] - 1
+    s = 1j * omega
+    entries = [
+        [samples[:, i, k, None] if samples[:, i, k].any() else None for k in range(n + 1)]
+        for i in range(n + 1)
+    ]
+    A, b, c, d = samples[:, :n, :n], samples[:, :n, n], samples[:, n, :n], samples[:, n, n, None]
+    pencil = s[:, None, None] * np.eye(n) + A[:, None]
+    errors: dict[tuple[int, ...], float] = {}
     # An order with a zero pivot divides by it here, and is thereby found out.
     with np.errstate(all="ignore"):
-        exact = solve_pencils(pencil, np.stack(right, axis=-1))
-        size = np.abs(exact).max(axis=-1, keepdims=True)
-        best = tuple(range(n))
-        least = np.inf
+        right = np.broadcast_to(b[:, None], pencil.shape[:-1]).astype(complex)
+        terms = c[:, None] * solve_pencils(pencil, right)
+        exact = d - terms.sum(axis=-1)
+        # At an antiresonance the terms cancel, however accurate they are.
+        size = np.abs(d) + np.abs(terms).sum(axis=-1)
         for order in _orders(n):
-            solution = np.stack([v + 0 * s for v in solve(entries, right, s, order)], axis=-1)
-            error = np.max(
-                np.nan_to_num(np.abs(solution - exact) / size, nan=1e300),
-                where=np.isfinite(size),
-                initial=0.0,
+            error = np.abs(eliminated(entries, s, order) - exact) / size
+            is_comparable = np.isfinite(size) & (size > 0)
+            errors[order] = np.max(
+                np.nan_to_num(error, nan=1e300), where=is_comparable, initial=0.0
             )
-            if error < least:
-                best = order
-                least = error
             # The first good order is taken: the natural one keeps the expressions short.
-            if least < ACCURATE:
-                break
+            if errors[order] < ACCURATE:
+                return order
 
-    return best
+    return min(errors, key=lambda order: errors[order])
 
 
 def _orders(n: int) -> Iterator[tuple[int, ...]]:

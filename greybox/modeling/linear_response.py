@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.files.arrays import Array, ComplexArray
 from greybox.modeling.complex_arithmetic import Complex
-from greybox.modeling.elimination import elimination_order, solve, solve_pencils
+from greybox.modeling.elimination import eliminated, elimination_order, solve_pencils
 from greybox.modeling.functions import exp
 from greybox.modeling.linearization import LinearSystem, jacobians, linearize
 from greybox.modeling.model import Model, Names, pick_signals
@@ -133,18 +133,15 @@ def response_formula(
     x, u = z[: len(model.states)], z[len(model.states) :]
     i = model.input_names.index(input)
     k = model.output_names.index(output)
-    matrices = jacobians(model)
     trim = trim_of(model, at or {})
 
     # C (s I - A)⁻¹ B + D, then the delay
-    A, B, C, D = matrices(p, x, u)
-    n = A.size1()
-    entries = [[None if A[r, c].is_zero() else A[r, c] for c in range(n)] for r in range(n)]
-    order = _elimination_order(model, matrices, trim, i, omega)
-    states = solve(entries, [B[r, i] for r in range(n)], s, order)
-    result = sum(
-        (state * C[k, r] for r, state in enumerate(states) if not C[k, r].is_zero()), D[k, i]
-    )
+    A, B, C, D = jacobians(model)(p, x, u)
+    system = ca.blockcat([[-A, B[:, i]], [-C[k, :], D[k, i]]])
+    places = range(len(model.states) + 1)
+    entries = [[None if system[r, c].is_zero() else system[r, c] for c in places] for r in places]
+    order = _elimination_order(model, ca.Function("system", [p, x, u], [system]), trim, omega)
+    result = eliminated(entries, s, order)
     if input in model.delays:
         result = result * exp(-s * p[list(model.parameters).index(model.delays[input])])
 
@@ -168,31 +165,26 @@ def formula_at_one_frequency(model: Model, omega: Array, **options: Any) -> ca.F
 
 
 def _elimination_order(
-    model: StateSpace, matrices: ca.Function, trim: Trimmed, input: int, omega: Array
+    model: StateSpace, system: ca.Function, trim: Trimmed, omega: Array
 ) -> tuple[int, ...]:
     """Choose the order of elimination from matrices at the start values and at random starts."""
     # A pivot that vanishes for all parameters does so at any few values, and at any frequencies.
     random = np.random.default_rng(0)
     points = [[q.start for q in model.parameters.values()]]
     points += [[q.draw(random) for q in model.parameters.values()] for _ in range(3)]
-    systems = []
+    samples = []
     for point in points:
         at = trim.function(point, [] if trim.root is None else trim.root(point))
-        A, B = (np.asarray(ca.DM(block)) for block in matrices(point, *at)[:2])
+        sample = np.asarray(ca.DM(system(point, *at)))
         # A draw may have no operating point.
-        if np.all(np.isfinite(A)) and np.all(np.isfinite(B)):
-            systems.append((A, B[:, input]))
+        if np.all(np.isfinite(sample)):
+            samples.append(sample)
 
-    if not systems:
+    if not samples:
         return tuple(range(len(model.states)))
-
-    samples = np.array([A for A, _ in systems])
-    right = np.array([b for _, b in systems])
     # Fifty frequencies limit the time of the search.
-    if omega.size > 50:
-        omega = omega[np.linspace(0, omega.size - 1, 50).astype(int)]
-
-    return elimination_order(samples, right, np.all(samples == 0, axis=0), omega)
+    few = np.linspace(0, omega.size - 1, min(omega.size, 50)).astype(int)
+    return elimination_order(np.array(samples), omega[few])
 
 
 def _parts(result: Any, s: Complex, owner: str) -> list[ca.SX]:

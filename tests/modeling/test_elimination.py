@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import greybox as gb
-from greybox.modeling.elimination import elimination_order, solve, solve_pencils
+from greybox.modeling.elimination import eliminated, elimination_order, solve_pencils
 from greybox.modeling.linear_response import response_formula
 
 OMEGA = np.array([1.0, 2.0, 4.0, 8.0, 16.0])
@@ -28,31 +28,40 @@ class Resonator(gb.StateSpace):
         return (x.x,)
 
 
-def entries(A):
-    return [[None if a == 0 else a for a in row] for row in A]
+def entries(system):
+    return [[None if a == 0 else a for a in row] for row in system]
 
 
-@given(st.integers(0, 10_000), st.integers(1, 6))
+def bordered(A, b, c, d):
+    """The matrix [[-A, b], [-c, d]]."""
+    return np.block([[-A, b[:, None]], [-c[None], np.atleast_2d(d)]])
+
+
+def response(A, b, c, d, s):
+    return d + c @ np.linalg.solve(s * np.eye(len(A)) - A, b)
+
+
+@given(st.integers(0, 10_000), st.integers(0, 6))
 @settings(max_examples=60, deadline=None)
-def test_every_order_solves_a_regular_system(seed, n):
+def test_every_order_eliminates_a_regular_system(seed, n):
     random = np.random.default_rng(seed)
     A = random.normal(size=(n, n)) * (random.random((n, n)) < 0.6)
-    b = random.normal(size=n)
+    b, c = random.normal(size=(2, n)) * (random.random((2, n)) < 0.8)
+    d = random.normal()
     order = tuple(int(i) for i in random.permutation(n))
     s = 3.0 + 2.0j  # away from every leading minor's roots, almost surely
-    expected = np.linalg.solve(s * np.eye(n) - A, b)
-    assert solve(entries(A), list(b), s, order) == pytest.approx(expected, rel=1e-6, abs=1e-9)
+    found = eliminated(entries(bordered(A, b, c, d)), s, order)
+    assert found == pytest.approx(response(A, b, c, d, s), rel=1e-6, abs=1e-9)
 
 
 def test_a_sub_block_that_resonates_at_a_data_frequency_is_eliminated_in_another_order():
     A = np.array([[0.0, 1, 0], [-16, 0, -3], [0, 1 / 0.3, -1 / 0.3]])
-    b = np.array([0.0, 2, 0])
-    order = elimination_order(A[None], b[None], A == 0, OMEGA)
-    found = np.stack(solve(entries(A), list(b), 1j * OMEGA, order), axis=-1)
-    expected = solve_pencils(
-        1j * OMEGA[:, None, None] * np.eye(3) - A, np.broadcast_to(b.astype(complex), (5, 3))
-    )
-    assert found == pytest.approx(expected, rel=1e-12)
+    b, c = np.array([0.0, 2, 0]), np.array([1.0, 0, 0])
+    system = bordered(A, b, c, 0.0)
+    order = elimination_order(system[None], OMEGA)
+    found = eliminated(entries(system), 1j * OMEGA, order)
+    expected = [response(A, b, c, 0.0, s) for s in 1j * OMEGA]
+    assert found == pytest.approx(np.array(expected), rel=1e-12)
 
 
 def test_such_a_model_is_fitted():
@@ -116,10 +125,12 @@ def test_the_first_order_that_is_accurate_is_taken():
     """The natural one, of matrices without small pivots; the next one where its second pivot vanishes."""
     for seed in range(5):
         random = np.random.default_rng(seed)
-        A, b = random.normal(size=(2, 4, 4)), random.normal(size=(2, 4))
-        assert elimination_order(A, b, np.zeros((4, 4), dtype=bool), OMEGA) == (0, 1, 2, 3)
-    A = np.array(
-        [[0.0, 4, 0], [-4, 0, -3], [0, 2, -3]]
-    )  # of the first two alone, 4 rad/s is an eigenvalue
-    assert elimination_order(A[None], np.array([[0.0, 2, 0]]), A == 0, OMEGA)[:2] != (0, 1)
-    assert elimination_order(A[None, :1, :1], np.ones((1, 1)), A[:1, :1] == 0, OMEGA) == (0,)
+        systems = random.normal(size=(2, 5, 5))
+        assert elimination_order(systems, OMEGA) == (0, 1, 2, 3)
+    # Of the first two alone, 4 rad/s is an eigenvalue.
+    A = np.array([[0.0, 4, 0], [-4, 0, -3], [0, 2, -3]])
+    b, c = np.array([0.0, 2, 0]), np.array([1.0, 0, 0])
+    assert elimination_order(bordered(A, b, c, 0.0)[None], OMEGA)[:2] != (0, 1)
+    assert elimination_order(bordered(A[:1, :1], b[:1] + 1, c[:1], 0.0)[None], OMEGA) == (0,)
+    # A model without an effect of its input has no response that an order could spoil.
+    assert elimination_order(bordered(A, 0 * b, c, 0.0)[None], OMEGA) == (0, 1, 2)
