@@ -48,10 +48,10 @@ class ImplicitIntegrator(Integrator):
         """Return x one step later, with exact derivatives; NaN where Newton's method fails."""
         # Newton's method is compiled from SX symbols and called with MX arguments.
         n, m = len(system.states), len(system.inputs)
-        symbols = [ca.SX.sym("x", n), ca.SX.sym("u", m), ca.SX.sym("slope", m)]
-        symbols += [ca.SX.sym("p", len(system.parameters)), ca.SX.sym("h")]
-        stages = ca.SX.sym("stages", n, self.stages)
+        sizes = (n, m, m, len(system.parameters), 1)
+        symbols = [ca.SX.sym("v", size) for size in sizes]
         start, at, ramp, parameters, span = symbols
+        stages = ca.SX.sym("stages", n, self.stages)
         equations = ca.vec(self.equations(system, start, stages, at, ramp, parameters, span))
         # A step that is short enough takes three or four iterations.
         options = {"error_on_fail": False, "abstol": 1e-13, "max_iter": 30}

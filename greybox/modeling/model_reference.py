@@ -74,15 +74,12 @@ def resolve(stored: Mapping[str, Any], given: Sequence[Model | type[Model]] = ()
 
 def _given(name: str, given: Sequence[Model | type[Model]]) -> Model | type[Model] | None:
     """Return the given model of this class, if possible of the same module."""
+    module, _, qualname = name.partition(":")
+    kinds = [(model if isinstance(model, type) else type(model), model) for model in given]
+    named = [(kind, model) for kind, model in kinds if kind.__qualname__ == qualname]
     # The same file has the module ``__main__`` when it is run.
-    classes = [model if isinstance(model, type) else type(model) for model in given]
-    modules = [f"{kind.__module__}:{kind.__qualname__}" for kind in classes]
-    if name in modules:
-        return given[modules.index(name)]
-    qualname = name.partition(":")[2]
-    return next(
-        (m for m, k in zip(given, classes, strict=True) if k.__qualname__ == qualname), None
-    )
+    same = [model for kind, model in named if kind.__module__ == module]
+    return next(iter([*same, *(model for _, model in named)]), None)
 
 
 def included_model(module_name: str, class_name: str) -> type[Model] | None:
@@ -95,11 +92,9 @@ def included_model(module_name: str, class_name: str) -> type[Model] | None:
         KnownStateSpace,
         LateSensors,
     )
-    general: dict[str, type[Model]] = {
-        f"{kind.__module__}:{kind.__qualname__}": kind for kind in kinds
-    }
-    if f"{module_name}:{class_name}" in general:
-        return general[f"{module_name}:{class_name}"]
+    for kind in kinds:
+        if (kind.__module__, kind.__qualname__) == (module_name, class_name):
+            return kind
 
     # By name, since models come after modeling; only modules of this package are imported.
     package = importlib.import_module("greybox.models")

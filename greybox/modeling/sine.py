@@ -44,12 +44,8 @@ class Sine:
         if not isinstance(self.signal, str):
             raise TypeError(f"the signal of a sine is {self.signal!r:.60}: give its name.")
         amplitude = np.array(self.amplitude)
-        if (
-            amplitude.dtype.kind not in "iuf"
-            or amplitude.ndim > 1
-            or not amplitude.size
-            or not np.all(np.isfinite(amplitude) & (amplitude > 0))
-        ):
+        is_number = amplitude.dtype.kind in "iuf" and amplitude.ndim < 2 and amplitude.size
+        if not is_number or not np.all(np.isfinite(amplitude) & (amplitude > 0)):
             raise ValueError(
                 f"the amplitude of {self.signal!r} is {self.amplitude!r:.60}: give a finite number "
                 "above 0, or one for each frequency."
@@ -69,21 +65,10 @@ class Sine:
     def __repr__(self) -> str:
         low, high = np.min(self.amplitude), np.max(self.amplitude)
         size = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
-        number = (
-            "as many harmonics as matter"
-            if self.harmonics is None
-            else counted(self.harmonics, "harmonic")
-        )
+        number = "as many harmonics as matter"
+        if self.harmonics is not None:
+            number = counted(self.harmonics, "harmonic")
         return one_line(self, self.signal, f"amplitude {size}", number)
-
-    @property
-    def plain(self) -> dict[str, Any]:
-        """The fields for JSON."""
-        amplitude = (
-            self.amplitude.tolist() if isinstance(self.amplitude, np.ndarray) else self.amplitude
-        )
-        harmonics = None if self.harmonics is None else int(self.harmonics)
-        return {"signal": self.signal, "amplitude": amplitude, "harmonics": harmonics}
 
     def amplitudes(self, omega: Array) -> Array:
         """Return the amplitude at every frequency, (n,).

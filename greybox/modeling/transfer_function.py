@@ -1,5 +1,6 @@
 """Transfer functions: one input, one output, a formula in s; in series and in feedback loops."""
 
+import math
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -108,7 +109,24 @@ class RenamedParameters(TransferFunction):
         return self.model.label
 
 
-class SeriesConnection(TransferFunction):
+class Connection(TransferFunction):
+    """Transfer functions that work together; a parameter that several have is one unknown."""
+
+    def __init__(self, *parts: TransferFunction) -> None:
+        _require_transfer_functions(*parts)
+        self.parts = parts
+        self.parameters = merged_parameters(parts)
+        self.input = parts[0].input
+        self.output = parts[0].output
+        self.units = parts[0].units
+
+    @property
+    def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
+        """Derived quantities of all parts."""
+        return {name: f for part in self.parts for name, f in part.derived.items()}
+
+
+class SeriesConnection(Connection):
     """Series connection: the signal passes `first`, then `second`.
 
     A parameter that both have, such as a delay, acts twice. So it must be declared `shared`.
@@ -131,31 +149,24 @@ class SeriesConnection(TransferFunction):
                     f".series(..., shared=[{name!r}])."
                 )
 
-        self.first = first
-        self.second = second
-        self.parameters = merged_parameters((first, second))
-        self.input = first.input
+        super().__init__(first, second)
         self.output = output or second.output
         # A filter does not change the unit of the output.
         ends = ((first, first.input), (first if output == first.output else second, self.output))
         self.units = {name: model.units[name] for model, name in ends if name in model.units}
 
-    @property
-    def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
-        """Derived quantities of both."""
-        return {**self.first.derived, **self.second.derived}
-
     def response(self, s: Any, p: Any) -> Any:
         """Return the product of the two responses."""
-        return self.first.response(s, p) * self.second.response(s, p)
+        first, second = (part.response(s, p) for part in self.parts)
+        return first * second
 
     @property
     def label(self) -> str:
         """Names of both."""
-        return f"{self.first.label} * {self.second.label}"
+        return " * ".join(part.label for part in self.parts)
 
 
-class FeedbackLoop(TransferFunction):
+class FeedbackLoop(Connection):
     """Closed loop forward / (1 - sign · forward · back); negative feedback with the default sign.
 
     A loop around a delay has exact readings in numbers and in CasADi; its rational reading needs a
@@ -165,32 +176,20 @@ class FeedbackLoop(TransferFunction):
     def __init__(
         self, forward: TransferFunction, back: TransferFunction | None = None, sign: int = -1
     ) -> None:
-        _require_transfer_functions(forward, *(() if back is None else (back,)))
         if sign not in (-1, 1):
             raise ValueError(f"sign {sign!r} must be -1 (negative feedback) or 1.")
-        self.forward = forward
-        self.back = back
+        super().__init__(forward, *(() if back is None else (back,)))
         self.sign = sign
-        self.parameters = merged_parameters((forward,) if back is None else (forward, back))
-        self.input = forward.input
-        self.output = forward.output
-        self.units = forward.units
-
-    @property
-    def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
-        """Derived quantities of all parts."""
-        return {**self.forward.derived, **(self.back.derived if self.back else {})}
 
     def response(self, s: Any, p: Any) -> Any:
         """Return forward over one plus the loop."""
-        forward = self.forward.response(s, p)
-        loop = forward if self.back is None else forward * self.back.response(s, p)
-        return forward / (1 - self.sign * loop)
+        forward, *back = (part.response(s, p) for part in self.parts)
+        return forward / (1 - self.sign * math.prod(back, start=forward))
 
     @property
     def label(self) -> str:
         """Names of the parts."""
-        return f"Feedback({self.forward.label}" + (f", {self.back.label})" if self.back else ")")
+        return f"Feedback({', '.join(part.label for part in self.parts)})"
 
 
 def feedback(

@@ -136,12 +136,9 @@ def _implicit_trim(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
     z, p = symbols(model)
     derivative = traced_derivative(model, z, p)
     # A signal on which no derivative depends cannot be solved for; it rests at zero.
-    used = (
-        ca.sum1(ca.DM(ca.jacobian_sparsity(derivative, z), 1.0))
-        if len(model.states)
-        else ca.DM.zeros(1, len(names))
-    )
-    unknown = [k for k, name in enumerate(names) if name not in at and float(used[k]) > 0]
+    unknown = [
+        k for k, name in enumerate(names) if name not in at and ca.depends_on(derivative, z[k])
+    ]
     excess = len(unknown) - len(model.states)
     if excess > 0:
         raise ValueError(

@@ -135,19 +135,18 @@ def model_at(
     """
     if inputs is not None:
         require_inputs(inputs)
-    if isinstance(model, Estimate):
-        if values is not None:
-            cure = (
-                "give the record by name, record=r"
-                if isinstance(values, Record)
-                else "leave the other out"
-            )
-            raise TypeError(f"the model is a Fit, which has an estimate of its own: {cure}.")
-        return model.at_estimate(None, inputs=inputs, part=part, record=record)
-    if not isinstance(model, Model):
+    is_fit = isinstance(model, Estimate)
+    if is_fit and values is not None:
+        cure = "leave the other out"
+        if isinstance(values, Record):
+            cure = "give the record by name, record=r"
+        raise TypeError(f"the model is a Fit, which has an estimate of its own: {cure}.")
+    if not is_fit and not isinstance(model, Model):
         raise TypeError(f"model is {model!r:.80}: give an instance such as LinearTilt(), or a Fit.")
-    if isinstance(values, Estimate):
-        return values.at_estimate(model, inputs=inputs, part=part, record=record)
+    fit = model if is_fit else values
+    if isinstance(fit, Estimate):
+        of_model = None if is_fit else model
+        return fit.at_estimate(of_model, inputs=inputs, part=part, record=record)
     if not isinstance(values, Mapping):
         raise TypeError(f"values is {values!r:.60}: give {{name: value}} or a Fit.")
     return _of_values(model, values, inputs or "record")
