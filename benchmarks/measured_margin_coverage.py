@@ -13,7 +13,7 @@ import numpy as np
 from margin_coverage import PLANTS, Rate, RateLoop, flown
 
 import greybox as gb
-from greybox.models.measured_loop import broken_loop, measured_margins
+from greybox.experiment import broken_loop, measured_margins
 
 NAMES = (
     "phase margin",

@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import greybox as gb
+from greybox.experiment.control_check import ControlCheck, check_controller
 from greybox.experiment.controller import sensors_of
+from greybox.experiment.measured_loop import broken_loop, measured_margins
 from greybox.experiment.sampled_loop import DOT, linear_controller
 from greybox.files.text_table import text_table
 from greybox.logs.ardupilot import SYSTEMID_AXES
@@ -16,9 +18,7 @@ from greybox.logs.flight_controllers import AXES, named_filters
 from greybox.logs.named_columns import in_si
 from greybox.logs.px4 import AXES as PX4_AXES
 from greybox.models import ardupilot, betaflight, px4
-from greybox.models.control_check import ControlCheck, check_controller
 from greybox.models.digital_filters import SampledLag, SampledLowPass, SampledNotch
-from greybox.models.measured_loop import broken_loop, measured_margins
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,6 +12,8 @@ tell).
 | `drawn_loops` | that loop at an estimate and at draws from its distribution |
 | `loop_numbers` | margins and closed-loop numbers of such loops |
 | `margins` | these numbers with their errors |
+| `control_check` | whether a controller computes the control of a log |
+| `measured_loop` | broken loops from measured responses, and their margins |
 | `safe_gains` | gains that meet requirements on them with a stated confidence |
 | `gain_file` | files of gains for ground stations |
 | `virtual_flight` | flights in simulation |
@@ -23,6 +25,8 @@ tell).
 
 from greybox.experiment.chosen_tests import ChosenTests as ChosenTests
 from greybox.experiment.chosen_tests import choose_tests as choose_tests
+from greybox.experiment.control_check import ControlCheck as ControlCheck
+from greybox.experiment.control_check import check_controller as check_controller
 from greybox.experiment.controller import Controller as Controller
 from greybox.experiment.excitation import Excitation as Excitation
 from greybox.experiment.expected_errors import ExpectedErrors as ExpectedErrors
@@ -30,6 +34,8 @@ from greybox.experiment.expected_errors import expected_errors as expected_error
 from greybox.experiment.gain_file import write_gains as write_gains
 from greybox.experiment.margins import Margins as Margins
 from greybox.experiment.margins import margins as margins
+from greybox.experiment.measured_loop import broken_loop as broken_loop
+from greybox.experiment.measured_loop import measured_margins as measured_margins
 from greybox.experiment.multisine import multisine as multisine
 from greybox.experiment.safe_gains import SafeGains as SafeGains
 from greybox.experiment.safe_gains import safe_gains as safe_gains

@@ -5,7 +5,7 @@ Begin with `loop_numbers`.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -70,8 +70,8 @@ class Crossings:
 
     def where(self, condition: BoolArray) -> "Crossings":
         """Return those that fulfil a condition (k,)."""
-        rows = (array[condition] for array in (self.plant, self.place, self.share, self.omega))
-        return Crossings(self.plants, *rows)
+        names = ("plant", "place", "share", "omega")
+        return replace(self, **{name: getattr(self, name)[condition] for name in names})
 
     def smallest(self, values: Array) -> Located:
         """Return the smallest of the values (k,) of each plant; infinity for none."""

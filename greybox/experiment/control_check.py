@@ -7,7 +7,9 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from greybox.experiment.controller import updated
+from greybox.data.record import Record
+from greybox.experiment.controller import Controller, updated
+from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
 
 LATEST = 3  # samples by which a logged setpoint may precede the control that it belongs to
@@ -40,11 +42,11 @@ class ControlCheck:
     rate: float
 
     @property
-    def reproduces(self):
+    def reproduces(self) -> bool:
         """Whether the controller computes the logged control to a tenth."""
         return self.residual <= GOOD
 
-    def __str__(self):
+    def __str__(self) -> str:
         is_thinned = self.rate > THINNED * self.log_rate
         log = f"; the log has {self.log_rate:.4g} of {self.rate:g} Hz" if is_thinned else ""
         cure = "log every pass of the loop" if is_thinned else "check gains, filters and scaling"
@@ -52,7 +54,7 @@ class ControlCheck:
         return f"Residual {100 * self.residual:.2g} % of the control{log}: the controller {verdict}"
 
 
-def check_controller(controller, record):
+def check_controller(controller: Controller, record: Record) -> ControlCheck:
     """Simulate a controller on the logged error, and compare its first output with the log.
 
     Parameters
@@ -62,6 +64,10 @@ def check_controller(controller, record):
         Inputs, setpoints and the first output by the controller's own names; a setpoint that is
         not there is zero. Its first minute or so is used. Where a log has only some passes of the
         loop, the signals are interpolated by cubic splines.
+
+    Returns
+    -------
+    ControlCheck
 
     Raises
     ------
@@ -106,16 +112,14 @@ def check_controller(controller, record):
     return ControlCheck(best, late, record.rate, controller.rate)
 
 
-def _spline(time, values, grid):
-    return (
-        values
-        if grid is time
-        else np.asarray(ca.interpolant("s", "bspline", [time], values)(grid)).ravel()
-    )
+def _spline(time: Array, values: Array, grid: Array) -> Array:
+    if grid is time:
+        return values
+    return np.asarray(ca.interpolant("s", "bspline", [time], values)(grid)).ravel()
 
 
 @one_thread_at_a_time
-def _compiled(controller):
+def _compiled(controller: Controller) -> ca.Function:
     names = (*controller.inputs, *controller.setpoints)
     x, u = ca.SX.sym("x", len(controller.states)), ca.SX.sym("u", len(names))
     following, outputs = updated(controller, x, dict(zip(names, ca.vertsplit(u), strict=True)))

@@ -7,10 +7,10 @@ import pytest
 
 import greybox as gb
 from greybox.data.record import Recording
+from greybox.experiment import broken_loop, measured_margins
 from greybox.experiment.sampled_loop import sampled_loop
 from greybox.models.ardupilot import AngleController, RateController
 from greybox.models.firmware import disagreements, from_log, loop_of_log
-from greybox.models.measured_loop import broken_loop, measured_margins
 from greybox.models.rate import DampedAngle
 
 RATE = 100.0

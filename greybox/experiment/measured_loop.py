@@ -8,23 +8,33 @@ from dataclasses import replace
 
 import numpy as np
 
+from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.response_band import require_level
 from greybox.experiment.drawn_loops import DRAWS
 from greybox.experiment.loop_numbers import margin_numbers
 from greybox.experiment.margins import UNITS, Margin, Margins
+from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import listed
 
-# The least distance from -1 is less in noise, and less again in draws from it: these show the bias,
-# and their quantiles are reflected about the value (basic intervals).
+# Noise makes the least distance from -1 too small, and draws from a noisy response make it smaller
+# still. The draws so show the bias, and their quantiles are reflected about the value.
 LEAST = ("modulus margin", "disturbance rejection peak")
 
 
-def broken_loop(sensitivity):
+def broken_loop(sensitivity: FrequencyResponse) -> FrequencyResponse:
     """Return the gain of the broken loop, L = 1/S - 1, of negative feedback.
 
     `sensitivity` is the measured response S from a signal that is injected into the loop to the sum
     of it and of what the loop returns there: from ``SIDD.Targ`` to the control ``RATE.POut``, or
     from a setpoint to the error. Errors are propagated to first order.
+
+    Parameters
+    ----------
+    sensitivity : FrequencyResponse
+
+    Returns
+    -------
+    FrequencyResponse
 
     Raises
     ------
@@ -41,7 +51,7 @@ def broken_loop(sensitivity):
     return replace(sensitivity.times(-1 / S**2), response=1 / S - 1)
 
 
-def measured_margins(loop, *, level=0.95):
+def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins:
     """Return the margins of a measured broken loop, with negative feedback.
 
     They are read between the measured points, where magnitude and phase are straight lines over the
@@ -49,6 +59,16 @@ def measured_margins(loop, *, level=0.95):
     intervals come from draws from the errors of the points, which also correct the bias of the
     modulus margin, and are wider by the error of the interpolation, a third of what leaving out
     every second point changes. The loop is taken as stable, because it flew.
+
+    Parameters
+    ----------
+    loop : FrequencyResponse
+        With a variance, as `broken_loop` and `greybox.spectral` give it.
+    level : float
+
+    Returns
+    -------
+    Margins
 
     Source: Davison and Hinkley (1997), Bootstrap Methods and their Application, section 5.2 (basic
     intervals).
@@ -98,7 +118,7 @@ def measured_margins(loop, *, level=0.95):
     return Margins(plant, loop.input, "", "", tuple(rows), True, 0.0, level, None, tuple(notes))
 
 
-def _drawn(loop):
+def _drawn(loop: FrequencyResponse) -> ComplexArray:
     """Return the response and draws from its errors (1 + draws, n)."""
     if loop.variance is None:
         raise ValueError("the response has no variance: give one, as gb.spectral estimates it.")
@@ -113,9 +133,8 @@ def _drawn(loop):
     return np.vstack([loop.response, drawn])
 
 
-def _between(points, response):
+def _between(points: Array, response: ComplexArray) -> tuple[ComplexArray, Array]:
     """Return gains (m, k) interpolated between points (n,) of log omega, and omega (k,)."""
     x = np.unique([*points, *np.linspace(points[0], points[-1], 300)])
-    logarithm = np.log(response)
-    logarithm = logarithm.real + 1j * np.unwrap(logarithm.imag, axis=1)
+    logarithm = np.log(np.abs(response)) + 1j * np.unwrap(np.angle(response), axis=1)
     return np.exp([np.interp(x, points, row) for row in logarithm]), np.exp(x)
