@@ -55,8 +55,7 @@ def harmonic_function(
     A sine without a number of harmonics gets as many as matter at the start values.
     """
     signals: dict[str, Any] = {"input": input, "output": output, "at": at, "pade": pade}
-    if sine.harmonics is None:
-        sine = enough_harmonics(model, omega, sine, **signals)
+    sine = enough_harmonics(model, omega, sine, **signals)
     return compiled_balance(model, omega, sine, **signals).response(omega)
 
 
@@ -99,19 +98,21 @@ def directly_found(
     if sine.harmonics is None:
         numbers = [number for number in HARMONICS if least <= number <= most]
 
-    responses: list[ComplexArray] = []
+    response = np.zeros(0, dtype=complex)
+    previous = 0
     for number in numbers:
         function = harmonic_function(model, omega, replace(sine, harmonics=number), **signals)
+        few = response
         real, imaginary = (np.asarray(part).ravel() for part in function(vector))
         is_finite = np.isfinite(real) & np.isfinite(imaginary)
         # Infinite parts would make NaN as a product, and NaN alone marks a missing motion.
         response = np.full(omega.size, np.nan + 0j)
         response[is_finite] = real[is_finite] + 1j * imaginary[is_finite]
-        responses.append(response)
-        if len(responses) > 1 and agree(*responses[-2:]).all():
-            return responses[-1], numbers[len(responses) - 2]
+        if previous and agree(few, response).all():
+            return response, previous
+        previous = number
 
-    return responses[-1], numbers[-1]
+    return response, previous
 
 
 def agree(few: ComplexArray, many: ComplexArray) -> BoolArray:

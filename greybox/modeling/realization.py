@@ -171,7 +171,8 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
         return exact
     x, u, p = exact.symbols
     delays: Any = ca.vertsplit(exact.delay(p))
-    added: list[tuple[str, ca.SX]] = []
+    names = list(exact.states)
+    states = [x]
     rows = []
     delayed_inputs = []
     for k, name in enumerate(exact.inputs):
@@ -181,15 +182,16 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
             continue
         state = ca.SX.sym(f"delay_{name}", pade)
         output, derivative = pade_rows(ca.vertsplit(state), u[k], delays[k], pade)
-        added += [(f"{name}_delay_{i}", state[i]) for i in range(pade)]
+        names += [f"{name}_delay_{i}" for i in range(pade)]
+        states.append(state)
         rows += derivative
         delayed_inputs.append(output)
 
-    full = ca.vertcat(x, *[symbol for _, symbol in added])
+    full = ca.vertcat(*states)
     delayed = ca.vertcat(*delayed_inputs)
     return replace(
         exact,
-        states=(*exact.states, *(name for name, _ in added)),
+        states=tuple(names),
         derivative=ca.Function(
             "derivative", [full, u, p], [ca.vertcat(exact.derivative(x, delayed, p), *rows)]
         ),

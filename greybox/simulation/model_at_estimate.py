@@ -110,10 +110,11 @@ class ModelAtEstimate:
         places = [self.part.outputs.index(name) for name in outputs]
         return self.part.noise[np.ix_(places, places)]
 
-    def free_running(self) -> TimeCriterion:
-        """Return the criterion without corrections of the states."""
+    def free_running(self) -> "ModelAtEstimate":
+        """Return the model without corrections of its states."""
         # A free simulation has no measurements to correct its states with.
-        return OutputError(inputs=self.criterion.inputs, biases=self.criterion.biases)
+        criterion = OutputError(inputs=self.criterion.inputs, biases=self.criterion.biases)
+        return replace(self, criterion=criterion)
 
 
 def model_at(
@@ -149,6 +150,7 @@ def model_at(
         return fit.at_estimate(of_model, inputs=inputs, part=part, record=record)
     if not isinstance(values, Mapping):
         raise TypeError(f"values is {values!r:.60}: give {{name: value}} or a Fit.")
+    assert isinstance(model, Model)
     return _of_values(model, values, inputs or "record")
 
 

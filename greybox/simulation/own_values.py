@@ -50,7 +50,7 @@ def with_own_values(
         return model, {}, ()
     biased = _with_biases(model, own)
     limits = {name: _limits(biased, windows, name) for name in own}
-    simulator = Simulator(biased, biased.criterion, outputs, integrator)
+    simulator = Simulator(biased, outputs, integrator)
 
     # Short windows come first: they follow the record even with wrong values.
     estimate = _determined(simulator, biased, windows, limits)
@@ -305,7 +305,8 @@ def pseudo_inverse(matrix: Array) -> Array:
     diagonal = np.diag(matrix)
     scale = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
     scales = np.outer(scale, scale)
-    return np.asarray(np.linalg.pinv(matrix * scales, BLIND, hermitian=True) * scales)
+    inverse = np.linalg.pinv(matrix * scales, BLIND, hermitian=True)
+    return np.asarray(inverse * scales, dtype=np.float64)
 
 
 def _not_determined(estimate: _Estimate, limits: Mapping[str, tuple[float, float]]) -> str:

@@ -102,7 +102,7 @@ def simulate(
         name: np.full(len(record), np.nan)
         for name in dict.fromkeys((*outputs, *errors, *estimated.system.states))
     }
-    simulator = Simulator(estimated, estimated.free_running(), outputs, integrator or RungeKutta())
+    simulator = Simulator(estimated.free_running(), outputs, integrator or RungeKutta())
     unknown: dict[str, None] = {}
     for stretch, start in zip(stretches, states, strict=True):
         signals, without_error = simulator.free_run(stretch, start, fitted_initial)
@@ -215,7 +215,7 @@ def predict_windows(
     integrator = integrator or RungeKutta()
     own = (own,) if isinstance(own, str) else own
     model, values, notes = with_own_values(model, windows, outputs, integrator, own)
-    simulator = Simulator(model, model.criterion, outputs, integrator)
+    simulator = Simulator(model, outputs, integrator)
     simulated = simulator.windows(windows)
     error, unknown = simulator.standard_errors(simulated)
     notes += (f"{_not_known(unknown, model)}.",) if unknown else ()

@@ -4,14 +4,13 @@ from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass, replace
 
-import casadi as ca
 import numpy as np
 
+from greybox.compiled.initial_states import InitialStates
 from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.sampled_data import SampledData, Stretch
 from greybox.compiled.segments import Segments
 from greybox.files.arrays import Array, BoolArray, IntArray
-from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.step_size import (
@@ -40,9 +39,6 @@ FIRST_REACH = 0.1
 # Most substeps to begin with: the fastest mode at rest may not occur in the simulation.
 MOST_AT_FIRST = 8
 DIVERGED = 1e9  # no state of a vehicle in SI units is that large
-# Initial states to try if the model is not finite at zero (roots, logarithms), in units of the size
-# of the outputs.
-SIZES = (1.0, 0.1, 10.0, -1.0)
 ERROR = "_error"
 
 
@@ -109,21 +105,21 @@ class _Run:
 class Simulator:
     """A model at an estimate, run with as many substeps as it turns out to need."""
 
+    @one_thread_at_a_time
     def __init__(
         self,
         model: ModelAtEstimate,
-        criterion: TimeCriterion,
         outputs: tuple[str, ...],
         integrator: Integrator,
     ) -> None:
         if not isinstance(integrator, Integrator):
             raise TypeError(f"integrator is {integrator!r:.60}: give RungeKutta() or Rosenbrock().")
         self._model = model
-        self._criterion = criterion
         self._outputs = outputs
         self._integrator = integrator
         self._substeps = integrator.substeps or 0
         self._steps: dict[int, SampleStep] = {}
+        self._initial = InitialStates(model.system, outputs)
 
     def at(self, q: Array) -> "Simulator":
         """Return the same simulator at other values (declared,)."""
@@ -192,6 +188,7 @@ class Simulator:
         in_lead = np.moveaxis(present, 0, -1)
         past = np.where(in_lead, measured, np.nan)[:, :lead]
         informing = in_lead[:, :lead, :, None]
+        guess = self._first_states(windows, past)
         # A constant signal has no size of its own.
         spread = np.array([np.nanstd(windows.record[name]) or 1.0 for name in self._outputs])
 
@@ -208,9 +205,8 @@ class Simulator:
                 slopes = segments.output_sensitivities(states, model.q, columns)
                 return np.where(informing, slopes, 0.0)
 
-            guesses = _initial_guesses(model, self._outputs, past)
             noise = model.noise(self._outputs)
-            estimates = estimate_states(outputs, sensitivities, past, guesses, noise, spread)
+            estimates = estimate_states(outputs, sensitivities, past, guess, noise, spread)
             whole = Segments(step, w, length, active)
             columns_of_all = _columns(whole, data, present)
             return _Run.of(whole, estimates.states, model.q, columns_of_all, estimates)
@@ -242,7 +238,7 @@ class Simulator:
         """Return the errors one sample ahead in standard deviations, (w, samples, k)."""
         estimates, outputs = simulated.initial, simulated.outputs
         by_state = simulated.slopes[..., : len(self._model.system.states)]
-        if self._criterion.corrects_states:
+        if self._model.criterion.corrects_states:
             # One step ahead, the corrections continue after the lead-in.
             segments, q = simulated.segments, self._model.q
             data = _columns(segments, simulated.data, np.isfinite(simulated.data["measured"]))
@@ -258,10 +254,25 @@ class Simulator:
             estimates.noise,
         )
 
+    def _first_states(self, windows: Windows, past: Array) -> Array:
+        """Return states (w, n) at which the windows begin, as far as measurements show them."""
+        model = self._model
+        # The first measurement of every output, if it was measured at all.
+        first = np.isfinite(past).argmax(axis=1)[:, None]
+        measured = np.nan_to_num(np.take_along_axis(past, first, axis=1)[:, 0].T)
+        names = model.system.inputs
+        inputs = np.array([windows.record[name][windows.rows[:, 0]] for name in names])
+        fitted = {} if model.part is None else model.part.initial
+        known = [float(np.mean(fitted.get(name, np.nan))) for name in model.system.states]
+        states = self._initial.at(
+            measured, inputs.reshape(len(names), len(past)), model.p, np.array(known)
+        )
+        return self._initial.as_measured(states, measured).T
+
     def _accurate(self, step: float, run: Callable[[SampleStep], _Run]) -> _Run:
         """Run with more and more substeps until halved ones change no sample noticeably."""
         chosen = self._integrator.substeps is not None
-        self._substeps = self._substeps or _first_substeps(self._model, step)
+        self._substeps = self._substeps or self._first_substeps(step)
         while True:
             result = run(self._step(self._substeps))
             if chosen or not result.states.size or self._substeps >= MOST_SUBSTEPS:
@@ -273,6 +284,14 @@ class Simulator:
             error = error if error > TOLERANCE else np.inf
             factor = substep_growth(error, TOLERANCE, self._integrator.order)
             self._substeps = min(MOST_SUBSTEPS, self._substeps * factor)
+
+    def _first_substeps(self, step: float) -> int:
+        """Return the substeps of a sample by the poles near rest."""
+        system = self._model.system
+        # Not at zero itself, where the slope of |v| v vanishes and that of a root is infinite.
+        states = np.full((len(system.states), 1), 1e-3)
+        poles = self._initial.poles(states, np.zeros((len(system.inputs), 1)), self._model.p)
+        return stable_substeps(poles, step, reach=FIRST_REACH, most=MOST_AT_FIRST)
 
     def _local_error(self, result: _Run) -> float:
         """Return the largest change of a state in one sample by halved substeps, over its size."""
@@ -297,7 +316,7 @@ class Simulator:
             self._steps[substeps] = sample_step(
                 model.system,
                 model.held,
-                self._criterion,
+                model.criterion,
                 self._outputs,
                 model.names,
                 self._integrator,
@@ -309,19 +328,6 @@ class Simulator:
 def diverged(signals: Mapping[str, Array]) -> BoolArray:
     """Return at which samples a signal is not finite or larger than any physical one."""
     return ~np.all([np.abs(values) < DIVERGED for values in signals.values()], axis=0)
-
-
-@one_thread_at_a_time
-def _first_substeps(model: ModelAtEstimate, step: float) -> int:
-    """Return the substeps of a sample by the poles near rest."""
-    x = ca.SX.sym("x", len(model.system.states))
-    rest = np.zeros(len(model.system.inputs))
-    jacobian = ca.Function("A", [x], [ca.jacobian(model.system.derivative(x, rest, model.p), x)])
-    # Not at zero itself, where the slope of |v| v vanishes and that of a root is infinite.
-    matrix = jacobian(np.full(x.numel(), 1e-3)).full()
-    if not np.all(np.isfinite(matrix)):
-        return 1
-    return stable_substeps(np.linalg.eigvals(matrix), step, reach=FIRST_REACH, most=MOST_AT_FIRST)
 
 
 def _columns(segments: Segments, data: Mapping[str, Array], present: BoolArray) -> Array:
@@ -400,26 +406,3 @@ def _depends(by_value: Array, q: Array) -> BoolArray:
     largest = np.nanmax(effect, axis=(*range(effect.ndim - 2), -1), initial=0.0)  # of every output
     # Smaller effects are rounding errors.
     return ~(effect <= 1e-9 * largest[:, None])
-
-
-def _initial_guesses(model: ModelAtEstimate, outputs: tuple[str, ...], past: Array) -> list[Array]:
-    """Return first states (w, n), and alternatives for windows in which they are not finite.
-
-    States with the name of an output begin at its first measurement; others at zero, at the values
-    of the fit, or at the size of the outputs.
-    """
-    states = model.system.states
-    w = len(past)
-    fitted = {} if model.part is None else model.part.initial
-    size = float(np.nanmean(np.abs(past))) or 1.0
-    levels = [np.zeros(len(states)), [float(np.mean(fitted.get(name, 0.0))) for name in states]]
-    levels += [np.full(len(states), factor * size) for factor in SIZES]
-    guesses = np.repeat(np.array(levels)[:, None], w, axis=1)
-
-    # A measured state need not be guessed.
-    for i, name in enumerate(states):
-        if name in outputs:
-            values = past[:, :, outputs.index(name)]
-            first = np.isfinite(values).argmax(axis=1)
-            guesses[:, :, i] = np.nan_to_num(values[np.arange(w), first])
-    return [*guesses]

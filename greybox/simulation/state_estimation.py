@@ -4,14 +4,14 @@ Gauss-Newton steps lead to the maximum a posteriori estimate, under the noise of
 prior that the windows share. Mean and spread of this prior are those of all windows (empirical
 Bayes by expectation and maximization), so that a state on which a short lead-in has little
 information stays near its mean over the record. A formula need not be finite everywhere (a root of
-a level): a window begins with the first of several guesses from which its lead-in is finite, or at
-the mean of the others, and no step leads to outputs that are not finite.
+a level): a window from whose guess the lead-in is not finite begins at the mean of the others, and
+no step leads to outputs that are not finite.
 Source: Jazwinski (1970), Stochastic Processes and Filtering Theory, section 5.3; Dempster, Laird
 and Rubin (1977), Maximum likelihood from incomplete data via the EM algorithm, Journal of the Royal
 Statistical Society B 39.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,28 +52,24 @@ def estimate_states(
     outputs: Outputs,
     sensitivities: Sensitivities,
     measured: Array,
-    guesses: Sequence[Array],
+    guess: Array,
     noise: Array | None,
     spread: Array,
 ) -> StateEstimates:
     """Estimate the states (w, n) from `measured` (w, samples, k), NaN where missing.
 
-    Every window begins with the first of the `guesses` from which its lead-in is finite.
+    Every window begins with its `guess` (w, n), or, if its lead-in is not finite from there, at the
+    mean of the others.
 
     `noise` (k, k) is None if it is to be estimated; `spread` (k,) is the standard deviation of the
     outputs over the record.
     """
-    w, n = guesses[0].shape
+    w, n = guess.shape
     lead_ins = _LeadIns(outputs, sensitivities, measured)
     floor = np.diag((ROUNDING * spread) ** 2)
     R = np.diag((0.1 * spread) ** 2) + floor if noise is None else noise + floor
-    x = guesses[0]
+    x = guess
     e, S, finite = lead_ins.linearized(x)
-    for guess in guesses[1:]:
-        if finite.all():
-            break
-        x = np.where(finite[:, None], x, guess)
-        e, S, finite = lead_ins.linearized(x)
     if not finite.any():
         unknown = np.full(n, np.nan)
         return StateEstimates(x, R, unknown, unknown, ~finite)

@@ -36,7 +36,7 @@ def test_biases_and_gains_come_by_their_names():
     assert model.criterion == gb.PredictionError(
         inputs="held", biases=("position",), corrected=("velocity",)
     )
-    assert model.free_running() == gb.OutputError(inputs="held", biases=("position",))
+    assert model.free_running().criterion == gb.OutputError(inputs="held", biases=("position",))
 
 
 def test_a_fit_gives_its_covariance_and_noise():

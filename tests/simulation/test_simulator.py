@@ -12,11 +12,8 @@ import greybox as gb
 from greybox.simulation.model_at_estimate import model_at
 from greybox.simulation.simulator import (
     DIVERGED,
-    MOST_AT_FIRST,
     Simulator,
     _depends,
-    _first_substeps,
-    _initial_guesses,
     _standard_errors,
     diverged,
     with_implied_states,
@@ -42,32 +39,6 @@ class Kinked(Growth):
 
     def derivative(self, x, u, p):
         return (-p.rate * abs(x.x) * x.x + u.u,)
-
-
-@pytest.mark.parametrize(
-    ("rate", "count"), [(-0.05, 1), (-3.0, 3), (3.0, 3), (-1e6, MOST_AT_FIRST)]
-)
-def test_the_first_substeps_follow_the_poles_at_rest(rate, count):
-    assert _first_substeps(model_at(Growth(), {"rate": rate}), 0.1) == count
-
-
-def test_a_model_without_states_needs_no_substeps():
-    class Static(gb.StateSpace):
-        states = ()
-        k = gb.Parameter(2.0)
-
-        def output(self, x, u, p):
-            return (p.k * u.u,)
-
-    assert _first_substeps(model_at(Static(), {}), 0.1) == 1
-
-    class Rooted(Growth):
-        """x' = rate √(x - 1): without a slope near zero."""
-
-        def derivative(self, x, u, p):
-            return (p.rate * gb.sqrt(x.x - 1),)
-
-    assert _first_substeps(model_at(Rooted(), {"rate": -80.0}), 0.1) == 1
 
 
 @pytest.mark.parametrize("integrator", [gb.RungeKutta(), gb.Rosenbrock()], ids=repr)
@@ -170,25 +141,6 @@ def test_outputs_follow_the_states_that_measurements_imply():
     assert np.isnan(unknown).all()
 
 
-def test_guesses_begin_with_what_was_measured():
-    """A state of an output's name at its first sample.
-
-    Others at zero, as fitted, or of the outputs' size.
-    """
-    nan = np.nan
-    past = np.array([[[nan, nan], [4.0, 7.0], [1.0, -2.0]], [[2.0, nan], [nan, nan], [-6.0, nan]]])
-    model = SimpleNamespace(system=SimpleNamespace(states=("p", "y")), part=None)
-    size = (4 + 7 + 1 + 2 + 2 + 6) / 6
-    for part, fitted in ((None, 0.0), (SimpleNamespace(initial={"p": np.array([1.0, 4.0])}), 2.5)):
-        guesses = _initial_guesses(
-            SimpleNamespace(**{**vars(model), "part": part}), ("z", "y"), past
-        )
-        others = [0.0, fitted, size, 0.1 * size, 10 * size, -size]
-        assert_allclose(guesses, [[[value, 7.0], [value, 0.0]] for value in others])
-    nothing = _initial_guesses(model, ("z", "q"), np.zeros((1, 2, 2)))
-    assert_allclose(np.ravel(nothing), [0, 0, 0, 0, 1, 1, 0.1, 0.1, 10, 10, -1, -1])
-
-
 def test_windows_are_linearized_along_their_simulations():
     """x' = r x + u, of which x = x0 exp(rt) for no input: slopes exp(rt) and t x0 exp(rt)."""
     rate, step = -0.6, 0.1
@@ -199,7 +151,7 @@ def test_windows_are_linearized_along_their_simulations():
     record = gb.Record(time, {"u": np.zeros(40), "x": measured})
     model = model_at(Growth(), {"rate": rate}).driven_by(record)
     windows = cut(record, ["u"], ["x"], lead=0.8, horizon=1.2)
-    simulator = Simulator(model, model.criterion, ("x",), gb.RungeKutta())
+    simulator = Simulator(model, ("x",), gb.RungeKutta())
     found = simulator.windows(windows, np.array([0]))
     start = found.initial.states[:, :, None]
     t = step * np.arange(20)
