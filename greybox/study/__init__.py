@@ -18,6 +18,6 @@ from greybox.study.batch import Member as Member
 from greybox.study.batch import batch as batch
 from greybox.study.bootstrap import Bootstrap as Bootstrap
 from greybox.study.bootstrap import bootstrap as bootstrap
+from greybox.study.store import StudyMember as StudyMember
 from greybox.study.study import Study as Study
-from greybox.study.study import StudyMember as StudyMember
 from greybox.study.study import read_study as read_study

@@ -32,7 +32,7 @@ from greybox.solve.interruption import (
 )
 from greybox.solve.kept_runs import KeptRunsError
 from greybox.solve.multistart import BATCHED
-from greybox.study.store import StoredMember, StoredRuns, add_members, locked, write_answer
+from greybox.study.store import StoredRuns, StudyMember, add_members, locked, write_answer
 from greybox.study.study import Study, read_study
 
 # A problem that cannot be fitted ends its own member; any other error is a bug.
@@ -183,7 +183,7 @@ def require_distinct(members: Sequence[Member]) -> None:
 
 
 def _fit_member(
-    member: Member, folder: Path, stored: StoredMember, executor: Executor | None, bar: Any
+    member: Member, folder: Path, stored: StudyMember, executor: Executor | None, bar: Any
 ) -> None:
     """Fit a member, unless it is done; an error of its own is its answer."""
     if _is_done(member, stored):
@@ -223,12 +223,12 @@ def _fit_member(
     answer = {**(summary(result) if result else {}), **marks}
     with responding(Response.FINISH):
         if result is not None:
-            save(result, stored.fit_file(folder))
+            save(result, stored.file)
         # The answer says that the member is done, so it comes last.
         write_answer(folder, member.name, {**answer, "error": error} if error else answer)
 
 
-def _is_done(member: Member, stored: StoredMember) -> bool:
+def _is_done(member: Member, stored: StudyMember) -> bool:
     """Return whether a member has a usable answer from the requested starts.
 
     Raises
@@ -237,7 +237,7 @@ def _is_done(member: Member, stored: StoredMember) -> bool:
         If it is the answer to another problem.
     """
     # A failed member is tried again: the cause, such as a missing file, may be gone.
-    if not stored.answer or stored.answer.get("error"):
+    if stored.status != "done":
         return False
     if stored.answer.get("fingerprint") != fingerprint(member.problem, member.by):
         raise ValueError(

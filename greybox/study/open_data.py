@@ -6,7 +6,7 @@ are an input, and so are the constants of the problem, which an earlier fit may 
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from copy import copy
 from typing import Any
 
 import casadi as ca
@@ -15,7 +15,6 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.limits import limits_of, stacked
 from greybox.compiled.response_programs import solver_weights
-from greybox.data.frequency_response import FrequencyResponse
 from greybox.files.arrays import Array, ComplexArray
 from greybox.formulation.problem import Problem
 from greybox.modeling.complex_arithmetic import Complex
@@ -23,10 +22,9 @@ from greybox.modeling.one_thread import one_thread_at_a_time
 
 
 def program_input(constants: Array, measured: Iterable[ComplexArray]) -> Array:
-    """Return the third input of an `open_program`: constants, then measured values by part."""
-    return np.concatenate(
-        [constants, *(part for values in measured for part in (values.real, values.imag))]
-    )
+    """Return the third input of an `open_program`: constants, real parts, then imaginary parts."""
+    values = np.concatenate(list(measured))
+    return np.concatenate([constants, values.real, values.imag])
 
 
 @one_thread_at_a_time
@@ -44,25 +42,23 @@ def open_program(nlp: CompiledProblem) -> ca.Function:
     kind: Any = ca.SX if nlp.responses.is_a("SXFunction") else ca.MX
     z = kind.sym("z", len(nlp.free))
     smoothing = kind.sym("smoothing")
-    sizes = [len(part.data) for part in parts for _ in ("real", "imaginary")]
-    lengths = [len(nlp.constants), *sizes]
-    data = kind.sym("data", sum(lengths))
-    constants, *measured = ca.vertsplit(data, np.cumsum([0, *lengths]).tolist())
-
-    values = [*nlp.scaling.expressions(z), *ca.vertsplit(constants)]
-
     # The real parts of all responses come first, then the imaginary parts.
-    modeled = ca.vertsplit(
-        nlp.responses(ca.vertcat(*values)), np.cumsum([0, *sizes[::2], *sizes[::2]]).tolist()
-    )
+    sizes = [len(part.data) for part in parts]
+    ends = np.cumsum([0, *sizes, *sizes]).tolist()
+    count = len(nlp.constants)
+    numbers = kind.sym("data", count + ends[-1])
+    measured = ca.vertsplit(numbers[count:], ends)
+    values = [*nlp.scaling.expressions(z), *ca.vertsplit(numbers[:count])]
+    modeled = ca.vertsplit(nlp.responses(ca.vertcat(*values)), ends)
     cost = kind(0)
     for k, (part, weight) in enumerate(zip(parts, solver_weights(parts), strict=True)):
-        response = Complex(modeled[k], modeled[len(parts) + k])
-        open_data = _OpenData(part.response, _Measured(measured[2 * k], measured[2 * k + 1]))
-        cost += weight * _cost(part, response, open_data, smoothing)
+        response = Complex(*modeled[k :: len(parts)])
+        data = copy(part.response)  # a new one would check its values, which are symbols
+        object.__setattr__(data, "response", _Measured(*measured[k :: len(parts)]))
+        cost += weight * _cost(part, response, data, smoothing)
     named = dict(zip(nlp.names, values, strict=True))
     limits = stacked(limits_of(nlp.problem, kind), named, kind)
-    return ca.Function("program", [z, smoothing, data], [cost, limits])
+    return ca.Function("program", [z, smoothing, numbers], [cost, limits])
 
 
 class _Measured(Complex):
@@ -70,20 +66,6 @@ class _Measured(Complex):
 
     def __array_ufunc__(self, ufunc: Any, method: str, *inputs: Any) -> Any:
         return abs(self) if ufunc is np.absolute else NotImplemented
-
-
-@dataclass(frozen=True, eq=False)
-class _OpenData:
-    """A `FrequencyResponse` whose measured values are symbols."""
-
-    data: FrequencyResponse
-    response: _Measured
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.data, name)
-
-    def __len__(self) -> int:
-        return len(self.data)
 
 
 def _cost(part: Problem, response: Complex, data: Any, smoothing: Any) -> Any:

@@ -18,15 +18,18 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
+from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
-from greybox.files.text_table import printable
+from greybox.files.text_table import counted, one_line, printable
 from greybox.solve.interruption import Response, responding
 from greybox.solve.kept_runs import KeptRuns, KeptRunsError
 from greybox.solve.runs import IMPROVED, POLISHED, SCREENED, Outcome
+
+Status = Literal["done", "failed", "unfinished"]
 
 DATABASE = "study.sqlite"
 LOCK = "lock"
@@ -80,20 +83,67 @@ def locked(folder: Path) -> Iterator[None]:
         lock.release()
 
 
-@dataclass(frozen=True)
-class StoredMember:
-    """A member in the database: `answer` is empty until it is done, `runs` is a number of runs."""
+@dataclass(frozen=True, eq=False)
+class StudyMember:
+    """One fit of a study.
 
+    Attributes
+    ----------
+    folder : Path
+        The folder of the study.
+    number : int
+    name : str
+    answer : mapping
+        The numbers of the fit, as ``greybox fit --json`` prints them; empty without an answer.
+    stored_runs : int
+        Number of runs on disk.
+    """
+
+    folder: Path
     number: int
     name: str
     answer: Mapping[str, Any]
-    runs: int
+    stored_runs: int
 
-    def fit_file(self, folder: Path) -> Path:
-        """Return the file of its fit."""
+    @property
+    def error(self) -> str:
+        """Why the member failed; empty if it did not."""
+        return str(self.answer.get("error", ""))
+
+    @property
+    def status(self) -> Status:
+        """Return "done" with a usable answer, "failed" with an error, or "unfinished"."""
+        if not self.answer:
+            return "unfinished"
+        return "failed" if self.error else "done"
+
+    @property
+    def runs(self) -> int:
+        """Number of runs on disk, or of the answer."""
+        return int(self.answer["starts"]) if self.status == "done" else self.stored_runs
+
+    @property
+    def file(self) -> Path:
+        """The file of its fit, once it is done."""
         # The number keeps files apart whose names differ only in characters that are left out.
         short = re.sub(r"[^A-Za-z0-9_.-]+", "-", self.name).strip("-.")[:60]
-        return folder / f"{self.number:03d}-{short}.h5"
+        return self.folder / f"{self.number:03d}-{short}.h5"
+
+    @property
+    def fit(self) -> Fit:
+        """The whole fit, read from its file.
+
+        Raises
+        ------
+        FileNotFoundError
+            If the member has no fit yet.
+        """
+        from greybox.estimate.storage import load  # noqa: PLC0415  (slow import)
+
+        return load(self.file)
+
+    def __repr__(self) -> str:
+        return one_line(self, self.name, self.status, counted(self.runs, "run"))
 
 
 def is_study(folder: Path) -> bool:
@@ -103,7 +153,7 @@ def is_study(folder: Path) -> bool:
     return path.is_file() and path.stat().st_size > 0
 
 
-def read_members(folder: Path) -> list[StoredMember]:
+def read_members(folder: Path) -> list[StudyMember]:
     """Return the members of a study in their order.
 
     Raises
@@ -121,7 +171,8 @@ def read_members(folder: Path) -> list[StoredMember]:
         )
         rows = database.execute("SELECT id, name, answer, checksum FROM members ORDER BY id")
         return [
-            StoredMember(
+            StudyMember(
+                folder,
                 int(number),
                 printable(str(name)),
                 {} if answer is None else _decoded(folder, answer, checksum),
@@ -131,7 +182,7 @@ def read_members(folder: Path) -> list[StoredMember]:
         ]
 
 
-def add_members(folder: Path, names: Sequence[str]) -> dict[str, StoredMember]:
+def add_members(folder: Path, names: Sequence[str]) -> dict[str, StudyMember]:
     """Add the names that a study does not have, and return its members by name."""
     with _database(folder, create=True) as database:
         rows = [(name,) for name in names]
@@ -247,7 +298,7 @@ class StoredRuns(KeptRuns):
     def count(self) -> int:
         """Number of runs on disk."""
         members = read_members(self._folder) if is_study(self._folder) else []
-        return sum(member.runs for member in members if member.name == self._name)
+        return sum(member.stored_runs for member in members if member.name == self._name)
 
     def remove(self) -> None:
         """Remove all runs."""

@@ -6,56 +6,10 @@ Begin with `read_study`.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from greybox.estimate.result import Fit
 from greybox.files.text_table import counted, number, one_line, printable, text_table, with_error
-from greybox.study.store import StoredMember, read_members
-
-Status = Literal["done", "failed", "unfinished"]
-
-
-@dataclass(frozen=True, eq=False)
-class StudyMember:
-    """One fit of a study.
-
-    Attributes
-    ----------
-    name : str
-    file : Path
-        The file of its fit, once it is done.
-    status : str
-        "done" with a usable answer; "failed", for the reason in `error`; or "unfinished".
-    error : str
-        Why the member failed.
-    runs : int
-        Number of runs on disk, or of the answer.
-    answer : mapping
-        The numbers of the fit, as ``greybox fit --json`` prints them; empty without an answer.
-    """
-
-    name: str
-    file: Path
-    status: Status
-    error: str
-    runs: int
-    answer: Mapping[str, Any]
-
-    @property
-    def fit(self) -> Fit:
-        """The whole fit, read from its file.
-
-        Raises
-        ------
-        FileNotFoundError
-            If the member has no fit yet.
-        """
-        from greybox.estimate.storage import load  # noqa: PLC0415  (slow import)
-
-        return load(self.file)
-
-    def __repr__(self) -> str:
-        return one_line(self, self.name, self.status, counted(self.runs, "run"))
+from greybox.study.store import Status, StudyMember, read_members
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,28 +64,24 @@ def read_study(folder: str | Path) -> Study:
     ValueError
         If the study is damaged.
     """
-    folder = Path(folder)
-    return Study(folder, tuple(_member(stored, folder) for stored in read_members(folder)))
+    members = tuple(read_members(Path(folder)))
+    for member in members:
+        _require_readable(member)
+    return Study(Path(folder), members)
 
 
-def _member(stored: StoredMember, folder: Path) -> StudyMember:
-    name, answer, file = stored.name, stored.answer, stored.fit_file(folder)
-    if not answer:
-        return StudyMember(name, file, "unfinished", "", stored.runs, {})
-    if error := str(answer.get("error", "")):
-        return StudyMember(name, file, "failed", error, stored.runs, answer)
+def _require_readable(member: StudyMember) -> None:
+    # Do now what printing will do: a damaged answer must be refused when it is read.
     try:
-        member = StudyMember(name, file, "done", "", int(answer["starts"]), answer)
-        # Do now what printing will do: a damaged answer must be refused when it is read.
         _row(member)
-        _cells(answer)
-        _require_labels(answer)
+        if member.status == "done":
+            _cells(member.answer)
+            _require_labels(member.answer)
     except (LookupError, TypeError, ValueError, AttributeError):
         raise ValueError(
-            f"the answer of {name!r} in {folder} is damaged: restore the folder, or begin another "
-            "study."
+            f"the answer of {member.name!r} in {member.folder} is damaged: restore the folder, or "
+            "begin another study."
         ) from None
-    return member
 
 
 def _require_labels(answer: Mapping[str, Any]) -> None:

@@ -134,7 +134,7 @@ def test_another_problem_under_the_same_name_is_refused_and_changes_nothing(tmp_
     other = StoredRuns(tmp_path, "response")
     with pytest.raises(ValueError, match="belong to another problem"):
         other.known(fingerprint(OTHER, SolverChoice()))
-    with pytest.raises(ValueError, match="began at other starts, from number 0 on"):
+    with pytest.raises(ValueError, match="began at other starts, from number 1 on"):
         gb.batch(
             [gb.study.Member(RESPONSE, 12, seed=5, name="response", search="multistart")],
             tmp_path,

@@ -154,7 +154,7 @@ def change(folder, statement):
 def test_members_have_files_with_safe_names_and_keep_their_numbers(tmp_path):
     names = ["pitch, 5°", "a" * 80, "../.."]
     members = add_members(tmp_path, names)
-    files = [members[name].fit_file(tmp_path).name for name in names]
+    files = [members[name].file.name for name in names]
     assert files == ["001-pitch-5.h5", f"002-{'a' * 60}.h5", "003-.h5"]
     again = add_members(tmp_path, ["yaw", "pitch, 5°"])
     assert [member.name for member in again.values()] == [*names, "yaw"]

@@ -8,7 +8,8 @@ import pytest
 from greybox.solve.runs import Outcome
 from greybox.study.batch import require_distinct
 from greybox.study.store import StoredRuns, add_members, write_answer
-from greybox.study.study import Study, StudyMember, read_study
+from greybox.study.store import StudyMember
+from greybox.study.study import Study, read_study
 
 ANSWER = {
     "criterion": "relative error",
@@ -106,7 +107,7 @@ def test_members_with_the_same_quantities_are_compared_in_one_table(tmp_path):
     none = Study(tmp_path, ())
     assert "0 members: none" in repr(none)
     assert "Failed" not in str(none)
-    assert repr(StudyMember("a", tmp_path, "done", "", 1, {})) == "<StudyMember a, done, 1 run>"
+    assert repr(StudyMember(tmp_path, 1, "a", {}, 1)) == "<StudyMember a, unfinished, 1 run>"
 
 
 @pytest.mark.parametrize(
