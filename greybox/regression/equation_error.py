@@ -32,19 +32,7 @@ from greybox.modeling.transfer_function import TransferFunction
 from greybox.regression.linear_in_parameters import Equations, regressions
 from greybox.regression.regressors import Regressors, memory, regressors
 from greybox.regression.smoothing import require_uniform
-from greybox.regression.variable_projection import Projection, project
-
-
-@dataclass(frozen=True)
-class UsedEquation:
-    """One regression: left side, R², number of rows, band of its terms (Hz), and residual (rms)."""
-
-    left: str
-    parameters: tuple[str, ...]
-    r_squared: float
-    rows: int
-    band: float
-    residual: float
+from greybox.regression.variable_projection import Projection, UsedEquation, project
 
 
 @dataclass(frozen=True, eq=False)
@@ -314,17 +302,7 @@ def _result(
 ) -> EquationErrorEstimate:
     unknown = [n for n, p in parameters.items() if not p.fixed]
     missing = {n: _why(n, data.equations, projection) for n in unknown if n not in projection.names}
-    used = tuple(
-        UsedEquation(e.left, e.parameters, r, n, band / (2 * math.pi), s)
-        for e, r, n, band, s in zip(
-            data.equations.equations,
-            projection.r_squared,
-            projection.rows,
-            data.bands,
-            projection.spread,
-            strict=True,
-        )
-    )
+    used = projection.equations
     return EquationErrorEstimate(
         name=name,
         estimate=dict(zip(projection.names, projection.values.tolist(), strict=True)),

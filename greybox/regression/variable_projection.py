@@ -1,7 +1,7 @@
 """Variable projection: least squares for the linear unknowns within a search over the others."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -17,6 +17,21 @@ from greybox.regression.smoothing import reach, stretches
 TOUCHING = 1e-6
 
 
+@dataclass(frozen=True)
+class UsedEquation:
+    """One regression: left side, R², number of rows, band of its terms (Hz), and residual (rms).
+
+    It has 0 rows if no stretch was long enough.
+    """
+
+    left: str
+    parameters: tuple[str, ...]
+    r_squared: float
+    rows: int
+    band: float
+    residual: float
+
+
 @dataclass(frozen=True, eq=False)
 class Projection:
     """The solution over all equations.
@@ -26,8 +41,7 @@ class Projection:
     names : tuple of str
         The estimated parameters, in the order of `values`.
     at_bound : tuple of str
-    r_squared, rows, spread : tuple
-        For every equation; 0 rows if no stretch was long enough.
+    equations : tuple of UsedEquation
     undetermined : tuple of tuples of names
         Parameters that have no effect, alone or in a combination.
     """
@@ -35,9 +49,7 @@ class Projection:
     names: tuple[str, ...]
     values: Array
     at_bound: tuple[str, ...]
-    r_squared: tuple[float, ...]
-    rows: tuple[int, ...]
-    spread: tuple[float, ...]
+    equations: tuple[UsedEquation, ...]
     undetermined: tuple[tuple[str, ...], ...]
     search: "_Search" = field(repr=False)
     point: Array = field(repr=False)
@@ -236,22 +248,29 @@ def _judged(search: _Search, point: Array, unknowns: Array, weights: Array) -> P
             "multiply are constant, or only a combination of them is determined; fix some."
         )
 
-    rows = search.rows(point)
-    errors = rows.errors(unknowns)
-    of_equations = [rows.equation == k for k in range(len(weights))]
     return Projection(
         names=tuple(search.columns[k] for k in determined),
         values=values[determined],
         at_bound=tuple(search.columns[k] for k in determined if not low[k] < values[k] < high[k]),
-        r_squared=tuple(explained(rows.target[of], errors[of]) for of in of_equations),
-        rows=tuple(int(of.sum()) for of in of_equations),
-        spread=tuple(1 / search.weights(point, unknowns)),
+        equations=tuple(_used_equations(search, point, unknowns)),
         undetermined=tuple(tuple(search.columns[k] for k in group) for group in groups),
         search=search,
         point=point,
         unknowns=unknowns,
         weights=weights,
     )
+
+
+def _used_equations(search: _Search, point: Array, unknowns: Array) -> Iterator[UsedEquation]:
+    data, rows = search.data, search.rows(point)
+    errors = rows.errors(unknowns)
+    residuals = 1 / search.weights(point, unknowns)
+    for k, (equation, band) in enumerate(zip(data.equations.equations, data.bands, strict=True)):
+        of = rows.equation == k
+        share, count = explained(rows.target[of], errors[of]), int(of.sum())
+        band_hz = band / (2 * math.pi)
+        left, names = equation.left, equation.parameters
+        yield UsedEquation(left, names, share, count, band_hz, float(residuals[k]))
 
 
 def explained(target: Array, errors: Array) -> float:

@@ -45,9 +45,8 @@ def fit_rows(
         _row("degrees of freedom", [fit.dof for fit in fits]),
     ]
     if likelihoods is not None:
-        unknowns = [len(fit.free) + k for fit, k in zip(fits, likelihoods.nuisances, strict=True)]
         rows += [_row("negative log-likelihood", likelihoods.costs)]
-        rows += information_rows(likelihoods.costs, unknowns, numbers)
+        rows += information_rows(likelihoods.costs, likelihoods.unknowns, numbers)
     elif comparable and all(is_likelihood(fit) for fit in fits):
         rows += information_rows(costs, [count_unknowns(fit) for fit in fits], numbers)
     else:

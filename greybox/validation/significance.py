@@ -75,24 +75,18 @@ def fit_verdict(
     by the `difference` of AIC, second less first; other models of records only by their
     predictions.
     """
-    undecided = ""
-    # Either model may contain the other one, but only the one with more free parameters.
-    orders = [] if other_samples(fits, labels) else [(0, 1), (1, 0)]
-    for small, large in orders:
-        if len(fits[small].free) > len(fits[large].free):
-            continue
-        names = (labels[small], labels[large])
-        try:
-            values = nested_values(fits[small], fits[large], names)
-            test = nested_test_at(values, fits[small], fits[large], names)
-        except NotNestedError as reason:
-            undecided = undecided or (str(reason) if reason.undecided else "")
-        except ValueError as error:
-            return f"{_undecided(labels)}: {error}", None
-        else:
+    # Only the fit with more free parameters may contain the other one.
+    order = sorted((0, 1), key=lambda k: len(fits[k].free))
+    (small, large), names = (fits[k] for k in order), (labels[order[0]], labels[order[1]])
+    try:
+        if not other_samples(fits, labels):
+            test = nested_test_at(nested_values(small, large, names), small, large, names)
             return f"{names[1]} contains {names[0]}, and {test}", test
-    if undecided:
-        return f"{_undecided(labels)}: {undecided}.", None
+    except NotNestedError as reason:
+        if reason.undecided:
+            return f"{_undecided(labels)}: {reason}.", None
+    except ValueError as error:
+        return f"{_undecided(labels)}: {error}", None
     return "" if difference is None else verdict_by_aic(labels, difference), None
 
 
@@ -266,7 +260,9 @@ def term_sentences(
 
 def _which_likelihood(labels: Sequence[str], likelihoods: Likelihoods) -> str:
     """Say which likelihood AIC, AICc and BIC are based on, and where it is not at its maximum."""
-    text = f"AIC, AICc and BIC are those of {likelihoods.name}, maximized from each estimate"
+    criterion = likelihoods.criterion
+    name = f"{type(criterion).__name__} ({criterion.description})"
+    text = f"AIC, AICc and BIC are those of {name}, maximized from each estimate"
     elsewhere = [label for label, at in zip(labels, likelihoods.at_maximum, strict=True) if not at]
     if elsewhere:
         text += f"; for {listed(elsewhere)} they are not at the maximum and therefore too high"

@@ -68,7 +68,7 @@ def test_noise_free_data_give_the_truth():
     assert found.names == ("a", "b", "tau", "T")
     assert_allclose(found.values, TRUTH, rtol=0.02, atol=1e-3)
     assert found.at_bound == found.undetermined == ()
-    assert found.r_squared[0] > 0.9999
+    assert found.equations[0].r_squared > 0.9999
     assert_allclose(found.vector[2:], found.values[2:])
 
 
@@ -91,8 +91,8 @@ def test_linear_parameters_are_those_of_least_squares(noisy):
     X, y = rows.slopes, rows.target - rows.base
     assert_allclose(found.values[:2], np.linalg.lstsq(X, y, rcond=None)[0], rtol=1e-8)
     error = y - X @ found.values[:2]
-    assert found.spread[0] == pytest.approx(np.sqrt(np.mean(error**2)))
-    assert 1 - found.r_squared[0] == pytest.approx(
+    assert found.equations[0].residual == pytest.approx(np.sqrt(np.mean(error**2)))
+    assert 1 - found.equations[0].r_squared == pytest.approx(
         np.sum(error**2) / np.sum((y - y.mean()) ** 2), rel=1e-3
     )
 
@@ -164,7 +164,7 @@ class Decay:
         linear=("a", "b"),
         nonlinear=("tau", "w"),
         free=("b", "tau", "a", "w"),
-        equations=(SimpleNamespace(left="p"), SimpleNamespace(left="q")),
+        equations=tuple(SimpleNamespace(left=name, parameters=()) for name in "pq"),
     )
 
     def rows(self, p):
@@ -242,18 +242,19 @@ def test_the_projection_is_the_likeliest_of_all_unknowns_at_once(options):
     ).x
     assert_allclose(found.values, best, rtol=1e-5)
     first, second = errors(found.values)
-    assert_allclose(found.spread, [np.sqrt(np.mean(first**2)), np.sqrt(np.mean(second**2))])
-    assert found.rows == (100, 90)
+    spread = [e.residual for e in found.equations]
+    assert_allclose(spread, [np.sqrt(np.mean(first**2)), np.sqrt(np.mean(second**2))])
+    assert [e.rows for e in found.equations] == [100, 90]
     targets = np.concatenate([data.targets[0], data.targets[2]]), data.targets[1]
     wanted = [
         1 - e @ e / np.sum((y - y.mean()) ** 2)
         for e, y in zip((first, second), targets, strict=True)
     ]
-    assert_allclose(found.r_squared, wanted)
+    assert_allclose([e.r_squared for e in found.equations], wanted)
 
     slopes = found.search.slopes(found.point, found.unknowns)
     assert_allclose(slopes, np.vstack(jacobian(found.values)), rtol=1e-5, atol=1e-6)
-    assert_allclose(found.weights, 1 / np.array(found.spread), rtol=1e-6)
+    assert_allclose(found.weights, 1 / np.array(spread), rtol=1e-6)
 
 
 def test_a_step_is_that_of_gauss_and_newton():
