@@ -20,7 +20,6 @@ from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.formulation.frequency_criteria import RelativeError, evaluate
 from greybox.regression.poles_and_zeros import (
-    Factored,
     NearPair,
     factored,
     near_pairs,
@@ -81,7 +80,7 @@ class RationalFit:
         return np.roots(self.denominator).astype(complex)
 
     @property
-    def factored(self) -> Factored:
+    def factored(self) -> str:
         """Gain, zeros, time constants and quadratics as (3.18) prints them."""
         return factored(self.numerator, self.denominator)
 

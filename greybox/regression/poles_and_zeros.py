@@ -3,10 +3,9 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from greybox.files.text_table import number
 
@@ -35,33 +34,6 @@ class NearPair:
         return f"{kind} {pair}, {100 * self.distance:.2g} % apart"
 
 
-@dataclass(frozen=True)
-class Factored:
-    """The form of (3.18) to (3.20): stable real poles as (T s + 1), all other factors monic.
-
-    `zeros` holds c (rad/s) of every real factor (s + c) of the numerator, `zero_quadratics` (c1,
-    c0) of every s² + c1 s + c0. In the denominator there are `integrators` factors s,
-    `time_constants` T (s), smallest first, `unstable` c < 0 of (s + c), and `quadratics` like those
-    of the numerator.
-    """
-
-    gain: float
-    zeros: tuple[float, ...]
-    zero_quadratics: tuple[tuple[float, float], ...]
-    integrators: int
-    time_constants: tuple[float, ...]
-    unstable: tuple[float, ...]
-    quadratics: tuple[tuple[float, float], ...]
-
-    def __str__(self) -> str:
-        above = [_factor(c) for c in self.zeros] + [_factor(*c) for c in self.zero_quadratics]
-        below = ["s"] * self.integrators + [f"({number(T, 4)} s + 1)" for T in self.time_constants]
-        below += [_factor(c) for c in self.unstable] + [_factor(*c) for c in self.quadratics]
-        return " ".join([number(self.gain, 4), *above]) + (
-            f" / [{' '.join(below)}]" if below else ""
-        )
-
-
 def near_pairs(zeros: ArrayLike, poles: ArrayLike, tolerance: float = NEAR) -> tuple[NearPair, ...]:
     """Match zeros and poles that are closer than `tolerance`, each used once, the closest first.
 
@@ -83,31 +55,29 @@ def near_pairs(zeros: ArrayLike, poles: ArrayLike, tolerance: float = NEAR) -> t
     return tuple(matched)
 
 
-def factored(
-    numerator: Sequence[float] | NDArray[Any], denominator: Sequence[float] | NDArray[Any]
-) -> Factored:
-    """Factor a ratio of real polynomials (highest power of s first) into the form of (3.18)."""
+def factored(numerator: ArrayLike, denominator: ArrayLike) -> str:
+    """Write a ratio of real polynomials, highest power of s first, in the form of (3.18).
+
+    Stable real poles are factors (T s + 1), smallest T first; all other factors are monic.
+    """
     # A numerator of lower order than assumed may begin with zeros, which have no roots.
     above = np.trim_zeros(np.asarray(numerator, float), "f")
     below = np.asarray(denominator, float)
-    zeros = upper_half(np.roots(above))
     poles = upper_half(np.roots(below))
-    real_poles = [float(p.real) for p in poles if p.imag == 0]
-    constants = tuple(sorted(-1 / p for p in real_poles if p < 0))
-    return Factored(
-        gain=float(above[0] / below[0]) * math.prod(constants) if above.size else 0.0,
-        zeros=tuple(0.0 - z.real for z in zeros if z.imag == 0),
-        zero_quadratics=_quadratics(zeros),
-        integrators=real_poles.count(0.0),
-        time_constants=constants,
-        unstable=tuple(-p for p in real_poles if p > 0),
-        quadratics=_quadratics(poles),
-    )
+    lags = [-1 / p.real for p in reversed(poles) if p.imag == 0 and p.real < 0]
+    gain = float(above[0] / below[0]) * math.prod(lags) if above.size else 0.0
+    others = [p for p in poles if p.imag or p.real >= 0]
+    integrators = ["s"] * others.count(0)
+    factors = [f"({number(T, 4)} s + 1)" for T in lags]
+    factors = [*integrators, *factors, *_monic([p for p in others if p])]
+    text = " ".join([number(gain, 4), *_monic(upper_half(np.roots(above)))])
+    return f"{text} / [{' '.join(factors)}]" if factors else text
 
 
-def _quadratics(roots: list[complex]) -> tuple[tuple[float, float], ...]:
-    """Return (c1, c0) of s² + c1 s + c0 of every complex pair."""
-    return tuple((-2 * r.real, abs(r) ** 2) for r in roots if r.imag > 0)
+def _monic(roots: Sequence[complex]) -> list[str]:
+    """Return (s + c) of every real root, then (s² + c1 s + c0) of every complex pair."""
+    pairs = [_factor(-2 * r.real, abs(r) ** 2) for r in roots if r.imag]
+    return [*(_factor(-r.real) for r in roots if not r.imag), *pairs]
 
 
 def upper_half(roots: ArrayLike) -> list[complex]:

@@ -39,11 +39,11 @@ class Regressors:
     ----------
     time : (n,) array, s
         Uniform but for gaps.
-    states, derivatives : mapping of name to (n,) array
-        States that are known without simulation, and their derivatives; NaN where unknown.
+    states : (k, n) array
+        The states of the model that are known without simulation; NaN where unknown.
+    targets : tuple of (n,) arrays
+        Left sides of the equations: derivatives and outputs.
     between : mapping of name to Intersample
-    outputs : mapping of name to (n,) array
-        Left sides of output equations.
     cutoffs, noise : mapping of signal name to float
         Cutoffs of the smoothed signals, rad/s, and standard deviations of the removed noise.
     bands : tuple of float
@@ -58,10 +58,9 @@ class Regressors:
 
     equations: Equations
     time: Array
-    states: Mapping[str, Array]
-    derivatives: Mapping[str, Array]
+    states: Array
+    targets: tuple[Array, ...]
     between: Mapping[str, Intersample]
-    outputs: Mapping[str, Array]
     cutoffs: Mapping[str, float]
     noise: Mapping[str, float]
     bands: tuple[float, ...]
@@ -79,9 +78,7 @@ class Regressors:
         There are no rows where a simulated state grows without bound.
         """
         u = self.delayed_inputs(np.asarray(self.equations.delay(p)).ravel())
-        x = np.full((len(self.equations.state_names), self.time.size), np.nan)
-        for name, values in self.states.items():
-            x[self.equations.state_names.index(name)] = values
+        x = self.states.copy()
         # An unstable state would grow beyond all numbers within a record: it stays unknown.
         self.simulate(x, u, p)
         parameters = np.tile(np.reshape(p, (-1, 1)), (1, self.time.size))
@@ -94,12 +91,8 @@ class Regressors:
 
     def _filtered(self, k: int, base: Array, slopes: Array) -> Array:
         """Return target, base and slopes of an equation (rows, 2 + parameters), filtered."""
-        equation = self.equations.equations[k]
         band = self.bands[k]
-        target = (self.derivatives if equation.kind == "derivative" else self.outputs)[
-            equation.target
-        ]
-        columns = np.column_stack([target, base, slopes])
+        columns = np.column_stack([self.targets[k], base, slopes])
 
         # The filter is less accurate near the ends of a stretch, and simulated states have not
         # settled at its beginning.
@@ -164,7 +157,7 @@ def regressors(
         By default each signal chooses its own.
     """
     time = record.time
-    states: dict[str, Array] = {}
+    x = np.full((len(equations.state_names), time.size), np.nan)
     derivatives: dict[str, Array] = {}
     used = dict(cutoffs or {})
     noise: dict[str, float] = {}
@@ -181,31 +174,27 @@ def regressors(
         # The formula may use the states before this one; others stay NaN, and it has no use of
         # them.
         if state.value is not None:
-            nothing = np.full(signal.size, np.nan)
-            x = np.array([states.get(name, nothing) for name in equations.state_names])
             signal = np.asarray(state.value(x, signal[None, :])).ravel()
-        states[state.name] = signal
-        derivatives[state.name] = differentiate(time, states[state.name])
+        x[equations.state_names.index(state.name)] = signal
+        derivatives[state.name] = differentiate(time, signal)
 
     longest = [
         delay + (record.step if between[n].held else between[n].late)
         for n, delay in zip(equations.input_names, latest, strict=True)
     ]
-    outputs = {
-        e.target: without_holes(time, record[e.target])
+    targets = [
+        derivatives[e.target] if e.kind == "derivative" else without_holes(time, record[e.target])
         for e in equations.equations
-        if e.kind == "output"
-    }
+    ]
     bands = [
         SHARE * min((used[s] for s in e.signals), default=math.inf) for e in equations.equations
     ]
     return Regressors(
         equations=equations,
         time=time,
-        states=states,
-        derivatives=derivatives,
+        states=x,
+        targets=tuple(targets),
         between=between,
-        outputs=outputs,
         cutoffs=used,
         noise=noise,
         bands=tuple(bands),

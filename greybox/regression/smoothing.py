@@ -139,9 +139,10 @@ def without_holes(time: Array, values: Array) -> Array:
     filled = np.array(values, dtype=float)
     present = np.isfinite(values)
     for part in _cut(time, np.flatnonzero(present), GAP):
-        holes = np.setdiff1d(np.arange(part.min(initial=0), part.max(initial=0)), part)
-        # A cubic needs four samples.
-        if holes.size and part.size >= 4:
+        if part.size < 4:  # a cubic needs four samples
+            continue
+        holes = np.setdiff1d(np.arange(part[0], part[-1]), part)
+        if holes.size:
             filled[holes] = CubicSpline(time[part], values[part])(time[holes])
     return filled
 

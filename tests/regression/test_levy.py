@@ -10,7 +10,7 @@ from rational_functions import (
     ROLL,
     ROOTS,
     YAW,
-    expand,
+    evaluated,
     numbers,
     polynomial,
     simulated,
@@ -43,9 +43,7 @@ def test_roll_and_pitch_of_the_paper(name, published):
 
 def test_yaw_of_the_paper_does_not_follow_from_the_printed_table():
     form = levy(table("yaw"), 4, 1, integrator=True).factored
-    assert form.integrators == 1
-    assert_allclose(form.zeros, [11.703], atol=5e-4)
-    assert abs(form.zeros[0] / YAW.zeros[0] - 1) > 0.05
+    assert " / [s (" in form
     assert_allclose(numbers(form), [1138, 11.70, 0.8145, 25.66, 996.6], rtol=1e-3)
     assert np.all(np.abs(numbers(form) / numbers(YAW) - 1) > 0.02)
 
@@ -66,9 +64,7 @@ def test_yaw_of_the_paper_follows_from_a_table_that_rounds_to_the_printed_one():
 )
 def test_costs_of_the_published_functions(name, published, cost):
     data = table(name)
-    numerator, denominator = expand(published)
-    s = 1j * data.omega
-    model = np.polyval(numerator, s) / np.polyval(denominator, s)
+    model = evaluated(published, 1j * data.omega)
     assert evaluate(gb.RelativeError(), model, data) == pytest.approx(cost, abs=5e-5)
 
 
@@ -159,7 +155,7 @@ def test_a_response_of_zero_has_no_relative_error():
     assert np.isnan(fit.cost)
     nothing = levy(gb.FrequencyResponse([1.0, 2.0, 3.0], [0.0, 0.0, 0.0]), 2, 1)
     assert not nothing.determined
-    assert nothing.factored.gain == 0
+    assert numbers(nothing.factored)[0] == 0
 
 
 @pytest.mark.parametrize(("name", "integrator"), [("roll", False), ("yaw", True)])

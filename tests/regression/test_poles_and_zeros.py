@@ -1,10 +1,8 @@
 """Poles and zeros: pairs that nearly cancel, and the factored form of (3.18)."""
 
-from dataclasses import replace
-
 import numpy as np
 from numpy.testing import assert_allclose
-from rational_functions import OMEGA, PITCH, ROLL, YAW, expand, numbers, polynomial, table
+from rational_functions import OMEGA, evaluated, polynomial, table
 
 from greybox.regression.levy import levy
 from greybox.regression.poles_and_zeros import NearPair, factored, near_pairs, upper_half
@@ -30,25 +28,13 @@ def test_pairs_are_matched_once_closest_first():
     assert near_pairs([0.01], [-0.01]) == ()
 
 
-def test_factored_inverts_expand():
-    for form in (ROLL, PITCH, YAW):
-        assert_allclose(numbers(factored(*expand(form))), numbers(form), rtol=1e-9)
-    unstable = factored(*[2 * polynomial([0.2 + 10j]), polynomial([4, -0.5])])
-    assert_allclose(unstable.zero_quadratics, [(-0.4, 100.04)])
-    assert_allclose([unstable.gain, *unstable.time_constants, *unstable.unstable], [4, 2, -4])
-    assert str(unstable) == "4 (s² - 0.4 s + 100) / [(2 s + 1) (s - 4)]"
-    assert str(factored([2.0, 0.0], [4.0])) == "0.5 s"
-
-
-def test_factored_form_is_the_same_function():
+def test_the_factored_form_is_the_same_function():
     fit = levy(table("roll"), 4, 1)
-    numerator, denominator = expand(fit.factored)
-    s = 1j * OMEGA
-    assert_allclose(
-        np.polyval(numerator, s) / np.polyval(denominator, s),
-        fit.response(OMEGA).response,
-        rtol=1e-9,
-    )
+    assert_allclose(evaluated(fit.factored, 1j * OMEGA), fit.response(OMEGA).response, rtol=2e-3)
+    unstable = factored(2 * polynomial([0.2 + 10j]), polynomial([4, -0.5]))
+    assert unstable == "4 (s² - 0.4 s + 100) / [(2 s + 1) (s - 4)]"
+    assert factored([2.0, 0.0], [4.0]) == "0.5 s"
+    assert factored([0.0], [1.0, 2.0]) == "0 / [(0.5 s + 1)]"
 
 
 def test_a_pair_counts_below_the_tolerance_and_is_stable_off_the_axis():
@@ -69,19 +55,10 @@ def test_a_zero_is_matched_with_the_nearest_of_several_poles():
 
 
 def test_every_kind_of_factor_is_written():
-    """6 (s + 0.5) s (s² - 2 s + 5) over 2 s² (s + 4) (s + 0.5) (s - 3) (s² + 10)."""
+    """6 (s + 0.5) s (s² - 2 s + 5) over 2 s² (s + 4) (s + 0.5) (s - 3) (s² + 2 s + 10)."""
     above = 6 * np.real(np.poly([-0.5, 0, 1 + 2j, 1 - 2j]))
-    below = 2 * np.polymul(np.poly([0, 0, -4, -0.5, 3]), [1, 0, 10])
-    found = factored(above, below)
-    assert found.integrators == 2
-    assert_allclose(found.gain, 6 / 2 / 4 / 0.5)
-    assert_allclose(found.zeros, [0, 0.5], atol=1e-12)
-    assert_allclose(found.time_constants, [1 / 4, 2])
-    assert_allclose(found.unstable, [-3])
-    assert_allclose(found.zero_quadratics, [(-2, 5)])
-    assert_allclose(found.quadratics, [(0, 10)], atol=1e-12)
-    stated = replace(found, zeros=(0.0, 0.5), quadratics=((0.0, 10.0),), gain=1.5)
-    assert (
-        str(stated)
-        == "1.5 s (s + 0.5) (s² - 2 s + 5) / [s s (0.25 s + 1) (2 s + 1) (s - 3) (s² + 10)]"
+    below = 2 * np.polymul(np.poly([0, 0, -4, -0.5, 3]), [1, 2, 10])
+    text = factored(np.round(above, 9), np.round(below, 9))
+    assert text == (
+        "1.5 s (s + 0.5) (s² - 2 s + 5) / [s s (0.25 s + 1) (2 s + 1) (s - 3) (s² + 2 s + 10)]"
     )

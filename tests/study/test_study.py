@@ -7,8 +7,7 @@ import pytest
 
 from greybox.solve.runs import Outcome
 from greybox.study.batch import require_distinct
-from greybox.study.store import StoredRuns, add_members, write_answer
-from greybox.study.store import StudyMember
+from greybox.study.store import StoredRuns, StudyMember, add_members, write_answer
 from greybox.study.study import Study, read_study
 
 ANSWER = {

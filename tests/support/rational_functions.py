@@ -1,12 +1,12 @@
 """Rational functions with known poles and zeros, their responses, and those that the paper
 publishes."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 
 import greybox as gb
-from greybox.regression.poles_and_zeros import Factored
 
 TABLE = Path(__file__).parents[2] / "problems" / "data" / "table_3_1.csv"
 
@@ -14,33 +14,27 @@ TABLE = Path(__file__).parents[2] / "problems" / "data" / "table_3_1.csv"
 OMEGA = np.geomspace(0.5, 20, 14)
 
 
-# gain, c of the zero (s + c), time constants, quadratics (c1, c0): (3.18), (3.19), (3.20) as
-# printed
-ROLL = Factored(58.65, (0.304,), (), 0, (0.050, 0.193), (), ((-3.44, 13.8),))
-
-
-PITCH = Factored(49.39, (-0.156,), (), 0, (0.046, 0.181), (), ((-3.79, 12.9),))
-
-
-YAW = Factored(1294, (10.93,), (), 1, (0.834,), (), ((28.9, 1036),))
+# (3.18), (3.19), (3.20) as printed
+ROLL = "58.65 (s + 0.304) / [(0.05 s + 1) (0.193 s + 1) (s² - 3.44 s + 13.8)]"
+PITCH = "49.39 (s - 0.156) / [(0.046 s + 1) (0.181 s + 1) (s² - 3.79 s + 12.9)]"
+YAW = "1294 (s + 10.93) / [s (0.834 s + 1) (s² + 28.9 s + 1036)]"
 
 
 def table(name):
     return gb.read_response(TABLE, prefix=f"{name}_")
 
 
-def expand(form):
-    """Numerator and denominator of a factored form without quadratics in the numerator."""
-    numerator, denominator = np.array([form.gain]), np.array([1.0] + [0.0] * form.integrators)
-    for c in form.zeros:
-        numerator = np.polymul(numerator, [1, c])
-    for factor in [(T, 1) for T in form.time_constants] + [(1, *q) for q in form.quadratics]:
-        denominator = np.polymul(denominator, factor)
-    return numerator, denominator
+def evaluated(form, s):
+    """The values of a factored form at s."""
+    text = re.sub(r"(?<=[\d)s²]) (?=[(\ds\[])", " * ", form.replace(" / [", " / ("))
+    text = text.replace("]", ")").replace("²", "**2")
+    return eval(text, {"s": s})
 
 
 def numbers(form):
-    return np.hstack([form.gain, form.zeros, form.time_constants, *form.quadratics])
+    """The numbers of a factored form, without the ones of lags."""
+    words = re.findall(r"[-+]? ?\d[\d.e-]*", form.replace(" s + 1)", ")"))
+    return np.array([float(word.replace(" ", "")) for word in words])
 
 
 def simulated(numerator, denominator, omega=OMEGA, noise=0.0, seed=0):
