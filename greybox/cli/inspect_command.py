@@ -6,8 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from greybox.cli.log_tests import read_log, segments_of
-from greybox.cli.options import option_words
-from greybox.cli.output import Answer, attributes, require_figure, save_figure
+from greybox.cli.output import Answer, require_figure, save_figure
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
 from greybox.files.text_table import number, text_table
@@ -97,8 +96,12 @@ def next_command(
     else:
         return ""
 
-    reading = attributes(options, "announced", "setpoint", "fields", "columns")
-    return shlex.join([*words, *option_words(reading)])
+    for name in ("announced", "setpoint"):
+        words += [f"--{name}", value] if (value := getattr(options, name)) else []
+    for name in ("fields", "columns"):
+        pairs = getattr(options, name).items()
+        words += [f"--{name}", *map("=".join, pairs)] if pairs else []
+    return shlex.join(words)
 
 
 def about(recording: Recording) -> str:

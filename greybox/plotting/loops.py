@@ -1,7 +1,5 @@
 """Loops with confidence bands, as Bode, Nichols, Nyquist diagram and step; and safe gains."""
 
-from collections.abc import Mapping
-
 import numpy as np
 
 from greybox.experiment.drawn_loops import DRAWN
@@ -45,15 +43,17 @@ def loop_figures(margins: Margins) -> list[Figure]:
     gain = loops.broken_at(signal, omega)
     decibel, phase = 20 * np.log10(np.abs(gain)), np.degrees(np.unwrap(np.angle(gain), axis=1))
     phase -= 360 * np.round((phase - phase[0]).mean(axis=1, keepdims=True) / 360)
-    curves = [Panel("Gain, dB", [*_banded(margins, omega, decibel), rule()])]
-    curves += [Panel("Phase, °", [*_banded(margins, omega, phase), rule(-180.0)], steps=ANGLES)]
-    label = f"broken at {signal}"
+    panels = [
+        Panel("Gain, dB", [*_banded(margins, omega, decibel), rule()]),
+        Panel("Phase, °", [*_banded(margins, omega, phase), rule(-180.0)], steps=ANGLES),
+    ]
+    nichols = Panel("Gain, dB", _plane(phase, decibel, (-180.0, 0.0)))
+    # Low frequencies are far away; what matters is around the critical point.
+    nyquist = Panel("Imaginary part", _plane(gain.real, gain.imag, (-1.0, 0.0)), limits=(-2.0, 2.0))
     figures = [
-        Figure(f"Loop {label}", "ω, rad/s", curves, is_logarithmic=True),
-        _plane("Nichols diagram", ("Phase, °", "Gain, dB"), phase, decibel, (-180.0, 0.0)),
-        _plane(
-            "Nyquist diagram", ("Real part", "Imaginary part"), gain.real, gain.imag, (-1.0, 0.0)
-        ),
+        Figure(f"Loop broken at {signal}", "ω, rad/s", panels, is_logarithmic=True),
+        Figure("Nichols diagram", "Phase, °", [nichols]),
+        Figure("Nyquist diagram", "Real part", [nyquist], limits=(-2.5, 1.5), is_plane=True),
     ]
     if margins.setpoint:
         time, steps = step_responses(loops, margins.setpoint, margins.response)
@@ -72,25 +72,13 @@ def _banded(margins: Margins, x: Array, values: Array) -> list[Series]:
     return [band("", x, *np.quantile(values[DRAWN], [tail, 1 - tail], axis=0)), *curve]
 
 
-def _plane(
-    title: str, labels: tuple[str, str], x: Array, y: Array, critical: tuple[float, float]
-) -> Figure:
-    draws = [
-        Series("", "line", a, b, 5, width=0.3)
-        for a, b in zip(x[DRAWN][:CURVES], y[DRAWN][:CURVES], strict=True)
+def _plane(x: Array, y: Array, critical: tuple[float, float]) -> list[Series]:
+    """Return the curve of the estimate over those of draws, and the critical point."""
+    return [
+        *(Series("", "line", x[k], y[k], 5, width=0.3) for k in range(len(x))[DRAWN][:CURVES]),
+        Series("estimate", "line", x[0], y[0]),
+        Series("critical point", "points", *np.array(critical)[:, None], color=1),
     ]
-    point = Series("critical point", "points", *np.array(critical)[:, None], color=1)
-    panel = Panel(labels[1], [*draws, Series("estimate", "line", x[0], y[0]), point])
-    if title.startswith("Nichols"):
-        return Figure(title, labels[0], [panel])
-    # Low frequencies are far away; what matters is around the critical point.
-    return Figure(
-        title,
-        labels[0],
-        [Panel(panel.label, panel.series, limits=(-2.0, 2.0))],
-        limits=(-2.5, 1.5),
-        is_plane=True,
-    )
 
 
 def gains(safe: SafeGains, axes: GivenAxes | None = None) -> AxesArray:
@@ -121,24 +109,24 @@ def gains_figure(safe: SafeGains) -> Figure:
         nearest = np.abs(row - chosen[name]).argmin()
         allowed, confidence = allowed[..., nearest], confidence[..., nearest]
 
-    def place(gains: Mapping[str, float], height: float) -> tuple[Array, Array]:
-        return np.array([gains[names[0]]]), np.array([gains.get([*names, ""][1], height)])
-
     if len(names) == 1:
-        series = [
-            Series("confidence", "line", rows[0], confidence),
-            rule(safe.requirements["level"]),
-        ]
-        label, is_logarithmic = "Confidence", False
+        label, is_logarithmic, heights = "Confidence", False, (safe.today_confidence, 1.0)
+        level = rule(safe.requirements["level"])
+        series = [Series("confidence", "line", rows[0], confidence), level]
     else:
+        label, is_logarithmic = names[1], bool(rows[1][0] > 0)
+        heights = safe.today[label], chosen[label]
         x, y = np.meshgrid(*rows[:2], indexing="ij")
         series = [
             Series("refused", "points", x[~allowed], y[~allowed], GRAY, CROSS),
             Series("allowed", "points", x[allowed], y[allowed], 2),
         ]
-        label, is_logarithmic = names[1], bool(rows[1][0] > 0)
-    series.append(Series("today", "points", *place(safe.today, safe.today_confidence), INK, 3))
-    if safe.best:
-        series.append(Series("best", "points", *place(safe.best, 1.0), 1, 1))
+    for name, gains, height, look in (
+        ("today", safe.today, heights[0], (INK, 3)),
+        ("best", safe.best, heights[1], (1, 1)),
+    ):
+        if gains:
+            place = np.array([gains[names[0]]]), np.array([height])
+            series.append(Series(name, "points", *place, *look))
     panel = Panel(label, series, is_logarithmic=is_logarithmic)
     return Figure("Gains", names[0], [panel], is_logarithmic=bool(rows[0][0] > 0))

@@ -39,17 +39,17 @@ def plot(fit: Fit) -> MatplotlibFigure:
     width = 2.8 + 3.4 * columns if nyquist else 9.5
     # The Bode diagram has two to five stacked panels, as high as all others together.
     widths = (width, 6.2) if fit.responses else (width,)  # inches
-    heights = [height_of([figure], 2.0) for figure in diagrams]
+    blocks = [[figure] for figure in diagrams]
+    heights = [height_of(block, 2.0) for block in blocks]
     if nyquist:
-        heights.insert(0, 1.8 + 3.4 * -(-len(nyquist) // columns))
+        blocks.insert(0, nyquist)
+        heights.insert(0, height_of(nyquist, 3.5, columns))
 
     page = new_figure(sum(widths), sum(heights) + 0.4, title((fit,)))
     sides = page.subfigures(1, len(widths), width_ratios=widths, squeeze=False)[0]
-    rows = [*sides[0].subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]]
-    if nyquist:
-        draw_into(rows.pop(0), nyquist, columns)
-    for row, figure in zip(rows, diagrams, strict=True):
-        draw_into(row, [figure])
+    rows = sides[0].subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
+    for row, block in zip(rows, blocks, strict=True):
+        draw_into(row, block, columns)
     if fit.responses:
         draw_into(sides[1], [replace(bode_figure((fit,)), subject="Bode diagram")])
     return page

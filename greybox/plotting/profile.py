@@ -55,9 +55,11 @@ def contour(contour: Contour, axes: Axes | None = None) -> Axes:
     ]
     if hollow.size:
         series.append(Series("open end", "points", *hollow, is_hollow=True))
-    limits = [_around(values) for values in (x, y)]
+    # The limits come from the region alone: the ellipse may be many times as long.
+    ends = np.nanmin([x, y], axis=1), np.nanmax([x, y], axis=1)
+    room = 0.05 * (ends[1] - ends[0])
+    limits = [(low, high) for low, high in zip(ends[0] - room, ends[1] + room, strict=True)]
     if np.all(np.isfinite(contour.covariance)):
-        # The limits come from the region alone: the ellipse may be many times as long.
         series.append(Series("standard errors", "line", *contour.ellipse().T, color=GRAY, style=1))
 
     estimate = contour.estimate[:, None]
@@ -67,11 +69,6 @@ def contour(contour: Contour, axes: Axes | None = None) -> Axes:
         "Region", across, [Panel(upward, series, limits=limits[1])], "Region", limits=limits[0]
     )
     return draw([figure], axes, size=(5.0, 2.9))[0]
-
-
-def _around(values: np.ndarray) -> tuple[float, float]:
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    return low - 0.05 * (high - low), high + 0.05 * (high - low)
 
 
 def _label(name: str, unit: str) -> str:

@@ -125,8 +125,8 @@ def _histogram(part: FittedRecord, output: str) -> Figure:
     e = e[np.isfinite(e)]
     # The square root of the count is the usual number of bins. With more than 40 their heights
     # would be mostly chance.
-    density, edges = np.histogram(e, bins=min(40, max(5, math.ceil(math.sqrt(e.size)))))
-    density = density / max(e.size * (edges[1] - edges[0]), 1e-300)
+    bins = int(np.clip(np.sqrt(e.size), 5, 40))
+    density, edges = np.histogram(e, bins, density=bool(e.size))
     steps = np.repeat(density, 2)
     series = [band("", np.repeat(edges, 2)[1:-1], 0 * steps, steps)]
     spread = float(e.std()) if e.size else 0.0

@@ -64,8 +64,7 @@ def spectrum_figure(item: Fit | TransientSpectrum, part: int = 0) -> Figure:
         factor, unit = _unit(data, name)
         size = factor * np.abs(values)
         # The line shows the valleys, in which a manoeuvre contains no information.
-        series = [Series("", "line", data.omega, size, INK, width=0.9)]
-        series.append(Series("measured", "points", data.omega, size, INK, is_hollow=True))
+        series = [Series("", "line", data.omega, size, INK, width=0.9), _measured(data, size)]
         limits = (0.0, 1.1 * float(size.max()) or 1.0)
         panels.append(Panel(f"|{in_greek(name)}|, {unit}", series, height=0.5, limits=limits))
 
@@ -86,9 +85,7 @@ def _output_panels(
     factor, unit = _unit(data, name)
     measured = data.outputs[name]
     angle = np.degrees(np.unwrap(np.angle(measured)))
-    size = factor * _size(measured)
-    magnitude = [Series("measured", "points", omega, size, INK, is_hollow=True)]
-    phase = [Series("measured", "points", omega, angle, INK, is_hollow=True)]
+    magnitude, phase = [_measured(data, factor * _size(measured))], [_measured(data, angle)]
     if fitted is not None:
         label = f"fit of {fitted.label}"
         values = fitted.fitted[name]
@@ -109,6 +106,10 @@ def _output_panels(
         Panel(f"|{in_greek(name)}|, {unit}", magnitude, height=0.9, is_logarithmic=True),
         Panel(f"∠{in_greek(name)}, °", phase, height=0.5, steps=ANGLES),
     )
+
+
+def _measured(data: TransientSpectrum, values: Array) -> Series:
+    return Series("measured", "points", data.omega, values, INK, is_hollow=True)
 
 
 def _size(values: ComplexArray) -> Array:

@@ -118,7 +118,7 @@ def test_what_a_log_holds_is_a_table_of_its_messages():
         ("RATE.POut", ["sine"], {}, "greybox identify my.BIN"),
         (
             "RATE.POut", ["sine"],
-            {"announced": "SINE", "setpoint": "A.x", "fields": ["omega=W"], "columns": ["time=1"]},
+            {"announced": "SINE", "setpoint": "A.x", "fields": {"omega": "W"}, "columns": {"time": "1"}},
             "greybox identify my.BIN --announced SINE --setpoint A.x --fields omega=W --columns "
             "time=1",
         ),
@@ -142,8 +142,8 @@ def test_the_next_command_follows_from_what_was_found(message, found, stated, fo
         "log": "my.BIN",
         "announced": "",
         "setpoint": "",
-        "fields": [],
-        "columns": [],
+        "fields": {},
+        "columns": {},
     } | stated
     is_sine = found[:1] == ["sine"]
     parts = (tests, []) if is_sine else ([], tests)

@@ -10,7 +10,6 @@ from greybox.cli.options import (
     as_options,
     declare,
     nonnegative,
-    option_words,
     positive,
     positive_number,
     probability,
@@ -80,14 +79,6 @@ names [NAME]...
     assert parsed("there", text).between is None
     with pytest.raises(SystemExit):
         parsed("there --kind brittle", text)
-
-
-def test_the_words_of_options_are_read_as_they_were():
-    shared = "--fix a=-0.1 b=2.0 --bounds c=0.0:inf --fields omega=W --rate 50.0 --force --seed 0"
-    text = f"{SHARED}\n--seed K\n    seed"
-    values = vars(parsed(shared, text))
-    assert parsed(" ".join(option_words({"force": True, **values})), text) == parsed(shared, text)
-    assert option_words({"settle": 0.0, "rate": None, "axis": "", "fix": {}}) == ["--settle", "0.0"]
 
 
 def test_probabilities_and_times():
