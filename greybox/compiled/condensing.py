@@ -10,14 +10,15 @@ problems, IFAC Proceedings 17(2); Betts (2010), Practical Methods for Optimal Co
 Estimation, 2nd ed., chapter 4.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from greybox.compiled.part import Condensed, Trajectory
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization, Segments
 from greybox.files.arrays import Array, BoolArray
+
+# Curvature, relative to that of the outputs, that holds states that no output shows.
+RIDGE = 1e-10
 
 
 def condense(
@@ -34,17 +35,18 @@ def condense(
     to their curvature (Levenberg-Marquardt).
     """
     node_damping = np.zeros_like(trajectory.gaps)
-    damped = b
+    node_hessian = b.node_hessian
     if damping:
         # Damping enters the matrix but not the gradient: a minimum of the problem stays one.
         node_damping = damping * _node_curvature(b, variance, data)
-        added = node_damping[:, :, None] * np.eye(segments.n)
-        damped = replace(b, node_hessian=b.node_hessian + added)
+        node_hessian = node_hessian + node_damping[:, :, None] * np.eye(segments.n)
 
     # The right-hand sides: what the residuals ask for, and how that follows the parameters.
     stationarity = -np.concatenate([b.node_gradient[:, :, None], b.cross_hessian], axis=2)
     continuity = -np.concatenate([trajectory.gaps[:, :, None], b.parameter_sensitivity], axis=2)
-    x, multiplier = solve_in_outputs(damped, data.coupled, stationarity, continuity, variance)
+    x, multiplier = solve_continuity(
+        node_hessian, b.transition, data.coupled, stationarity, continuity, variance
+    )
 
     # The last segment of a stretch continues nowhere: no multiplier acts on its end.
     linked = np.where(data.coupled[:, None, None], b.parameter_sensitivity, 0.0)
@@ -76,34 +78,10 @@ def close_gaps(b: Linearization, trajectory: Trajectory, coupled: BoolArray) -> 
     """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
     gaps = trajectory.gaps[:, :, None]
     exact = np.zeros(gaps.shape[1])
-    x, _ = solve_in_outputs(b, coupled, np.zeros_like(gaps), -gaps, exact)
-    return trajectory.nodes + x[:, :, 0]
-
-
-def solve_in_outputs(
-    b: Linearization,
-    coupled: BoolArray,
-    stationarity: Array,
-    continuity: Array,
-    variance: Array,
-) -> tuple[Array, Array]:
-    """Solve for nodes and multipliers in units of unit curvature: both are then of one size."""
-    curvature = np.mean(b.node_hessian.diagonal(axis1=1, axis2=2), axis=0)
-    # Smaller curvatures are what rounding makes of zero.
-    visible = curvature > 1e-30 * curvature.max(initial=0.0) + 1e-300
-    unit = 1 / np.sqrt(np.where(visible, curvature, 1.0))
-    column = unit[:, None]
-    x, multiplier = solve_continuity(
-        # The ridge holds states that no output shows.
-        b.node_hessian * unit * column + 1e-10 * np.eye(len(unit)),
-        b.transition * unit / column,
-        coupled,
-        stationarity * column,
-        continuity / column,
-        variance / unit**2,
+    x, _ = solve_continuity(
+        b.node_hessian, b.transition, coupled, np.zeros_like(gaps), -gaps, exact
     )
-
-    return x * column, multiplier / column
+    return trajectory.nodes + x[:, :, 0]
 
 
 def _by_variables(by_active: Array, slopes: Array, segments: Segments) -> Array:
@@ -183,7 +161,7 @@ def solve_continuity(
     gaps = np.where(linked, continuity / size[:, None], 0.0)
 
     block = np.zeros((s, 2 * n, 2 * n))
-    block[:, :n, :n] = hessian * size * size[:, None]
+    block[:, :n, :n] = hessian * size * size[:, None] + RIDGE * np.eye(n)
     block[:, n:, :n] = transition
     block[:, :n, n:] = transition.transpose(0, 2, 1)
     block[:, range(n, 2 * n), range(n, 2 * n)] = np.where(

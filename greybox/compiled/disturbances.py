@@ -11,7 +11,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.condensing import solve_in_outputs
+from greybox.compiled.condensing import solve_continuity
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.files.arrays import Array
@@ -105,8 +105,14 @@ class DisturbedRecord:
             cross = -rows[:, :, :n].transpose(0, 2, 1) @ rows[:, :, n:]
             cross[known] = 0
             linearization = part.linearize(self._trajectory, weight)
-            coupled, exact = part.data.coupled, np.zeros(n)
-            nodes, _ = solve_in_outputs(linearization, coupled, cross, -ends[:, :, n:], exact)
+            nodes, _ = solve_continuity(
+                linearization.node_hessian,
+                linearization.transition,
+                part.data.coupled,
+                cross,
+                -ends[:, :, n:],
+                np.zeros(n),
+            )
             nodes[known] = 0
             J = np.einsum("slkn,snc->slkc", J[..., :n], nodes) + J[..., n:]
         return -J.transpose(2, 3, 0, 1).reshape(*J.shape[2:], -1)

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 
-from greybox.compiled.condensing import solve_in_outputs
+from greybox.compiled.condensing import solve_continuity
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_linearization import filter_information
 from greybox.compiled.sampled_data import SampledData
@@ -116,7 +116,8 @@ def _initial_directions(part: SegmentedPart, b: Linearization) -> Array:
     # Any R of full rank does; a fixed one makes the result reproducible.
     R = np.random.default_rng(0).normal(size=(s, n, n))
     R[given] = 0
-    X, _ = solve_in_outputs(b, data.coupled, R, np.zeros_like(R), np.zeros(n))
+    exact = np.zeros(n)
+    X, _ = solve_continuity(b.node_hessian, b.transition, data.coupled, R, np.zeros_like(R), exact)
     X[given] = 0
 
     directions = np.zeros_like(X)
