@@ -33,9 +33,6 @@ class RecordGroup(SegmentedPart):
         """Join the data; records have parameters of their own where their expressions differ."""
         self.parts = tuple(parts)
         first = self.parts[0]
-        # Equal expressions of z have equal values and derivatives in all records.
-        expressions = zip(*(part.model.expressions for part in self.parts), strict=True)
-        own = tuple(k for k, of_records in enumerate(expressions) if len(set(of_records)) > 1)
         counts = [part.data.segments for part in self.parts]
         data = joined([part.data for part in self.parts])
         segments = Segments(
@@ -44,7 +41,8 @@ class RecordGroup(SegmentedPart):
             data.segment_length,
             first.model.active,
             records=np.repeat(np.arange(len(counts)), counts),
-            own=own,
+            # Equal expressions of z have equal values and derivatives in all records.
+            own=len({part.model.expressions for part in self.parts}) > 1,
         )
         covariances = [part.covariance for part in self.parts]
         has_known = covariances[0].known is not None

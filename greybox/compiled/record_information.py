@@ -1,7 +1,5 @@
 """The information of a record on all values of a problem, for the covariance of the estimate."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from greybox.compiled.colored_errors import colored_errors, independent_numbers
@@ -11,39 +9,13 @@ from greybox.compiled.segmented_part import SegmentedPart
 from greybox.files.arrays import Array
 
 
-@dataclass(frozen=True, eq=False)
-class Columns:
-    """Which of all values (k,) are the columns of a Jacobian, and the scale of each.
-
-    Attributes
-    ----------
-    places : tuple of int
-    scale : (columns,) array
-        Derivatives of the solver's variables by the values.
-    size : int
-        Number of all values.
-    """
-
-    places: tuple[int, ...]
-    scale: Array
-    size: int
-
-    def derivatives(self, by_columns: Array) -> Array:
-        """Return derivatives (..., k) by all values, for those (..., columns) by the columns."""
-        result = np.zeros((*by_columns.shape[:-1], self.size))
-        result[..., self.places] = by_columns * self.scale
-        return result
-
-    def directions(self, free: Array) -> Array:
-        """Return directions (columns, r) for those (p, r) of the free values, the first ones."""
-        padding = len(self.places) - len(free)
-        return np.pad(free, ((0, padding), (0, 0))) * self.scale[:, None]
-
-
 def record_information(
-    part: SegmentedPart, trajectory: Trajectory, columns: Columns
+    part: SegmentedPart, trajectory: Trajectory, by_values: Array
 ) -> Information:
-    """Return the information of a record on all values, the initial states fitted along.
+    """Return the information of a record on all values (k,), the initial states fitted along.
+
+    `by_values` (columns, k) are the derivatives of the part's variables by all values, of which
+    the free ones come first.
 
     For errors with the autocorrelation of the residuals, or white ones where the criterion takes
     them so.
@@ -61,14 +33,13 @@ def record_information(
     initial = part.unknown_initial_states
     # Fitted initial states make residuals smaller than errors, and the covariance too small.
     independent = independent_numbers(part.numbers, initial, len(score), 1.0)
-    meat = score * independent / (independent - initial)
-    meat = columns.derivatives(columns.derivatives(meat).T)
+    meat = by_values.T @ score @ by_values * independent / (independent - initial)
 
     def spread(correction: float) -> tuple[float, Array]:
         return 1.0, meat * (1.0 if model.is_prior else correction**2)
 
     def colored(root: Array) -> ColoredErrors:
-        directions = columns.directions(root)
+        directions = by_values[:, : len(root)] @ root
         return colored_errors(
             [directions.T @ J for J in data.unpadded(weighted)],
             data.unpadded(part.residuals(trajectory)),
@@ -83,10 +54,10 @@ def record_information(
     in_order = model.has_time and not model.errors_are_white
     return Information(
         part,
-        columns.derivatives(slopes.triangle),
+        slopes.triangle @ by_values,
         part.numbers - initial,
         spread,
-        reach=np.abs(columns.derivatives(slopes.reach)),
-        initial={name: columns.derivatives(rows) for name, rows in slopes.initial.items()},
+        reach=slopes.reach @ np.abs(by_values),
+        initial={name: rows @ by_values for name, rows in slopes.initial.items()},
         colored=colored if in_order else None,
     )

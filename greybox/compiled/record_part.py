@@ -10,7 +10,7 @@ import numpy as np
 
 from greybox.compiled.initial_states import at_samples
 from greybox.compiled.part import Information, Trajectory
-from greybox.compiled.record_information import Columns, record_information
+from greybox.compiled.record_information import record_information
 from greybox.compiled.record_model import RecordModel, longest_delay, record_model
 from greybox.compiled.record_program import RecordProgram
 from greybox.compiled.residual_covariance import (
@@ -216,7 +216,9 @@ class RecordPart(SegmentedPart):
             )
             dz_dx = np.ones(len(places))
 
-        return record_information(part, trajectory, Columns(places, dz_dx, len(values)))
+        by_values = np.zeros((len(places), len(values)))
+        by_values[range(len(places)), places] = dz_dx
+        return record_information(part, trajectory, by_values)
 
 
 def compile_records(

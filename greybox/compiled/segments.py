@@ -10,7 +10,7 @@ Columns run over segments, sample by sample: column i · s + j is sample i of se
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -66,7 +66,7 @@ class Segments:
         active: IntArray,
         *,
         records: IntArray | None = None,
-        own: tuple[int, ...] = (),
+        own: bool = False,
     ) -> None:
         """Prepare the functions of `step`."""
         self._step = step
@@ -76,42 +76,11 @@ class Segments:
         self.records = np.zeros(count, dtype=int) if records is None else records
         self.number = int(self.records[-1]) + 1 if count else 1  # of records
         self._own = own
-        self._common = [k for k in range(step.function.numel_in(1)) if k not in own]
         self.n = step.function.size1_in(0)
         self.k = step.function.size1_out(1)
         self._ordered: tuple[Array, Array] | None = None
 
     # --- compiled functions
-
-    @cached_property
-    def _advance(self) -> Columns:
-        """Return the next state, from x, q and data."""
-        return self._columns("advance", lambda x, q, d: [self._step.function(x, q, d)[0]])
-
-    @cached_property
-    def _output(self) -> Columns:
-        """Residual and output, from x, q and data."""
-        return self._columns("output", lambda x, q, d: list(self._step.function(x, q, d)[1:]))
-
-    @cached_property
-    def _derivatives(self) -> Columns:
-        """Return derivatives of next state and residual by x and parameters, and the residual."""
-
-        def results(x: Any, q: Any, d: Any) -> list[Any]:
-            end, e, _ = self._step.function(x, q, d)
-            return [*self._slopes(x, q, end, e), e]
-
-        return self._columns("derivatives", results)
-
-    @cached_property
-    def _output_derivatives(self) -> Columns:
-        """Return derivatives of next state and simulated output by x and active parameters."""
-
-        def results(x: Any, q: Any, d: Any) -> list[Any]:
-            end, _, y = self._step.function(x, q, d)
-            return self._slopes(x, q, end, y)
-
-        return self._columns("output_derivatives", results)
 
     @one_thread_at_a_time
     def _slopes(self, x: Any, q: Any, *results: Any) -> list[Any]:
@@ -127,39 +96,30 @@ class Segments:
         ]
 
     @one_thread_at_a_time
-    def _columns(self, name: str, results: Callable[[Any, Any, Any], list[Any]]) -> Columns:
-        """Return a function of x, q and d, the same for all segments with this step."""
+    def _columns(self, name: str) -> Columns:
+        """Return a function of x, q and data, the same for all segments with this step.
+
+        "advance" gives the next state, "output" residual and simulated output, "derivatives" those
+        of next state and residual by x and active parameters, and the residual, and
+        "output_derivatives" those of the simulated output instead of the residual.
+        """
         # Excerpts and refits share the step, and so the functions that take longest to build.
         key = (name, tuple(self.active.tolist()), self._own)
         evaluated = self._step.evaluated
         if key not in evaluated:
             x, q, d = self._step.symbols()
-            function = ca.Function(name, [x, q, d], results(x, q, d), {"cse": True})
-            evaluated[key] = Columns(self._with_own(function), shared=(1,))
+            end, e, y = self._step.function(x, q, d)
+            results = {"advance": [end], "output": [e, y]}.get(name)
+            if results is None:
+                results = [*self._slopes(x, q, end, e if name == "derivatives" else y), e]
+            function = ca.Function(name, [x, q, d], results, {"cse": True})
+            evaluated[key] = Columns(function, shared=() if self._own else (1,))
         return evaluated[key]
-
-    @one_thread_at_a_time
-    def _with_own(self, function: ca.Function) -> ca.Function:
-        """Return the function of x, q and d as one of x, common and own parameters, and d."""
-        if not self._own:
-            return function
-        x, q, d = self._step.symbols()
-        common, own = type(q).sym("common", len(self._common)), type(q).sym("own", len(self._own))
-        place = {k: common[i] for i, k in enumerate(self._common)} | {
-            k: own[i] for i, k in enumerate(self._own)
-        }
-        joined = ca.vertcat(*(place[k] for k in range(q.numel())))
-
-        return ca.Function(
-            function.name(), [x, common, own, d], function.call([x, joined, d]), {"cse": True}
-        )
 
     def _evaluate(self, columns: Columns, states: Array, q: Array, data: Array) -> list[Array]:
         """Evaluate for columns of the segments that q is given for."""
-        if not self._own:
-            return columns(states, q, data)
-        own = np.tile(q[list(self._own)], data.shape[1] // q.shape[1])
-        return columns(states, q[self._common, 0], own, data)
+        q = np.tile(q, data.shape[1] // q.shape[1]) if self._own else q
+        return columns(states, q, data)
 
     @cached_property
     def record_rows(self) -> list[slice]:
@@ -202,10 +162,11 @@ class Segments:
         x = nodes.T
         states = np.empty((self.n, self.length * s))
 
+        advance = self._columns("advance")
         for i in range(self.length if self.n else 0):
             sample = slice(i * s, (i + 1) * s)
             states[:, sample] = x
-            (x,) = self._evaluate(self._advance, x, q, data[:, sample])
+            (x,) = self._evaluate(advance, x, q, data[:, sample])
 
         return states, x.T
 
@@ -234,7 +195,7 @@ class Segments:
 
     def residuals(self, states: Array, q: Array, data: Array) -> Array:
         """Return measured less simulated outputs (k, columns), zero where nothing was measured."""
-        return self._evaluate(self._output, states, q, data)[0]
+        return self._evaluate(self._columns("output"), states, q, data)[0]
 
     def products(self, residuals: Array) -> Array:
         """Return the residual products (r, k, k) of every record; residuals are (k, columns)."""
@@ -257,7 +218,7 @@ class Segments:
 
     def outputs(self, states: Array, q: Array, data: Array) -> Array:
         """Return simulated outputs (k, columns)."""
-        return self._evaluate(self._output, states, q, data)[1]
+        return self._evaluate(self._columns("output"), states, q, data)[1]
 
     # --- linearization
 
@@ -315,7 +276,9 @@ class Segments:
             return by_sample.reshape(len(values), length * count)
 
         q = q[:, batch] if self._own else q
-        A, C, e = _finite(self._evaluate(self._derivatives, chosen(states), q, chosen(data)))
+        A, C, e = _finite(
+            self._evaluate(self._columns("derivatives"), chosen(states), q, chosen(data))
+        )
         S, J = self._propagated(A, C, count)
         return S, J, e.reshape(self.k, length, count).transpose(1, 0, 2)
 
@@ -324,7 +287,7 @@ class Segments:
 
         They are (v, n, columns) and (v, k, columns), of every sample alone.
         """
-        A, C, _ = _finite(self._evaluate(self._derivatives, states, q, data))
+        A, C, _ = _finite(self._evaluate(self._columns("derivatives"), states, q, data))
         columns = data.shape[1]
         v = self.n + len(self.active)
         return A.reshape(v, self.n, columns), C.reshape(v, self.k, columns)
@@ -345,7 +308,7 @@ class Segments:
 
         Not finite from where the simulation is not.
         """
-        A, C = self._evaluate(self._output_derivatives, states, q, data)
+        A, C, _ = self._evaluate(self._columns("output_derivatives"), states, q, data)
         # The sums are finite if all entries are, which costs less than testing each.
         if not math.isfinite(A.sum() + C.sum()):
             lost = ~(np.isfinite(A).all(axis=0) & np.isfinite(C).all(axis=0)) & np.isfinite(
@@ -357,7 +320,7 @@ class Segments:
     def _differences(
         self, states: Array, q: Array, data: Array, columns: IntArray
     ) -> tuple[Array, Array]:
-        """Return the results of `_output_derivatives` for some columns, by central differences.
+        """Return derivatives of next states and outputs for some columns, by central differences.
 
         Below zero, the chain rule of a guarded root, sqrt(max(h, 0)), multiplies zero by infinity,
         though the step is smooth there. The relative step, the cube root of the machine's
@@ -376,8 +339,8 @@ class Segments:
             for change in (h, -h):
                 states, values = x.copy(), q.copy()
                 (states if is_state else values)[row] += change
-                end = self._evaluate(self._advance, states, values, d)[0] if self.n else states
-                moved.append([end, self._evaluate(self._output, states, values, d)[1]])
+                end = self._evaluate(self._columns("advance"), states, values, d)[0]
+                moved.append([end, self._evaluate(self._columns("output"), states, values, d)[1]])
             slopes.append([(up - down) / (2 * h) for up, down in zip(*moved, strict=True)])
 
         A, C = (np.concatenate(parts) for parts in zip(*slopes, strict=True))
@@ -412,10 +375,8 @@ class Segments:
         """Return the mean derivatives of next state (n, n) and outputs (k, n) by the state."""
         # 500 samples, evenly over the record, cost a twelfth of 6000.
         sample = slice(None, None, max(states.shape[1] // 500, 1))
-        A, C, _ = _finite(self._derivatives(states[:, sample], q, data[:, sample]))
-        A = A.reshape(-1, self.n, A.shape[1])[: self.n]
-        C = C.reshape(-1, self.k, C.shape[1])[: self.n]
-        return A.mean(axis=2).T, -C.mean(axis=2).T
+        A, C = self.sample_derivatives(states[:, sample], q, data[:, sample])
+        return A[: self.n].mean(axis=2).T, -C[: self.n].mean(axis=2).T
 
     def batches(self, s: int) -> list[slice]:
         """Return slices of s segments whose derivatives fit into memory together."""

@@ -125,7 +125,7 @@ def test_a_guarded_root_below_zero_leaves_the_solver_finite_derivatives():
     assert_allclose(ends, 0)
 
 
-@pytest.mark.parametrize("own", [(), (0,)])
+@pytest.mark.parametrize("own", [False, True])
 def test_sensitivities_of_outputs_below_a_guarded_root_are_differences(own):
     """Of sqrt(max(h, 0)) the slope at h < 0 is 0 times infinity; an empty tank still fills by
     what flows in.
@@ -212,10 +212,10 @@ def test_a_linearization_is_that_of_the_weighted_residuals(made, records, batch,
     step, initial, q, rows = made
     rows, records = measured_rows(rows), np.array(records)
     many = records[-1] + 1
-    active, own = np.array([1, 0]), (1,)
+    active = np.array([1, 0])
     each = np.tile(q[:, None], (1, COUNT))
     each[1] += 0.3 * records
-    segments = Segments(step, COUNT, LENGTH, active, records=records, own=own)
+    segments = Segments(step, COUNT, LENGTH, active, records=records, own=True)
     data = segments.columns(rows)
     states, _ = segments.simulate(initial, each, data)
     residuals = segments.residuals(states, each, data)
