@@ -120,7 +120,9 @@ def advanced(p: int, last: int, loose: float) -> ca.Function:
     # The next trial, if Newton's step stays within the radius.
     free = _free(z, gradient, lower, upper)
     hessian_of_free = hessian * (free @ free.T) + ca.diag(1 - free)
-    newton, pivots = _eliminated(hessian_of_free, free * gradient)
+    # The pivots are all positive for a definite Hessian.
+    pivots, factor, order = ca.ldl(hessian_of_free, False)
+    newton = -ca.ldl_solve(free * gradient, pivots, factor, order)
     within_radius = ca.sumsqr(newton) <= (CLOSE_TO_RADIUS * radius) ** 2
     is_newton = ca.logic_and(ca.mmin(pivots) > FLATTEST * ca.mmax(pivots), within_radius)
     moved = _moved(z, newton, free, level < last, lower, upper)
@@ -171,20 +173,6 @@ def _moved(
     share = ca.if_else(has_barrier, 0.99, 1.0)
     lowest, highest = z - share * (z - lower), z + share * (upper - z)
     return ca.fmin(ca.fmax(z + free * step, lowest), highest)
-
-
-def _eliminated(hessian: ca.SX, gradient: ca.SX) -> tuple[ca.SX, ca.SX]:
-    """Return Newton's step (p,) and the pivots (p,), all positive for a definite Hessian."""
-    matrix, step, p = ca.SX(hessian), -gradient, gradient.numel()
-    for k in range(p - 1):
-        factor = matrix[k, k + 1 :].T / matrix[k, k]
-        matrix[k + 1 :, k + 1 :] -= ca.triu(factor @ matrix[k, k + 1 :])
-        step[k + 1 :] -= factor * step[k]
-    pivots = ca.diag(matrix)
-    step[p - 1] = step[p - 1] / pivots[p - 1]
-    for k in range(p - 2, -1, -1):
-        step[k] = (step[k] - matrix[k, k + 1 :] @ step[k + 1 :]) / pivots[k]
-    return step, pivots
 
 
 def _within(radius: ca.SX, gradient: ca.SX, curvature: ca.SX) -> ca.SX:
