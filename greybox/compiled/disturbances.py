@@ -6,7 +6,6 @@ parameter. No other model is compiled, and models that are unstable without feed
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -33,12 +32,6 @@ class DisturbedRecord:
         self.present = segments.in_order(data[-1 - k : -1]) > 0
         self.outputs = part.simulated_outputs(trajectory)
         self.parameters = self._placed.q
-
-    def symbols(self) -> list[Any]:
-        """Return states, inputs and parameters as symbols."""
-        system = self.part.system
-        names = (system.states, system.inputs, system.parameters)
-        return [ca.SX.sym("v", len(of_kind)) for of_kind in names]
 
     def by_stretch(self, function: Callable[..., Array], row: Array, *arguments: float) -> Array:
         """Return a function of the samples and the step of every stretch, segments filled up."""
@@ -75,7 +68,7 @@ class DisturbedRecord:
     def _through_inputs(self) -> Array:
         """The derivatives of the states' derivatives and the outputs by the inputs."""
         system = self.part.system
-        x, u, p = self.symbols()
+        x, u, p = system.symbols
         rows = [system.outputs.index(name) for name in self.part.outputs]
         through = ca.vertcat(system.derivative(x, u, p), system.output(x, u, p)[rows])
         slope = ca.Function("slope", [x, u, p], [ca.vec(ca.densify(ca.jacobian(through, u)))])

@@ -42,9 +42,7 @@ class InitialStates:
         """
         self._n = len(system.states)
         self._scanned = scanned
-        x, u, p = (
-            ca.SX.sym("v", len(v)) for v in (system.states, system.inputs, system.parameters)
-        )
+        x, u, p = system.symbols
         y = system.output(x, u, p)[[system.outputs.index(name) for name in outputs]]
         f = system.derivative(x, u, p) if self._n else ca.SX(0, 1)
         slopes = ca.vertcat(

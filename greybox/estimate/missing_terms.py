@@ -227,7 +227,7 @@ def _equations(record: DisturbedRecord) -> dict[int, set[str]]:
     Derivatives without any parameter or input are kinematic, and left out unless all are.
     """
     system = record.part.system
-    x, u, p = record.symbols()
+    x, u, p = system.symbols
     derivative, names = system.derivative(x, u, p), (*system.states, *system.inputs)
     slopes = ca.jacobian(derivative, ca.vertcat(x, u))
     equations = {
