@@ -59,10 +59,6 @@ class RecordGroup(SegmentedPart):
         """Return the group on excerpts of about so many samples in all."""
         return RecordGroup(excerpts(self.parts, samples))
 
-    def by_part(self, nodes: Array) -> list[Array]:
-        """Return the nodes of the records."""
-        return [nodes[rows] for rows in self.segments.record_rows]
-
     # --- placement
 
     @cached_property
@@ -118,41 +114,41 @@ class Groups:
 
     def __init__(self, parts: Sequence[Part]) -> None:
         """Group the parts; a record with a Kalman gain stays alone, because it must be stable."""
-        lots: dict[Any, list[int]] = {}
+        lots: dict[Any, list[Any]] = {}
         for k, part in enumerate(parts):
-            lots.setdefault(_kind(part, k), []).append(k)
+            lots.setdefault(_kind(part, k), []).append(part)
         self._all = tuple(parts)
-        self._members = list(lots.values())
-        groups: list[Any] = [[parts[k] for k in members] for members in self._members]
+        self._lots = list(lots.values())
         self.parts: tuple[Part, ...] = tuple(
-            RecordGroup(group) if len(group) > 1 else group[0] for group in groups
+            RecordGroup(lot) if len(lot) > 1 else lot[0] for lot in self._lots
         )
+        # The group of every part, and its nodes among those of the group.
+        self._places: dict[Part, tuple[int, slice]] = {}
+        for number, (lot, group) in enumerate(zip(self._lots, self.parts, strict=True)):
+            rows = group.segments.record_rows if isinstance(group, RecordGroup) else [slice(None)]
+            self._places |= {
+                part: (number, of_part) for part, of_part in zip(lot, rows, strict=True)
+            }
 
     def joined(self, nodes: Sequence[Array]) -> list[Array]:
         """Return the nodes of every group, given those of every part."""
-        lots = [[nodes[k] for k in members] for members in self._members]
-        return [lot[0] if len(lot) == 1 else np.concatenate(lot) for lot in lots]
+        by_part = dict(zip(self._all, nodes, strict=True))
+        return [np.concatenate([by_part[part] for part in lot]) for lot in self._lots]
 
     def nodes_by_part(self, nodes: Sequence[Array]) -> list[Array]:
         """Return the nodes of every part, given those of every group."""
-        result: list[Any] = [None] * len(self._all)
-        for group, members, of_group in zip(self.parts, self._members, nodes, strict=True):
-            lot = group.by_part(of_group) if isinstance(group, RecordGroup) else [of_group]
-            for k, of_part in zip(members, lot, strict=True):
-                result[k] = of_part
-        return result
+        places = [self._places[part] for part in self._all]
+        return [nodes[group][rows] for group, rows in places]
 
     def split(self, trajectories: Sequence[Trajectory]) -> list[Trajectory]:
         """Return the trajectories of every part, given those of every group."""
-        result: list[Any] = [None] * len(self._all)
         nodes = self.nodes_by_part([t.nodes for t in trajectories])
-        for members, t in zip(self._members, trajectories, strict=True):
-            for k in members:
-                alone = len(members) == 1
-                result[k] = (
-                    t if alone else self._all[k].trajectory(t.z, nodes[k], simulated=t.simulated)
-                )
-
+        result = []
+        for part, of_part in zip(self._all, nodes, strict=True):
+            number, _ = self._places[part]
+            t = trajectories[number]
+            alone = part is self.parts[number]
+            result.append(t if alone else part.trajectory(t.z, of_part, simulated=t.simulated))
         return result
 
 

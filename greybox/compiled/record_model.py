@@ -19,7 +19,7 @@ from greybox.formulation.input_assumptions import between_samples
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator
-from greybox.modeling.model import Model, Names
+from greybox.modeling.model import Names
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.symbolic_reading import traced
@@ -29,8 +29,8 @@ from greybox.modeling.symbolic_reading import traced
 class RecordModel:
     """A record and its model, whatever the cut into segments and the substeps.
 
-    Problem, record and criterion stay where they were compiled when this is pickled: solvers need
-    only the rest.
+    Problem, record, criterion and kind stay where they were compiled when this is pickled: solvers
+    need only the rest.
 
     Attributes
     ----------
@@ -50,6 +50,8 @@ class RecordModel:
         The start values of the model's parameters.
     active : (q,) array
         Places of the estimated parameters among the declared ones.
+    kind : tuple
+        What it has in common with records that share its functions, see `_kind`.
     has_time : bool
         Whether the record's samples follow one another in time.
     errors_are_white : bool
@@ -73,6 +75,7 @@ class RecordModel:
     problem: Problem
     record: Record
     criterion: TimeCriterion
+    kind: tuple[Any, ...]
     has_time: bool
     errors_are_white: bool
     is_prior: bool
@@ -95,7 +98,7 @@ class RecordModel:
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave behind values that may be of the user's classes."""
-        local = ("problem", "record", "criterion")
+        local = ("problem", "record", "criterion", "kind")
         return {name: value for name, value in vars(self).items() if name not in local}
 
     @property
@@ -131,9 +134,10 @@ def record_model(
     assert isinstance(problem.data, Record)
     q = ca.vertcat(q, ca.SX.zeros(len(_parameters(problem)) - q.numel()))
     expressions = tuple(str(q[i]) for i in range(q.numel()))
-    kin = next((model for model in others if _is_of_one_kind(problem, model)), None)
+    kind = _kind(problem)
+    kin = next((model for model in others if model.kind == kind), None)
     if kin is None:
-        kin = _first_of_its_kind(problem, method)
+        kin = _first_of_its_kind(problem, kind, method)
 
     slope = ca.jacobian(q, z)
     # Gains that follow from process noise have no expression in z: the filter gives their slopes.
@@ -159,16 +163,15 @@ def record_model(
     )
 
 
-def _first_of_its_kind(problem: Problem, method: Transcription) -> RecordModel:
+def _first_of_its_kind(
+    problem: Problem, kind: tuple[Any, ...], method: Transcription
+) -> RecordModel:
     """Compile the functions that records of one kind share; those of z are left empty."""
     assert isinstance(problem.data, Record)
-    assert isinstance(problem.criterion, TimeCriterion)
-    criterion, initial_values = problem.criterion, problem.criterion.initial
-    system = dynamics(problem.model, delay_order(problem.delay))
-    between = between_samples(criterion.inputs, system.inputs, problem.data)
+    criterion, delay, parameters, outputs, between, _ = kind
+    initial_values = criterion.initial
+    system = dynamics(problem.model, delay_order(delay))
     system = system.later([intersample.late for intersample in between])
-    outputs = criterion.compared(problem.model, problem.data)
-    parameters = _parameters(problem)
     symbol = ca.SX.sym("q", len(parameters))
     local = Names(
         dict(zip(problem.declared, ca.vertsplit(symbol), strict=False)), problem.model.label
@@ -182,6 +185,7 @@ def _first_of_its_kind(problem: Problem, method: Transcription) -> RecordModel:
         problem=problem,
         record=problem.data,
         criterion=criterion,
+        kind=kind,
         has_time=problem.data.has_time,
         errors_are_white=criterion.errors_are_white,
         is_prior=criterion.is_prior,
@@ -206,31 +210,20 @@ def _first_of_its_kind(problem: Problem, method: Transcription) -> RecordModel:
     )
 
 
-def _is_of_one_kind(problem: Problem, other: RecordModel) -> bool:
-    """Return whether a record has the equations, criterion, outputs and inputs of another one."""
-    if problem.delay != other.problem.delay or not _is_same_model(
-        problem.model, other.problem.model
-    ):
-        return False
+def _kind(problem: Problem) -> tuple[Any, ...]:
+    """Return what records have in common if they share their compiled functions.
 
-    if not (problem.criterion is other.criterion or problem.criterion == other.criterion):
-        return False
+    Criterion, delay, parameters, compared outputs, and the model, which stands for its class where
+    that was given no arguments.
+    """
     assert isinstance(problem.data, Record)
     assert isinstance(problem.criterion, TimeCriterion)
-    between = between_samples(problem.criterion.inputs, other.system.inputs, problem.data)
-    compared = problem.criterion.compared(problem.model, problem.data)
-
-    return (
-        _parameters(problem) == other.parameters
-        and compared == other.outputs
-        and between == other.between
-    )
-
-
-def _is_same_model(a: Model, b: Model) -> bool:
-    """Return whether two models are one, or of one class that was given no arguments."""
-    plain = {"arguments": ((), {})}
-    return a is b or (type(a) is type(b) and vars(a) == plain == vars(b))
+    model, criterion = problem.model, problem.criterion
+    is_plain = vars(model) == {"arguments": ((), {})}
+    outputs = criterion.compared(model, problem.data)
+    between = between_samples(criterion.inputs, model.input_names, problem.data)
+    alike = type(model) if is_plain else id(model)
+    return criterion, problem.delay, _parameters(problem), outputs, between, alike
 
 
 def _parameters(problem: Problem) -> tuple[str, ...]:
