@@ -38,26 +38,17 @@ class UnitTables:
 
     def __init__(self, groups: Iterable[Messages]) -> None:
         tables = {group.name: group for group in groups}
-        self._several: dict[str, set[str]] = {}
+        self._labels: dict[str, set[str]] = {}
         for letter, label in _pairs(tables.get("UNIT"), "Id", "Label"):
-            self._several.setdefault(_letter(letter), set()).add(label)
-
-        self.labels = {
-            letter: min(labels) for letter, labels in self._several.items() if len(labels) == 1
-        }
+            self._labels.setdefault(_letter(letter), set()).add(label)
         # Single precision on board: pymavlink rounds to 7 digits to look the prefixes up.
-        self.multipliers = {
+        self._multipliers = {
             _letter(letter): float(f"{value:.7g}")
             for letter, value in _pairs(tables.get("MULT"), "Id", "Mult")
         }
-        of_kind, scales = (
-            {
-                _integer(kind): letters
-                for kind, letters in _pairs(tables.get("FMTU"), "FmtType", ids)
-            }
-            for ids in ("UnitIds", "MultIds")
-        )
-        self.letters = {kind: (units, scales.get(kind, "")) for kind, units in of_kind.items()}
+        used = tables.get("FMTU")
+        letters = zip(column(used, "UnitIds"), column(used, "MultIds"), strict=False)
+        self._letters = dict(zip(map(_integer, column(used, "FmtType")), letters, strict=False))
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -65,20 +56,21 @@ class UnitTables:
         return tuple(
             f"the table of units has the letter {letter!r} for {' and for '.join(sorted(labels))}: "
             "its columns are taken without a unit."
-            for letter, labels in self._several.items()
+            for letter, labels in self._labels.items()
             if len(labels) > 1
         )
 
     def of(self, layout: Layout) -> Units:
         """Return the units of one type as pymavlink does, with the multiplier in it, cm/s²."""
-        units, scales = self.letters.get(layout.kind, ("", ""))
+        units, scales = self._letters.get(layout.kind, ("", ""))
         columns = {}
         for i, (name, letter) in enumerate(zip(layout.columns, units, strict=False)):
-            label = unit(self.labels.get(letter, ""))
+            labels = self._labels.get(letter, ())
+            label = unit(*labels) if len(labels) == 1 else ""
             # A format letter that scales has been applied to the numbers already.
             scaled = label and i < len(scales) and layout.scale(i) is None
             columns[name] = (
-                _prefixed(label, self.multipliers.get(scales[i], 1.0)) if scaled else label
+                _prefixed(label, self._multipliers.get(scales[i], 1.0)) if scaled else label
             )
         return Units(columns, _instance(layout, units))
 
