@@ -140,8 +140,9 @@ def prepare(
     for name in {source for signal in held for source in needed[signal]}:
         sources[name] = replace(sources[name], hold=HELD)
 
+    rate = 1 / max(source.step for source in sources.values()) if rate is None else rate
     grid = _grid(sources, rate, start, end)
-    sampled = {name: _on_grid(source, grid) for name, source in sources.items()}
+    sampled = {name: _on_grid(source, grid, rate) for name, source in sources.items()}
     # A gap in one signal is a gap of the record, because a model needs all signals at once.
     keep = np.logical_and.reduce([np.isfinite(values) for values in sampled.values()])
     if keep.sum() < 2:
@@ -170,7 +171,7 @@ def prepare(
         hold={
             n: h
             for n, names in needed.items()
-            if (h := _known_hold([sources[s] for s in names], grid)) is not None
+            if (h := _known_hold([sources[s] for s in names], rate)) is not None
         },
         filters={n: f for n, names in needed.items() if (f := _known_filters(recording, names))},
         findings=tuple(
@@ -241,15 +242,13 @@ def _missing(record: Record, count: int) -> list[str]:
     return [f"The other {len(record) - count} values are missing."] if len(record) > count else []
 
 
-def _grid(sources: Mapping[str, _Source], rate: float | None, start: float, end: float) -> Array:
+def _grid(sources: Mapping[str, _Source], rate: float, start: float, end: float) -> Array:
     if math.isnan(start) or math.isnan(end):
         raise ValueError(
             f"start {start} and end {end} must be numbers of seconds on the log's clock."
         )
     first = max(start, *(source.time[0] for source in sources.values()))
     last = min(end, *(source.time[-1] for source in sources.values()))
-    if rate is None:
-        rate = 1 / max(source.step for source in sources.values())
     if not (math.isfinite(rate) and rate > 0):
         raise ValueError(f"rate {rate} must be a finite number of Hz above 0.")
 
@@ -273,10 +272,9 @@ def _grid(sources: Mapping[str, _Source], rate: float | None, start: float, end:
     return first + np.arange(count) / rate
 
 
-def _on_grid(source: _Source, grid: Array) -> Array:
+def _on_grid(source: _Source, grid: Array, rate: float) -> Array:
     """Return the signal on `grid`, NaN in its gaps and outside."""
     result = np.full(grid.size, np.nan)
-    rate = _rate(grid)
     cuts = np.flatnonzero(np.diff(source.time) > GAP * source.step) + 1
     for time, values in zip(
         np.split(source.time, cuts), np.split(source.values, cuts), strict=True
@@ -298,10 +296,6 @@ def _on_grid(source: _Source, grid: Array) -> Array:
     return result
 
 
-def _rate(grid: Array) -> float:
-    return (grid.size - 1) / (grid[-1] - grid[0])
-
-
 def _held_mean(time: Array, values: Array, grid: Array, step: float) -> Array:
     """Return the mean of a held signal over each coming step, which moves nothing in time."""
     ends = np.append(time[1:], time[-1] + step)
@@ -311,10 +305,10 @@ def _held_mean(time: Array, values: Array, grid: Array, step: float) -> Array:
     return (np.interp(grid + step, bounds, integral) - np.interp(grid, bounds, integral)) / step
 
 
-def _known_hold(sources: Sequence[_Source], grid: Array) -> float | None:
+def _known_hold(sources: Sequence[_Source], rate: float) -> float | None:
     """Return how long the values of a signal computed from these last, s, or None."""
     # A signal that is computed from held and continuous ones is neither.
-    holds = {source.hold_at(_rate(grid)) for source in sources}
+    holds = {source.hold_at(rate) for source in sources}
     return holds.pop() if len(holds) == 1 else None
 
 

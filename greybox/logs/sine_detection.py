@@ -294,23 +294,8 @@ def _whole(
     if last - first <= KNOWN_PERIODS:
         return sweep
 
-    def is_full(k: int, way: int) -> bool:
-        """Return whether the signal between crossing k and the next one is a half wave.
-
-        The mean over the peak is 2/π for a sine, 0.55 for one that fades in from zero and 1/2 for a
-        triangle. It is less where a rest follows another motion.
-        """
-        a, b = np.searchsorted(time, sorted((crossings[k], crossings[k + way])))
-        middle = (values[corners[k]] + values[corners[k + 1]]) / 2
-        peak = values[corners[max(k, k + way)]] - middle
-        return bool(b > a and np.mean(values[a:b] - middle) / peak > 0.45)
-
     def end(k: int, way: int) -> int:
-        while (
-            0 <= k + way < crossings.size
-            and _follows(crossings, swings, k, way, step)
-            and is_full(k, way)
-        ):
+        while 0 <= k + way < crossings.size and _follows(crossings, swings, k, way, step):
             k += way
         return k
 

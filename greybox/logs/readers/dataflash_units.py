@@ -79,17 +79,10 @@ def with_usual_units(groups: list[Messages]) -> tuple[list[Messages], tuple[str,
     """Give messages of logs without unit tables ArduPilot's usual units, with a finding."""
     if any(unit for group in groups for unit in group.units.values()):
         return list(groups), ()
-    names = [group.name for group in groups if group.name in USUAL]
-    with_units = [
-        replace(g, units={**g.units, **USUAL[g.name]}) if g.name in USUAL else g for g in groups
-    ]
-    names = ", ".join(dict.fromkeys(names))
-
-    return with_units, (
-        (f"the log has no table of units: ArduPilot's usual ones are assumed for {names}.",)
-        if names
-        else ()
-    )
+    names = ", ".join(dict.fromkeys(group.name for group in groups if group.name in USUAL))
+    with_units = [replace(g, units={**g.units, **USUAL.get(g.name, {})}) for g in groups]
+    text = f"the log has no table of units: ArduPilot's usual ones are assumed for {names}."
+    return with_units, (text,) if names else ()
 
 
 def _pairs(table: Messages | None, key: str, value: str) -> Iterable[tuple[float, Any]]:
