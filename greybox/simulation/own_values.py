@@ -18,9 +18,10 @@ import numpy as np
 from greybox.compiled.sampled_data import gapless
 from greybox.files.arrays import Array, IntArray
 from greybox.files.text_table import counted, listed, with_error
-from greybox.formulation.time_criteria import WIDEST_BIAS
+from greybox.formulation.time_criteria import bias_parameter
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.model import require_known
+from greybox.modeling.parameter import Parameter
 from greybox.simulation.model_at_estimate import ModelAtEstimate
 from greybox.simulation.simulator import Simulator
 from greybox.simulation.state_estimation import whitening
@@ -49,13 +50,18 @@ def with_own_values(
     if not own:
         return model, {}, ()
     biased = _with_biases(model, own)
-    limits = {name: _limits(biased, windows, name) for name in own}
+    parameters = {name: p for name, p in biased.declared.items() if name in own}
+    record = windows.record
+    for name in own:
+        signal = name.removesuffix("_bias")
+        if name not in parameters and np.isfinite(record.signals.get(signal, np.nan)).any():
+            parameters[name] = bias_parameter(signal, record)
     simulator = Simulator(biased, outputs, integrator)
 
     # Short windows come first: they follow the record even with wrong values.
-    estimate = _determined(simulator, biased, windows, limits)
+    estimate = _determined(simulator, biased, windows, parameters)
     for longer in _longer(biased, windows, outputs):
-        candidate = _determined(simulator, estimate.model, longer, limits)
+        candidate = _determined(simulator, estimate.model, longer, parameters)
         # Up to a tenth more in rms is due to slow errors of the model. With more, the free
         # simulation no longer follows the record.
         reference = estimate.mean_square if estimate.names else math.inf
@@ -64,12 +70,12 @@ def with_own_values(
         if candidate.certainty > estimate.certainty:
             estimate = candidate
 
-    record = windows.record.name or "the record"
-    undetermined = [name for name in limits if name not in estimate.names]
+    title = record.name or "the record"
+    undetermined = [name for name in dict.fromkeys(own) if name not in estimate.names]
     notes: tuple[str, ...] = ()
     if undetermined:
         notes = (
-            f"{listed(undetermined)}: not determined by {record}, the value of the fit is used.",
+            f"{listed(undetermined)}: not determined by {title}, the value of the fit is used.",
         )
     if not estimate.names:
         return model, {}, notes
@@ -79,10 +85,10 @@ def with_own_values(
     values = dict(
         zip(estimate.names, zip(estimate.values.tolist(), errors, strict=True), strict=True)
     )
-    units = [_unit(biased, windows, name) for name in estimate.names]
+    units = [parameters[name].unit for name in estimate.names]
     rows = np.unique(estimate.windows.rows)
-    numbers = sum(int(np.isfinite(windows.record[name][rows]).sum()) for name in outputs)
-    note = _note(values, units, numbers, record)
+    numbers = sum(int(np.isfinite(record[name][rows]).sum()) for name in outputs)
+    note = _note(values, units, numbers, title)
     return replace(estimate.model, covariance=covariance), values, (note, *notes)
 
 
@@ -172,16 +178,16 @@ def _determined(
     simulator: Simulator,
     model: ModelAtEstimate,
     windows: Windows,
-    limits: Mapping[str, tuple[float, float]],
+    parameters: Mapping[str, Parameter],
 ) -> _Estimate:
-    """Estimate those of the values in `limits` that the windows determine; the others stay."""
+    """Estimate those of the `parameters` that the windows determine; the others stay."""
     while True:
-        estimate = _minimized(simulator, model, windows, limits)
+        estimate = _minimized(simulator, model, windows, parameters)
         # One at a time: without that value, the record may determine the others.
-        lost = _not_determined(estimate, limits) if limits else ""
+        lost = _not_determined(estimate, parameters) if parameters else ""
         if not lost:
             return estimate
-        limits = {name: pair for name, pair in limits.items() if name != lost}
+        parameters = {name: p for name, p in parameters.items() if name != lost}
 
 
 def _with_biases(model: ModelAtEstimate, own: Sequence[str]) -> ModelAtEstimate:
@@ -204,33 +210,16 @@ def _with_biases(model: ModelAtEstimate, own: Sequence[str]) -> ModelAtEstimate:
     )
 
 
-def _limits(model: ModelAtEstimate, windows: Windows, name: str) -> tuple[float, float]:
-    """Return the declared bounds; for a bias, a multiple of the range of its signal."""
-    if name in model.declared:
-        return model.declared[name].bounds
-    signal = windows.record.signals.get(name.removesuffix("_bias"))
-    if signal is None or not np.isfinite(signal).any():
-        return -np.inf, np.inf
-    span = WIDEST_BIAS * (float(np.nanmax(signal) - np.nanmin(signal)) or 1.0)
-    return -span, span
-
-
-def _unit(model: ModelAtEstimate, windows: Windows, name: str) -> str:
-    if name in model.declared:
-        return model.declared[name].unit
-    return windows.record.units.get(name.removesuffix("_bias"), "")
-
-
 def _minimized(
     simulator: Simulator,
     model: ModelAtEstimate,
     windows: Windows,
-    limits: Mapping[str, tuple[float, float]],
+    parameters: Mapping[str, Parameter],
 ) -> _Estimate:
-    """Return the best values of the names in `limits`."""
+    """Return the best values of the parameters, within their bounds."""
     # Bounds keep a value finite that the windows determine badly.
-    low, high = np.array([*limits.values()]).reshape(-1, 2).T
-    places = np.array([model.names.index(name) for name in limits], dtype=int)
+    low, high = np.array([p.bounds for p in parameters.values()]).reshape(-1, 2).T
+    places = np.array([model.names.index(name) for name in parameters], dtype=int)
 
     def at(values: Array) -> _Estimate:
         q = model.q.copy()
@@ -309,14 +298,14 @@ def pseudo_inverse(matrix: Array) -> Array:
     return np.asarray(inverse * scales, dtype=np.float64)
 
 
-def _not_determined(estimate: _Estimate, limits: Mapping[str, tuple[float, float]]) -> str:
+def _not_determined(estimate: _Estimate, parameters: Mapping[str, Parameter]) -> str:
     """Return the name of the least determined value if it is undetermined, else ""."""
     # The share of a value in combinations that change no sample.
     blind = 1 - np.diag(estimate.inverse @ estimate.matrix)
     if blind.max() > 1e-4:
         return estimate.names[int(np.argmax(blind))]
     # Its error exceeds half of its bounds.
-    low, high = np.array(list(limits.values())).T
+    low, high = np.array([p.bounds for p in parameters.values()]).T
     ratio = np.sqrt(np.diag(estimate.covariance)) / ((high - low) / 2)
     return estimate.names[int(np.argmax(ratio))] if ratio.max() > 1 else ""
 

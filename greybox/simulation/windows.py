@@ -78,23 +78,24 @@ def cut(
     ValueError
         If a length is not positive or shorter than a sample, or no stretch is long enough.
     """
-    if not record.has_time:
-        return _rows(record, inputs, outputs)
-    require_lengths(**{"lead": lead, called: horizon})
     require_signals(record, inputs)
     stretches = gapless(record, tuple(inputs), tuple(outputs))
-    for name, length in (("lead", lead), (called, horizon)):
-        if length < (1 - ROUNDING) * record.step:
-            raise ValueError(
-                f"{name}={seconds(length)} s is shorter than a sample of "
-                f"{record.name or 'the record'}, {seconds(record.step)} s: give several samples, "
-                f"e.g. {name}={seconds(FEWEST * record.step)}, or omit it."
-            )
-    # Half a sample is rounded down in all records alike, however their times are rounded.
-    lead_samples, horizon_samples = (
-        max(1, math.floor(min(n / record.step, len(record)) + 0.5 - ROUNDING))
-        for n in (lead, horizon)
-    )
+    # Each row without a time is a window, and has no lead-in.
+    lead_samples, horizon_samples = 0, 1
+    if record.has_time:
+        require_lengths(**{"lead": lead, called: horizon})
+        for name, length in (("lead", lead), (called, horizon)):
+            if length < (1 - ROUNDING) * record.step:
+                raise ValueError(
+                    f"{name}={seconds(length)} s is shorter than a sample of "
+                    f"{record.name or 'the record'}, {seconds(record.step)} s: give several "
+                    f"samples, e.g. {name}={seconds(FEWEST * record.step)}, or omit it."
+                )
+        # Half a sample is rounded down in all records alike, however their times are rounded.
+        lead_samples, horizon_samples = (
+            max(1, math.floor(min(n / record.step, len(record)) + 0.5 - ROUNDING))
+            for n in (lead, horizon)
+        )
     # The empty part gives the result its width if no stretch is long enough.
     parts = [np.zeros((0, lead_samples + horizon_samples), dtype=int)]
     for stretch in stretches:
@@ -103,10 +104,14 @@ def cut(
 
         # Without a measurement the lead-in informs no state, and the horizon shows no error.
         measured = np.any(np.isfinite(stretch.outputs), axis=0)[rows]
-        usable = measured[:, :lead_samples].any(axis=1) & measured[:, lead_samples:].any(axis=1)
+        usable = measured[:, lead_samples:].any(axis=1)
+        if lead_samples:
+            usable &= measured[:, :lead_samples].any(axis=1)
         parts.append(stretch.rows[rows[usable]])
 
     rows = np.concatenate(parts)
+    if not len(rows) and not record.has_time:
+        raise ValueError(f"{record.name or 'the record'} has no row with all inputs and an output.")
     if not len(rows):
         longest = max((len(s) * s.step for s in stretches), default=0.0)
         raise ValueError(
@@ -115,19 +120,6 @@ def cut(
             f"s; give a shorter lead or {called}, or a longer record."
         )
     return Windows(record, rows, lead_samples, horizon_samples)
-
-
-def _rows(record: Record, inputs: Sequence[str], outputs: Sequence[str]) -> Windows:
-    """Return a window for every row that has its inputs and some output."""
-    require_signals(record, inputs)
-    row_lists = [
-        s.rows[np.any(np.isfinite(s.outputs), axis=0)]
-        for s in gapless(record, tuple(inputs), tuple(outputs))
-    ]
-    rows = np.concatenate([np.zeros(0, dtype=int), *row_lists])
-    if not rows.size:
-        raise ValueError(f"{record.name or 'the record'} has no row with all inputs and an output.")
-    return Windows(record, rows[:, None], 0, 1)
 
 
 def sample_data(
