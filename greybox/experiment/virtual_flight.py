@@ -23,7 +23,7 @@ from greybox.modeling.integrators import RungeKutta
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics, dynamics
-from greybox.modeling.step_size import relative_change, state_sizes, substep_growth
+from greybox.modeling.step_size import relative_change, substep_growth
 
 Signals = dict[str, ca.SX]
 NOTHING: Mapping[str, float] = MappingProxyType({})
@@ -241,7 +241,7 @@ def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], tu
 def _largest(local: Array, begins: Array, ends: Array) -> float:
     """Return the largest error of a period over the size of its state; infinite instead of NaN."""
     with np.errstate(invalid="ignore"):
-        error = relative_change(local, state_sizes(begins, ends))
+        error = relative_change(local, begins, ends)
     return math.inf if math.isnan(error) else error
 
 

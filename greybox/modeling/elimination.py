@@ -96,9 +96,7 @@ def solve_pencils(pencil: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:
     try:
         return np.linalg.solve(pencil, right[..., None])[..., 0]
     except np.linalg.LinAlgError:
-        # One singular matrix fails the whole stack: solve the others one by one.
-        exact = np.full(right.shape, np.nan, dtype=complex)
-        for index in np.ndindex(right.shape[:-1]):
-            if np.linalg.matrix_rank(pencil[index]) == right.shape[-1]:
-                exact[index] = np.linalg.solve(pencil[index], right[index])
-        return exact
+        # One singular matrix fails the whole stack, where one of NaN has a solution of NaN.
+        is_singular = np.linalg.matrix_rank(pencil) < right.shape[-1]
+        regular = np.where(is_singular[..., None, None], np.nan, pencil)
+        return np.linalg.solve(regular, right[..., None])[..., 0]

@@ -60,7 +60,6 @@ def harmonic_response(
         For an unknown name or a transfer function, or if no periodic motion is found.
     """
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
-    input, output = pick_signals(model, input, output)
     sine = as_sine(amplitude)
     signals = {"input": input, "output": output, "at": at, "delay": delay}
     response, messages = periodic_motions(model, values, omega, sine, **signals)
@@ -86,8 +85,9 @@ def response_of_test(
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
     sine = sine.between(measured, omega)
     response, _ = directly_found(model, values, omega, sine, **_with_order(signals))
-    input, output = pick_signals(model, signals.get("input", ""), signals.get("output", ""))
-    return _checked(model, sine, omega, response, input, output)
+    return _checked(
+        model, sine, omega, response, signals.get("input", ""), signals.get("output", "")
+    )
 
 
 def _with_order(signals: Mapping[str, Any]) -> dict[str, Any]:
@@ -110,6 +110,7 @@ def _checked(
             "values and `at`."
         )
 
+    input, output = pick_signals(model, input, output)
     return FrequencyResponse(
         omega, response, input=input, output=output, name=model.label, source="model"
     )

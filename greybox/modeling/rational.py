@@ -55,7 +55,7 @@ class Rational(FunctionOfS):
         )
 
     def __add__(self, operand: Any) -> "Rational":
-        operand = _rational(operand)
+        operand = as_rational(operand)
         delay = self._same_delay(operand)
         pade = self.pade or operand.pade
         # A product of equal denominators would double the order of the sum.
@@ -69,7 +69,7 @@ class Rational(FunctionOfS):
         return Rational(numerator, _convolve(self.denominator, operand.denominator), delay, pade)
 
     def __mul__(self, operand: Any) -> "Rational":
-        operand = _rational(operand)
+        operand = as_rational(operand)
         # Equal factors cancel. Otherwise the order would grow with every product of a formula, and
         # the realization would have unobservable states.
         n1, d2 = _cancel(self.numerator, operand.denominator)
@@ -85,7 +85,7 @@ class Rational(FunctionOfS):
         return Rational(self.denominator, self.numerator, -self.delay, self.pade)
 
     def __truediv__(self, operand: Any) -> "Rational":
-        return self * _rational(operand)._inverse()
+        return self * as_rational(operand)._inverse()
 
     def __rtruediv__(self, operand: Any) -> "Rational":
         return operand * self._inverse()
@@ -161,8 +161,7 @@ def rational(
     input, output = pick_signals(model, input, output)
     if isinstance(model, TransferFunction):
         require_no_operating_point(model, at)
-        result = model.response(Rational([1.0, 0.0], pade=pade), model.values(values))
-        return result if isinstance(result, Rational) else Rational([result])
+        return as_rational(model.response(Rational([1.0, 0.0], pade=pade), model.values(values)))
 
     assert isinstance(model, StateSpace)
     system = linearize(model, values, at)
@@ -181,7 +180,8 @@ def rational(
     return result * exp(Rational([-1.0, 0.0], pade=pade) * system.delays[i])
 
 
-def _rational(value: Any) -> Rational:
+def as_rational(value: Any) -> Rational:
+    """Return a number or an expression as a rational function of s."""
     if isinstance(value, Rational):
         return value
     if not is_casadi(value) and np.ndim(value):

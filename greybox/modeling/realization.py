@@ -10,7 +10,7 @@ import numpy as np
 from greybox.modeling.model import Model
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import observer_form, pade_rows
-from greybox.modeling.rational import Rational
+from greybox.modeling.rational import Rational, as_rational
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import (
     parameter_names,
@@ -114,8 +114,8 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
 
 def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
     s = Rational([1.0, 0.0], pade=pade)
-    rational = traced(f"{model.label}.response", model.response, s, parameter_names(model, p))
-    rational = rational if isinstance(rational, Rational) else Rational([rational])
+    formula = traced(f"{model.label}.response", model.response, s, parameter_names(model, p))
+    rational = as_rational(formula)
     numerator = [ca.SX(c) for c in rational.numerator]
     denominator = [ca.SX(c) for c in rational.denominator]
     n = len(denominator) - 1

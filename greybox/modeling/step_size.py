@@ -60,14 +60,12 @@ def substep_growth(error: float, tolerance: float, order: int) -> int:
     return max(math.ceil(min(factor, MOST_GROWTH)), LEAST_GROWTH)
 
 
-def relative_change(change: Array, size: Array) -> float:
-    """Return the largest change (n, samples) of any state over its `size` (n,); NaN if one is."""
-    return float(
-        (np.abs(change).max(axis=1, initial=0.0) / np.where(size > 0, size, 1.0)).max(initial=0.0)
-    )
+def relative_change(change: Array, *states: Array) -> float:
+    """Return the largest change (n, samples) of any state over its size; NaN if one is.
 
-
-def state_sizes(*states: Array) -> Array:
-    """Return the largest absolute value of every state, (n,), but no less than rounding may be."""
+    The size is the largest absolute value in `states` (n, samples), but no less than rounding.
+    """
     size = np.max([np.abs(x).max(axis=1, initial=0.0) for x in states], axis=0)
-    return np.maximum(size, NEGLIGIBLE * size.max(initial=0.0))
+    size = np.maximum(size, NEGLIGIBLE * size.max(initial=0.0))
+    largest = np.abs(change).max(axis=1, initial=0.0) / np.where(size > 0, size, 1.0)
+    return float(largest.max(initial=0.0))

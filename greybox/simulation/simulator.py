@@ -17,7 +17,6 @@ from greybox.modeling.step_size import (
     MOST_SUBSTEPS,
     relative_change,
     stable_substeps,
-    state_sizes,
     substep_growth,
 )
 from greybox.simulation.model_at_estimate import ModelAtEstimate
@@ -308,7 +307,7 @@ class Simulator:
             for count in (self._substeps, 2 * self._substeps)
         )
         change = fine - coarse
-        return relative_change(np.where(np.isfinite(change), change, 0.0), state_sizes(x))
+        return relative_change(np.where(np.isfinite(change), change, 0.0), x)
 
     def _step(self, substeps: int) -> SampleStep:
         if substeps not in self._steps:
