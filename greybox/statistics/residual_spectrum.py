@@ -4,10 +4,8 @@ No single family of spectra fits short records of every kind: a small slow drift
 needs an autoregression of order 30, whose coefficients 300 samples do not determine, and wind moves
 several outputs together. So several families are fitted and averaged by their evidence:
 
-- for every output by itself, autoregressions of every order, white noise with a slow part (whose
-  correlation decays exponentially), and white noise with a part of the color of the sensitivities.
-  Process noise passes through the same dynamics as these, and errors of this color disturb the
-  estimate most;
+- for every output by itself, autoregressions of every order, and white noise with a slow part
+  (whose correlation decays exponentially);
 - for all outputs together, a vector autoregression, and white noise of the sensors with process
   noise through the dynamics of the model. Records of a few correlation times determine this family
   only.
@@ -40,12 +38,9 @@ from greybox.statistics.frequency_grid import (
     products,
 )
 from greybox.statistics.residual_autocorrelation import levinson, vector_autoregressions
-from greybox.statistics.spectral_families import (
-    SpectralFamily,
+from greybox.statistics.slow_parts import (
+    SlowParts,
     aicc_penalty,
-    sensitivity_shapes,
-    slow_parts,
-    with_white_noise,
 )
 from greybox.statistics.variance_components import (
     VarianceComponents,
@@ -281,18 +276,9 @@ class ResidualSpectra:
         return power
 
     @cached_property
-    def families(self) -> list[list[SpectralFamily]]:
-        """The families of spectra of every output, beside autoregressions."""
-        slow = SpectralFamily.of(slow_parts(self.grid), self.grid)
-        families = []
-        for i in range(len(self.counts)):
-            power = self.power[i, i].real
-            families.append([slow])
-            if power.max() > 0:
-                shapes = with_white_noise(sensitivity_shapes(self.grid, power))
-                families[i].append(SpectralFamily.of(shapes, self.grid))
-
-        return families
+    def slow(self) -> SlowParts:
+        """Spectra of white noise with a slow part, beside autoregressions."""
+        return SlowParts.of(self.grid)
 
     def transforms(self) -> Iterator[ComplexArray]:
         """Yield the transforms (k, p, frequencies) of the weighted sensitivities of every stretch.
@@ -305,9 +291,7 @@ class ResidualSpectra:
     def mixture(self, lags: Array, banded: ComplexArray) -> AveragedSpectrum:
         """Return the average of the spectra that may have caused a periodogram."""
         k = len(self.counts)
-        alone = [
-            self.one_output(i, lags[:, i, i], banded[i, i].real, self.families[i]) for i in range(k)
-        ]
+        alone = [self.one_output(i, lags[:, i, i], banded[i, i].real) for i in range(k)]
         # Independent outputs need the fewest numbers, so short records decide for them.
         candidates = [self.independent_outputs(alone)]
 
@@ -439,40 +423,32 @@ class ResidualSpectra:
 
         return _NoiseParts(np.array(density), np.array(of_residuals))
 
-    def one_output(
-        self, i: int, r: Array, banded: Array, families: Sequence[SpectralFamily]
-    ) -> AveragedSpectrum:
+    def one_output(self, i: int, r: Array, banded: Array) -> AveragedSpectrum:
         """Average the spectra of one output, of autocovariances r (lags,) and periodogram (b,)."""
         n = self.counts[i]
         grid = self.grid
 
         # The autoregression of first order is among the slow parts.
         steps = [step for order, step in enumerate(levinson(r)) if order != 1]
-        scales = [np.array([variance for _, variance in steps])]
         orders = np.array([len(a) for a, _ in steps])
+        slow_scale, slow_score = self.slow.scores(banded, n)
+        variances = np.array([variance for _, variance in steps])
+        scale = np.concatenate([variances, slow_scale])
         penalties = np.array([aicc_penalty(order, n) for order in orders])
-        scores = [n * np.log(scales[0]) + penalties]
-        within = [2 * orders / n]
+        score = np.concatenate([n * np.log(variances) + penalties, slow_score])
+        within = np.concatenate([2 * orders / n, np.full(len(slow_scale), 2 / n)])
 
-        for family in families:
-            scale, score = family.scores(banded, n)
-            scales.append(scale)
-            scores.append(score)
-            within.append(np.full(len(scale), 2 / n))
-
-        score = np.concatenate(scores)
         least = float(score.min())
         weight = np.exp(-(score - least) / 2)
         evidence = least - 2 * math.log(weight.sum())
         likely = weight > 1e-4 * weight.sum()  # lower weights do not change the mean
         weight = weight[likely] / weight[likely].sum()
 
-        chosen = np.split(likely, np.cumsum([len(scale) for scale in scales[:-1]]))
-        likely_steps = [a for (a, _), is_likely in zip(steps, chosen[0], strict=True) if is_likely]
+        likely_steps = [a for (a, _), is_likely in zip(steps, likely, strict=False) if is_likely]
         responses = [np.abs(a @ grid.delays[: len(a)]) ** 2 for a in likely_steps]
-        shapes = [1 / np.array(responses).reshape(-1, len(grid.omega))]
-        shapes += [family.shapes[rows] for family, rows in zip(families, chosen[1:], strict=True)]
-        spectra = np.concatenate(scales)[likely, None] * np.concatenate(shapes)
+        autoregressions = 1 / np.array(responses).reshape(-1, len(grid.omega))
+        shapes = [autoregressions, self.slow.shapes[likely[len(steps) :]]]
+        spectra = scale[likely, None] * np.concatenate(shapes)
         taken = grid.mean(spectra * self.power[i, i].real)
         logarithm = np.log(np.maximum(taken, TINY))
         between = (logarithm - weight @ logarithm) ** 2
@@ -481,7 +457,7 @@ class ResidualSpectra:
             weight @ spectra,
             weight @ np.log(spectra),
             float(weight @ taken),
-            float(weight @ (between + np.concatenate(within)[likely])),
+            float(weight @ (between + within[likely])),
             evidence,
         )
 

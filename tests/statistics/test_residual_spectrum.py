@@ -22,12 +22,7 @@ from greybox.statistics.residual_spectrum import (
     remaining_products,
     unmasked,
 )
-from greybox.statistics.spectral_families import (
-    aicc_penalty,
-    moving_average,
-    sensitivity_shapes,
-    slow_parts,
-)
+from greybox.statistics.slow_parts import SlowParts, aicc_penalty
 
 AR2 = np.array([1.0, -1.5, 0.7])
 
@@ -529,19 +524,11 @@ def test_the_best_lag_tells_which_share_of_the_products_is_left():
     assert remaining_products([e[:1], e[:1, :7]]).tolist() == [1.0]
 
 
-def test_the_moving_average_is_mirrored_at_its_ends():
-    values = np.array([3.0, 1.0, 4.0, 1.5, 9.0, 2.0])
-    mirrored = [4.0, 1.0, 3.0, 1.0, 4.0, 1.5, 9.0, 2.0, 9.0, 1.5]
-    assert_allclose(moving_average(values, 5), [np.mean(mirrored[k : k + 5]) for k in range(6)])
-    assert_allclose(moving_average(values, 4), moving_average(values, 5))
-    assert_allclose(moving_average(values[:2], 32), [(1 + 3 + 1) / 3, (3 + 1 + 3) / 3])
-
-
 def test_slow_parts_are_exponentials_in_white_noise():
     """Of a circle of samples: covariances share φˡ, wound around it, and the rest of one at lag zero."""
     for n, slowest in ((90, 30.0), (4, 2.0)):
         grid = FrequencyGrid.of(n)
-        shapes = slow_parts(grid).reshape(14, 11, -1)
+        shapes = SlowParts.of(grid).shapes.reshape(14, 11, -1)
         for k, share in ((0, 0.01), (4, 0.12), (9, 0.9)):
             for m in (0, 5, 13):
                 phi = np.exp(-(slowest ** (-m / 13)))
@@ -554,19 +541,6 @@ def test_slow_parts_are_exponentials_in_white_noise():
                         m,
                         lag,
                     )
-
-
-def test_shapes_of_the_sensitivities_are_their_power_and_its_root_of_mean_one():
-    grid = FrequencyGrid.of(40)
-    flat = sensitivity_shapes(grid, np.full(len(grid.omega), 7.0))
-    assert_allclose(flat, np.ones((4, len(grid.omega))))
-    power = 0.1 + np.exp(-grid.omega)
-    shapes = sensitivity_shapes(grid, power)
-    assert_allclose([grid.mean(shape) for shape in shapes], np.ones(4))
-    for one, root in (shapes[:2], shapes[2:]):
-        assert np.ptp(one / root**2) < 1e-12
-    assert np.ptp(shapes[0]) > np.ptp(shapes[2])  # of 8 and of 32 frequencies
-    assert_allclose(shapes[0][10:30] / shapes[0][20], power[10:30] / power[20], rtol=0.01)
 
 
 def test_weights_of_frequencies_make_sums_of_squares():
@@ -658,7 +632,7 @@ def test_the_vector_autoregression_has_the_covariances_of_the_residuals_up_to_it
     )
 
 
-def test_autoregressions_of_one_output_are_averaged_by_their_aicc():
+def test_autoregressions_and_slow_parts_of_one_output_are_averaged_by_their_aicc():
     n = 60
     e = lfilter([1, 0.7], [1, -0.6], np.random.default_rng(8).normal(size=(1, n + 50)))[:, 50:]
     J = np.random.default_rng(9).normal(size=(1, 2, n)).cumsum(axis=2)
@@ -674,19 +648,22 @@ def test_autoregressions_of_one_output_are_averaged_by_their_aicc():
         scores.append(
             n * np.log(variance) + 2 * unknowns + 2 * unknowns * (unknowns + 1) / (n - unknowns - 1)
         )
-    weight = np.exp(-0.5 * np.array(scores))
-    evidence = -2 * np.log(weight.sum())
+    banded = made.periodogram[1][0, 0].real
+    variances, of_slow = made.slow.scores(banded, n)
+    spectra = np.concatenate([spectra, variances[:, None] * made.slow.shapes])
+    scores = np.concatenate([scores, of_slow])
+    unknowns = np.concatenate([np.array(orders) + 1, np.ones(len(of_slow))])
+    weight = np.exp(-0.5 * (scores - scores.min()))
+    evidence = scores.min() - 2 * np.log(weight.sum())
     weight /= weight.sum()
-    found = made.one_output(0, r, made.periodogram[1][0, 0].real, ())
+    found = made.one_output(0, r, banded)
     assert_allclose(found.density, weight @ spectra, rtol=2e-3)
     assert_allclose(found.typical, weight @ np.log(spectra), atol=2e-3)
     assert found.score == pytest.approx(evidence)
     taken = np.array([made.taken_by(one[None, None] + 0j) for one in spectra])
     assert found.taken == pytest.approx(weight @ taken, rel=2e-3)
     between = weight @ (np.log(taken) - weight @ np.log(taken)) ** 2
-    assert found.uncertainty == pytest.approx(
-        between + weight @ (2 * (np.array(orders) + 1) / n), rel=5e-3
-    )
+    assert found.uncertainty == pytest.approx(between + weight @ (2 * unknowns / n), rel=5e-3)
 
 
 def test_correlation_times_are_the_time_constants_of_exponentials():
@@ -778,7 +755,7 @@ def test_spectra_are_averaged_by_their_evidence():
     made = small()
     lags, banded = made.periodogram
     apart = made.independent_outputs(
-        [made.one_output(i, lags[:, i, i], banded[i, i].real, made.families[i]) for i in (0, 1)]
+        [made.one_output(i, lags[:, i, i], banded[i, i].real) for i in (0, 1)]
     )
     together = made.joint_outputs(lags)
     share = 1 / (1 + np.exp((together.score - apart.score) / 2))
@@ -861,4 +838,4 @@ def test_frequencies_without_power_do_not_make_a_spectrum_infinitely_unlikely():
     made = ResidualSpectra(
         [silent[None, None]], [e[None]], np.array([[1 / (silent @ silent)]]), np.eye(1)
     )
-    assert all(np.isfinite(family.logarithm).all() for family in made.families[0])
+    assert np.isfinite(made.slow.logarithm).all()
