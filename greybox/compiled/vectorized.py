@@ -24,54 +24,44 @@ def _if_else_zero(condition: Array, value: Array, out: Array) -> None:
     )  # a product would make NaN of zero times infinity
 
 
-_OPERATIONS: dict[int, Callable[..., Any]] = {
-    ca.OP_ASSIGN: np.positive,
-    ca.OP_ADD: np.add,
-    ca.OP_SUB: np.subtract,
-    ca.OP_MUL: np.multiply,
-    ca.OP_DIV: np.divide,
-    ca.OP_NEG: np.negative,
-    ca.OP_EXP: np.exp,
-    ca.OP_LOG: np.log,
-    ca.OP_POW: np.power,
-    ca.OP_CONSTPOW: np.power,
-    ca.OP_SQRT: np.sqrt,
-    ca.OP_SQ: np.square,
-    ca.OP_TWICE: lambda value, out: np.add(value, value, out),
-    ca.OP_SIN: np.sin,
-    ca.OP_COS: np.cos,
-    ca.OP_TAN: np.tan,
-    ca.OP_ASIN: np.arcsin,
-    ca.OP_ACOS: np.arccos,
-    ca.OP_ATAN: np.arctan,
-    ca.OP_ATAN2: np.arctan2,
-    ca.OP_SINH: np.sinh,
-    ca.OP_COSH: np.cosh,
-    ca.OP_TANH: np.tanh,
-    ca.OP_ASINH: np.arcsinh,
-    ca.OP_ACOSH: np.arccosh,
-    ca.OP_ATANH: np.arctanh,
-    ca.OP_LT: np.less,
-    ca.OP_LE: np.less_equal,
-    ca.OP_EQ: np.equal,
-    ca.OP_NE: np.not_equal,
-    ca.OP_NOT: np.logical_not,
-    ca.OP_AND: np.logical_and,
-    ca.OP_OR: np.logical_or,
-    ca.OP_FLOOR: np.floor,
-    ca.OP_CEIL: np.ceil,
-    ca.OP_FMOD: np.fmod,
-    ca.OP_FABS: np.fabs,
-    ca.OP_SIGN: np.sign,
-    ca.OP_COPYSIGN: np.copysign,
-    ca.OP_IF_ELSE_ZERO: _if_else_zero,
-    ca.OP_FMIN: np.fmin,
-    ca.OP_FMAX: np.fmax,
-    ca.OP_INV: np.reciprocal,
-    ca.OP_HYPOT: np.hypot,
-    ca.OP_LOG1P: np.log1p,
-    ca.OP_EXPM1: np.expm1,
+# CasADi's operations by name. The ufuncs of the first have the same name.
+_UFUNCS: dict[str, Callable[..., Any]] = {
+    name: getattr(np, name.lower())
+    for name in (
+        *("EXP", "LOG", "SQRT", "SIN", "COS", "TAN", "SINH", "COSH", "TANH", "HYPOT"),
+        *("FLOOR", "CEIL", "FMOD", "FABS", "SIGN", "COPYSIGN", "FMIN", "FMAX", "LOG1P", "EXPM1"),
+    )
 }
+_UFUNCS |= {
+    "ASSIGN": np.positive,
+    "ADD": np.add,
+    "SUB": np.subtract,
+    "MUL": np.multiply,
+    "DIV": np.divide,
+    "NEG": np.negative,
+    "POW": np.power,
+    "CONSTPOW": np.power,
+    "SQ": np.square,
+    "TWICE": lambda value, out: np.add(value, value, out),
+    "ASIN": np.arcsin,
+    "ACOS": np.arccos,
+    "ATAN": np.arctan,
+    "ATAN2": np.arctan2,
+    "ASINH": np.arcsinh,
+    "ACOSH": np.arccosh,
+    "ATANH": np.arctanh,
+    "LT": np.less,
+    "LE": np.less_equal,
+    "EQ": np.equal,
+    "NE": np.not_equal,
+    "NOT": np.logical_not,
+    "AND": np.logical_and,
+    "OR": np.logical_or,
+    "IF_ELSE_ZERO": _if_else_zero,
+    "INV": np.reciprocal,
+}
+_OPERATIONS = {getattr(ca, f"OP_{name}"): ufunc for name, ufunc in _UFUNCS.items()}
+_READING = {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST}
 
 
 class Columns:
@@ -137,17 +127,15 @@ class Columns:
 def _dense(function: ca.Function) -> ca.Function:
     """Return the function with dense inputs and outputs."""
     # Columns are read by position: structural zeros need a place too.
-    is_dense = all(function.nnz_in(k) == function.numel_in(k) for k in range(function.n_in()))
-    if is_dense and all(
-        function.nnz_out(k) == function.numel_out(k) for k in range(function.n_out())
-    ):
+    shapes = [function.sparsity_in(k) for k in range(function.n_in())]
+    shapes += [function.sparsity_out(k) for k in range(function.n_out())]
+    if all(shape.is_dense() for shape in shapes):
         return function
 
     kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
     inputs = [kind.sym("v", *function.size_in(k)) for k in range(function.n_in())]
-    return ca.Function(
-        function.name(), inputs, [ca.densify(value) for value in function.call(inputs)]
-    )
+    outputs = [ca.densify(value) for value in function.call(inputs)]
+    return ca.Function(function.name(), inputs, outputs)
 
 
 class _Mapped:
@@ -214,6 +202,3 @@ class _Registers:
             for call, arguments in self._calls:
                 call(*arguments)
         return self._outputs
-
-
-_READING = {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST}

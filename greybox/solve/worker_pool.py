@@ -5,7 +5,7 @@ import signal
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any
 
 # How often a task is tried that ends its worker: its memory may have been another program's fault.
@@ -50,8 +50,8 @@ class WorkerPool(Executor):
         # A thread for each worker, which waits for it: a worker that is killed is then the loss of
         # one task alone.
         self._threads = ThreadPoolExecutor(workers)
-        self._lines: list[_Line] = []
-        self._own = threading.local()
+        self._processes: dict[int, Executor] = {}  # by thread
+        self._worked: set[int] = set()  # threads whose process has worked
 
     def __repr__(self) -> str:
         return f"WorkerPool({self.num_workers})"
@@ -74,55 +74,34 @@ class WorkerPool(Executor):
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End the processes, after the calls that were submitted."""
         self._threads.shutdown(wait, cancel_futures=cancel_futures)
-        for line in self._lines:
-            line.pool.shutdown(wait, cancel_futures=cancel_futures)
+        for process in self._processes.values():
+            process.shutdown(wait, cancel_futures=cancel_futures)
 
     def _call(
         self, function: Callable[..., Any], arguments: tuple[Any, ...], options: dict[str, Any]
     ) -> Any:
-        """Call a function in the worker of this thread."""
-        if not hasattr(self._own, "line"):
-            self._own.line = _Line()
-            self._lines.append(self._own.line)
-        return self._own.line.call(function, arguments, options)
-
-
-class _Line:
-    """One worker at a time: a pool of one process, and the next one when that is killed."""
-
-    def __init__(self) -> None:
-        self.pool = _new_pool()
-        self._has_worked = False
-
-    def call(
-        self, function: Callable[..., Any], arguments: tuple[Any, ...], options: dict[str, Any]
-    ) -> Any:
+        """Call a function in the process of this thread, or in the next one if that is killed."""
+        thread = threading.get_ident()
         for _ in range(TRIALS):
-            future = self._submit(function, arguments, options)
-            if not isinstance(future.exception(), BrokenExecutor):
-                self._has_worked = True
-                return future.result()
-            self.pool = _new_pool()
+            if thread not in self._processes:
+                self._processes[thread] = _new_process()
+            with suppress(BrokenExecutor):  # the process was killed between two calls
+                with _single_threads():
+                    call = self._processes[thread].submit(function, *arguments, **options)
+                if not isinstance(call.exception(), BrokenExecutor):
+                    self._worked.add(thread)
+                    return call.result()
+            del self._processes[thread]
 
-        if self._has_worked:
+        if thread in self._worked:
             raise WorkerLostError("the worker was killed.")
         raise NoWorkerError(
             "no worker process could begin: in a script, put what it runs under "
             "if __name__ == '__main__':, since the workers import the script."
         )
 
-    def _submit(
-        self, function: Callable[..., Any], arguments: tuple[Any, ...], options: dict[str, Any]
-    ) -> Future[Any]:
-        with _single_threads():
-            try:
-                return self.pool.submit(function, *arguments, **options)
-            except BrokenExecutor:  # the worker was killed between two calls
-                self.pool = _new_pool()
-                return self.pool.submit(function, *arguments, **options)
 
-
-def _new_pool() -> Executor:
+def _new_process() -> Executor:
     import multiprocessing  # noqa: PLC0415  (only those who use it wait for it)
     from concurrent.futures import ProcessPoolExecutor  # noqa: PLC0415  (as above)
 
