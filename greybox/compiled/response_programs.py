@@ -227,10 +227,10 @@ def _program_at_roots(
     # As an SX function of the point and the roots.
     named, s, w = values_at(point), ca.SX.sym("smoothing"), ca.SX.sym("w", sum(sizes))
     pieces = ca.vertsplit(w, np.cumsum([0, *sizes]).tolist())
-    responses = [
-        Complex(*formula.function(ca.SX(_values(part, named)), piece))
-        for part, formula, piece in zip(parts, formulas, pieces, strict=True)
-    ]
+    responses = []
+    for part, formula, piece in zip(parts, formulas, pieces, strict=True):
+        outputs: Any = formula.function(_values(part, named), piece)
+        responses.append(Complex(*outputs))
     explicit = ca.Function(
         "explicit",
         [point, s, w],
@@ -239,10 +239,9 @@ def _program_at_roots(
     )
 
     # The derivatives of `explicit` hold the roots: CasADi must not differentiate them too.
-    at_roots = ca.Function("roots", [z], [ca.vertcat(*roots)])
-    function = ca.Function(
-        "program", [z, smoothing], explicit(z, smoothing, ca.stop_diff(at_roots(z), 1))
-    )
+    at_roots: Any = ca.Function("roots", [z], [ca.vertcat(*roots)])
+    outputs = explicit(z, smoothing, ca.stop_diff(at_roots(z), 1))
+    function = ca.Function("program", [z, smoothing], outputs)
     return CostProgram(function, explicit=explicit, roots=at_roots)
 
 
