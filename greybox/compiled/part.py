@@ -379,13 +379,6 @@ class Part(ABC):
         """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
         return NO_NODES
 
-    def is_near_data(self, trajectory: Trajectory, factor: float) -> bool:
-        """Return whether the rms residual of every output is below `factor` times its spread.
-
-        True for what is not simulated: it cannot diverge on the way.
-        """
-        return True
-
     def explains_data(self, trajectory: Trajectory) -> bool:
         """Tell whether the residuals look like noise, so that there is nothing left to explain."""
         return True

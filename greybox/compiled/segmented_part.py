@@ -13,7 +13,7 @@ from greybox.compiled.record_linearization import (
     without_known_states,
 )
 from greybox.compiled.record_model import RecordModel
-from greybox.compiled.residual_covariance import ResidualCovariance, diagonal, of_diagonal
+from greybox.compiled.residual_covariance import ResidualCovariance, diagonal
 from greybox.compiled.riccati import SteadyFilter
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
@@ -181,11 +181,6 @@ class SegmentedPart(Part):
         placed: Placed = trajectory.detail
         outputs = self.segments.outputs(trajectory.states, placed.q, placed.data)
         return self.segments.in_order(outputs)
-
-    def is_near_data(self, trajectory: Trajectory, factor: float) -> bool:
-        """Return whether the rms residual of every output is below `factor` times its spread."""
-        limit = self.covariance.counts * (factor * self.covariance.spread) ** 2
-        return bool(np.all(of_diagonal(trajectory.products) <= limit))
 
     def explains_data(self, trajectory: Trajectory) -> bool:
         """Return whether all residuals are white; rows without a time have no order."""

@@ -139,9 +139,9 @@ class RecordReplicates(Replicates):
         nlp = copy(self.nlp)
         object.__setattr__(nlp, "parts", tuple(parts))
         solver = GaussNewton(nlp)
-        outcome = solver.run_simulated(self.start, self.nodes)
+        outcome = solver.solved_from(self.start, self.nodes)
         # The states of the fit are a good start only if the drawn errors are small.
-        if outcome is None or not outcome.converged:
+        if not outcome.converged:
             outcome = solver.run(self.start)
         # States and signature would multiply the size of the stored runs: nothing reads them.
         seconds = time.perf_counter() - began

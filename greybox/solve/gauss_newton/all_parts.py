@@ -74,15 +74,6 @@ class AllParts:
 
     # --- judging an iterate
 
-    def stays_near_data(self, iterate: Iterate) -> bool:
-        """Tell whether the outputs stay near the data, unlike those of an unstable simulation.
-
-        Its residuals exceed ten standard deviations of the signal.
-        """
-        return iterate.finite and all(
-            part.is_near_data(trajectory, 10.0) for part, trajectory in self._pairs(iterate)
-        )
-
     def explain_data(self, iterate: Iterate) -> bool:
         """Tell whether all residuals look like noise."""
         return all(part.explains_data(trajectory) for part, trajectory in self._pairs(iterate))

@@ -101,19 +101,6 @@ class GaussNewton(LocalSolver):
         return self._solved(self._parts.from_data(z), progress)
 
     @DIVERGING
-    def run_simulated(self, start: Array, nodes: Nodes) -> Outcome | None:
-        """Solve from a simulation at the parameters `start` (p,); None where it diverges.
-
-        It begins with the first of the `nodes` of every stretch.
-        """
-        z = self._nearest(start)
-        first = self._parts.at(z, self._parts.groups.joined(nodes))
-        iterate = self._parts.at(first.z, first.nodes, simulated=True) if first.finite else first
-        if not self._parts.stays_near_data(iterate) or not are_stable(self._parts, iterate):
-            return None
-        return self._solved(iterate, EXACT)[0]
-
-    @DIVERGING
     def solved_from(self, x: Array, nodes: Nodes, iterations: int | None = None) -> Outcome:
         """Solve from the parameters x (p,) and nodes that are near those of the solution."""
         return self._solved(self._at(x, nodes), EXACT, iterations)[0]

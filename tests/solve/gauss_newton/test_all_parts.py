@@ -97,14 +97,6 @@ def test_an_iterate_is_simulated_where_the_one_before_it_was(made):
     ] == [False] * 2
 
 
-def test_data_are_explained_near_the_truth_and_not_far_from_it(made):
-    parts, iterate = made
-    near = parts.at(iterate.z, parts.from_data(iterate.z).nodes, simulated=True)
-    assert parts.stays_near_data(near)
-    far = parts.at(iterate.z, [nodes + 1e6 for nodes in iterate.nodes], simulated=True)
-    assert not parts.stays_near_data(far)
-
-
 @pytest.mark.parametrize(("share", "continuous"), [(0.9, True), (1.1, False)])
 def test_gaps_are_rounding_beside_the_largest_value_of_their_own_state(made, share, continuous):
     parts, iterate = made
