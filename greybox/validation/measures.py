@@ -47,10 +47,10 @@ def fit_rows(
     if likelihoods is not None:
         rows += [_row("negative log-likelihood", likelihoods.costs)]
         rows += information_rows(likelihoods.costs, likelihoods.unknowns, numbers)
-    elif comparable and all(is_likelihood(fit) for fit in fits):
-        rows += information_rows(costs, [count_unknowns(fit) for fit in fits], numbers)
     else:
-        rows += [_row("AIC", unknown), _row("BIC", unknown)]
+        is_known = comparable and all(is_likelihood(fit) for fit in fits)
+        unknowns = [count_unknowns(fit) for fit in fits]
+        rows += information_rows(costs if is_known else unknown, unknowns, numbers)
     if same_data:
         for name in () if comparable else names:
             rows.append(_row(f"cost: {name}", [f.costs.get(name, math.nan) for f in fits]))
@@ -106,55 +106,39 @@ def prediction_rows(kind: str, predictions: Predictions, fits: Sequence[Fit]) ->
     if any(estimated):
         text = "values estimated from the records"
         rows.append(Row(kind, "", text, "", _finite(estimated)))
-    outputs = dict.fromkeys(name for p in predictions[0] for name in p.outputs)
-    for output in outputs:
-        holding = [[p for p in of_fit if output in p.outputs] for of_fit in predictions]
-        unit = holding[0][0].data.units.get(output, "")
-        measures = [*_accuracy(output, unit, holding)]
-        measures += _one_step(output, holding, fits)
-        rows += [Row(kind, output, name, u, _finite(values)) for name, u, values in measures]
+    for output in dict.fromkeys(name for p in predictions[0] for name in p.outputs):
+        pairs = zip(predictions, fits, strict=True)
+        measures = [_measures(output, of_fit, fit) for of_fit, fit in pairs]
+        rows += [
+            Row(kind, output, *key, _finite([values[key] for values in measures]))
+            for key in measures[0]
+        ]
     return rows
 
 
-Measure = tuple[str, str, Sequence[float]]
-"""Name, unit, and the values of all fits."""
-
-
-def _accuracy(
-    output: str, unit: str, predictions: Sequence[Sequence[Prediction]]
-) -> Iterator[Measure]:
-    """Yield the measures over all predicted samples of an output."""
-    pairs = []
-    for of_fit in predictions:
-        measured = [p.measured(output).ravel() for p in of_fit]
-        predicted = [p.predicted[p.outputs.index(output)].ravel() for p in of_fit]
-        pairs.append((np.concatenate(measured), np.concatenate(predicted)))
-    yield "fit", "%", [fit_percent(*pair) for pair in pairs]
-    yield "Theil's coefficient", "", [theil_coefficient(*pair) for pair in pairs]
-    yield "error (rms)", unit, [rms(measured - predicted) for measured, predicted in pairs]
-
-
-def _one_step(
-    output: str,
-    predictions: Sequence[Sequence[Prediction]],
-    fits: Sequence[Fit],
-) -> Iterator[Measure]:
-    """Yield the size of the errors one step ahead over their noise, and whether they are white."""
+def _measures(
+    output: str, predictions: Sequence[Prediction], fit: Fit
+) -> dict[tuple[str, str], float]:
+    """Return the measures of an output over all samples that a fit predicts, by name and unit."""
+    with_output = [p for p in predictions if output in p.outputs]
+    measured = np.concatenate([p.measured(output).ravel() for p in with_output])
+    predicted = np.concatenate([p.predicted[p.outputs.index(output)].ravel() for p in with_output])
     # Errors further ahead are correlated even for the true model; those one step ahead are white.
-    errors = [
-        [piece for p in of_fit for piece in _in_time_order(p, output)] for of_fit in predictions
-    ]
-    sizes = [rms(np.concatenate(of_fit)) for of_fit in errors]
-    if not any(p.data.has_time for p in predictions[0]):
-        yield "error over noise", "", sizes
-        return
-    yield "one step ahead: error over noise", "", sizes
+    errors = [piece for p in with_output for piece in _in_time_order(p, output)]
+    size = rms(np.concatenate(errors))
+    measures = {
+        ("fit", "%"): fit_percent(measured, predicted),
+        ("Theil's coefficient", ""): theil_coefficient(measured, predicted),
+        ("error (rms)", with_output[0].data.units.get(output, "")): rms(measured - predicted),
+    }
+    if not any(p.data.has_time for p in with_output):
+        return measures | {("error over noise", ""): size}
     # Gains are fitted such that the first correlations vanish: the test must not count these.
-    gains = [
-        max((part.innovation_parameters(output) for part in fit.records), default=0) for fit in fits
-    ]
-    tests = [whiteness(e, fitted=count) for e, count in zip(errors, gains, strict=True)]
-    yield "  white (p)", "", [test.p_value for test in tests]
+    gains = max((part.innovation_parameters(output) for part in fit.records), default=0)
+    return measures | {
+        ("one step ahead: error over noise", ""): size,
+        ("  white (p)", ""): whiteness(errors, fitted=gains).p_value,
+    }
 
 
 def _in_time_order(prediction: Prediction, output: str) -> list[Array]:
