@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -119,9 +119,16 @@ def nested_test(small: Fit, large: Fit) -> NestedTest:
 
 
 def nested_test_at(
-    values: Mapping[str, float], small: Fit, large: Fit, labels: tuple[str, str]
+    values: Mapping[str, float],
+    small: Fit,
+    large: Fit,
+    labels: tuple[str, str],
+    *,
+    independent: bool = False,
 ) -> NestedTest:
     """Test a fit against a larger one that is the same model where its terms have these `values`.
+
+    With `independent`, errors count as independent along frequency.
 
     Raises
     ------
@@ -141,8 +148,11 @@ def nested_test_at(
         )
     # A term that ended at the bound where the smaller model has it adds nothing, and has no error.
     rows = [k for k, name in enumerate(large.free) if name in values and name not in stuck]
-    covariance = large.covariance_of(large.free)[np.ix_(rows, rows)]
-    if not (large.dof > 0 and np.all(np.isfinite(covariance)) and _is_definite(covariance)):
+    covariance, dof = large.covariance_of(large.free)[np.ix_(rows, rows)], large.dof
+    if independent and large.independent is not None:
+        alone, dof = large.independent
+        covariance = np.where(np.isnan(covariance), np.nan, alone[np.ix_(rows, rows)])
+    if not (dof > 0 and np.all(np.isfinite(covariance)) and _is_definite(covariance)):
         raise ValueError(
             f"the data do not determine {listed(list(values))} of {labels[1]}: nothing can be "
             "tested."
@@ -158,45 +168,26 @@ def nested_test_at(
         # The variance is estimated: the ratio is n log(1 + x) of the relative decrease x of the
         # squares, for which F is x (n - p) / r.
         numbers = sum(count_numbers(part) for part in large.parts)
-        statistic = math.expm1(max(ratio, 0.0) / numbers) * large.dof / removed
+        statistic = math.expm1(max(ratio, 0.0) / numbers) * dof / removed
     else:
         if rows:
             white = large.white[np.ix_(rows, rows)]
             scale = float(np.trace(np.linalg.solve(white, covariance))) / len(rows)
         statistic = max(ratio, 0.0) / (scale * removed)
-    p_value = f_tail(statistic, removed, large.dof, on_bound=bool(on_bound))
-    dof = (removed, large.dof)
-    return NestedTest(*labels, tuple(values), ratio, scale, statistic, dof, p_value)
+    p_value = f_tail(statistic, removed, dof, on_bound=bool(on_bound))
+    return NestedTest(*labels, tuple(values), ratio, scale, statistic, (removed, dof), p_value)
 
 
 def _is_definite(covariance: Array) -> bool:
     return not covariance.size or bool(np.all(np.linalg.eigvalsh(covariance) > 0))
 
 
-def with_independent_errors(fit: Fit) -> Fit:
-    """Return a fit whose covariance and degrees of freedom ignore correlation along frequency.
-
-    It is for tests: its quantities keep their errors.
-    """
-    if fit.independent is None:
-        return fit
-    covariance, dof = fit.independent
-    rows = np.ix_(*[[fit.names.index(name) for name in fit.free]] * 2)
-    changed = fit.covariance.copy()
-    changed[rows] = np.where(np.isnan(changed[rows]), np.nan, covariance)
-    directions = fit.directions
-    if directions is not None:
-        determined = directions.covariance.copy()
-        determined[rows] = covariance
-        directions = replace(directions, covariance=determined)
-    return replace(fit, covariance=changed, dof=dof, directions=directions, independent=None)
-
-
 def cost_scale(fit: Fit) -> float:
     """Return the divisor of twice a difference of costs for log-likelihoods; NaN if unknown.
 
     It is the mean, over the directions that the data determine, of the variance by the standard
-    errors over the variance by the curvature of the cost.
+    errors, for errors that are independent along frequency, over the variance by the curvature of
+    the cost.
     """
     if fit.white is None or fit.directions is None:
         return math.nan
@@ -205,7 +196,8 @@ def cost_scale(fit: Fit) -> float:
     # 1e-14, rounding twice: below it the data do not see a direction.
     inverse = np.linalg.pinv(fit.white / size, rcond=1e-14, hermitian=True)
     rank = int(np.linalg.matrix_rank(inverse, tol=0.0))
-    return float(np.trace(inverse @ (directions.covariance / size))) / max(rank, 1)
+    covariance = directions.covariance if fit.independent is None else fit.independent[0]
+    return float(np.trace(inverse @ (covariance / size))) / max(rank, 1)
 
 
 def f_tail(statistic: float, r: int, dof: float, *, on_bound: bool = False) -> float:

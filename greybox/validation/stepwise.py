@@ -23,7 +23,7 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Sobol
 from greybox.modeling.model import require_known
 from greybox.validation.comparison import EQUAL_AIC, SIGNIFICANT, p_text
-from greybox.validation.nested_models import cost_scale, nested_test, with_independent_errors
+from greybox.validation.nested_models import cost_scale, nested_test_at
 
 Terms = frozenset[str]
 
@@ -226,9 +226,8 @@ class _Fits:
         changed = self.fitted(terms ^ {term}, fit)
         p_value, why_not = math.nan, "no fit converged"
         if changed.converged:
-            p_value, why_not = _tested(
-                term, *((fit, changed) if change == "add" else (changed, fit))
-            )
+            pair = (fit, changed) if change == "add" else (changed, fit)
+            p_value, why_not = _tested({term: self.absent[term]}, *pair)
         return Trial(step, change, term, changed.cost, p_value, limit, why_not=why_not)
 
     def best(self, trials: Sequence[Trial], terms: Terms) -> Trial | None:
@@ -254,7 +253,7 @@ class _Fits:
     def alike(self, terms: Terms, fit: Fit) -> dict[str, dict[str, float]]:
         """Return the terms that could replace each chosen one, and the increase in AIC."""
         rivals: dict[str, dict[str, float]] = {}
-        scale = cost_scale(with_independent_errors(fit))
+        scale = cost_scale(fit)
         for term in (name for name in self.absent if name in terms):
             for rival in (name for name in self.absent if name not in terms):
                 swapped = self.fitted(terms - {term} | {rival}, fit)
@@ -264,14 +263,15 @@ class _Fits:
         return rivals
 
 
-def _tested(term: str, small: Fit, large: Fit) -> tuple[float, str]:
+def _tested(removed: Mapping[str, float], small: Fit, large: Fit) -> tuple[float, str]:
     """Return the p-value of a term, or NaN and why there is no test."""
     # A missing term leaves residuals that look like errors correlated along frequency. With
     # such errors allowed, no test would find the term: here they count as independent.
+    names = ("without", "with")
     try:
-        return nested_test(small, with_independent_errors(large)).p_value, ""
+        return nested_test_at(removed, small, large, names, independent=True).p_value, ""
     except ValueError:
-        quantity = large.by_name[term]
+        [quantity] = [large.by_name[term] for term in removed]
         if quantity.at_bound:
             return math.nan, "at its bound"
         is_determined = math.isfinite(quantity.standard_error)

@@ -5,7 +5,7 @@ import pytest
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.validation.nested_models import cost_scale, with_independent_errors
+from greybox.validation.nested_models import cost_scale, nested_test_at
 
 
 class Lag(gb.TransferFunction):
@@ -85,10 +85,9 @@ def test_the_answer_says_that_the_standard_errors_account_for_it_or_are_rough():
 def test_what_follows_from_the_covariance_is_as_wide():
     """Profiles and replicates, of errors that are correlated: as intervals by the standard errors, or nearly."""
     fit = fitted(0.6, gb.SquaredRelativeError(), 1, n=60)
-    alone = with_independent_errors(fit)
+    covariance, dof = fit.independent
     assert "; correlated along frequency like the residuals" in str(fit)
-    assert "along frequency" not in str(alone).partition("warning:")[0]
-    widened = np.sqrt(np.diag(fit.covariance) / np.diag(alone.covariance))
+    widened = np.sqrt(np.diag(fit.covariance) / np.diag(covariance))
     assert np.all(widened > 1.4)
     low, high = gb.profile(fit, ["K"]).intervals["K"]
     wald = fit.interval()["K"]
@@ -96,22 +95,16 @@ def test_what_follows_from_the_covariance_is_as_wide():
     drawn = gb.bootstrap(fit, 200, progress=False)
     assert "with their correlation along frequency" in drawn.about
     assert drawn.standard_error["K"] == pytest.approx(fit.standard_error["K"], rel=0.15)
-    small = gb.fit(
-        gb.Problem(
-            Lag(),
-            fit.responses[0].data,
-            gb.SquaredRelativeError(),
-            fixed={"tau": fit.estimate["tau"] * 1.02},
-        ),
-        starts=[{"K": 2.0, "T": 0.03}],
-        progress=False,
+    tau = {"tau": fit.estimate["tau"] * 1.02}
+    held = gb.Problem(Lag(), fit.responses[0].data, gb.SquaredRelativeError(), fixed=tau)
+    small = gb.fit(held, starts=[{"K": 2.0, "T": 0.03}], progress=False)
+    widened_test, alone = (
+        nested_test_at(tau, small, fit, ("small", "large"), independent=independent)
+        for independent in (False, True)
     )
-    ratio = (
-        gb.validation.nested_test(small, fit).scale / gb.validation.nested_test(small, alone).scale
-    )
-    assert ratio == pytest.approx(widened[1] ** 2, rel=1e-6)
-    assert cost_scale(fit) > widened.min() ** 2 * cost_scale(alone)
-    assert fit.dof < alone.dof == 2 * 60 - 3
+    assert widened_test.scale / alone.scale == pytest.approx(widened[1] ** 2, rel=1e-6)
+    assert widened_test.scale > widened.min() ** 2 * cost_scale(fit)
+    assert fit.dof < dof == alone.dof[1] == 2 * 60 - 3
 
 
 def test_common_errors_are_not_counted_as_correlation():
