@@ -15,10 +15,10 @@
 | `options` | how options are stated and read; those that several commands share |
 | `workers` | where runs are made |
 | `output` | what a command gives: answer, exit status, files, figures |
-| `stated_problem`, `parameter_options` | the problem that the options of `greybox fit` describe |
+| `stated_problem` | the problem that the options of `greybox fit` describe |
 | `catalog` | included models and problems, and those in a user's own file |
 | `data_file` | the file that `--data` names |
-| `log_tests`, `measurement_options` | a log, its tests, and how they are measured |
+| `read_log`, `measurement_options` | a log, and how its tests are measured |
 | `saved_fits` | reads and writes results |
 | `study_file` | the members of a batch |
 | `starting_files` | what `greybox new` writes |

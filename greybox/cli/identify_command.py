@@ -11,7 +11,6 @@ from greybox.cli.measurement_options import MEASUREMENT_OPTIONS, stated_choices
 from greybox.cli.options import UsageError
 from greybox.cli.orders_command import selection_json
 from greybox.cli.output import Answer, require_figure, require_writable, save_figure
-from greybox.cli.parameter_options import stated_values
 from greybox.cli.response_command import response_json
 from greybox.data.response_file import write_response
 from greybox.estimate.storage import save
@@ -77,7 +76,9 @@ def run(options: argparse.Namespace) -> Answer:
         structures=[_structure(word) for word in options.structures],
         through=options.through,
         free=options.free,
-        **stated_values(options),
+        fixed=options.fix,
+        bounds=options.bounds,
+        start=options.start,
         all_points=options.all_points,
         starts=options.starts,
         seed=options.seed,

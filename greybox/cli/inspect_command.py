@@ -2,17 +2,17 @@
 
 import argparse
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from greybox.cli.log_tests import read_log, segments_of
 from greybox.cli.output import Answer, require_figure, save_figure
+from greybox.cli.read_log import read_log
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
 from greybox.files.text_table import number, text_table
 from greybox.logs.flight_controllers import axis_of
 from greybox.logs.manoeuvre_detection import find_manoeuvres
-from greybox.logs.segment_detection import announcing
+from greybox.logs.segment_detection import announcing, find_segments
 
 EXAMPLES = (
     "flight.BIN",
@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> Answer:
     """Return the contents of a log, and draw it."""
     require_figure(options.plot, options.force)
     recording = read_log(options)
-    segments = segments_of(recording, options)
+    segments = find_segments(recording, options.announced, options.fields or None, options.setpoint)
     # A controller that flies tests moves its own setpoints, which are not manoeuvres of the pilot.
     manoeuvres: Sequence[Segment] = ()
     if options.setpoint or not segments:
@@ -46,9 +46,10 @@ def run(options: argparse.Namespace) -> Answer:
     command = next_command(recording, segments, manoeuvres, options)
     if command:
         notes.append(f"next: {command}")
+    messages = [message(name, record) for name, record in recording.items()]
     parts = [
         about(recording),
-        contents(recording),
+        contents(messages),
         _tests(recording, segments, manoeuvres),
         "\n".join([*(f"  {finding}" for finding in recording.findings), *notes]),
     ]
@@ -58,7 +59,7 @@ def run(options: argparse.Namespace) -> Answer:
         "log": recording.source,
         "checksum": recording.checksum,
         **{name: recording.metadata.get(name) for name in metadata},
-        "messages": [_message(name, record) for name, record in recording.items()],
+        "messages": messages,
         "segments": segments,
         "manoeuvres": manoeuvres,
         "findings": recording.findings,
@@ -116,16 +117,32 @@ def about(recording: Recording) -> str:
     return "\n".join(lines)
 
 
-def contents(recording: Recording) -> str:
+def contents(messages: Sequence[Mapping[str, Any]]) -> str:
     """Return the table of the messages."""
     rows = []
-    for name, record in recording.items():
+    for message in messages:
         # Rows without a time have neither a rate nor a beginning.
         times = ["-", "-", "-"]
-        if record.has_time:
-            times = [number(rate(record), 4), f"{record.time[0]:.1f}", f"{record.time[-1]:.1f}"]
-        rows.append([name, str(len(record)), *times, _fields(record)])
+        if message["rate"] is not None:
+            ends = (f"{message[end]:.1f}" for end in ("start", "end"))
+            times = [number(message["rate"], 4), *ends]
+        names = [f"{n} ({unit})" if unit else n for n, unit in message["signals"].items()]
+        # Some messages have thirty fields, which would break every line of the table.
+        further = f" and {len(names) - 8} more" if len(names) > 8 else ""
+        signals = ", ".join(names[:8]) + further
+        rows.append([message["name"], str(message["samples"]), *times, signals])
     return text_table(["message", "samples", "Hz", "from s", "to s", "signals"], rows, (0, 5))
+
+
+def message(name: str, record: Record) -> dict[str, Any]:
+    """Return the facts of a message."""
+    times = (rate(record), record.time[0], record.time[-1]) if record.has_time else [None] * 3
+    return {
+        "name": name,
+        "samples": len(record),
+        **dict(zip(("rate", "start", "end"), times, strict=True)),
+        "signals": {signal: record.units.get(signal, "") for signal in record.signals},
+    }
 
 
 def rate(record: Record) -> float:
@@ -133,18 +150,3 @@ def rate(record: Record) -> float:
     # Bursts have gaps before more than 5 % of the samples, while a lossy log loses 1 % or less.
     in_bursts = len(record) > 2 and len(record.pieces) - 1 > 0.05 * len(record)
     return (len(record) - 1) / record.duration if in_bursts else record.rate
-
-
-def _fields(record: Record) -> str:
-    names = [f"{n} ({record.units[n]})" if record.units.get(n) else n for n in record.signals]
-    # Some messages have thirty fields, which would break every line of the table.
-    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
-
-
-def _message(name: str, record: Record) -> dict[str, Any]:
-    start, end, hertz = None, None, None
-    if record.has_time:
-        start, end, hertz = record.time[0], record.time[-1], rate(record)
-    signals = {signal: record.units.get(signal, "") for signal in record.signals}
-    numbers = {"samples": len(record), "rate": hertz, "start": start, "end": end}
-    return {"name": name, **numbers, "signals": signals}

@@ -4,7 +4,6 @@ import argparse
 from typing import Any
 
 from greybox.cli.output import Answer, attributes
-from greybox.cli.parameter_options import stated_values
 from greybox.cli.saved_fits import require_fit_file, save_fit
 from greybox.cli.stated_problem import filters_of
 from greybox.data.response_file import read_response
@@ -56,7 +55,9 @@ def run(options: argparse.Namespace) -> Answer:
         options.integrators,
         delay=not options.no_delay,
         through=filters,
-        **stated_values(options),
+        fixed=options.fix,
+        bounds=options.bounds,
+        start=options.start,
     )
     # The table first: it shows which other orders fit nearly as well.
     answer = selection_json(selection)

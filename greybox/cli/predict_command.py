@@ -5,9 +5,9 @@ from typing import Any
 
 import numpy as np
 
-from greybox.cli.log_tests import read_log
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, attributes
+from greybox.cli.read_log import read_log
 from greybox.cli.saved_fits import saved_fit
 from greybox.estimate.result import Fit
 from greybox.logs.prepare import prepare

@@ -3,17 +3,16 @@
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from greybox.cli.data_file import read_data
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, require_writable
 from greybox.cli.saved_fits import saved_fit
 from greybox.data.record import Record
-from greybox.study.study import read_study
+from greybox.estimate.result import Fit
+from greybox.study.study import Study, read_study
 from greybox.validation.compare import compare
 from greybox.validation.comparison import Comparison
-from greybox.validation.same_data import labels_of
 
 EXAMPLES = (
     "pitch.h5",
@@ -40,46 +39,32 @@ results RESULT...
 
 def run(options: argparse.Namespace) -> Answer:
     """Read the results and write the page."""
-    from greybox.html_report.report import write_page  # noqa: PLC0415  (imports matplotlib)
+    from greybox.html_report.report import report  # noqa: PLC0415  (imports matplotlib)
 
     out = options.out or Path(f"{options.results[0].resolve().stem}.html")
     require_writable(out, options.force, (".html", ".htm"), "page")
-    entries = _entries(options)
-    write_page(entries, out, _held_out(options, entries), options.title)
+    results = [
+        read_study(path) if path.is_dir() else saved_fit(path, options) for path in options.results
+    ]
+    report(results, out, comparison=_held_out(options, results), title=options.title)
     # People mail such pages, and want to know their size.
     size = out.stat().st_size
-    answer = {"page": out, "bytes": size, "results": [entry.label for entry in entries]}
+    answer = {"page": out, "bytes": size, "results": options.results}
     return answer, f"wrote {out} ({size / 1000:.0f} kB)"
 
 
-def _entries(options: argparse.Namespace) -> list[Any]:
-    from greybox.html_report.report import Entry, study_entries  # noqa: PLC0415  (as above)
-
-    # Labels of fits are chosen together, so that they differ; members of a study have names.
-    fits = {path: saved_fit(path, options) for path in options.results if not path.is_dir()}
-    labels = dict(zip(fits, labels_of(list(fits.values())), strict=True))
-    entries: list[Any] = []
-    for path in options.results:
-        if path in fits:
-            entries.append(Entry(labels[path], fits[path], file=str(path)))
-        else:
-            entries += study_entries(read_study(path))
-
-    return entries
-
-
-def _held_out(options: argparse.Namespace, entries: Sequence[Any]) -> Comparison | None:
+def _held_out(options: argparse.Namespace, results: Sequence[Fit | Study]) -> Comparison | None:
     """Return how well the fits predict the held-out records; None without records."""
     if not options.held_out:
         if options.columns or options.rate:
             raise UsageError("--columns and --rate go with --held-out.")
         return None
 
-    fitted = [entry for entry in entries if entry.fit is not None]
-    if len(fitted) < 2:
+    fits = [result for result in results if isinstance(result, Fit)]
+    if len(fits) < 2:
         raise UsageError("--held-out compares fits by what they predict: give two or more results.")
     # All models must have the outputs that are compared, so the first one names the signals.
-    model = fitted[0].fit.model_of()
+    model = fits[0].model_of()
     data = [
         read_data(path, model, columns=options.columns, rate=options.rate)
         for path in options.held_out
@@ -87,5 +72,4 @@ def _held_out(options: argparse.Namespace, entries: Sequence[Any]) -> Comparison
     records = [record for record in data if isinstance(record, Record)]
     if len(records) < len(data):
         raise UsageError("--held-out takes records, which are tables of signals.")
-    labels = [entry.label for entry in fitted]
-    return compare(*(entry.fit for entry in fitted), records=records, labels=labels)
+    return compare(*fits, records=records)

@@ -3,10 +3,10 @@
 import argparse
 from typing import Any
 
-from greybox.cli.log_tests import read_log
 from greybox.cli.measurement_options import MEASUREMENT_OPTIONS, stated_band, stated_choices
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, attributes, require_figure, require_writable, save_figure
+from greybox.cli.read_log import read_log
 from greybox.data.record import Recording
 from greybox.data.response_file import write_response, write_responses
 from greybox.data.transient_file import write_spectrum

@@ -2,6 +2,7 @@
 
 import argparse
 import re
+from collections.abc import Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,6 @@ from typing import Any
 from greybox.cli.catalog import find_model, find_problem, shipped
 from greybox.cli.data_file import read_data
 from greybox.cli.options import UsageError
-from greybox.cli.parameter_options import with_parameter_options
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.compiled.transcription.collocation import Collocation
 from greybox.compiled.transcription.multiple_shooting import MultipleShooting
@@ -237,3 +237,52 @@ def _like(criterion: Criterion | TimeCriterion, previous: Any) -> Criterion | Ti
         return criterion
     shared = {field.name: getattr(previous, field.name) for field in fields(TimeCriterion)}
     return replace(criterion, **shared)
+
+
+def with_parameter_options(problem: AnyProblem, options: argparse.Namespace) -> AnyProblem:
+    """Return the problem with the options applied to every part that has the parameters."""
+    changes: dict[str, Mapping[str, Any]] = {
+        "fixed": options.fix,
+        "bounds": options.bounds,
+        "start": options.start,
+        "free": dict.fromkeys(options.free),
+        "starts": options.starts_box,
+        "prior": options.prior,
+    }
+    # Checked against the whole problem: every part has only some of the parameters.
+    for name in (name for names in changes.values() for name in names):
+        if name not in problem.parameters:
+            names = alternatives(name, problem.parameters)
+            raise ValueError(f"{problem.name} has no parameter {name!r}; it has {names}")
+
+    if not any(changes.values()):
+        return problem
+    return problem.with_parts([_restated(part, changes) for part in problem.parts])
+
+
+def _restated(part: Problem, changes: Mapping[str, Mapping[str, Any]]) -> Problem:
+    """Return a part with the changes of its parameters, which it may name differently."""
+    # Options speak of names in the answer. A tied parameter has no value of its own to change.
+    inside = {part.outside(name): name for name in part.declared if name not in part.tied}
+    changed = {
+        what: {inside[name]: value for name, value in values.items() if name in inside}
+        for what, values in changes.items()
+    }
+    if changed["prior"] and not isinstance(part.prior, Mapping):
+        raise UsageError(
+            f"--prior is for single parameters, and the prior of {part.name} is an earlier fit: "
+            "leave it out."
+        )
+
+    # A parameter is either fixed or free: each option undoes what the problem says.
+    fixed = {name: x for name, x in part.fixed_values.items() if name not in changed["free"]}
+    free = [name for name in part.free if name not in changed["fixed"]]
+    return part.with_(
+        fixed={**fixed, **changed["fixed"]},
+        free=tuple(dict.fromkeys([*free, *changed["free"]])),
+        **{
+            what: {**getattr(part, what), **changed[what]}
+            for what in ("bounds", "start", "starts", "prior")
+            if changed[what]
+        },
+    )

@@ -21,7 +21,6 @@ class Entry:
         None if the page shows no details.
     numbers : mapping
         `Fit.to_dict` of a result whose fit is not loaded.
-    file : str
     error : str
         Why there is no result.
     """
@@ -29,7 +28,6 @@ class Entry:
     label: str
     fit: Fit | None
     numbers: Mapping[str, Any] = field(default_factory=dict)
-    file: str = ""
     error: str = ""
 
     @cached_property

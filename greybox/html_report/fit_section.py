@@ -45,7 +45,7 @@ def fit_section(entry: Entry) -> Iterator[tuple[str, list[Element]]]:
         yield "Manoeuvres", [figure_grid([spectrum_figure(fit, k) for k in range(count)])]
 
     yield "Starts", [figure_grid([starts_figure(fit)])]
-    yield "Data and provenance", provenance(fit, entry.file)
+    yield "Data and provenance", provenance(fit)
 
 
 def _verdict_box(fit: Fit) -> Element:

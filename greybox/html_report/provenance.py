@@ -22,7 +22,7 @@ def data_summary(fit: Fit) -> str:
     return f"{models} with {free}, fitted to {data_text(fit)} by {fit.rule}."
 
 
-def provenance(fit: Fit, file: str = "") -> list[Element]:
+def provenance(fit: Fit) -> list[Element]:
     """Return how a fit was made, and where its data come from."""
     converged = sum(run.converged for run in fit.runs)
     versions = (f"{name} {version}" for name, version in fit.versions.items())
@@ -33,7 +33,7 @@ def provenance(fit: Fit, file: str = "") -> list[Element]:
         if name != fit.criterion and math.isfinite(cost)
     ]
 
-    facts: dict[str, Child] = {"result file": file} if file else {}
+    facts: dict[str, Child] = {}
     if fit.command:
         facts["made by"] = tag("code", shlex.join(["greybox", *fit.command]))
     facts |= {

@@ -62,36 +62,20 @@ def report(
     labels = iter(labels_of([result for result in results if isinstance(result, Fit)]))
     entries: list[Entry] = []
     for result in results:
-        if isinstance(result, Fit):
-            entries.append(Entry(next(labels), result))
-        else:
-            entries += study_entries(result)
-
-    write_page(entries, Path(path), comparison, title)
-
-
-def write_page(
-    entries: Sequence[Entry], path: Path, comparison: Comparison | None = None, title: str = ""
-) -> None:
-    """Write the page of these results.
-
-    Raises
-    ------
-    ValueError
-        If there are none.
-    """
+        entries += [Entry(next(labels), result)] if isinstance(result, Fit) else members_of(result)
     if not entries:
         raise ValueError("there is nothing to report: give at least one fit.")
+
     default = f"{counted(len(entries), 'result')} side by side"
     if len(entries) == 1:
         default = entries[0].answer.get("problem", entries[0].label)
     # A file of a stranger may contain any numbers, and warnings about them help nobody.
     with np.errstate(all="ignore"):
         text = page(entries, comparison, title or default)
-    write_text(path, text)
+    write_text(Path(path), text)
 
 
-def study_entries(study: Study) -> list[Entry]:
+def members_of(study: Study) -> list[Entry]:
     """Return the members of a study, with the fits of the first that have an answer."""
     # Only the first ones are loaded: a page about a hundred fits would take minutes and megabytes.
     done = [member for member in study.members if member.status == "done"]
@@ -100,7 +84,6 @@ def study_entries(study: Study) -> list[Entry]:
             member.name,
             member.fit if member in done[:DETAILED] else None,
             member.answer,
-            str(member.file),
             "" if member in done else member.error or "unfinished",
         )
         for member in study.members

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from command_line import run
 
-from greybox.cli.inspect_command import about, contents, next_command, rate
+from greybox.cli.inspect_command import about, contents, message, next_command, rate
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment
 
@@ -96,7 +96,10 @@ def test_what_a_log_holds_is_a_table_of_its_messages():
             "parameters": {"A": 1.0, "B": 2.0},
         },
     )  # fmt: skip
-    rows = [" ".join(line.split()) for line in contents(log).splitlines()]
+    rows = [
+        " ".join(line.split())
+        for line in contents([message(*item) for item in log.items()]).splitlines()
+    ]
     assert rows[0] == "message samples Hz from s to s signals"
     assert rows[2:] == [
         "ATT 101 50 10.0 12.0 Roll (deg), Pitch",

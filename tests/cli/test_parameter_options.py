@@ -7,8 +7,7 @@ import pytest
 
 import greybox as gb
 from greybox.cli.options import UsageError, declare
-from greybox.cli.parameter_options import with_parameter_options
-from greybox.cli.stated_problem import PROBLEM_OPTIONS
+from greybox.cli.stated_problem import PROBLEM_OPTIONS, with_parameter_options
 
 
 class Lag(gb.TransferFunction):

@@ -12,7 +12,6 @@ import greybox as gb
 from greybox.html_report.entry import Entry
 from greybox.html_report.fit_section import fit_section, remarks
 from greybox.html_report.page import page
-from greybox.html_report.report import write_page
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +63,7 @@ def test_several_results_have_details_that_are_open_up_to_three(fit):
 
 def test_what_cannot_be_reported_is_told(fit, tmp_path):
     with pytest.raises(ValueError, match="there is nothing to report: give at least one fit"):
-        write_page([], tmp_path / "x.html")
+        gb.report([], tmp_path / "x.html")
     with pytest.raises(TypeError, match="cannot report 3: give fits, such as"):
         gb.report([fit, 3], tmp_path / "x.html")
     with pytest.raises(TypeError, match=r"comparison is 3: give what gb\.compare returns"):
@@ -73,13 +72,10 @@ def test_what_cannot_be_reported_is_told(fit, tmp_path):
 
 
 def test_the_title_is_that_of_the_fit_or_their_number(fit, tmp_path):
-    for entries, title in (
-        ([Entry("a", fit)], fit.name),
-        ([Entry("a", fit)] * 2, "2 results side by side"),
-    ):
-        write_page(entries, tmp_path / "x.html")
+    for fits, title in ((fit, fit.name), ([fit] * 2, "2 results side by side")):
+        gb.report(fits, tmp_path / "x.html")
         assert f"<h1>{title}</h1>" in (tmp_path / "x.html").read_text(encoding="utf-8")
-    write_page([Entry("a", fit)], tmp_path / "x.html", title="own")
+    gb.report(fit, tmp_path / "x.html", title="own")
     assert "<h1>own</h1>" in (tmp_path / "x.html").read_text(encoding="utf-8")
     assert np.geterr()["invalid"] != "ignore"
 

@@ -86,14 +86,13 @@ def test_parameters_stand_with_errors_intervals_and_shares(fit):
 def test_provenance_says_where_everything_came_from(fit):
     costs = {"relative-error": 1.23456, fit.criterion: fit.cost, "none": math.nan}
     fact, data, *_ = provenance(
-        replace(fit, costs=costs, independent=None, command=("fit", "my lag")), "lag.h5"
+        replace(fit, costs=costs, independent=None, command=("fit", "my lag"))
     )
     said = facts(fact)
     assert said.pop("time taken").endswith(" s")
     assert said.pop("versions").startswith("greybox")
     assert said.pop("other criteria") == f"relative-error {number(1.23456)} at this estimate"
     assert said == {
-        "result file": "lag.h5",
         "made by": "greybox fit 'my lag'",
         "cost": f"{number(fit.cost, 6)} ({fit.rule})",
         "delay": fit.delay,
