@@ -1,8 +1,9 @@
 """The controllers that a log shows: firmware, gains, rate and filters, for one axis."""
 
 import math
+from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,6 +20,8 @@ from greybox.logs.named_columns import in_si
 from greybox.logs.px4 import AXES as PX4_AXES
 from greybox.models import ardupilot, betaflight, px4
 from greybox.models.digital_filters import SampledLag, SampledLowPass, SampledNotch
+
+GAINS = (*ardupilot.GAINS, "K")  # K is PX4's factor of P, I and D
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +43,8 @@ class FlownController:
         Of the test.
     notes : tuple of str
         What the log names and the controllers leave out.
+    beginnings : mapping of str to str
+        How the firmware's names of gains begin, by the class of the controller.
     """
 
     controllers: tuple
@@ -49,6 +54,19 @@ class FlownController:
     start: float = -math.inf
     end: float = math.inf
     notes: tuple = ()
+    beginnings: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def gain_names(self):
+        """Parameters of the firmware, such as ``ATC_RAT_PIT_P``, to gains of `gb.safe_gains`."""
+        owners = Counter(name for law in self.controllers for name in law.parameters)
+        names = {}
+        for law in self.controllers:
+            kind = type(law).__name__
+            for name in [n for n in GAINS if n in law.parameters and kind in self.beginnings]:
+                own = name if owners[name] == 1 else f"{kind}.{name}"
+                names[self.beginnings[kind] + name] = own
+        return names
 
     @property
     def law(self):
@@ -188,7 +206,8 @@ def from_log(
         filters = _in_series(known, laws[-1].rate, raw)
         outside["q"] = filters[-1].outside("filtered") if filters else raw
     laws = [_renamed(law, outside) for law in laws]
-    return FlownController((*filters, *laws), axis, *logged, start, end, tuple(notes))
+    names = BEGINNINGS[firmware](axis)
+    return FlownController((*filters, *laws), axis, *logged, start, end, tuple(notes), names)
 
 
 def _copter(recording, parameters, axis, start, end):
@@ -246,6 +265,21 @@ PREFIXES = {
 }
 
 
+# How the names of the parameters begin that are gains, by the class of the controller.
+BEGINNINGS = {
+    _copter: lambda axis: {
+        "AngleController": f"ATC_ANG_{ardupilot.COPTER[axis]}_",
+        "RateController": f"ATC_RAT_{ardupilot.COPTER[axis]}_",
+    },
+    _plane: lambda axis: {"PlaneRateController": f"{ardupilot.PLANE[axis][0]}_RATE_"},
+    _px4: lambda axis: {
+        "AngleController": f"MC_{axis.upper()}_",
+        "RateController": f"MC_{axis.upper()}RATE_",
+    },
+    _betaflight: lambda axis: {},
+}
+
+
 @dataclass(frozen=True, eq=False)
 class LoopOfLog:
     """The loop of a fit with the controller that flew: from the model, and measured. It prints.
@@ -255,9 +289,13 @@ class LoopOfLog:
     flown : FlownController
     check : ControlCheck
     model : Margins
+    loops : tuple of FrequencyResponse
+        The gain of the loop broken at the control, measured from the signal injected at the mixer,
+        and from the response that the fit was made of; neither contains the model.
     measured : tuple of Margins
-        From the signal injected at the mixer, and from the response that the fit was made of;
-        neither contains the model.
+        Of these loops.
+    others : tuple of Margins
+        Of the model, with the loop broken elsewhere.
     notes : tuple of str
         Where they disagree beyond their errors.
     """
@@ -265,13 +303,15 @@ class LoopOfLog:
     flown: FlownController
     check: ControlCheck
     model: gb.experiment.Margins
+    loops: tuple
     measured: tuple
+    others: tuple
     notes: tuple
 
     @property
     def is_safe(self):
         """Whether the loop of the model is stable and its controller is the one that flew."""
-        return self.model.is_safe and self.check.reproduces
+        return self.check.reproduces and all(m.is_safe for m in (self.model, *self.others))
 
     def to_dict(self):
         """Return the numbers as plain values."""
@@ -279,7 +319,7 @@ class LoopOfLog:
             "controllers": [c.truth for c in self.flown.controllers],
             "control_residual": self.check.residual,
             "samples_late": dict(self.check.late),
-            "loops": [self.model.to_dict()],
+            "loops": [answer.to_dict() for answer in (self.model, *self.others)],
             "measured": [answer.to_dict() for answer in self.measured],
             "notes": [*self.flown.notes, *self.notes],
         }
@@ -293,7 +333,14 @@ class LoopOfLog:
             if all(m.name in answer for answer in names)
         ]
         header = ("broken at the control", "", "of the model", *(a.plant for a in self.measured))
-        parts = [self.flown, self.check, *self.notes, text_table(header, rows), self.model]
+        parts = [
+            self.flown,
+            self.check,
+            *self.notes,
+            text_table(header, rows),
+            self.model,
+            *self.others,
+        ]
         measured = (f"Measured by {a.plant}: {note}" for a in self.measured for note in a.notes)
         return "\n\n".join(map(str, [*parts, *measured]))
 
@@ -308,8 +355,8 @@ def _with_interval(row):
     return "-" if math.isnan(row.value) else f"{row.value:.4g}{interval}"
 
 
-def loop_of_log(recording, fit, axis="pitch", *, signals=None, level=0.95):
-    """Return the `LoopOfLog` of a fit and the tests of an axis in a log.
+def flown_controllers(recording, model, axis="pitch", *, signals=None):
+    """Return the controllers of an axis in a log as the loop of a model, and their `ControlCheck`.
 
     Without `signals`, the model's output is the angle, whose derivative is the rate, or the rate if
     its unit or its name is that of one; the angle controller is then left out.
@@ -318,7 +365,6 @@ def loop_of_log(recording, fit, axis="pitch", *, signals=None, level=0.95):
     tests = [t for t in gb.logs.find_segments(recording) if t.usable and axis in t.axis.lower()]
     start = min((t.start for t in tests), default=-math.inf)
     end = max((t.end for t in tests), default=math.inf)
-    model = fit.model_of(0)
     names = dict(signals or {})
     if not names:
         angle, rate = NAMES[axis]
@@ -340,20 +386,64 @@ def loop_of_log(recording, fit, axis="pitch", *, signals=None, level=0.95):
         else c
         for c in flown.controllers
     ]
-    flown = replace(flown, controllers=tuple(laws))
-    of_model = gb.margins(fit, flown.controllers, level=level)
+    return replace(flown, controllers=tuple(laws)), check
+
+
+def loop_of_log(
+    recording, fit, axis="pitch", *, signals=None, broken_at=(), tracking=None, level=0.95
+):
+    """Return the `LoopOfLog` of a fit and the tests of an axis in a log.
+
+    The loop is broken at the control, where it is measured, and where `broken_at` says; `signals`
+    are as of `flown_controllers`, `tracking` as of `gb.margins`.
+    """
+    flown, check = flown_controllers(recording, fit.model_of(0), axis, signals=signals)
+    of_model, *others = (
+        gb.margins(fit, flown.controllers, broken_at=place, tracking=tracking, level=level)
+        for place in ("", *broken_at)
+    )
 
     loops = []
     if "mixer" in flown.signals:
         loop = broken_loop(flown.sensitivity(recording, check))
         loops.append(replace(loop, input="u", name="the injected signal"))
-    data = fit.parts[0].data
+    data, model = fit.parts[0].data, fit.model_of(0)
+    # Fits of structures to one response leave its names out.
+    if isinstance(data, gb.FrequencyResponse) and not data.output:
+        data = replace(data, input=model.input_names[0], output=model.output_names[0])
     read = {name.removesuffix(DOT) for name in sensors_of(flown.controllers)}
     has_errors = isinstance(data, gb.FrequencyResponse) and data.variance is not None
     if has_errors and read == {data.output}:
         loops.append(flown.loop_gain(data))
     measured = tuple(measured_margins(loop, level=level) for loop in loops)
-    return LoopOfLog(flown, check, of_model, measured, disagreements(of_model, measured))
+    notes = disagreements(of_model, measured)
+    return LoopOfLog(flown, check, of_model, tuple(loops), measured, tuple(others), notes)
+
+
+def safe_gains_of_log(fits, recording, gains, axis="pitch", *, signals=None, **requirements):
+    """Return `gb.safe_gains` of the controllers that a log shows.
+
+    The gains have the names of the firmware: ``{"ATC_RAT_PIT_P": (0.05, 0.3)}``. `signals` are as
+    of `flown_controllers`, the `requirements` as of `gb.safe_gains`.
+
+    Raises
+    ------
+    ValueError
+        If the controllers do not reproduce the control of the log to a tenth, or have no such gain.
+    """
+    flown, check = flown_controllers(recording, fits[0].model_of(0), axis, signals=signals)
+    if not check.reproduces:
+        raise ValueError(f"the loop is not the one that flew. {check}")
+    names = flown.gain_names
+    for name in gains:
+        if name not in names:
+            raise ValueError(
+                f"{name!r} is no gain of {axis} in the log: give one of {', '.join(names)}."
+            )
+    ranges = {names[name]: ends for name, ends in gains.items()}
+    safe = gb.safe_gains(fits, flown.controllers, ranges, **requirements)
+    values, today = (dict(zip(gains, m.values(), strict=True)) for m in (safe.values, safe.today))
+    return replace(safe, values=values, today=today, notes=(*flown.notes, *safe.notes))
 
 
 def disagreements(model, measured):

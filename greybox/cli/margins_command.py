@@ -53,20 +53,28 @@ result RESULT
 def run(options: argparse.Namespace) -> Answer:
     """Read the fit, close the loop, and return the margins wherever it is broken."""
     fit, _ = stated_fit(options)
+    require_figure(options.plot, options.force)
     # A log has the controller that flew, with its gains and its rate.
     if options.log:
         firmware = shipped_module("models", "firmware")
         loop = firmware.loop_of_log(
-            read(options.log), fit, options.axis, signals=options.signals, level=options.level
+            read(options.log),
+            fit,
+            options.axis,
+            signals=options.signals,
+            broken_at=options.broken_at or (),
+            tracking=tuple(options.tracking) if options.tracking else None,
+            level=options.level,
         )
         answer = loop.to_dict()
         if not loop.is_safe:
             wrong = "the controllers of the log do not reproduce its control."
             answer["error"] = wrong if loop.model.is_safe else loop.model.verdict
-        return answer, str(loop)
+        return answer, "\n\n".join(
+            [str(loop), *save_figure(options.plot, "loop", loop.model, *loop.loops)]
+        )
 
     controllers = stated_controllers(options)
-    require_figure(options.plot, options.force)
     loops = [
         margins(
             fit,

@@ -2,15 +2,19 @@
 
 import argparse
 
+from greybox.cli.catalog import shipped_module
 from greybox.cli.margins_command import CONTROLLER_OPTIONS, stated_controllers
 from greybox.cli.output import Answer, require_figure, require_writable, save_figure
 from greybox.cli.saved_fits import saved_fit
 from greybox.experiment.gain_file import write_gains
 from greybox.experiment.safe_gains import safe_gains
+from greybox.logs.readers import read
 
 EXAMPLES = (
     "pitch.h5 --controller controller:AttitudeController --signals q=theta_dot "
     "--gains K_P=0.02:0.5 K_D=0.001:0.02",
+    "pitch.h5 --log flight.BIN --gains ATC_RAT_PIT_P=0.05:0.3 ATC_RAT_PIT_D=0.001:0.01 "
+    "--parameters pitch.param",
     "light.h5 heavy.h5 --controller my.py:Loop --gains K_P=0.05:0.5 "
     "--names K_P=ATC_RAT_PIT_P --parameters pitch.param",
 )
@@ -19,6 +23,10 @@ fits RESULT...
     saved fits, one for each flight
 --model
 {CONTROLLER_OPTIONS}
+--log LOG
+    a log of the controllers; the gains then have the names of its firmware
+--axis AXIS
+    roll, pitch or yaw of the log (default: pitch)
 --gains NAME=LOW:HIGH...
     one to three gains, and the range in which to look for safe ones (required)
 --phase-margin DEGREES
@@ -42,21 +50,26 @@ fits RESULT...
 
 def run(options: argparse.Namespace) -> Answer:
     """Read the fits, try the gains, and return which of them are safe."""
-    controllers = stated_controllers(options)
     require_writable(
         options.parameters, options.force, (".param", ".parm", ".params"), "parameter file"
     )
     require_figure(options.plot, options.force)
-    safe = safe_gains(
-        [saved_fit(path, options) for path in options.fits],
-        controllers,
-        options.gains,
-        phase_margin=options.phase_margin,
-        gain_margin=options.gain_margin,
-        delay=options.delay,
-        level=options.level,
-        broken_at=options.broken_at,
-    )
+    fits = [saved_fit(path, options) for path in options.fits]
+    required = {
+        name: getattr(options, name)
+        for name in ("phase_margin", "gain_margin", "delay", "level", "broken_at")
+    }
+    if options.log:
+        safe = shipped_module("models", "firmware").safe_gains_of_log(
+            fits,
+            read(options.log),
+            options.gains,
+            options.axis,
+            signals=options.signals,
+            **required,
+        )
+    else:
+        safe = safe_gains(fits, stated_controllers(options), options.gains, **required)
     answer = safe.to_dict()
     lines = save_figure(options.plot, "gains", safe)
     if not safe.best:

@@ -1,7 +1,11 @@
 """Loops with confidence bands, as Bode, Nichols, Nyquist diagram and step; and safe gains."""
 
+import math
+from functools import partial
+
 import numpy as np
 
+from greybox.data.frequency_response import FrequencyResponse
 from greybox.experiment.drawn_loops import DRAWN
 from greybox.experiment.loop_numbers import loop_frequencies, step_responses
 from greybox.experiment.margins import Margins
@@ -14,7 +18,9 @@ SHOWN = (1e-2, 1e2)  # gains of the broken loop that are drawn
 CURVES = 60  # draws in the Nichols and Nyquist diagrams, where a band has no direction
 
 
-def loop(margins: Margins, axes: GivenAxes | None = None) -> AxesArray:
+def loop(
+    margins: Margins, *measured: FrequencyResponse, axes: GivenAxes | None = None
+) -> AxesArray:
     """Draw the broken loop (magnitude, phase, Nichols, Nyquist) and the step of its setpoint.
 
     Shaded are bands at the level of the margins; in the Nichols and Nyquist diagrams thin curves
@@ -23,6 +29,8 @@ def loop(margins: Margins, axes: GivenAxes | None = None) -> AxesArray:
     Parameters
     ----------
     margins : Margins
+    *measured : FrequencyResponse
+        The same broken loop as it was measured, with negative feedback: points.
     axes : array-like of Axes, optional
         Four for the broken loop, and one more for the step. By default a new figure is made.
 
@@ -30,11 +38,12 @@ def loop(margins: Margins, axes: GivenAxes | None = None) -> AxesArray:
     -------
     numpy.ndarray of Axes, shape (n,)
     """
-    figures = loop_figures(margins)
-    return draw(figures, axes, legend=False, columns=3, size=(4.2, 3.6), title=margins.plant)
+    figures = loop_figures(margins, *measured)
+    size, has_legend = (4.2, 3.6), bool(measured)
+    return draw(figures, axes, legend=has_legend, columns=3, size=size, title=margins.plant)
 
 
-def loop_figures(margins: Margins) -> list[Figure]:
+def loop_figures(margins: Margins, *measured: FrequencyResponse) -> list[Figure]:
     """Return the Bode, Nichols and Nyquist diagrams, and the step if there is a setpoint."""
     loops, signal = margins.require_loop(), margins.signal
     omega = loop_frequencies(loops)
@@ -43,13 +52,28 @@ def loop_figures(margins: Margins) -> list[Figure]:
     gain = loops.broken_at(signal, omega)
     decibel, phase = 20 * np.log10(np.abs(gain)), np.degrees(np.unwrap(np.angle(gain), axis=1))
     phase -= 360 * np.round((phase - phase[0]).mean(axis=1, keepdims=True) / 360)
-    panels = [
-        Panel("Gain, dB", [*_banded(margins, omega, decibel), rule()]),
-        Panel("Phase, °", [*_banded(margins, omega, phase), rule(-180.0)], steps=ANGLES),
+    # In the turn that has -180 degrees in its middle, at the gain nearest to one.
+    phase -= 360 * math.ceil(phase[0, np.abs(decibel[0]).argmin()] / 360)
+    curves: list[list[Series]] = [
+        [*_banded(margins, omega, decibel), rule()],
+        [*_banded(margins, omega, phase), rule(-180.0)],
+        _plane(phase, decibel, (-180.0, 0.0)),
+        _plane(gain.real, gain.imag, (-1.0, 0.0)),
     ]
-    nichols = Panel("Gain, dB", _plane(phase, decibel, (-180.0, 0.0)))
+    for k, data in enumerate(measured, start=2):
+        numbers = data.response
+        size, angle = 20 * np.log10(np.abs(numbers)), np.degrees(np.unwrap(np.angle(numbers)))
+        # Both phases in the same turn.
+        angle -= 360 * np.round(np.mean(angle - np.interp(data.omega, omega, phase[0])) / 360)
+        points = partial(Series, data.name or "measured", "points", color=k, style=k)
+        columns = [(data.omega, size), (data.omega, angle), (angle, size)]
+        for series, (x, y) in zip(curves, [*columns, (numbers.real, numbers.imag)], strict=True):
+            series.append(points(x, y))
+
+    panels = [Panel("Gain, dB", curves[0]), Panel("Phase, °", curves[1], steps=ANGLES)]
+    nichols = Panel("Gain, dB", curves[2])
     # Low frequencies are far away; what matters is around the critical point.
-    nyquist = Panel("Imaginary part", _plane(gain.real, gain.imag, (-1.0, 0.0)), limits=(-2.0, 2.0))
+    nyquist = Panel("Imaginary part", curves[3], limits=(-2.0, 2.0))
     figures = [
         Figure(f"Loop broken at {signal}", "ω, rad/s", panels, is_logarithmic=True),
         Figure("Nichols diagram", "Phase, °", [nichols]),

@@ -42,7 +42,8 @@ def test_the_command_answers_as_the_function_does(capsys, pitch):
 
 
 def test_the_controller_comes_from_a_log(capsys, pitch):
-    status, out, _ = run(capsys, "margins", pitch, "--log", sitl_pitch.LOG, "--json")
+    words = ("--log", sitl_pitch.LOG, "--broken-at", "theta", "--json")
+    status, out, _ = run(capsys, "margins", pitch, *words)
     assert status == 0
     answer = json.loads(out)
     assert 0.05 < answer["control_residual"] < 0.1  # every seventh pass was logged
@@ -52,6 +53,7 @@ def test_the_controller_comes_from_a_log(capsys, pitch):
     assert angle["values"]["delay"] == answer["samples_late"]["q_reference"] == 2
     assert rate["values"]["P"] == pytest.approx(0.135)
     assert answer["loops"][0]["margins"]["phase margin"]["value"] > 30
+    assert [loop["broken_at"] for loop in answer["loops"]] == ["u", "theta"]
     assert answer["measured"] == []  # the response of the paper has no variance
 
 

@@ -8,6 +8,7 @@ from command_line import refused, run
 
 import greybox as gb
 from greybox.models.rate import BasicRate
+from greybox.problems import sitl_pitch
 
 CONTROLLER = """
 import greybox as gb
@@ -68,3 +69,20 @@ def test_gains_whose_crossover_was_not_measured_are_refused(capsys, loop, tmp_pa
 )
 def test_what_does_not_fit_is_refused(capsys, loop, words, message):
     assert message in refused(capsys, "tune", *loop, *words)
+
+
+def test_the_controllers_of_a_log_have_the_gains_of_the_firmware(capsys, tmp_path):
+    path, out = tmp_path / "pitch.h5", tmp_path / "pitch.param"
+    gb.save(gb.fit(sitl_pitch.problem(), starts=4, profiles=False, progress=False), path)
+    words = ("--log", sitl_pitch.LOG, "--parameters", out)
+    status, text, _ = run(
+        capsys, "tune", path, *words, "--gains", "ATC_RAT_PIT_P=0.1:0.15", "--json"
+    )
+    assert status == 0
+    answer = json.loads(text)
+    assert answer["today"] == {"ATC_RAT_PIT_P": pytest.approx(0.135)}
+    name, value = out.read_text(encoding="utf-8").strip().split(",")
+    assert name == "ATC_RAT_PIT_P"
+    assert 0.1 <= float(value) <= 0.15
+    message = refused(capsys, "tune", path, *words, "--force", "--gains", "P=0.1:0.2")
+    assert "ATC_ANG_PIT_P, ATC_RAT_PIT_P" in message

@@ -42,6 +42,21 @@ def test_the_loop_crosses_where_its_margins_say_within_its_band(fit):
     assert gb.plotting.loop(answer).size == 5
 
 
+def test_measured_points_lie_on_the_loop_in_the_turn_of_the_critical_point(fit):
+    answer = gb.margins(fit, RateLoop())
+    omega = np.geomspace(3, 40, 12)
+    gain = answer.require_loop().broken_at("u", omega)[0]
+    measured = gb.FrequencyResponse(omega, gain, "u", "u", name="injected")
+    bode, nichols, nyquist, _ = loop_figures(answer, measured)
+    for panel in bode.panels:
+        curve, points = (next(s for s in panel.series if s.kind == k) for k in ("line", "points"))
+        np.testing.assert_allclose(np.interp(omega, curve.x, curve.y), points.y, atol=0.02)
+    points = next(s for s in nichols.panels[0].series if s.name == "injected")
+    assert np.all((points.x > -360) & (points.x <= 0))
+    points = next(s for s in nyquist.panels[0].series if s.name == "injected")
+    np.testing.assert_allclose(points.x + 1j * points.y, gain)
+
+
 def test_allowed_gains_todays_and_the_best_are_drawn(fit):
     safe = gb.safe_gains(fit, RateLoop(), {"K_P": (0.01, 0.5)})
     confidence, _, today, best = gains_figure(safe).panels[0].series
