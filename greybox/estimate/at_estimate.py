@@ -28,18 +28,13 @@ def at_estimate(fit: Any, model: Model, part: FittedPart, inputs: Inputs | None)
         If the fit has no value for a parameter of the model.
     """
     record = part if isinstance(part, FittedRecord) else None
-    biases = record.biases if record else ()
-    gains = record.gains if record else ()
+    biases, gains, added = (record.biases, record.gains, record.added) if record else ((), (), ())
     if inputs is None:
         inputs = record.inputs if record else "record"
 
     names = [*model.parameters, *(f"{b}_bias" for b in biases), *(f"K_{s}_{o}" for s, o in gains)]
     outside = {name: part.outside(name) for name in names}
-    # With process noise the gains are not parameters: they follow from the variances of the noise.
-    driven = record if record is not None and record.driven else None
-    estimated = [*outside.values()]
-    if driven is not None:
-        estimated = [part.outside(name) for name in (*model.parameters, *driven.added)]
+    estimated = [part.outside(name) for name in (*model.parameters, *added)]
 
     for name in estimated:
         if name not in fit.estimate:
@@ -56,13 +51,12 @@ def at_estimate(fit: Any, model: Model, part: FittedPart, inputs: Inputs | None)
     values = np.array([fit.estimate[name] for name in estimated])
     covariance = np.where(is_known | is_known[:, None], 0.0, fit.covariance_of(estimated))
 
-    if driven is not None:
-        assert driven.gain is not None
-        assert driven.gain_slope is not None
+    # With process noise the gains are not parameters: they follow from the variances of the noise.
+    if record is not None and record.gain is not None and record.gain_slope is not None:
         # Gains come last in `names`; the fit has their derivatives by what it estimated.
         count = len(names) - len(gains)
-        values = np.concatenate([values[:count], driven.gain])
-        slope = np.vstack([np.eye(count, len(estimated)), driven.gain_slope])
+        values = np.concatenate([values[:count], record.gain])
+        slope = np.vstack([np.eye(count, len(estimated)), record.gain_slope])
         covariance = propagated(slope, covariance)
 
     return ModelAtEstimate(

@@ -16,7 +16,6 @@ from greybox.estimate.undetermined import (
     invisible_groups,
 )
 from greybox.files.arrays import Array
-from greybox.formulation.held_estimate import HeldEstimate
 from greybox.modeling.one_thread import one_thread_at_a_time
 
 # Singular value of the Jacobian below which a combination is not determined at all, with columns of
@@ -505,17 +504,13 @@ def _active_constraints(nlp: CompiledProblem, x: Array) -> tuple[Array, tuple[st
 
 def known_covariances(nlp: CompiledProblem) -> list[tuple[Array, float]]:
     """Return the covariance (k, k) of the constants from each earlier fit, zero elsewhere."""
-    names = nlp.names
-    sources: dict[int, tuple[HeldEstimate, list[str]]] = {}
-    for name, source in nlp.problem.held_estimates.items():
-        if name in names:
-            sources.setdefault(id(source), (source, []))[1].append(name)
-
+    held = nlp.problem.held_estimates
+    sources = {id(source): source for name, source in held.items() if name in nlp.names}
     result = []
-    for source, group in sources.values():
-        places = [names.index(name) for name in group]
-        embedded = np.zeros((len(names), len(names)))
-        embedded[np.ix_(places, places)] = source.covariance_of(group)
+    for source in sources.values():
+        places = [k for k, name in enumerate(nlp.names) if held.get(name) is source]
+        embedded = np.zeros((len(nlp.names), len(nlp.names)))
+        embedded[np.ix_(places, places)] = source.covariance_of([nlp.names[k] for k in places])
         result.append((embedded, source.dof))
 
     return result

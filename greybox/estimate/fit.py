@@ -26,8 +26,9 @@ from greybox.estimate.covariance import (
     known_directions,
     prior_shares,
 )
-from greybox.estimate.diagnostics.general import notes, warnings, warnings_of_failure
+from greybox.estimate.diagnostics.general import warnings, warnings_of_failure
 from greybox.estimate.diagnostics.identifiability import determined_together
+from greybox.estimate.diagnostics.noise_level import unused_noise
 from greybox.estimate.diagnostics.not_finite import explained
 from greybox.estimate.fitted_part import AnyFittedPart, FittedResponse
 from greybox.estimate.fitted_values import fitted_part
@@ -346,6 +347,19 @@ def assemble(
     lines, covariance, slopes = quantities(nlp, accuracy, estimate)
     # The warnings below read the fitted values, so the parts come first.
     parts = _parts(nlp, best, trajectories)
+    misfit = directions = None
+    if search.minima:
+        misfit = assessed_misfit(nlp, best, trajectories, accuracy.correlation, {})
+        values = np.array([line.value for line in lines[: len(slopes)]])
+        directions = known_directions(nlp, accuracy, values, slopes)
+    if directions is not None and directions.unseen.any():
+        # Where two values are equal, the data seem to determine their sum and their product alike.
+        # A second point shows which combination is determined everywhere.
+        elsewhere = directions_beside(
+            nlp, best, accuracy.at_bound, lambda x: solver.profile(x, search.nodes).trajectories
+        )
+        directions = replace(directions, elsewhere=elsewhere)
+
     answer = Fit(
         name=nlp.problem.name,
         parts=parts,
@@ -362,38 +376,22 @@ def assemble(
         seconds=0.0,
         versions=_versions(),
         models=tuple(part.model for part in nlp.problem.parts),
+        white=accuracy.white,
+        independent=accuracy.independent,
+        directions=directions,
         priors=_priors(nlp.problem),
         prior_share=prior_shares(nlp, accuracy),
+        misfit=misfit,
     )
 
     if not search.minima:
         return replace(answer, warnings=warnings_of_failure(nlp, search, solver))
-
-    directions = known_directions(
-        nlp, accuracy, np.array([answer.estimate[name] for name in answer.names]), slopes
-    )
-    if directions is not None and directions.unseen.any():
-        # Where two values are equal, the data seem to determine their sum and their product alike.
-        # A second point shows which combination is determined everywhere.
-        elsewhere = directions_beside(
-            nlp, best, accuracy.at_bound, lambda x: solver.profile(x, search.nodes).trajectories
-        )
-        directions = replace(directions, elsewhere=elsewhere)
-
-    misfit = assessed_misfit(nlp, best, trajectories, accuracy.correlation, {})
-    answer = replace(answer, misfit=misfit)
-    answer = replace(
+    together = determined_together(answer) if accuracy.combinations else ()
+    return replace(
         answer,
         warnings=warnings(nlp, search, accuracy, answer, trajectories, error),
-        notes=notes(nlp.problem),
-        white=accuracy.white,
-        independent=accuracy.independent,
-        directions=directions,
+        notes=(*unused_noise(nlp.problem), *together),
     )
-
-    if accuracy.combinations:
-        return replace(answer, notes=(*answer.notes, *determined_together(answer)))
-    return answer
 
 
 def _versions() -> dict[str, str]:

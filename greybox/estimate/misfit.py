@@ -303,16 +303,10 @@ def _of_record(
     initial = [rows_of_stretch(*pair, True) for pair in zip(by_initial, present, strict=True)]
 
     def rows(values: Array, white: bool) -> Array:
+        pairs = zip(data.unpadded(values), present, strict=True)
+        stretches = [rows_of_stretch(row, measured, white) for row, measured in pairs]
         # The initial states of every stretch take their share first.
-        parts = zip(data.unpadded(values), present, initial, strict=True)
-        return np.vstack(
-            [
-                _remaining(rows_of_stretch(row, measured, white), columns)
-                if white
-                else rows_of_stretch(row, measured, white)
-                for row, measured, columns in parts
-            ]
-        )
+        return np.vstack([*map(_remaining, stretches, initial)] if white else stretches)
 
     measured = np.where(record.present, data.measured, np.nan)
     count = np.maximum(record.present.sum(axis=1, keepdims=True), 1)

@@ -445,12 +445,9 @@ class Fit:
         # A constant has no interval, but a column of a frame needs a number in every row.
         intervals = self.interval(level)
         unknown = (math.nan, math.nan)
-        columns["low"], columns["high"] = np.reshape(
-            [intervals.get(q.name, unknown) for q in self.quantities], (-1, 2)
-        ).T
-        columns["lower_bound"], columns["upper_bound"] = np.reshape(
-            [q.bounds for q in self.quantities], (-1, 2)
-        ).T
+        limits = [(*intervals.get(q.name, unknown), *q.bounds) for q in self.quantities]
+        ends = ("low", "high", "lower_bound", "upper_bound")
+        columns |= zip(ends, np.reshape(limits, (-1, 4)).T, strict=True)
         about = {"name": self.name, "criterion": self.criterion, "cost": self.cost, "level": level}
 
         return frame_of(columns, [q.name for q in self.quantities], "name", about)

@@ -19,7 +19,6 @@ from typing import Any
 import numpy as np
 
 from greybox.estimate.fitted_part import AnyFittedPart, FittedResponse, FittedSpectrum
-from greybox.estimate.identifiability import KnownDirections
 from greybox.estimate.result import Fit
 from greybox.estimate.stored_values import fields_of, read, require, write
 from greybox.files.safe_files import HDF5
@@ -134,9 +133,11 @@ def _require_consistent(fit: Fit, checksum: str) -> None:
         size = (sizes["p"], sizes["p"])
         require(fit.independent[0].shape == size, "independent has another shape")
 
-    if fit.directions is not None:
-        _require_consistent_directions(fit.directions, sizes["k"])
-        _require_consistent_directions(fit.directions.elsewhere, sizes["p"])
+    beside = fit.directions and fit.directions.elsewhere
+    for directions, n in ((fit.directions, "k"), (beside, "p")):
+        if directions is not None:
+            axes = {"covariance": n + n, "unseen": n + "*", "size": n, "at": n}
+            _require_shapes(directions, axes, sizes)
 
     # Runs are columns: in a shorter one, values would belong to other runs.
     columns = dict.fromkeys(fields_of(type(fit.runs)), "r")
@@ -157,17 +158,11 @@ def _require_consistent(fit: Fit, checksum: str) -> None:
             _require_shapes(profile, {"costs": "n", "roots": "n", "others": "nf"}, sizes)
 
 
-def _require_consistent_directions(directions: KnownDirections | None, size: int) -> None:
-    if directions is not None:
-        axes = {"covariance": "nn", "unseen": "n*", "size": "n", "at": "n"}
-        _require_shapes(directions, axes, {"n": size})
-
-
 def _require_consistent_part(part: AnyFittedPart) -> None:
     model = part.model
-    require(isinstance(model["class"], str), "its model has no class")
-    require(isinstance(model["arguments"], list), "the arguments of its model are not a list")
-    require(isinstance(model["keywords"], dict), "the keywords of its model have no names")
+    kinds = {"class": str, "arguments": list, "keywords": dict}
+    is_reference = all(isinstance(model[name], kind) for name, kind in kinds.items())
+    require(is_reference, "its model is no class with arguments")
 
     # Arrays of other shapes would be broadcast silently, and printed as if they belonged together.
     sizes = {"n": len(part.data)}

@@ -1,8 +1,8 @@
-"""All warnings and notes of a fit, the most serious first."""
+"""All warnings of a fit, the most serious first."""
 
 from collections.abc import Sequence
 
-from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.delay_approximation import coarse_pade
@@ -23,7 +23,7 @@ from greybox.estimate.diagnostics.identifiability import (
     no_degrees_of_freedom,
     not_determined,
 )
-from greybox.estimate.diagnostics.noise_level import unlikely_noise, unused_noise
+from greybox.estimate.diagnostics.noise_level import unlikely_noise
 from greybox.estimate.diagnostics.not_finite import not_finite_warnings
 from greybox.estimate.diagnostics.outlying_points import outlying_points
 from greybox.estimate.diagnostics.prior_conflict import prior_conflicts
@@ -88,8 +88,3 @@ def warnings(
         *discontinuous_costs(nlp),
         *outlying_points(nlp, best.estimate),
     )
-
-
-def notes(problem: AnyProblem) -> tuple[str, ...]:
-    """Return what may be worth a look, but is no reason to doubt a converged fit."""
-    return tuple(unused_noise(problem))

@@ -41,9 +41,7 @@ def not_determined(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str]:
 
 def determined_together(fit: Fit) -> Iterator[str]:
     """Say which combinations are determined although none of their members is."""
-    combinations = ()
-    if fit.converged and fit.directions is not None:
-        combinations = fit.identifiability.combinations
+    combinations = () if fit.directions is None else fit.identifiability.combinations
     if not combinations:
         return
 
