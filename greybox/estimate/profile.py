@@ -22,8 +22,7 @@ from greybox.estimate.covariance import Accuracy, assess
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.held_quantity import (
     Held,
-    HeldRecords,
-    HeldResponses,
+    HeldMinima,
     NoMinimumError,
     best_of_records,
     slope_of,
@@ -234,7 +233,7 @@ class _Estimate:
     accuracy: Accuracy
     cost: float
     point: Array
-    solver: HeldResponses | HeldRecords
+    solver: HeldMinima
     numbers: float
 
 
@@ -359,14 +358,13 @@ def _estimate(nlp: CompiledProblem, fit: Fit) -> _Estimate:
     """Return the estimate of a fit, if costs are ratios of likelihoods there."""
     x = np.array([fit.estimate[name] for name in nlp.free])
     refusal = _ratio_refusal(nlp, x)
-    solver: HeldResponses | HeldRecords
     if any(part.has_states for part in nlp.parts):
         # Records are solved again, and may end slightly lower than the fit: r is zero there.
         solver, point, cost, trajectories = best_of_records(nlp, x)
         x = nlp.scaling.to_parameters(point[: len(x)])
     else:
         solver, point, cost = (
-            HeldResponses(nlp),
+            HeldMinima(nlp),
             nlp.scaling.to_solver(x),
             nlp.cost(nlp.all_values(x)),
         )
@@ -427,6 +425,7 @@ def _search(
         slope = slope_of(held, nlp.scaling.to_solver(x)) * slope_of_x
         value = line.value
         bounds = (-math.inf, math.inf)
+        starts = starts[:0]  # a quantity is held by an equation: runs from far away take long
 
     size = float(np.max(np.abs([line.value, *(slope / slope_of_x)])))
     error = line.standard_error
@@ -439,7 +438,7 @@ def _search(
         bounds=bounds,
         size=size,
         first=min(first, *(STEP * abs(bound - line.value) or math.inf for bound in bounds)),
-        starts=starts,
+        starts=[*starts],
         bias=line.bias / error if error > 0 else 0.0,
     )
 
@@ -459,7 +458,8 @@ def _profile_of(nlp: CompiledProblem, search: _Search, line: Quantity, limit: fl
     if not inside.size:  # beyond the bound at which the walk ended
         inside = np.array([np.argmin(np.abs(roots + search.bias))])
 
-    interval, ends = [-math.inf, math.inf], [low_end, high_end]
+    interval = [-math.inf, math.inf]
+    ends: list[End] = [low_end, high_end]
     at_bound: list[tuple[str, ...]] = [(), ()]
     first, last = int(inside[0]), int(inside[-1])
     for side, k, outside, root in ((0, first, first - 1, lowest), (1, last, last + 1, highest)):
