@@ -56,8 +56,8 @@ class HeldMinima:
         program, scaling = self._nlp.programs[-1], self._nlp.scaling
         if program.explicit is None or not ResponseSolver.serves(self._nlp):
             return None
-        bounds = map(scaling.to_solver, (self._nlp.lower, self._nlp.upper))
-        return BatchedNewton(program.explicit, *bounds, program.roots)
+        lower, upper = map(scaling.to_solver, (self._nlp.lower, self._nlp.upper))
+        return BatchedNewton(program.explicit, lower, upper, program.roots)
 
     def solve(
         self, held: Held, starts: Sequence[Array], value: float | Array

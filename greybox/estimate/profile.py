@@ -29,7 +29,7 @@ from greybox.estimate.held_quantity import (
 )
 from greybox.estimate.profiles import Contour, End, ProfileOf, Profiles
 from greybox.estimate.quantities import expressions
-from greybox.estimate.response_band import require_level, t_quantile
+from greybox.estimate.response_band import radius, require_level, t_quantile
 from greybox.estimate.result import Fit, Quantity
 from greybox.files.arrays import Array
 from greybox.files.progress import counted_off
@@ -550,13 +550,10 @@ def contour(
 def _contour(
     nlp: CompiledProblem, fit: Fit, lines: tuple[Quantity, Quantity], level: float, directions: int
 ) -> Contour:
-    from scipy.special import fdtri  # noqa: PLC0415  (takes a tenth of a second to import)
-
     estimate = _estimate(nlp, fit)
     x, accuracy = estimate.x, estimate.accuracy
     places = [nlp.free.index(line.name) for line in lines]
-    dof = min(*(line.dof for line in lines), 1e9)
-    limit = math.sqrt(2 * float(fdtri(2, dof, level)))
+    limit = radius(level, min(line.dof for line in lines))
     block = accuracy.covariance[np.ix_(places, places)]
     axes = np.diag(accuracy.size[places])
     if np.linalg.det(block) > 0:

@@ -33,14 +33,12 @@ from greybox.estimate.response_band import (
 from greybox.estimate.summary import summary
 from greybox.files.arrays import Array
 from greybox.files.text_table import counted, one_line, with_error
-from greybox.formulation.frequency_criteria import cost_of_zero
-from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.input_assumptions import Inputs
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.model_reference import resolve
 from greybox.modeling.periodic_motions import response_of_test
 from greybox.simulation.model_at_estimate import ModelAtEstimate
-from greybox.solve.minima import Minimum, Multistart, agreeing_runs, best_unfinished
+from greybox.solve.minima import Minimum, Multistart, best_unfinished
 from greybox.solve.runs import Runs
 
 
@@ -113,6 +111,9 @@ class Fit:
         where the data lack what it needs. Empty for fits with records.
     runs, minima : Runs, tuple of Minimum
         All runs in the order of their starts, and the distinct minima, best first.
+    agreeing : int
+        Number of runs whose cost differs from the best by less than 0.1 in log-likelihood, or, for
+        other criteria, by an equivalent amount. It is 0 if the best response is nearly zero.
     white : (p, p) array or None
         Covariance of the free parameters if the cost were the likelihood of white errors.
     independent : (p, p) array and float, or None
@@ -151,6 +152,7 @@ class Fit:
     costs: Mapping[str, float]
     runs: Runs
     minima: tuple[Minimum, ...]
+    agreeing: int
     warnings: tuple[str, ...]
     seed: int | None
     starts: str
@@ -216,28 +218,6 @@ class Fit:
         """Raise ValueError if no start converged."""
         if not self.converged:
             raise ValueError(f"the fit {self.name!r} has no estimate: {self.status}.")
-
-    @property
-    def agreeing(self) -> int:
-        """Number of runs whose cost differs from the best by less than 0.1 in log-likelihood.
-
-        Other criteria have an equivalent difference. It is 0 if the best response is nearly zero.
-        """
-        # A relative error over the measured magnitude is exactly 1 for a model of gain zero: runs
-        # that agree on such a cost agree on nothing.
-        criteria = {criterion.name: criterion for criterion in CRITERIA}
-        zero = sum(
-            part.weight * cost_of_zero(criteria[part.criterion], part.data)
-            if isinstance(part, FittedResponse) and part.criterion in criteria
-            else math.inf
-            for part in self.parts
-        )
-        numbers = sum(2 * len(part.data) for part in self.responses)
-        is_likelihood = any(part.is_likelihood for part in self.parts)
-        runs = agreeing_runs(
-            self.runs, self.minima, numbers=numbers, is_likelihood=is_likelihood, zero=zero
-        )
-        return len(runs)
 
     @property
     def criterion(self) -> str:

@@ -32,7 +32,7 @@ def test_a_minimum_that_was_found_once_is_in_doubt(fit, count):
     first, *others = fit.runs
     runs = (first, *(replace(run, cost=run.cost + 5) for run in others[: count - 1]))
     minima = (replace(fit.minima[0], runs=(first.index,), cost=first.cost),)
-    judged = verdict(replace(fit, warnings=(), runs=runs, minima=minima))
+    judged = verdict(replace(fit, warnings=(), runs=runs, minima=minima, agreeing=1))
     assert judged.grade == "doubt"
     assert "another" in judged.sentences[1]
 
