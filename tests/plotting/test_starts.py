@@ -110,8 +110,7 @@ def test_minima_have_five_colors_and_further_ones_and_failed_runs_none(fit):
     assert failed.style not in range(5)
     assert (figure.limits, figure.is_whole) == ((0.0, 10.0), True)
     said = (
-        "2 of 9 most promising of 13 starts agree on the best minimum. Failed runs "
-        "are at the right"
+        "2 of 9 most promising of 13 starts agree on the best minimum. Failed runs are at the right"
     )
     assert figure.caption.startswith(said)
     alone = starts_figure(
