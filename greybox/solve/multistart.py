@@ -104,7 +104,7 @@ def multistart(
                 if progress is not None:
                     progress(len(results), len(starts))
         results, runs, minima = _certified(nlp, solver, results)
-        if stop_requested() or len(_agreeing(nlp, runs, minima)) >= enough > 0:
+        if stop_requested() or len(agreeing_runs_of(nlp, runs, minima)) >= enough > 0:
             break
 
     # Where nothing converged, a diagnosis needs the last states of every run.
@@ -158,7 +158,7 @@ def _continued(
     return later
 
 
-def _agreeing(
+def agreeing_runs_of(
     nlp: CompiledProblem, runs: Sequence[Run], minima: Sequence[Minimum]
 ) -> tuple[int, ...]:
     """Return the indices of the runs at the lowest cost, within the noise of the data."""
