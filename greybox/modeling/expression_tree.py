@@ -47,41 +47,36 @@ class Term:
 Expression = tuple[Term, ...]
 """The sum of these terms; an empty one is zero."""
 
-RELATIONS = {
-    ca.OP_LT: "<",
-    ca.OP_LE: "≤",
-    ca.OP_EQ: "=",
-    ca.OP_NE: "≠",
-    ca.OP_AND: "and",
-    ca.OP_OR: "or",
-}
+RELATIONS = {"LT": "<", "LE": "≤", "EQ": "=", "NE": "≠", "AND": "and", "OR": "or"}
+# By the name of CasADi's operation.
 FUNCTIONS = {
-    ca.OP_LOG: "ln",
-    ca.OP_SIN: "sin",
-    ca.OP_COS: "cos",
-    ca.OP_TAN: "tan",
-    ca.OP_ASIN: "arcsin",
-    ca.OP_ACOS: "arccos",
-    ca.OP_ATAN: "arctan",
-    ca.OP_ATAN2: "arctan2",
-    ca.OP_SINH: "sinh",
-    ca.OP_COSH: "cosh",
-    ca.OP_TANH: "tanh",
-    ca.OP_ASINH: "arsinh",
-    ca.OP_ACOSH: "arcosh",
-    ca.OP_ATANH: "artanh",
-    ca.OP_ERF: "erf",
-    ca.OP_FABS: "abs",
-    ca.OP_SIGN: "sign",
-    ca.OP_FLOOR: "floor",
-    ca.OP_CEIL: "ceil",
-    ca.OP_FMIN: "min",
-    ca.OP_FMAX: "max",
-    ca.OP_FMOD: "mod",
-    ca.OP_NOT: "not",
-    ca.OP_IF_ELSE_ZERO: "if",
+    "LOG": "ln",
+    "SIN": "sin",
+    "COS": "cos",
+    "TAN": "tan",
+    "ASIN": "arcsin",
+    "ACOS": "arccos",
+    "ATAN": "arctan",
+    "ATAN2": "arctan2",
+    "SINH": "sinh",
+    "COSH": "cosh",
+    "TANH": "tanh",
+    "ASINH": "arsinh",
+    "ACOSH": "arcosh",
+    "ATANH": "artanh",
+    "ERF": "erf",
+    "FABS": "abs",
+    "SIGN": "sign",
+    "FLOOR": "floor",
+    "CEIL": "ceil",
+    "FMIN": "min",
+    "FMAX": "max",
+    "FMOD": "mod",
+    "NOT": "not",
+    "IF_ELSE_ZERO": "if",
     **RELATIONS,
 }
+NOTATIONS = {getattr(ca, f"OP_{name}"): notation for name, notation in FUNCTIONS.items()}
 
 
 def expressions(
@@ -147,9 +142,9 @@ def size(expression: Expression) -> int:
 def _operate(operation: int, terms: list[Expression]) -> Expression:
     if operation in ARITHMETIC:
         return ARITHMETIC[operation](*terms)
-    if operation not in FUNCTIONS:
+    if operation not in NOTATIONS:
         raise ValueError(f"the operation {operation} of CasADi has no notation.")
-    return factor(Function(FUNCTIONS[operation], tuple(terms)))
+    return factor(Function(NOTATIONS[operation], tuple(terms)))
 
 
 def _negative(terms: Expression) -> Expression:

@@ -28,7 +28,7 @@ from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.sine import MOST_HARMONICS, Sine
 from greybox.modeling.state_space import StateSpace
-from greybox.modeling.symbolic_reading import traced_derivative, traced_output
+from greybox.modeling.symbolic_reading import symbols, traced_derivative, traced_output
 from greybox.modeling.trim import trim_of
 
 # Numbers of harmonics to try in turn: each about doubles the previous one.
@@ -245,12 +245,11 @@ def _equations(
     kind: Any = ca.SX if harmonics <= MOST_SCALARS else ca.MX
     n = len(model.states)
     names = (*model.states, *model.inputs)
-    symbols = ca.SX.sym("z", len(names))
-    parameters = ca.SX.sym("p", len(model.parameters))
-    outputs = traced_output(model, symbols, parameters)
+    z, parameters = symbols(model)
+    outputs = traced_output(model, z, parameters)
     rows = [outputs[model.outputs.index(y)] for y in (output, sine.signal) if y in model.outputs]
-    formulas = ca.vertcat(traced_derivative(model, symbols, parameters), *rows)
-    at_point = ca.Function("at_point", [symbols, parameters], [rows[-1]])
+    formulas = ca.vertcat(traced_derivative(model, z, parameters), *rows)
+    at_point = ca.Function("at_point", [z, parameters], [rows[-1]])
 
     p = kind.sym("p", len(model.parameters))
     point = kind.sym("point", len(names))
@@ -261,7 +260,7 @@ def _equations(
     driven = names.index(input)
     held = names.index(sine.signal) if sine.signal in names else None
     if sine.signal in model.outputs:  # perhaps a state under the name of an output
-        held = next((k for k in range(len(names)) if ca.is_equal(rows[-1], symbols[k])), None)
+        held = next((k for k in range(len(names)) if ca.is_equal(rows[-1], z[k])), None)
 
     columns = 2 * harmonics + 1
     moving = {*range(n), driven} - {held}
@@ -277,7 +276,7 @@ def _equations(
 
     first_column = ca.DM(ca.Sparsity.unit(columns, 0)).T
     series = amplitude * per_amplitude + point @ first_column
-    balanced, is_linear = _harmonics(formulas, symbols, parameters, series, p, harmonics)
+    balanced, is_linear = _harmonics(formulas, z, parameters, series, p, harmonics)
 
     derivative = phase_derivative(harmonics)
     balance = [ca.vec((omega * series[:n, :] @ derivative - balanced[:n, :]).T)]

@@ -11,6 +11,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.files.arrays import Array, ComplexArray
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.elimination import eliminated, elimination_order, solve_pencils
+from greybox.modeling.function_of_s import CASADI_TYPES, is_casadi
 from greybox.modeling.functions import exp
 from greybox.modeling.linearization import LinearSystem, jacobians, linearize
 from greybox.modeling.model import Model, Names, pick_signals
@@ -70,23 +71,8 @@ def _transfer_function_values(
 ) -> ComplexArray:
     # Plain complex numbers if possible: tests compare them with the arithmetic of `Complex`.
     s: Any = 1j * omega if pade is None else Complex(np.zeros_like(omega), omega, pade)
-    result = model.response(s, p)
-    if isinstance(result, Complex):
-        result = result.re + 1j * result.im
-    if not isinstance(result, (int, float, complex, np.number, np.ndarray)):
-        raise ValueError(
-            f"{model.label}.response returns a {type(result).__name__}: return one expression of s "
-            "and p."
-        )
-
-    values = np.asarray(result, dtype=complex)
-    if values.shape not in ((), omega.shape):
-        raise ValueError(
-            f"{model.label}.response returns {values.size} values for {omega.size} frequencies: "
-            "return one for each."
-        )
-
-    return np.broadcast_to(values, omega.shape)
+    re, im = _parts(model.response(s, p), model.label, omega.size)
+    return np.broadcast_to(np.asarray(re + 1j * im, dtype=complex), omega.shape)
 
 
 def _state_space_values(
@@ -126,7 +112,7 @@ def response_formula(
     if isinstance(model, TransferFunction):
         require_no_operating_point(model, at)
         result = traced(f"{model.label}.response", model.response, s, parameter_names(model, p))
-        parts = _parts(result, s, model.label)
+        parts = _columns(result, s, model.label)
         return Trimmed(None, ca.Function("response", [p, ca.SX(0, 1), *frequency], parts))
 
     assert isinstance(model, StateSpace)
@@ -145,7 +131,7 @@ def response_formula(
     if input in model.delays:
         result = result * exp(-s * p[list(model.parameters).index(model.delays[input])])
 
-    at_point = ca.Function("response", [p, x, u, *frequency], _parts(result, s, model.label))
+    at_point = ca.Function("response", [p, x, u, *frequency], _columns(result, s, model.label))
     w = ca.SX.sym("w", trim.function.numel_in(1))
     parts: Any = at_point(p, *trim.function(p, w), *frequency)
     return Trimmed(trim.root, ca.Function("response", [p, w, *frequency], parts))
@@ -187,23 +173,28 @@ def _elimination_order(
     return elimination_order(np.array(samples), omega[few])
 
 
-def _parts(result: Any, s: Complex, owner: str) -> list[ca.SX]:
-    """Return real and imaginary part of a traced response, one entry per frequency."""
-    if not isinstance(result, (Complex, int, float, np.number, np.ndarray, ca.SX, ca.DM)):
-        raise ValueError(
-            f"{owner}.response returns a {type(result).__name__}: return one expression of s and p."
-        )
-
-    pair: Any = (result.re, result.im) if isinstance(result, Complex) else (result, 0.0)
-    parts = [ca.SX(part) for part in pair]
-    for k, part in enumerate(parts):
-        if part.is_scalar():
-            parts[k] = part + ca.SX.zeros(s.im.numel())
-        elif part.shape != s.im.shape:
+def _parts(result: Any, owner: str, count: int) -> tuple[Any, Any]:
+    """Return real and imaginary part of a response: one value, or as many as frequencies."""
+    parts = (result.re, result.im) if isinstance(result, Complex) else (result, 0.0)
+    for part in parts:
+        if not isinstance(part, (int, float, complex, np.number, np.ndarray, *CASADI_TYPES)):
             raise ValueError(
-                f"{owner}.response returns {part.numel()} values for {s.im.numel()} frequencies: "
-                "return one for each."
+                f"{owner}.response returns a {type(part).__name__}: return one expression of s "
+                "and p."
+            )
+        size = part.numel() if is_casadi(part) else np.size(part)
+        if size not in (1, count):
+            raise ValueError(
+                f"{owner}.response returns {size} values for {count} frequencies: return one for "
+                "each."
             )
 
+    return parts
+
+
+def _columns(result: Any, s: Complex, owner: str) -> list[ca.SX]:
+    """Return real and imaginary part of a traced response, one entry per frequency."""
+    zeros = ca.SX.zeros(s.im.numel())
+    parts = [part + zeros for part in _parts(result, owner, zeros.numel())]
     require_no_nan(f"{owner}.response", ca.vertcat(*parts))
     return parts

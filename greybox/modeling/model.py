@@ -214,22 +214,18 @@ def merge(name: str, a: Parameter, b: Parameter) -> Parameter:
     """
     if a == b:
         return a
+    conflict = ""
     if a.unit != b.unit:
-        raise ValueError(
-            f"{name!r} has the unit {a.unit!r} in one part and {b.unit!r} in the other: they "
-            f"cannot be one unknown; give one another name, rename={{{name!r}: ...}}."
-        )
-    if a.fixed != b.fixed:
-        raise ValueError(
-            f"{name!r} is fixed in one part and free in the other: fix or free it in both, or give "
-            f"one another name, rename={{{name!r}: ...}}."
-        )
-
+        conflict = f"has the unit {a.unit!r} in one part and {b.unit!r} in the other"
+    elif a.fixed != b.fixed:
+        conflict = "is fixed in one part and free in the other"
     # Two constants of one name that differ are two quantities.
-    if a.fixed and a.start != b.start:
+    elif a.fixed and a.start != b.start:
+        conflict = f"is fixed at {a.start:g} in one part and at {b.start:g} in the other"
+    if conflict:
         raise ValueError(
-            f"{name!r} is fixed at {a.start:g} in one part and at {b.start:g} in the other: use "
-            f"one value, or give one another name, rename={{{name!r}: ...}}."
+            f"{name!r} {conflict}: they are one unknown only if alike in both; else give one "
+            f"another name, rename={{{name!r}: ...}}."
         )
 
     low, high = _intersect(name, "bounds", a.bounds, b.bounds)

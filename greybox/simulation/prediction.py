@@ -3,6 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from statistics import NormalDist
 
 import numpy as np
 
@@ -147,12 +148,10 @@ class Prediction:
         """
         if not 0 < level < 1:
             raise ValueError(f"level {level} must lie between 0 and 1, e.g. 0.95.")
-        from scipy.special import ndtri  # noqa: PLC0415  (takes a tenth of a second to import)
-
         k = self._place(output)
 
         # The noise of the sensors is in what is measured, not in the output itself.
-        half = float(ndtri(0.5 + level / 2)) * np.sqrt(
+        half = NormalDist().inv_cdf(0.5 + level / 2) * np.sqrt(
             self.error[k] ** 2 + (self.noise[k, k] if noise else 0.0)
         )
         return self.predicted[k] - half, self.predicted[k] + half

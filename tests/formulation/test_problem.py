@@ -348,7 +348,7 @@ class FarAway(LagLagDelay):
         (
             {},
             {"fixed": {"T1": 1.0}},
-            "'T1' is fixed in one part and free in the other: fix or free it in both",
+            "'T1' is fixed in one part and free in the other",
         ),
         (
             {"fixed": {"T1": 2.0}},
