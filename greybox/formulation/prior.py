@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.files.arrays import Array
 from greybox.files.text_table import listed
-from greybox.formulation.held_estimate import HeldEstimate
+from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.model import require_known
 from greybox.modeling.parameter import Parameter, normal_prior
@@ -93,13 +93,8 @@ def normal_priors(
     ]
     if isinstance(prior, HeldEstimate):
         knowledge: dict[str, Any] = {
-            name: prior for name in free if outside[name] in prior.estimate
+            **shared_parameters(prior, {name: outside[name] for name in free}, "prior")
         }
-        if not knowledge:
-            raise ValueError(
-                f"the Fit given as prior has {', '.join(prior.estimate)}, none of which is free "
-                f"here; free are {', '.join(free)}."
-            )
     elif isinstance(prior, Mapping):
         knowledge = dict(prior)
     else:

@@ -15,7 +15,7 @@ from greybox.data.record import Record, Recording
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.text_table import one_line
 from greybox.formulation.frequency_criteria import Criterion, RelativeError
-from greybox.formulation.held_estimate import HeldEstimate
+from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
 from greybox.formulation.prior import Knowledge, NormalPrior, normal_priors
 from greybox.formulation.restated_parameter import held_at, restated
 from greybox.formulation.signal_units import check_response_units, check_units
@@ -328,20 +328,8 @@ class Problem:
         if not isinstance(self.fixed, HeldEstimate):
             raise TypeError(f"fixed is {self.fixed!r:.60}: give {{name: value}} or a Fit.")
 
-        # An earlier fit may have other parameters, which this model does not need.
-        shared = {
-            name: self.fixed
-            for name in self._as_declared
-            if self.outside(name) in self.fixed.estimate
-        }
-        if not shared:
-            raise ValueError(
-                f"the Fit given as fixed has {', '.join(self.fixed.estimate)}; of these, "
-                f"{self.model.label} has none; its parameters are "
-                f"{', '.join(self.model.parameters)}."
-            )
-
-        return shared
+        outside = {name: self.outside(name) for name in self._as_declared}
+        return shared_parameters(self.fixed, outside, "fixed")
 
     @property
     def held_estimates(self) -> dict[str, HeldEstimate]:

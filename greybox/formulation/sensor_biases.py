@@ -4,8 +4,6 @@ import itertools
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
-
 from greybox.data.record import Record
 from greybox.formulation.held_estimate import HeldEstimate
 
@@ -56,19 +54,13 @@ def _unnamed_biases(part: Any) -> list[str]:
 
 def _record_numbers(data: Sequence[Any]) -> list[int]:
     """Return the number of every record among the different ones, from 1; 0 for other data."""
-    different: list[Record] = []
-    for item in data:
-        if isinstance(item, Record) and not any(_is_same(item, record) for record in different):
-            different.append(item)
+    numbers: dict[Any, int] = {}
     return [
-        next((k for k, record in enumerate(different, 1) if _is_same(item, record)), 0)
+        # Two stretches of one log have the same checksum, but not the same times.
+        numbers.setdefault(
+            (item.checksum, item.time.size, item.time[0], item.time[-1]), len(numbers) + 1
+        )
+        if isinstance(item, Record)
+        else 0
         for item in data
     ]
-
-
-def _is_same(a: Any, b: Record) -> bool:
-    """Return whether `a` is the record `b`."""
-    if not isinstance(a, Record):
-        return False
-    # Two stretches of one log have the same checksum, but not the same times.
-    return a is b or (a.checksum == b.checksum and np.array_equal(a.time, b.time))

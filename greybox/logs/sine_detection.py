@@ -67,8 +67,8 @@ SWEEP_PIECES = 3
 SWEEP_RATIO = 1.3
 
 # The next half period of a sweep is predicted from this number of half periods, within this
-# relative tolerance. The frequency of a logarithmic sweep is linear in the number of half periods;
-# that of a linear sweep, its square.
+# relative tolerance. The frequency of a logarithmic sweep is linear in the number of half periods,
+# and that of a linear sweep nearly so.
 KNOWN_PERIODS = 4
 OFF_SWEEP = 0.25
 # Weights of the regression line through them, one step and one and a half before the first.
@@ -330,16 +330,11 @@ def _follows(crossings: Array, swings: Array, k: int, way: int, step: float) -> 
     crossings_used = crossings[k - way * np.arange(KNOWN_PERIODS + 1)]
     # In half periods per second; the first is next to the predicted crossing.
     frequency = 1 / np.abs(np.diff(crossings_used))
-    least = 0.5 * frequency[0]
-    linear = max(float(NEXT @ frequency), least)
-    square = math.sqrt(max(float(NEXT @ frequency**2), least**2))
-    short, long = sorted((1 / linear, 1 / square))
-    period = abs(crossings[k + way] - crossings[k])
+    predicted = 1 / max(float(NEXT @ frequency), 0.5 * frequency[0])
+    error = abs(abs(crossings[k + way] - crossings[k]) - predicted)
     # 1/2 on the way from a rest, whose middle is not that of the sweep.
     ratio = swings[k + way] / swings[k]
-    predicted = (1 - OFF_SWEEP) * short - step < period < (1 + OFF_SWEEP) * long + step
-
-    return bool(predicted and SWING[0] < ratio < SWING[1])
+    return bool(error < OFF_SWEEP * predicted + step and SWING[0] < ratio < SWING[1])
 
 
 def _first_half_wave(time: Array, values: Array, peak: int, other: int, crossings: Array) -> float:

@@ -184,7 +184,7 @@ class Known:
         (
             Known({"a": 1.0, "b": 2.0}, None),
             ValueError,
-            "the Fit given as prior has a, b, none of which is free here; free are K, T.",
+            "the Fit given as prior has a, b, and none of these is a parameter here: K, T.",
         ),
         (3.0, TypeError, "prior is 3.0: give {name: (mean, standard deviation)} or a Fit."),
         (

@@ -420,7 +420,8 @@ def test_with_changes_every_part_and_leaves_the_original():
 def test_a_fit_without_common_names_is_refused():
     lag = fit(gb.Problem(Lag(), measured(Lag(), TWO_LAGS_OMEGA, {"K": 2.0}), rename={"K": "G"}))
     with pytest.raises(
-        ValueError, match="the Fit given as fixed has G, T; of these, LagLagDelay has none"
+        ValueError,
+        match="the Fit given as fixed has G, T, and none of these is a parameter here: K, T1",
     ):
         gb.Problem(LagLagDelay(), TWO, fixed=lag)
     with pytest.raises(ValueError, match="the Fit given as fixed has no estimate 'K'"):
