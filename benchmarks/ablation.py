@@ -111,7 +111,7 @@ CASES = {
     "pendulum": Case(hard.slow_pendulum, -199.013, tags="quick"),
     "Lorenz": Case(hard.lorenz, 284.452, tags="quick"),
     "swing": Case(hard.swing, -3107.470, tags="quick"),
-    "direct delay": Case(hard.direct_delay, -1247.538, tags="quick"),
+    "direct delay": Case(hard.direct_delay, -1247.538, tags="quick jumping"),
     "long": Case(hard.long_spring, -51295.166, 4, tags="long"),
     "tilt": Case(hard.tilt, -13531.344, tags="quick"),
     "tilt in wind, output error": Case(
@@ -139,6 +139,7 @@ CASES = {
 # Settings that are consulted on some problems alone: the others would be fitted alike.
 ALONE = {
     "predictor": ["riccati_gains", "simulated_predictors", "stability_constraints"],
+    "jumping": ["held_discontinuous_delays"],
     "failing": ["continued_runs"],  # from all starts of some seed
 }
 

@@ -74,16 +74,6 @@ def condense(
     )
 
 
-def close_gaps(b: Linearization, trajectory: Trajectory, coupled: BoolArray) -> Array:
-    """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
-    gaps = trajectory.gaps[:, :, None]
-    exact = np.zeros(gaps.shape[1])
-    x, _ = solve_continuity(
-        b.node_hessian, b.transition, coupled, np.zeros_like(gaps), -gaps, exact
-    )
-    return trajectory.nodes + x[:, :, 0]
-
-
 def _by_variables(by_active: Array, slopes: Array, segments: Segments) -> Array:
     """Return derivatives by z, for those by the active parameters of every record."""
     pairs = zip(segments.record_rows, slopes, strict=True)

@@ -63,13 +63,3 @@ def without_known_states(
         b.transition[k, :, known] = 0
 
     return b
-
-
-def continuity_variance(b: Linearization, spread: float, samples: int) -> Array:
-    """Return the variances (n,) of jumps of each state that change a segment's outputs by `spread`.
-
-    `spread` is in units of the weighted residuals, `samples` the number of outputs of a segment.
-    """
-    curvature = np.nan_to_num(np.mean(b.node_hessian.diagonal(axis1=1, axis2=2), axis=0))
-    # A state that no output shows has no such scale: any will do.
-    return np.where(curvature > 1e-200, spread**2 * samples / np.maximum(curvature, 1e-200), 1.0)

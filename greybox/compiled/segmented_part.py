@@ -5,10 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.compiled.condensing import close_gaps, condense
+from greybox.compiled.condensing import condense, solve_continuity
 from greybox.compiled.part import Condensed, Part, Trajectory
 from greybox.compiled.record_linearization import (
-    continuity_variance,
     with_filter_covariance,
     without_known_states,
 )
@@ -255,7 +254,11 @@ class SegmentedPart(Part):
     def continuity_variance(self, linearization: Linearization, spread: float) -> Array:
         """Return the variances (n,) of state jumps that change a segment's outputs by `spread`."""
         samples = self.data.segment_length * len(self.outputs)
-        return continuity_variance(linearization, spread, samples)
+        diagonals = linearization.node_hessian.diagonal(axis1=1, axis2=2)
+        curvature = np.nan_to_num(np.mean(diagonals, axis=0))
+        # A state that no output shows has no such scale: any will do.
+        visible = np.maximum(curvature, 1e-200)
+        return np.where(curvature > 1e-200, spread**2 * samples / visible, 1.0)
 
     def condense(
         self,
@@ -270,4 +273,8 @@ class SegmentedPart(Part):
 
     def close_gaps(self, linearization: Linearization, trajectory: Trajectory) -> Array:
         """Return the nodes (s, n) that close the gaps with the least change of the outputs."""
-        return close_gaps(linearization, trajectory, self.data.coupled)
+        b, gaps, exact = linearization, trajectory.gaps[:, :, None], np.zeros(self.states)
+        x, _ = solve_continuity(
+            b.node_hessian, b.transition, self.data.coupled, np.zeros_like(gaps), -gaps, exact
+        )
+        return trajectory.nodes + x[:, :, 0]

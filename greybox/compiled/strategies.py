@@ -70,6 +70,12 @@ class Strategies:
     Mixed: tanks, stiff and guarded tanks lose 4 runs without it, the tanh chain is solved without
     it.
     """
+    held_discontinuous_delays: bool = True
+    """Delays at which the cost jumps keep their values once they block the steps of all parameters.
+
+    It halves the time where a held input reaches an output directly. Without it a run whose
+    minimum lies at a jump may take 2000 iterations without an end, and the fit another minimum.
+    """
     restart_near_data: bool = True
     """A stalled run begins once more with its parameters and with node states from the data.
 

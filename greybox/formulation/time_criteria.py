@@ -160,8 +160,10 @@ class TimeCriterion(AnyCriterion):
     def parameters(self, model: Model, record: Record) -> dict[str, Parameter]:
         """Return the unknowns that the criterion adds to those of the model: biases, then gains."""
         result = {f"{name}_bias": bias_parameter(name, record) for name in self.biases}
-        # All runs begin without corrections, which is output error.
-        for state, output in self.gains(model, self.compared(model, record)):
+        gains = self.gains(model, self.compared(model, record))
+        # With process noise, the gains follow from the steady Kalman filter. Otherwise all runs
+        # begin without corrections, which is output error.
+        for state, output in () if self.driven() else gains:
             result[f"K_{state}_{output}"] = Parameter(
                 0.0,
                 starts=(0.0, 0.0),
@@ -245,13 +247,6 @@ class PredictionError(TimeCriterion):
     def parameters(self, model: Model, record: Record) -> dict[str, Parameter]:
         """Return the unknowns that the criterion adds: biases, and gains or sizes of noise."""
         result = super().parameters(model, record)
-        if not self.process_noise:
-            return result
-        # With process noise, the gains follow from the steady Kalman filter.
-        outputs = self.compared(model, record)
-        result = {
-            name: parameter for name, parameter in result.items() if not name.startswith("K_")
-        }
         for state in self.process_noise:
             result[f"w_{state}"] = Parameter(
                 0.0,
@@ -261,7 +256,7 @@ class PredictionError(TimeCriterion):
                 about=f"process noise on the derivative of {state}",
             )
 
-        for output in outputs:
+        for output in self.compared(model, record) if self.process_noise else ():
             result[f"v_{output}"] = _deviation_parameter(output, record)
         return result
 

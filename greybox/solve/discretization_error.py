@@ -8,8 +8,9 @@ the implicit steps of its polynomials.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -76,32 +77,27 @@ def discretization_error(
     `fine` are the parts with twice the steps, if they exist already.
     """
     p = len(nlp.free)
-    accepted = nlp.strategies.negligible_shift
+    order, accepted = nlp.method.scheme.order, nlp.strategies.negligible_shift
     hessian, hessian_fine, change = np.zeros((p, p)), np.zeros((p, p)), np.zeros(p)
-    pairs = []
-    for part, trajectory, finer in zip(
-        nlp.parts, trajectories, fine or _finer_parts(nlp), strict=True
-    ):
-        refined = finer.trajectory(trajectory.z, trajectory.nodes)
-        is_same = part is finer or _is_rounding(trajectory, refined)
-        pairs.append((part, trajectory, finer, refined, is_same))
-    if all(is_same for *_, is_same in pairs):  # two linearizations take most of the time
-        return DiscretizationError(change, nlp.method.scheme.order, accepted)
+    fine = fine or _finer_parts(nlp)
+    refined = [finer.trajectory(t.z, t.nodes) for finer, t in zip(fine, trajectories, strict=True)]
+    # The linearizations below take most of the time.
+    if all(map(_is_rounding, trajectories, refined)):
+        return DiscretizationError(change, order, accepted)
 
-    for part, trajectory, finer, refined, is_same in pairs:
+    for part, trajectory, finer, moved in zip(nlp.parts, trajectories, fine, refined, strict=True):
         weight = part.residual_weight(trajectory)
         H, g = _quadratic_model(part, trajectory, weight)
-
         # Where the finer steps diverge, the shift is infinite.
-        H_fine, g_fine = H, g if is_same else np.full(p, math.inf)
-        if not is_same and refined.finite:
-            H_fine, g_fine = _quadratic_model(finer, refined, weight)
+        H_fine, g_fine = H, np.full(p, math.inf)
+        if moved.finite:
+            H_fine, g_fine = _quadratic_model(finer, moved, weight)
         hessian += part.weight * H
         hessian_fine += part.weight * H_fine
         change += part.weight * (g_fine - g)
     shift, widened = _in_standard_errors(hessian, change), _widened(hessian, hessian_fine)
     shift = np.where(widened > np.abs(shift), widened, shift)
-    return DiscretizationError(shift, nlp.method.scheme.order, accepted)
+    return DiscretizationError(shift, order, accepted)
 
 
 def refine_discretization(
@@ -167,10 +163,7 @@ def without_aliases(
         return search
 
     lost = {run.index for group in aliases for run in group}
-    runs = Runs.of(
-        replace(run, converged=False, status=TOO_COARSE) if run.index in lost else run
-        for run in search.runs
-    )
+    runs = _changed(search.runs, {k: {"converged": False, "status": TOO_COARSE} for k in lost})
     minima = []
     for minimum in search.minima:
         sound = tuple(k for k in minimum.runs if k not in lost)
@@ -225,19 +218,20 @@ def with_finer_steps(
     if math.isinf(least):
         return None
 
-    changes = ("estimate", "cost", "converged", "status")
-    runs = Runs.of(
-        replace(run, **{name: getattr(ends[run.index], name) for name in changes})
-        if run.index in ends
-        else run
-        for run in search.runs
-    )
+    names = ("estimate", "cost", "converged", "status")
+    changes = {k: {name: getattr(end, name) for name in names} for k, end in ends.items()}
+    runs = _changed(search.runs, changes)
     signatures = [ends[run.index].signature if run.index in ends else None for run in runs]
     moved = find_minima(nlp, [run for run in runs if run.index in ends], signatures)
     # The first that moved is the best, to rounding: what stayed costs no less than any that moved.
     best, *others = moved
     others = sorted([*others, *search.minima[count:]], key=lambda m: m.cost)
     return replace(search, runs=runs, minima=(best, *others), nodes=ends[best.runs[0]].nodes)
+
+
+def _changed(runs: Runs, changes: Mapping[int, Mapping[str, Any]]) -> Runs:
+    """Return the runs, some of them with other values of their fields, by number."""
+    return Runs.of(replace(run, **changes.get(run.index, {})) for run in runs)
 
 
 def _quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
@@ -262,9 +256,7 @@ def _in_standard_errors(hessian: Array, change: Array) -> Array:
     # Scaled to a diagonal of one, since parameters have different units.
     size = np.sqrt(np.maximum(np.diag(hessian), 0.0))
     unit = 1 / np.where(size > 0, size, 1.0)
-    values, vectors = np.linalg.eigh(hessian * unit * unit[:, None])
-    determined = values > 1e-12 * values.max(initial=0.0)
-    inverse = (vectors[:, determined] / values[determined]) @ vectors[:, determined].T
+    inverse = np.linalg.pinv(hessian * unit * unit[:, None], rcond=1e-12, hermitian=True)
     errors = np.sqrt(np.maximum(np.diag(inverse), 0.0))
     return -(inverse @ (change * unit)) / np.where(errors > 0, errors, 1.0)
 

@@ -53,16 +53,15 @@ def test_every_parameter_of_a_flight_is_found(flight):
     assert_allclose(np.sqrt(np.diag(found.records[0].noise)), [0.05, 0.02, 0.005], rtol=0.05)
 
 
-def test_a_lag_that_has_changed_places_with_another_is_put_back(short_flight):
+def test_a_start_beside_the_true_lag_beats_one_where_it_changes_places_with_another(short_flight):
     """The rotor's lag and the slow pole of the tilt may swap, and nearly all wide starts end there."""
     problem = gb.Problem(FullTilt(), short_flight, HELD, free=("T_rotor", "T_delay"))
-    found = fit(problem, [{"T_rotor": 0.3}, {"T_rotor": 0.5}])
+    found = fit(problem, [{"T_rotor": 0.3}, {"T_rotor": 0.03}])
     swapped = found.runs[0]
     assert swapped.estimate[found.free.index("T_rotor")] > 3 * TILT["T_rotor"]
     assert found.cost < swapped.cost - 10
     assert_true(found, TILT, 3.0)
-    assert len(found.runs) == 3
-    assert any("only 1 of 3 starts reached the best minimum" in text for text in found.warnings)
+    assert any("only 1 of 2 starts reached the best minimum" in text for text in found.warnings)
 
 
 def test_random_starts_in_wide_boxes_agree(short_flight):

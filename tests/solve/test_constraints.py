@@ -145,6 +145,9 @@ def test_steps_are_limited_by_bounds_and_constraints_but_of_variables_that_are_h
     normals, least = limits.linearized(np.array([0.25, 1.5]))
     assert normals.tolist() == [[1, 0], [0, 1], [-1, 0], [-1, -1]]
     assert least == pytest.approx([-0.25, -1.5, -0.75, 0.75])
+    normals, least = limits.linearized(np.array([0.25, 1.5]), np.array([False, True]))
+    assert normals.tolist() == [[1, 0], [0, 1], [-1, 0], [0, -1], [-1, -1]]
+    assert least == pytest.approx([-0.25, 0.0, -0.75, 0.0, 0.75])
     # What is beyond a bound by rounding is not moved back to it.
     _, least = limits.linearized(np.array([1.0 + 1e-9, -1e-9]))
     assert least[:3] == pytest.approx([-1.0, 0.0, 0.0], abs=1e-8)

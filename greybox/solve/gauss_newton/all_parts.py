@@ -36,6 +36,10 @@ class AllParts:
         self.gains = [kalman_gain(part) for part in self.parts]
         self.has_free_gains = any(gain and set(gain.names) & set(free) for gain in self.gains)
         self.samples = sum(part.samples for part in self.parts)
+        self.is_discontinuous = np.array(
+            [any(name in part.discontinuous_delays for part in parts) for name in free],
+            dtype=bool,
+        )
         self.limits = limits
         self.settings = settings
 

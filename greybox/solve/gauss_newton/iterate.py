@@ -132,6 +132,8 @@ class Progress:
     undamped_decrease : float
         Decrease that an undamped step may still promise where damped steps have come to rest. The
         default is half the square of a thirtieth of a standard error.
+    delays_held : bool
+        True where delays at which the cost jumps keep their values: the cost is least at the jump.
     """
 
     stages: tuple[float, ...] = (0.0,)
@@ -144,6 +146,7 @@ class Progress:
     # enough.
     full_damping: float = 1e-2 * FIRST_DAMPING
     undamped_decrease: float = 5e-4
+    delays_held: bool = False
 
     @property
     def is_exact(self) -> bool:
@@ -164,6 +167,10 @@ class Progress:
         return replace(
             self, multipliers=step.multipliers, constraint_penalty=step.constraint_penalty
         )
+
+    def with_delays_held(self) -> "Progress":
+        """Return the progress with the discontinuous delays held, whose jumps block all steps."""
+        return replace(self, delays_held=True, damping=0.0)
 
     def after(self, step: Step, merit: float, gained: float, length: float) -> "Progress":
         """Return the progress after a share `length` of a step, which `gained` so much merit."""

@@ -102,7 +102,6 @@ def _iterated(
         settled = _is_settled(parts, iterate, step, start, progress, states_only=nodes_alone)
         if settled and step.distance <= settings.tolerance:
             return End(iterate, CONVERGED, count, hessian)
-
         # Most runs take fewer iterations in all than pass between two of these looks.
         looks = not nodes_alone and (count + 1) % 50 == 0
         if looks and _is_within_noise(parts, iterate, step, progress):
@@ -114,6 +113,9 @@ def _iterated(
             return End(iterate, CONVERGED, count, hessian)  # the merit function shows only rounding
         if trial is None and progress.damping <= LARGEST_DAMPING:
             progress = replace(progress, damping=after_failure(progress.damping))
+            continue
+        if _delays_block(parts, progress):
+            progress = progress.with_delays_held()
             continue
         if progress.is_exact and (trial is None or progress.damping > LARGEST_DAMPING):
             return End(iterate, STALLED, count, hessian)
@@ -173,6 +175,17 @@ def _undamped(
     """Return the step from the same linearization without damping."""
     undamped = replace(progress, damping=0.0)
     return gauss_newton_step(parts, iterate, step.linearizations, undamped, states_only=states_only)
+
+
+def _delays_block(parts: AllParts, progress: Progress) -> bool:
+    """Tell whether delays at which the cost jumps block the steps: heavy damping has not helped."""
+    return (
+        parts.settings.held_discontinuous_delays
+        and progress.is_exact
+        and not progress.delays_held
+        and progress.damping >= 1e2
+        and bool(parts.is_discontinuous.any())
+    )
 
 
 def _simulated(parts: AllParts, iterate: Iterate, progress: Progress) -> Iterate:

@@ -50,7 +50,8 @@ def gauss_newton_step(
         damped = hessian + 1e-10 * np.eye(p)
         if settings.damped_parameters:
             damped += progress.damping * np.diag(np.diag(hessian))
-        normals, bounds = parts.limits.linearized(iterate.z)
+        held = parts.is_discontinuous & progress.delays_held
+        normals, bounds = parts.limits.linearized(iterate.z, held)
         dz = solve_small_qp(damped, gradient, normals, bounds)
 
         # Most steps keep predictors stable, and derivatives of poles take long.

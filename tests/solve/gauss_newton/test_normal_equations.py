@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from hard_models import direct_delay
 from numpy.testing import assert_allclose
 from scipy.optimize import minimize
 from spring_lag_tilt import HELD, Spring, spring
@@ -77,6 +78,19 @@ def test_nodes_alone_do_not_move_the_parameters():
     alone = gauss_newton_step(parts, iterate, linearizations, EXACT, states_only=True)
     assert not alone.dz.any()
     assert np.abs(gauss_newton_step(parts, iterate, linearizations, EXACT).dz).min() > 1e-6
+
+
+def test_held_delays_do_not_move():
+    nlp = compile_problem(direct_delay())
+    parts = AllParts(nlp.parts, nlp.free, GaussNewton(nlp).limits, nlp.strategies)
+    iterate = parts.from_data(
+        nlp.scaling.to_solver(np.array([p.start for p in direct_delay().parameters.values()]))
+    )
+    linearizations = parts.linearize(iterate, parts.initial_weights())
+    step = gauss_newton_step(parts, iterate, linearizations, replace(EXACT, delays_held=True))
+    is_delay = np.array([name == "d" for name in nlp.free])
+    assert step.dz[is_delay] == pytest.approx(0, abs=1e-12)
+    assert np.abs(step.dz[~is_delay]).min() > 1e-6
 
 
 @pytest.mark.parametrize("damping", [0.0, 3.0])
@@ -196,6 +210,7 @@ def test_damping_of_nodes_shortens_a_step_and_is_no_part_of_what_it_promises():
         settings=Strategies(),
         parts=[SimpleNamespace(condense=lambda *_, one=one: one) for one in systems],
         weights=[1.0, 4.0],
+        is_discontinuous=np.zeros(1, dtype=bool),
         gains=[None, None],
         limits=SimpleNamespace(
             linearized=lambda *_: (np.zeros((0, 1)), np.zeros(0)), violation=lambda _: 0.0
