@@ -92,16 +92,20 @@ class InitialStates:
         self, states: Array, hidden: IntArray, measured: Array, inputs: Array, p: Array
     ) -> Array:
         """Return the states with the best sizes of the hidden ones: together, then one by one."""
-        best, least = states, self._score(states, measured, inputs, p)
-        groups = [hidden] if hidden.size else []
+
+        def score(trial: Array) -> tuple[int, float]:
+            finite, missed = self._judged(trial, measured, inputs, p)
+            return int((~finite).sum()), float(missed[finite].sum())
+
+        best, least = states, score(states)
         # All states together first: one alone may leave the model undefined because of another.
-        for group in [*groups, *([[k] for k in hidden] * SWEEPS)]:
+        for group in [hidden, *([[k] for k in hidden] * SWEEPS)]:
             for size in (0.0, *SIZES):
                 trial = best.copy()
                 trial[group] = size
-                score = self._score(trial, measured, inputs, p)
-                if score < least:
-                    best, least = trial, score
+                trial_score = score(trial)
+                if trial_score < least:
+                    best, least = trial, trial_score
 
         return best
 
@@ -114,10 +118,6 @@ class InitialStates:
         usable = np.flatnonzero(finite)
         nearest = usable[np.abs(np.arange(finite.size)[:, None] - usable).argmin(axis=1)]
         return states[:, nearest]
-
-    def _score(self, states: Array, measured: Array, inputs: Array, p: Array) -> tuple[int, float]:
-        finite, missed = self._judged(states, measured, inputs, p)
-        return int((~finite).sum()), float(missed[finite].sum())
 
     def _judged(
         self, states: Array, measured: Array, inputs: Array, p: Array
@@ -165,9 +165,7 @@ def at_samples(data: SampledData, every: int, *, spread: bool = False) -> tuple[
     many short ones that begin at rest would show nothing else.
     """
     outputs, inputs = [], []
-    everywhere = [
-        np.concatenate(rows) for rows in zip(*(s.outputs for s in data.stretches), strict=True)
-    ]
+    everywhere = np.hstack([stretch.outputs for stretch in data.stretches])
     means = [float(np.nanmean(row)) if np.isfinite(row).any() else 0.0 for row in everywhere]
     for k, stretch in enumerate(data.stretches):
         at = np.arange(
@@ -176,8 +174,8 @@ def at_samples(data: SampledData, every: int, *, spread: bool = False) -> tuple[
         rows = []
         for row, mean in zip(stretch.outputs, means, strict=True):
             present = np.flatnonzero(np.isfinite(row))
-            values = np.interp(at, present, row[present]) if present.size else mean
-            rows.append(np.broadcast_to(values, at.size))
+            known = present if present.size else [0]
+            rows.append(np.interp(at, known, row[present] if present.size else [mean]))
         outputs.append(np.array(rows).reshape(len(rows), at.size))
         inputs.append(stretch.inputs[:, at])
 

@@ -1,7 +1,7 @@
 """The linearization of records beyond their segments: steady filters, known initial states."""
 
 import math
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -37,27 +37,24 @@ def filter_information(steady: SteadyFilter, weight: Array, count: int, active: 
 def without_known_states(
     b: Linearization, known: BoolArray, initial_slope: Array, data: SampledData, records: IntArray
 ) -> Linearization:
-    """Return the linearization with known initial states following the parameters.
+    """Return the linearization, changed in place: known initial states follow the parameters.
 
     x = x' + (dx/dq) dq, where x' does not move. `initial_slope` is dx/dq, (n, q) or one for every
     record.
     """
     slopes = np.where(known[:, None], initial_slope, 0.0)
-    slopes = slopes.reshape(-1, *slopes.shape[-2:])
-    b = Linearization(*(getattr(b, f.name).copy() for f in fields(b)))
     for k in np.flatnonzero(data.begins_record):
         record = records[k]
-        follow = slopes[record if len(slopes) > 1 else 0]
+        follow = slopes if slopes.ndim == 2 else slopes[record]
         mixed = follow.T @ b.cross_hessian[k]
         b.parameter_hessian[record] += mixed + mixed.T + follow.T @ b.node_hessian[k] @ follow
         b.parameter_gradient[record] += follow.T @ b.node_gradient[k]
         b.cross_hessian[k] += b.node_hessian[k] @ follow
         b.parameter_sensitivity[k] += b.transition[k] @ follow
 
-        # What does not move gets the rows of an identity, so that the system stays regular.
+        # The ridge of the elimination holds what nothing moves.
         b.node_hessian[k, known, :] = 0
         b.node_hessian[k, :, known] = 0
-        b.node_hessian[k, known, known] = 1
         b.cross_hessian[k, known] = 0
         b.node_gradient[k, known] = 0
         b.transition[k, :, known] = 0

@@ -135,9 +135,13 @@ class TranscribedProgram(LocalSolver):
 
         estimate = np.clip(scaling.to_parameters(solution[:p]), self._nlp.lower, self._nlp.upper)
         converged = status in CONVERGED and math.isfinite(cost)
-        signature = self._gauss_newton.signature(estimate) if converged else None
-        if converged and signature is None:
-            status, converged = reason_to_end() or "no continuous states at the estimate", False
+        signature = None
+        if converged:
+            profile = self.profile(estimate)
+            pairs = zip(self._nlp.parts, profile.trajectories, strict=True)
+            signature = np.concatenate([part.signature(trajectory) for part, trajectory in pairs])
+            if not profile.converged:
+                status, converged = reason_to_end() or "no continuous states at the estimate", False
         return Outcome(
             estimate, status, iterations, time.perf_counter() - began, converged, cost, signature
         )

@@ -1,6 +1,7 @@
 """The whole problem as one program for IPOPT, of several records of different lengths and weights."""
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -96,7 +97,8 @@ def test_an_end_without_continuous_states_is_no_answer(monkeypatch, transcribed)
         SimpleNamespace(solve=lambda solution, w, bounds: (solution, SOLVED, 1)),
     )
     monkeypatch.setattr(transcribed, "_outcome", lambda solution, w: (5.0, w, True))
-    monkeypatch.setattr(transcribed._gauss_newton, "signature", lambda x: None)
+    broken = replace(transcribed.profile(np.array([2.0])), converged=False)
+    monkeypatch.setattr(transcribed._gauss_newton, "profile", lambda x, nodes: broken)
     found = transcribed.run(np.array([2.0]))
     assert (found.status, found.converged) == ("no continuous states at the estimate", False)
     monkeypatch.setattr(transcribed._gauss_newton, "smoothed", lambda z: None)

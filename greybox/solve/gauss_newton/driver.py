@@ -244,13 +244,6 @@ class GaussNewton(LocalSolver):
         profile = self.profile(values[:count])
         return profile.cost if profile.converged else math.nan
 
-    @DIVERGING
-    def signature(self, x: Array) -> Array | None:
-        """Return `Outcome.signature` at the best nodes for x (p,); None where there are none."""
-        iterate, converged = self._best_nodes(x)
-        has_minimum = converged and are_stable(self._parts, iterate)
-        return self._parts.signature(iterate) if has_minimum else None
-
     def _best_nodes(self, x: Array) -> tuple[Iterate, bool]:
         """Return the iterate with the best nodes at x (p,), and whether it converged."""
         iterate = self._parts.from_data(self.nlp.scaling.to_solver(x))
