@@ -11,7 +11,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -22,10 +21,10 @@ from greybox.formulation.input_assumptions import (
     Inputs,
     between_samples,
     described_inputs,
-    require_inputs,
 )
-from greybox.formulation.restated_parameter import held_at
-from greybox.modeling.model import Model, require_known
+from greybox.formulation.problem import Problem
+from greybox.formulation.time_criteria import OutputError
+from greybox.modeling.model import Model
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.transfer_function import TransferFunction
@@ -148,10 +147,11 @@ def equation_error(
         For an unknown name, a missing input, constant signals, or non-uniform sampling; if nothing
         is free or determined; or if no equation can be used.
     """
-    _require(model, record)
-    require_inputs(inputs)
-    free = [free] if isinstance(free, str) else free
-    parameters = _problem_parameters(model, fixed or {}, free)
+    if not isinstance(record, Record):
+        raise TypeError(f"record is {record!r:.60}: give a Record, as gb.prepare returns it.")
+    require_time(record, "equation_error")
+    criterion = _NoOutputs(inputs=inputs)
+    parameters = Problem(model, record, criterion, fixed=fixed or {}, free=free).parameters
     constants = {n: p.start for n, p in parameters.items() if p.fixed}
     unknown = {n: p for n, p in parameters.items() if not p.fixed}
     if not unknown:
@@ -187,32 +187,11 @@ def equation_error(
     return _result(name, data, projection, bias, parameters, texts)
 
 
-def _require(model: Any, record: Any) -> None:
-    if not isinstance(model, Model):
-        raise TypeError(
-            f"model is {model!r:.60}: give an instance such as LinearTilt(), not the class."
-        )
-    if not isinstance(record, Record):
-        raise TypeError(f"record is {record!r:.60}: give a Record, as gb.prepare returns it.")
-    require_time(record, "equation_error")
+class _NoOutputs(OutputError):  # noqa: N818  (no exception)
+    """A criterion that compares no outputs: regressions may do with states alone."""
 
-
-def _problem_parameters(
-    model: Model, fixed: Mapping[str, float], free: Sequence[str]
-) -> dict[str, Parameter]:
-    """Apply `fixed` and `free` to the declared parameters."""
-    declared = model.parameters
-    if not isinstance(fixed, Mapping):
-        raise TypeError(
-            f"fixed is {fixed!r:.60}: give {{name: value}}, e.g. fixed=dict(fit.estimate)."
-        )
-    require_known(fixed, declared, "parameter", model.label)
-    require_known(free, declared, "parameter", model.label)
-    both = [name for name in fixed if name in free]
-    if both:
-        raise ValueError(f"{both[0]!r} is both fixed and free: keep one of them.")
-    result = {n: replace(p, fixed=p.fixed and n not in free) for n, p in declared.items()}
-    return result | {name: held_at(name, result[name], value) for name, value in fixed.items()}
+    def compared(self, model: Model, record: Record) -> tuple[str, ...]:
+        return ()
 
 
 def _require_motion(model: Model, system: Dynamics, record: Record) -> None:

@@ -57,7 +57,7 @@ class Rows:
 def undetermined(slopes: Array) -> list[tuple[int, ...]]:
     """Return the columns without effect, and sets of columns with a combination without effect."""
     # The triangular factor has the singular values of all rows, which may be many thousands.
-    triangle = np.linalg.qr(slopes, mode="r")
+    triangle = np.asarray(np.linalg.qr(slopes, mode="r"))
     sizes = np.linalg.norm(triangle, axis=0)
     zero = [(int(k),) for k in np.flatnonzero(sizes == 0)]
     nonzero = np.flatnonzero(sizes)
@@ -77,7 +77,7 @@ def solve(slopes: Array, right: Array, low: Array, high: Array) -> Array:
 
     if not slopes.shape[1]:
         return np.zeros(0)
-    triangle = np.linalg.qr(np.column_stack([right, slopes]), mode="r")
+    triangle = np.asarray(np.linalg.qr(np.column_stack([right, slopes]), mode="r"))
     right, matrix = triangle[:, 0], triangle[:, 1:]
     sizes = np.linalg.norm(matrix, axis=0)
     # The least-norm solution of columns of length one does not depend on units.

@@ -77,14 +77,15 @@ def record_draws(
     """
     records: list[DrawnPart] = []
     spectra = [colored and colored.spectrum for colored in accuracy.correlation]
-    for part, *errors in zip(nlp.parts, trajectories, spectra, accuracy.numbers, strict=True):
+    columns = zip(nlp.parts, trajectories, spectra, accuracy.numbers, strict=True)
+    for part, trajectory, spectrum, dof in columns:
         assert isinstance(part, RecordPart)
         if part.gains:
             raise ValueError(
                 f"the residuals of {part.name!r} correct its states, so that they cannot be drawn "
                 "and added: use OutputError, or fit.interval()."
             )
-        records.append(_drawn_record(part, *errors))
+        records.append(_drawn_record(part, trajectory, spectrum, dof))
     about = "residuals drawn" + (" with their correlation in time" if any(spectra) else "")
     constants = nlp.constant_values
     return Draws(seed, tuple(records), constants, np.zeros((len(constants), 0)), about)

@@ -159,23 +159,21 @@ def stepwise(
 
     trials: list[Trial] = []
     seen = {current}  # no structure is chosen twice: the search must end
-    fit = without
     step = 0
     while len(current) < len(absent):
         step += 1
         left_out = [name for name in absent if name not in current]
         # Bonferroni: the smallest of many p-values is small by chance.
-        tried = [fits.trial(step, "add", n, current, fit, size / len(left_out)) for n in left_out]
+        tried = [fits.trial(step, "add", n, current, size / len(left_out)) for n in left_out]
         best = fits.best([t for t in tried if t.p_value < t.limit], current)
         trials += [replace(t, done=t is best) for t in tried]
         if best is None or current | {best.term} in seen:
             break
         current = current | {best.term}
         seen.add(current)
-        fit = fits.fitted(current, fit)
         while len(current) > 1:
             chosen = [name for name in absent if name in current]
-            tried = [fits.trial(step, "remove", n, current, fit, size) for n in chosen]
+            tried = [fits.trial(step, "remove", n, current, size) for n in chosen]
             idle = [t for t in tried if t.p_value > t.limit and current - {t.term} not in seen]
             worst = max(idle, key=lambda t: t.p_value, default=None)
             trials += [replace(t, done=t is worst) for t in tried]
@@ -183,14 +181,13 @@ def stepwise(
                 break
             current = current - {worst.term}
             seen.add(current)
-            fit = fits.fitted(current, fit)
     return StepwiseSelection(
         candidates=tuple(absent),
         terms=tuple(name for name in absent if name in current),
-        fit=fits.made(current, fit, profiles=True),
+        fit=fits.made(current, fits.cache[current], profiles=True),
         without=without,
         trials=tuple(trials),
-        alike=fits.alike(current, fit),
+        alike=fits.alike(current),
         size=size,
     )
 
@@ -219,10 +216,9 @@ class _Fits:
         rules = [start, Sobol(self.starts, 0)]
         return fit_problem(problem, rules, profiles=profiles, progress=False)
 
-    def trial(
-        self, step: int, change: str, term: str, terms: Terms, fit: Fit, limit: float
-    ) -> Trial:
-        """Test a term that is added to the `terms` of a fit, or removed from them."""
+    def trial(self, step: int, change: str, term: str, terms: Terms, limit: float) -> Trial:
+        """Test a term that is added to these terms, or removed from them."""
+        fit = self.cache[terms]
         changed = self.fitted(terms ^ {term}, fit)
         p_value, why_not = math.nan, "no fit converged"
         if changed.converged:
@@ -250,9 +246,10 @@ class _Fits:
 
         return max(alike, key=independence)
 
-    def alike(self, terms: Terms, fit: Fit) -> dict[str, dict[str, float]]:
+    def alike(self, terms: Terms) -> dict[str, dict[str, float]]:
         """Return the terms that could replace each chosen one, and the increase in AIC."""
         rivals: dict[str, dict[str, float]] = {}
+        fit = self.cache[terms]
         scale = cost_scale(fit)
         for term in (name for name in self.absent if name in terms):
             for rival in (name for name in self.absent if name not in terms):
