@@ -19,6 +19,28 @@ OPEN = 3  # results up to which all details are open
 
 HERE = Path(__file__).parent
 
+# The page contains names from files of strangers. Should one slip through as markup, the browser
+# still runs only the script and the style with these hashes, and loads nothing.
+POLICY = "default-src 'none'; script-src '{}'; style-src '{}'; base-uri 'none'; form-action 'none'"
+PAGE = """\
+<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="{policy}">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<meta name="generator" content="greybox {version}">
+{title}<style>{style}</style>
+</head>
+<body>
+<header><div>{heading}</div><button type="button" id="theme" hidden>Colors: auto</button></header>
+<nav aria-label="Sections">{links}</nav>
+<noscript><p>The figures need the script of this page, which is switched off here.</p></noscript>
+{main}<script>{script}</script>
+</body>
+</html>
+"""
+
 
 def page(entries: Sequence[Entry], comparison: Comparison | None, title: str) -> str:
     """Return the page of these results as HTML."""
@@ -57,34 +79,17 @@ def _section(title: str, content: Child) -> Element:
 
 def _document(title: str, sections: Sequence[Element]) -> str:
     script, style = ((HERE / name).read_text(encoding="utf-8") for name in ("page.js", "page.css"))
-    # The page contains names from files of strangers. Should one slip through as markup, the
-    # browser still runs only the script and the style with these hashes, and loads nothing.
-    policy = (
-        f"default-src 'none'; script-src '{_hash(script)}'; style-src '{_hash(style)}'; "
-        "base-uri 'none'; form-action 'none'"
-    )
-    head = tag(
-        "head",
-        tag("meta", charset="utf-8"),
-        tag("meta", http_equiv="Content-Security-Policy", content=policy),
-        tag("meta", name_="viewport", content="width=device-width, initial-scale=1"),
-        tag("meta", name_="generator", content=f"greybox {version('greybox-id')}"),
-        tag("title", title),
-        tag("style", style),
-    )
     links = [tag("a", _title(section), href=f"#{section.get('id')}") for section in sections]
-    header = tag(
-        "header",
-        tag("div", tag("h1", title)),
-        tag("button", "Colors: auto", type="button", id="theme", hidden=True),
+    return PAGE.format(
+        title=html(tag("title", title)),
+        heading=html(tag("h1", title)),
+        links=html(tag("ul", *(tag("li", link) for link in links))),
+        main=html(tag("main", *sections)),
+        policy=POLICY.format(_hash(script), _hash(style)),
+        script=script,
+        style=style,
+        version=version("greybox-id"),
     )
-    nav = tag("nav", tag("ul", *(tag("li", link) for link in links)), aria_label="Sections")
-    without = tag(
-        "noscript",
-        tag("p", "The figures need the script of this page, which is switched off here."),
-    )
-    body = tag("body", header, nav, without, tag("main", *sections), tag("script", script))
-    return f"<!DOCTYPE html>\n{html(tag('html', head, body, lang='en'))}\n"
 
 
 def _title(section: Element) -> str:

@@ -65,6 +65,22 @@ void {name}_step(double *x, const double *u);
 #endif
 """
 
+# A step is in place: the result of each substep is the state of the next one.
+WRAPPER = """\
+void {name}({arguments}) {{
+  const casadi_real *arg[{}] = {{0}};
+  casadi_real *res[{}] = {{0}};
+  casadi_int iw[{}];
+  casadi_real w[{}];
+  for (int k = 0; k < {count}; k++) {{
+    arg[0] = x;
+    arg[1] = u;
+    res[0] = {result};
+    {function}(arg, res, iw, w, 0);
+  }}
+}}
+"""
+
 
 def write_c(
     thing: Any,
@@ -211,34 +227,15 @@ def _source(
         function = ca.Function(f"{name}_formula_{what}", [x, u], [formula])
         generator.add(function)
         arguments = "const double *x, const double *u, double *" + result
-        if what == "step":
-            arguments = "double *x, const double *u"
-        count = substeps if what == "step" else 1
-        wrappers.append(_wrapper(function, f"{name}_{what}({arguments})", result, count))
+        sizes = (function.sz_arg(), function.sz_res(), function.sz_iw(), function.sz_w())
+        wrapper = WRAPPER.format(
+            *(max(size, 1) for size in sizes),
+            name=f"{name}_{what}",
+            arguments=arguments if what != "step" else "double *x, const double *u",
+            count=substeps if what == "step" else 1,
+            function=function.name(),
+            result=result,
+        )
+        wrappers.append(wrapper)
 
     return "\n".join([f'#include "{file}.h"\n', generator.dump(), *wrappers])
-
-
-def _wrapper(function: ca.Function, signature: str, result: str, count: int) -> str:
-    """Return a function with plain arrays that calls one of CasADi's `count` times."""
-    sizes = (function.sz_arg(), function.sz_res(), function.sz_iw(), function.sz_w())
-    arg, res, iw, w = (max(size, 1) for size in sizes)
-    call = f"{function.name()}(arg, res, iw, w, 0);"
-    # A step is in place: the result of each substep is the state of the next one.
-    if count > 1:
-        call = f"for (int k = 0; k < {count}; k++) {{ arg[0] = x; arg[1] = u; res[0] = x; {call} }}"
-
-    lines = [
-        f"void {signature} {{",
-        f"  const casadi_real *arg[{arg}] = {{0}};",
-        f"  casadi_real *res[{res}] = {{0}};",
-        f"  casadi_int iw[{iw}];",
-        f"  casadi_real w[{w}];",
-        "  arg[0] = x;",
-        "  arg[1] = u;",
-        f"  res[0] = {result};",
-        f"  {call}",
-        "}",
-    ]
-
-    return "\n".join(lines) + "\n"

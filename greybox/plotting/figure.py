@@ -40,9 +40,8 @@ class Series:
         What the page shows when a point is read, instead of its numbers.
     labels : sequence of str
         What matplotlib writes beside the points.
-    width : float
-        Width of a line in matplotlib, points.
     is_hollow : bool
+        Of a line: hair-thin.
     """
 
     name: str
@@ -55,7 +54,6 @@ class Series:
     high: Array | None = None
     notes: Sequence[str] = ()
     labels: Sequence[str] = ()
-    width: float = 1.6
     is_hollow: bool = False
 
 

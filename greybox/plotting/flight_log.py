@@ -125,12 +125,12 @@ def recording(
     return draw([figure], axes, legend=legend, size=(10.0, 1.8))
 
 
-def signal_line(name: str, time: Array, values: Array, color: int, width: float = 1.0) -> Series:
+def signal_line(name: str, time: Array, values: Array, color: int) -> Series:
     """Return a signal over time; gaps of more than ten median steps interrupt the line."""
     # Raw logs drop single messages: with a smaller limit a lossy log would be dots, not lines.
     gap = 10.0 * float(np.median(np.diff(time))) if time.size > 2 else math.inf
     x, y = drawn_line(time, values, pieces(time, gap))
-    return Series(name, "line", x, y, color, width=width)
+    return Series(name, "line", x, y, color)
 
 
 def _panel(recording: Recording, signals: Sequence[str], color: int) -> Panel:

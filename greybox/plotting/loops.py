@@ -99,7 +99,7 @@ def _banded(margins: Margins, x: Array, values: Array) -> list[Series]:
 def _plane(x: Array, y: Array, critical: tuple[float, float]) -> list[Series]:
     """Return the curve of the estimate over those of draws, and the critical point."""
     return [
-        *(Series("", "line", x[k], y[k], 5, width=0.3) for k in range(len(x))[DRAWN][:CURVES]),
+        *(Series("", "line", x[k], y[k], 5, is_hollow=True) for k in range(len(x))[DRAWN][:CURVES]),
         Series("estimate", "line", x[0], y[0]),
         Series("critical point", "points", *np.array(critical)[:, None], color=1),
     ]

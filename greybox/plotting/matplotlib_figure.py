@@ -31,6 +31,7 @@ DASHES = ("-", "--", ":", "-.")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 MARKER_SIZE = 5.5  # points
 CROWD = 100  # points of one series above which markers shrink and lie below the curves
+LONG = 1000  # points above which a line is thin
 BAND_ALPHA = 0.2
 ORDER = ("points", "line", "rule", "band", "regions")  # in a legend
 
@@ -286,6 +287,7 @@ def _write_labels(ax: Axes, panel: Panel) -> None:
         along = np.gradient(spots) if len(spots) > 1 else 1 + 0 * spots
         bend = np.gradient(along) if len(spots) > 1 else 0 * spots
         side = np.where(np.imag(np.conj(along) * bend) > 0, -1j, 1j)
+        side[[0, -1]] = -1, 1  # the ends continue the curve
         outward = side * along / np.maximum(np.abs(along), 1e-300)
         for text, spot, normal in zip(series.labels, spots, outward, strict=True):
             # Points of several tests at one frequency lie near each other: one number is enough.
@@ -308,7 +310,9 @@ def _look(series: Series) -> dict[str, Any]:
     look = {"color": color, "label": plain(series.name) or "_"}
     if series.kind in ("line", "rule"):
         dash = DASHES[series.style % len(DASHES)]
-        return {**look, "linestyle": dash, "linewidth": series.width}
+        # Long records swing so fast that wide lines would fill the panel.
+        width = 0.9 if len(series.x) > LONG else 1.6
+        return {**look, "linestyle": dash, "linewidth": 0.3 if series.is_hollow else width}
 
     look |= {"linestyle": "none", "markersize": MARKER_SIZE}
     if series.style == CROSS:

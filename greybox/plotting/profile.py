@@ -86,16 +86,16 @@ def _figure(profile: ProfileOf, limit: float) -> Figure:
     top = 1.6 * limit
     series = [
         band("interval", interval, np.zeros(2), np.full(2, limit)),
-        Series("limit", "line", sides, limits, GRAY, width=0.8),
+        Series("limit", "line", sides, limits, GRAY),
     ]
     if 0 < profile.standard_error < np.inf:
         reach = np.array([-top, 0, top])
         cone = profile.estimate + profile.standard_error * reach
-        series.append(Series("standard error", "line", cone, np.abs(reach), GRAY, 1, width=0.9))
+        series.append(Series("standard error", "line", cone, np.abs(reach), GRAY, 1))
 
     roots = np.abs(profile.roots)
     series += [
-        Series("profile", "line", profile.values, roots, width=1.4),
+        Series("profile", "line", profile.values, roots),
         Series("", "points", profile.values, roots),
     ]
     panel = Panel("|r|", series, limits=(0.0, top))

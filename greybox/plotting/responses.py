@@ -60,9 +60,7 @@ class DrawnResponse:
     ) -> Series:
         """Return points or a curve with this look."""
         kind = "points" if self.is_measured else "line"
-        return Series(
-            self.label, kind, x, y, self.color, self.style, low, high, notes, labels, width=1.8
-        )
+        return Series(self.label, kind, x, y, self.color, self.style, low, high, notes, labels)
 
 
 @dataclass(frozen=True, eq=False)

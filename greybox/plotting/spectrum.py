@@ -64,7 +64,7 @@ def spectrum_figure(item: Fit | TransientSpectrum, part: int = 0) -> Figure:
         factor, unit = _unit(data, name)
         size = factor * np.abs(values)
         # The line shows the valleys, in which a manoeuvre contains no information.
-        series = [Series("", "line", data.omega, size, INK, width=0.9), _measured(data, size)]
+        series = [Series("", "line", data.omega, size, INK), _measured(data, size)]
         limits = (0.0, 1.1 * float(size.max()) or 1.0)
         panels.append(Panel(f"|{in_greek(name)}|, {unit}", series, height=0.5, limits=limits))
 

@@ -24,21 +24,18 @@ class History:
     Attributes
     ----------
     label : str
-    data : Record
+    data, modeled : Record
+        `modeled` has ``y_error`` beside an output ``y`` of known standard error.
     outputs, inputs : tuple of str
-    values : mapping of output to (n,) array
-    half_width : mapping of output to (n,) array
-        Half the width of the 95 % band; empty without one.
     pieces : list of index arrays
         Samples that one line joins.
     """
 
     label: str
     data: Record
+    modeled: Record
     outputs: tuple[str, ...]
     inputs: tuple[str, ...]
-    values: dict[str, Array]
-    half_width: dict[str, Array]
     pieces: list[IntArray]
 
 
@@ -108,8 +105,8 @@ def history_figure(
     for name in inputs:
         data = next(history.data for history in drawn if name in history.data.signals)
         values = shown_unit(data.units.get(name, ""))[0] * data[name]
-        series = _line("", data, values, _gapless(data), columns, INK)
-        panels.append(Panel(signal_label(data, name), [series], height=0.5))
+        series = _drawn("", data, values, _gapless(data), columns, INK)
+        panels.append(Panel(signal_label(data, name), series, height=0.5))
 
     data = drawn[0].data
     records = ", ".join(dict.fromkeys(history.data.name for history in drawn if history.data.name))
@@ -126,7 +123,9 @@ def history_figure(
 
 def _caption(drawn: Sequence[History], columns: int) -> str:
     sentences = []
-    if any(history.half_width for history in drawn):
+    if any(
+        f"{name}_error" in history.modeled.signals for history in drawn for name in history.outputs
+    ):
         sentences.append(
             "Bands: 95 % confidence from the errors of parameters and initial state, without "
             "sensor noise."
@@ -146,26 +145,23 @@ def _output_panels(drawn: Mapping[str, History], name: str, columns: int) -> lis
     factor, unit = shown_unit(data.units.get(name, ""))
     measured = factor * data[name]
     is_finite = np.isfinite(measured)
+    outputs = _drawn("measured", data, measured, _gapless(data), columns, GRAY)
     # Dots show which samples there are; many of them look like a line, and take longer to draw.
     if is_finite.sum() <= DOTS:
         dots = _along(data)[is_finite], measured[is_finite]
         outputs = [Series("measured", "points", *dots, GRAY)]
-    else:
-        outputs = [_line("measured", data, measured, _gapless(data), columns, GRAY, width=2.4)]
 
     residuals = [rule()]
     for color, (label, history) in enumerate(drawn.items()):
         if name not in history.outputs:
             continue
-        values = factor * history.values[name]
+        values = factor * history.modeled[name]
         residual = factor * history.data[name] - values
-        if name in history.half_width:
-            half = factor * history.half_width[name]
-            outputs.append(_band(label, history, values, half, color))
-            residuals.append(_band(label, history, 0 * half, half, color))
+        error = history.modeled.signals.get(f"{name}_error")
+        half = None if error is None else 1.96 * factor * error
         line = (history.pieces, columns, color)
-        outputs.append(_line(label, history.data, values, *line, width=1.1))
-        residuals.append(_line(label, history.data, residual, *line, width=0.8))
+        outputs += _drawn(label, history.data, values, *line, half=half, middle=values)
+        residuals += _drawn(label, history.data, residual, *line, half=half)
 
     return [
         Panel(signal_label(data, name), outputs),
@@ -175,15 +171,8 @@ def _output_panels(drawn: Mapping[str, History], name: str, columns: int) -> lis
 
 def _history(item: Fit | Prediction, record: int) -> History:
     if isinstance(item, Prediction):
-        predicted = item.record
         return History(
-            label=item.title,
-            data=item.data,
-            outputs=item.outputs,
-            inputs=item.inputs,
-            values={name: predicted[name] for name in item.outputs},
-            half_width={name: 1.96 * predicted[f"{name}_error"] for name in item.outputs},
-            pieces=list(item.rows),
+            item.title, item.data, item.record, item.outputs, item.inputs, list(item.rows)
         )
     if not isinstance(item, Fit):
         raise TypeError(f"cannot draw {item!r:.80}: give a Fit or a Prediction.")
@@ -194,15 +183,9 @@ def _history(item: Fit | Prediction, record: int) -> History:
         )
 
     part = chosen(item.records, record, "record")
-    return History(
-        label=f"fit of {part.label}",
-        data=part.data,
-        outputs=part.outputs,
-        inputs=tuple(name for name in part.data.signals if name not in part.outputs),
-        values={name: part.simulated[name] for name in part.outputs},
-        half_width={},
-        pieces=_gapless(part.data),
-    )
+    inputs = tuple(name for name in part.data.signals if name not in part.outputs)
+    label = f"fit of {part.label}"
+    return History(label, part.data, part.simulated, part.outputs, inputs, _gapless(part.data))
 
 
 def _gapless(data: Record) -> list[IntArray]:
@@ -218,31 +201,30 @@ def _along(data: Record) -> Array:
     return data.time if data.has_time else data.time + 1
 
 
-def _line(
+def _drawn(
     name: str,
     data: Record,
     values: Array,
     rows: Sequence[IntArray],
     columns: int,
     color: int,
-    width: float = 1.0,
-) -> Series:
-    """Return values (n,) as a line along the time, or as a dot for each row without a time."""
+    *,
+    half: Array | None = None,
+    middle: Array | float = 0.0,
+) -> list[Series]:
+    """Return values (n,) as a line along the time, over the band `half` (n,) around `middle`.
+
+    Without a time every row is a dot, with a bar.
+    """
     if not data.has_time:
-        return Series(name, "points", _along(data), values, color)
+        ends = (None, None) if half is None else (values - half, values + half)
+        return [Series(name, "points", _along(data), values, color, 0, *ends)]
     x, y = drawn_line(data.time, values, rows, columns=columns)
-    return Series(name, "line", x, y, color, width=width)
-
-
-def _band(label: str, history: History, middle: Array, half: Array, color: int) -> Series:
-    time = _along(history.data)
-    if not history.data.has_time:  # a bar for each row
-        ends = np.column_stack([middle - half, middle + half, np.full(len(half), np.nan)])
-        return Series("", "line", np.repeat(time, 3), ends.ravel(), color, width=0.8)
-
-    # Bands follow from sensitivities and are smooth: 400 points draw them.
-    every = -(-len(history.data) // 400)
-    rows = [piece[::every] for piece in history.pieces]
-    x, low = drawn_line(time, middle - half, rows)
-    _, high = drawn_line(time, middle + half, rows)
-    return band(label, x, low, high, color)
+    lines = [Series(name, "line", x, y, color)]
+    if half is not None:
+        # Bands follow from sensitivities and are smooth: 400 points draw them.
+        pieces = [piece[:: -(-len(data) // 400)] for piece in rows]
+        x, low = drawn_line(data.time, middle - half, pieces)
+        _, high = drawn_line(data.time, middle + half, pieces)
+        lines.insert(0, band(name, x, low, high, color))
+    return lines

@@ -86,9 +86,8 @@ def captions(elements):
 
 def test_of_many_records_the_worst_are_drawn(fit):
     response, record = fit.parts
-    bad = replace(
-        record, data=replace(record.data, name="bad"), simulated={"y": 0 * record.simulated["y"]}
-    )
+    zero = replace(record.simulated, signals={"y": 0 * record.simulated["y"]})
+    bad = replace(record, data=replace(record.data, name="bad"), simulated=zero)
     many = replace(fit, parts=(response, *(record,) * 3, bad, *(record,) * 3), models=None)
     sections = dict(fit_section(Entry("many", many)))
     said, drawn, residuals = sections["Time history"]

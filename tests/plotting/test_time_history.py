@@ -95,8 +95,12 @@ def test_rows_without_a_time_are_dots_with_bars():
     figure = history_figure([gb.predict(fit)])
     output, below, _ = figure.panels
     assert figure.label == "Row"
-    assert named(output, "Line", "points").x.tolist() == [*range(1, 31)]
-    assert len(named(below, "", "line").x) == 3 * 30
+    half = 1.96 * gb.predict(fit).record["y_error"]
+    for panel in (output, below):
+        dots = named(panel, "Line", "points")
+        assert dots.x.tolist() == [*range(1, 31)]
+        np.testing.assert_allclose(dots.high - dots.y, half, atol=1e-12)
+        np.testing.assert_allclose(dots.y - dots.low, half, atol=1e-12)
 
 
 def test_a_gap_is_left_open(fit):
