@@ -40,21 +40,12 @@ ENOUGH = 3e-4
 MOST_SCALARS = 9
 
 
-def harmonic_function(
-    model: Model,
-    omega: Array,
-    sine: Sine,
-    *,
-    input: str = "",
-    output: str = "",
-    at: Mapping[str, float] | None = None,
-    pade: int | None = None,
-) -> ca.Function:
+def harmonic_function(model: Model, omega: Array, sine: Sine, **signals: Any) -> ca.Function:
     """Return the CasADi function from the parameter vector to real and imaginary part (n,).
 
-    A sine without a number of harmonics gets as many as matter at the start values.
+    A sine without a number of harmonics gets as many as matter at the start values. The `signals`
+    are those of `compiled_balance`.
     """
-    signals: dict[str, Any] = {"input": input, "output": output, "at": at, "pade": pade}
     sine = enough_harmonics(model, omega, sine, **signals)
     return compiled_balance(model, omega, sine, **signals).response(omega)
 

@@ -56,11 +56,9 @@ class KnownTransferFunction(TransferFunction):
         self.input = input
         self.output = output
         self.parameters = {
-            f"{prefix}{letter}{len(values) - 1 - k}": Parameter(
-                value, fixed=True, about=f"of s^{len(values) - 1 - k}"
-            )
+            f"{prefix}{letter}{power}": Parameter(value, fixed=True, about=f"of s^{power}")
             for letter, values in (("b", b), ("a", a))
-            for k, value in enumerate(values)
+            for power, value in zip(reversed(range(len(values))), values, strict=True)
         }
 
     def response(self, s: Any, p: Any) -> Any:
@@ -100,7 +98,7 @@ class KnownStateSpace(StateSpace):
         matrices = [np.atleast_2d(np.array(value, dtype=float)) for value in (A, B, C, D)]
         k, m = matrices[3].shape
         n = matrices[0].shape[0] if matrices[0].size else 0
-        self._matrices = []
+        arrays = []
         shapes = ((n, n), (n, m), (k, n), (k, m))
         for name, value, shape in zip("ABCD", matrices, shapes, strict=True):
             matrix = value.reshape(shape) if value.size == n == 0 else value
@@ -108,25 +106,25 @@ class KnownStateSpace(StateSpace):
                 raise ValueError(f"{name} has shape {matrix.shape} where the others need {shape}.")
             if not np.all(np.isfinite(matrix)):
                 raise ValueError(f"{name} has an entry that is not finite: give finite numbers.")
-            self._matrices.append(matrix.tolist())
+            arrays.append(matrix)
 
         self.states = _signal_names(states, "x", n, numbered=True)
         self.inputs = _signal_names(inputs, "u", m)
         self.outputs = _signal_names(outputs, "y", k)
         names = {"states": self.states, "inputs": self.inputs, "outputs": self.outputs}
-        self.arguments = (tuple(self._matrices), names)
+        self.arguments = (tuple(array.tolist() for array in arrays), names)
+        self._rows = np.vstack([np.hstack(arrays[:2]), np.hstack(arrays[2:])]).tolist()
 
     def derivative(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
         """Return A x + B u."""
-        return self._products(self._matrices[0], self._matrices[1], x, u)
+        return self._products(self._rows[: len(self.states)], x, u)
 
     def output(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
         """Return C x + D u."""
-        return self._products(self._matrices[2], self._matrices[3], x, u)
+        return self._products(self._rows[len(self.states) :], x, u)
 
-    def _products(self, by_state: Any, by_input: Any, x: Any, u: Any) -> list[Any]:
+    def _products(self, rows: list[list[float]], x: Any, u: Any) -> list[Any]:
         signals = [*(x[name] for name in self.states), *(u[name] for name in self.inputs)]
-        rows = [[*a, *b] for a, b in zip(by_state, by_input, strict=True)]
         # Zeros are left out: the graph of a large system stays as sparse as its matrices.
         return [sum((c * v for c, v in zip(row, signals, strict=True) if c), 0.0) for row in rows]
 
@@ -145,11 +143,8 @@ def _signal_names(
     names: Sequence[str], letter: str, count: int, *, numbered: bool = False
 ) -> tuple[str, ...]:
     if not names:
-        return (
-            (letter,)
-            if count == 1 and not numbered
-            else tuple(f"{letter}{k + 1}" for k in range(count))
-        )
+        is_alone = count == 1 and not numbered
+        return (letter,) if is_alone else tuple(f"{letter}{k + 1}" for k in range(count))
     if isinstance(names, str) or len(names) != count:
         raise ValueError(f"{names!r:.60} are the names of {count} signals: give as many.")
 

@@ -159,9 +159,9 @@ def _elimination_order(
     points = [[q.start for q in model.parameters.values()]]
     points += [[q.draw(random) for q in model.parameters.values()] for _ in range(3)]
     samples = []
+    closed = trim.closed()
     for point in points:
-        at = trim.function(point, [] if trim.root is None else trim.root(point))
-        sample = np.asarray(ca.DM(system(point, *at)))
+        sample = np.asarray(ca.DM(system(point, *closed(point))))
         # A draw may have no operating point.
         if np.all(np.isfinite(sample)):
             samples.append(sample)
@@ -175,14 +175,16 @@ def _elimination_order(
 
 def _parts(result: Any, owner: str, count: int) -> tuple[Any, Any]:
     """Return real and imaginary part of a response: one value, or as many as frequencies."""
-    parts = (result.re, result.im) if isinstance(result, Complex) else (result, 0.0)
+    parts: tuple[Any, Any] = (
+        (result.re, result.im) if isinstance(result, Complex) else (result, 0.0)
+    )
     for part in parts:
+        size = part.numel() if is_casadi(part) else np.size(part)
         if not isinstance(part, (int, float, complex, np.number, np.ndarray, *CASADI_TYPES)):
             raise ValueError(
                 f"{owner}.response returns a {type(part).__name__}: return one expression of s "
                 "and p."
             )
-        size = part.numel() if is_casadi(part) else np.size(part)
         if size not in (1, count):
             raise ValueError(
                 f"{owner}.response returns {size} values for {count} frequencies: return one for "

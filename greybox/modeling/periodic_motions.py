@@ -163,6 +163,7 @@ def periodic_motions(
 def _followed(balance: HarmonicBalance, settings: Array, shares: Array) -> complex:
     """Return the response at the given amplitude, approached in `shares` of it; NaN if lost."""
     x = None
+    response = complex(np.nan)
     for share in shares:
         step = np.append(settings[:-1], share * settings[-1])
         motion = None if x is None else _motion(balance, x, step)

@@ -284,7 +284,7 @@ def _model_and_record(
     estimated = model_at(model, values, inputs=inputs, part=part, record=given)
     if record is None and estimated.part is None:
         raise TypeError("record is missing: give the Record whose inputs are to drive the model.")
-    if record is None and estimated.part is not None:
+    if record is None:
         record = estimated.part.data
     if not isinstance(record, Record):
         raise TypeError(
