@@ -31,7 +31,7 @@ DASHES = ("-", "--", ":", "-.")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 MARKER_SIZE = 5.5  # points
 CROWD = 100  # points of one series above which markers shrink and lie below the curves
-LONG = 1000  # points above which a line is thin
+LONG = 400  # points above which a line is thin
 BAND_ALPHA = 0.2
 ORDER = ("points", "line", "rule", "band", "regions")  # in a legend
 
@@ -310,8 +310,10 @@ def _look(series: Series) -> dict[str, Any]:
     look = {"color": color, "label": plain(series.name) or "_"}
     if series.kind in ("line", "rule"):
         dash = DASHES[series.style % len(DASHES)]
-        # Long records swing so fast that wide lines would fill the panel.
-        width = 0.9 if len(series.x) > LONG else 1.6
+        # Long records swing so fast that wide lines would fill the panel. What was measured is gray
+        # and must show beside the thin lines on it.
+        thin = 2.4 if series.color == GRAY else 0.9
+        width = thin if len(series.x) > LONG else 1.6
         return {**look, "linestyle": dash, "linewidth": 0.3 if series.is_hollow else width}
 
     look |= {"linestyle": "none", "markersize": MARKER_SIZE}

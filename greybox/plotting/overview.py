@@ -43,7 +43,7 @@ def plot(fit: Fit) -> MatplotlibFigure:
     heights = [height_of(block, 2.0) for block in blocks]
     if nyquist:
         blocks.insert(0, nyquist)
-        heights.insert(0, height_of(nyquist, 3.5, columns))
+        heights.insert(0, height_of(nyquist, 4.1, columns))
 
     page = new_figure(sum(widths), sum(heights) + 0.4, title((fit,)))
     sides = page.subfigures(1, len(widths), width_ratios=widths, squeeze=False)[0]
