@@ -32,7 +32,7 @@ def tables(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("words", "fragments"),
     [
-        (("identify", "sine.csv", *PAIR), ("must cover a band",)),
+        (("identify", "sine.csv", *PAIR), ("less than an octave",)),
         (("inspect", f"{300 * 'a'}.BIN"), ("the file name aaaa", "is too long: shorten it")),
         (("identify", "reversed.csv", *PAIR), ("u has 1 sample", "time does not increase")),
         (("identify", "still.csv", *PAIR), ("u has 1 sample", "time does not increase")),
@@ -52,7 +52,7 @@ def tables(tmp_path, monkeypatch):
 def test_it_is_refused_with_the_cure(capsys, tables, words, fragments):
     before = sorted(tables.iterdir())
     status, out, error = run(capsys, *words)
-    assert status == (1 if fragments == ("must cover a band",) else 2)
+    assert status == (1 if fragments == ("less than an octave",) else 2)
     assert all(fragment in error for fragment in fragments), error
     assert "Traceback" not in out + error
     assert sorted(tables.iterdir()) == before
