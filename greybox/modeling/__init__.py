@@ -15,7 +15,7 @@ Begin with `model`.
 | `pade_delay` | a delay as a rational function or as states |
 | `linear_response` | the frequency response of a model |
 | `trim`, `linearization` | the operating point, and the linear system there |
-| `elimination` | the solution of a linear system of expressions |
+| `elimination` | the response of a linear system of expressions |
 | `sine`, `harmonic_balance`, `periodic_motions` | the response to a sine of finite amplitude |
 | `realization` | every model as an ODE with delayed inputs |
 | `integrators`, `implicit_integrators`, `step_size` | explicit and implicit steps, and how many |

@@ -258,8 +258,7 @@ def _linearized(
     simulated = simulator.at(model.q).windows(windows, places)
     initial, slopes = simulated.initial, simulated.slopes
     residuals, present = simulated.measured - simulated.outputs, np.isfinite(simulated.measured)
-    finite = ~initial.not_finite & np.all(np.isfinite(slopes), axis=(1, 2, 3))
-    finite &= np.all(np.isfinite(residuals) | ~present, axis=(1, 2))
+    finite = ~simulated.not_finite & np.all(np.isfinite(slopes), axis=(1, 2, 3))
     used = present & finite[:, None, None]
 
     # The residuals are the last column of the values, for one product with both.

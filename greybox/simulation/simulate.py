@@ -220,8 +220,10 @@ def predict_windows(
     error, unknown = simulator.standard_errors(simulated)
     notes += (f"{_not_known(unknown, model)}.",) if unknown else ()
 
-    # Lead-ins were used for the states, and would look too good.
-    ahead = slice(windows.lead, None)
+    def ahead(values: Array) -> Array:
+        # Lead-ins were used for the states, and would look too good.
+        return np.moveaxis(values[:, windows.lead :], -1, 0)
+
     prediction = Prediction(
         label=model.label,
         data=windows.record,
@@ -230,12 +232,12 @@ def predict_windows(
         states=model.system.states,
         lead=lead,
         horizon=horizon,
-        rows=windows.rows[:, ahead],
-        predicted=np.moveaxis(simulated.outputs[:, ahead], -1, 0),
-        error=np.moveaxis(error[:, ahead], -1, 0),
+        rows=windows.rows[:, windows.lead :],
+        predicted=ahead(simulated.outputs),
+        error=ahead(error),
         noise=simulated.initial.noise,
-        trajectory=np.moveaxis(simulated.states[:, ahead], -1, 0),
-        one_step=np.moveaxis(simulator.one_step(simulated)[:, ahead], -1, 0),
+        trajectory=ahead(simulated.states),
+        one_step=ahead(simulator.one_step(simulated)),
         notes=notes,
         own=values,
     )
