@@ -32,8 +32,6 @@ class KalmanGain:
     unknowns : (u,) array
         Places of the estimated parameters: these entries, or the sizes of the noise that determines
         them.
-    names : tuple of str
-        Names of the estimated parameters in the problem.
     """
 
     part: RecordPart
@@ -41,7 +39,6 @@ class KalmanGain:
     outputs: IntArray
     places: IntArray
     unknowns: IntArray
-    names: tuple[str, ...]
 
     @cached_property
     def limit(self) -> float:
@@ -178,7 +175,6 @@ def kalman_gain(part: Part) -> KalmanGain | None:
         outputs=np.array([part.outputs.index(output) for _, output in part.gains], dtype=int),
         places=places,
         unknowns=unknowns,
-        names=tuple(part.model.outside_names[k] for k in unknowns),
     )
 
 

@@ -19,7 +19,6 @@ from greybox.compiled.residual_covariance import (
     residual_covariance_of,
 )
 from greybox.compiled.riccati import NoiseModel, noise_model
-from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData, joined, sampled_data
 from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Segments
@@ -39,15 +38,14 @@ class RecordPart(SegmentedPart):
         data: SampledData,
         substeps: int,
         *,
-        step: SampleStep | None = None,
         covariance: ResidualCovariance | None = None,
         like: "RecordPart | None" = None,
     ) -> None:
-        """Build the functions, unless a `step` of these substeps is given.
+        """Build the functions, or take those that the model has compiled before.
 
         A part that is made of another is `like` it in name and weight.
         """
-        step = step or model.step(model.method.scheme, substeps)
+        step = model.step(model.method.scheme, substeps)
         super().__init__(
             like or model,
             model,
@@ -70,9 +68,7 @@ class RecordPart(SegmentedPart):
         data = self.data.excerpts(samples)
         # The criterion stays behind when a part is sent to a worker.
         covariance = self.covariance.along(data.measured)
-        return RecordPart(
-            self.model, data, self.substeps, step=self.step, covariance=covariance, like=self
-        )
+        return RecordPart(self.model, data, self.substeps, covariance=covariance, like=self)
 
     def with_outputs(self, outputs: Sequence[Array]) -> "RecordPart":
         """Return the part with other measured outputs (k, n) of every stretch, NaN for gaps."""
@@ -82,9 +78,7 @@ class RecordPart(SegmentedPart):
         # The spread, which only scales, stays that of the first outputs.
         counts = np.isfinite(data.measured).sum(axis=1)
         covariance = replace(self.covariance, counts=counts)
-        return RecordPart(
-            self.model, data, self.substeps, step=self.step, covariance=covariance, like=self
-        )
+        return RecordPart(self.model, data, self.substeps, covariance=covariance, like=self)
 
     @one_thread_at_a_time
     def refined(self, factor: int) -> "RecordPart":

@@ -188,5 +188,6 @@ def test_the_unknowns_of_a_filter_are_process_noise_of_a_given_variance_and_resi
     gain, trajectory, _ = spring_gain("v", w_v=0.4, v_x=0.06, v_v=0.09)
     (found,) = gain.steady_state(trajectory, [np.array([7.0, 0.02])])
     variance = (gain.part.residuals(trajectory) ** 2).mean(axis=1)
-    assert gain.names == ("w_v", "v_x", "v_v")
+    names = gain.part.model.parameters
+    assert [names[k] for k in gain.unknowns] == ["w_v", "v_x", "v_v"]
     assert_allclose(found, [np.sqrt(0.02 / 0.05), *np.sqrt(variance)])

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, ClassVar, Literal
 
 import casadi as ca
@@ -12,7 +12,7 @@ from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.strategies import Strategies
 from greybox.files.arrays import Array
 from greybox.files.text_table import counted
-from greybox.modeling.integrators import Integrator
+from greybox.modeling.integrators import Integrator, RungeKutta
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +114,27 @@ class Transcription(ABC):
         return f"method={type(self).__name__}({', '.join(arguments)})"
 
 
-def checked_integrator(integrator: Any) -> None:
-    """Raise TypeError for what is no integrator."""
-    if not isinstance(integrator, Integrator):
-        raise TypeError(f"integrator is {integrator!r:.60}: give RungeKutta() or Rosenbrock().")
+@dataclass(frozen=True)
+class Shooting(Transcription):
+    """A transcription that simulates with an integrator.
+
+    Parameters
+    ----------
+    integrator : Integrator
+        `RungeKutta()` or, for stiff models, `Rosenbrock()`.
+    """
+
+    integrator: Integrator = field(default_factory=RungeKutta)
+
+    def __post_init__(self) -> None:
+        """Check the options."""
+        super().__post_init__()
+        if not isinstance(self.integrator, Integrator):
+            raise TypeError(
+                f"integrator is {self.integrator!r:.60}: give RungeKutta() or Rosenbrock()."
+            )
+
+    @property
+    def scheme(self) -> Integrator:
+        """The integrator."""
+        return self.integrator

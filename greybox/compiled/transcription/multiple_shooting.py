@@ -9,12 +9,11 @@ import numpy as np
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.strategies import Strategies
-from greybox.compiled.transcription.method import Transcribed, Transcription, checked_integrator
-from greybox.modeling.integrators import Integrator, RungeKutta
+from greybox.compiled.transcription.method import Shooting, Transcribed
 
 
 @dataclass(frozen=True)
-class MultipleShooting(Transcription):
+class MultipleShooting(Shooting):
     """Segments of a few samples, Gauss-Newton steps, nodes eliminated; the default method.
 
     Source: Bock, Kostina, Schlöder (2007), Numerical methods for parameter estimation in nonlinear
@@ -32,7 +31,6 @@ class MultipleShooting(Transcription):
         Of the Gauss-Newton solver: each can be switched off.
     """
 
-    integrator: Integrator = field(default_factory=RungeKutta)
     ipopt: bool = False
     strategies: Strategies = field(default_factory=Strategies)  # type: ignore[misc]
     label: ClassVar[str] = "multiple shooting"
@@ -40,7 +38,6 @@ class MultipleShooting(Transcription):
     def __post_init__(self) -> None:
         """Check the options."""
         super().__post_init__()
-        checked_integrator(self.integrator)
         if not isinstance(self.strategies, Strategies):
             raise TypeError(
                 f"strategies is {self.strategies!r:.60}: give gb.solve.Strategies(...)."
@@ -50,11 +47,6 @@ class MultipleShooting(Transcription):
     def by_ipopt(self) -> bool:
         """True when IPOPT solves the whole problem."""
         return self.ipopt or self.hessian == "exact"
-
-    @property
-    def scheme(self) -> Integrator:
-        """The integrator."""
-        return self.integrator
 
     def transcribe(self, step: SampleStep, data: SampledData, q: ca.MX, rows: Any) -> Transcribed:
         """Return the nodes, and the gaps between ends and next nodes."""

@@ -1,6 +1,6 @@
 """Single shooting: only the initial states are unknown, everything else is simulated from them."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import casadi as ca
@@ -8,12 +8,11 @@ import numpy as np
 
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
-from greybox.compiled.transcription.method import Transcribed, Transcription, checked_integrator
-from greybox.modeling.integrators import Integrator, RungeKutta
+from greybox.compiled.transcription.method import Shooting, Transcribed
 
 
 @dataclass(frozen=True)
-class SingleShooting(Transcription):
+class SingleShooting(Shooting):
     """Simulation from the first sample: few unknowns, but not for an unstable plant.
 
     Source: Schittkowski (2002), Numerical Data Fitting in Dynamical Systems, chapter 4.
@@ -26,18 +25,7 @@ class SingleShooting(Transcription):
         `RungeKutta()` or, for stiff models, `Rosenbrock()`.
     """
 
-    integrator: Integrator = field(default_factory=RungeKutta)
     label: ClassVar[str] = "single shooting"
-
-    def __post_init__(self) -> None:
-        """Check the options."""
-        super().__post_init__()
-        checked_integrator(self.integrator)
-
-    @property
-    def scheme(self) -> Integrator:
-        """The integrator."""
-        return self.integrator
 
     def transcribe(self, step: SampleStep, data: SampledData, q: ca.MX, rows: Any) -> Transcribed:
         """Return the initial states; there are no equations."""

@@ -34,7 +34,9 @@ class AllParts:
         self.parts = self.groups.parts
         self.weights = [part.weight for part in self.parts]
         self.gains = [kalman_gain(part) for part in self.parts]
-        self.has_free_gains = any(gain and set(gain.names) & set(free) for gain in self.gains)
+        self.has_free_gains = any(
+            gain and np.isin(gain.unknowns, gain.part.model.active).any() for gain in self.gains
+        )
         self.samples = sum(part.samples for part in self.parts)
         self.is_discontinuous = np.array(
             [any(name in part.discontinuous_delays for part in parts) for name in free],

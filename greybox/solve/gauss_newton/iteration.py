@@ -123,12 +123,10 @@ def _iterated(
         # Accept.
         gained = 0.0 if trial is None else start - merit(trial)
         following = progress.after(step, start, gained, length)
-        becomes_exact = following.is_exact and not progress.is_exact
+        becomes_exact = following.is_exact and not progress.is_exact and not states_only
         progress = following
         iterate = trial or iterate
-        if becomes_exact and not states_only:
-            iterate = _with_gains(parts, iterate, progress)
-        iterate = _simulated(parts, iterate, progress)
+        iterate = _predicting(parts, iterate, progress, becomes_exact=becomes_exact)
     return End(iterate, "iterations exceeded", iterations, hessian)
 
 
@@ -188,14 +186,14 @@ def _delays_block(parts: AllParts, progress: Progress) -> bool:
     )
 
 
-def _simulated(parts: AllParts, iterate: Iterate, progress: Progress) -> Iterate:
-    if progress.is_exact and parts.settings.simulated_predictors:
+def _predicting(
+    parts: AllParts, iterate: Iterate, progress: Progress, *, becomes_exact: bool
+) -> Iterate:
+    """Return the iterate with gains to begin with, and with stable predictors simulated."""
+    settings = parts.settings
+    if becomes_exact and settings.riccati_gains and parts.has_free_gains:
+        iterate = parts.at(best_gains(parts, iterate, progress.gap_variance), iterate.nodes)
+    # As long as continuity is a penalty, nodes keep an unstable predictor near the data.
+    if progress.is_exact and settings.simulated_predictors:
         return simulate_stable(parts, iterate)
     return iterate
-
-
-def _with_gains(parts: AllParts, iterate: Iterate, progress: Progress) -> Iterate:
-    """Return the iterate with Kalman gains to begin with, once continuity is exact."""
-    if not parts.settings.riccati_gains or not parts.has_free_gains:
-        return iterate
-    return parts.at(best_gains(parts, iterate, progress.gap_variance), iterate.nodes)
