@@ -228,14 +228,13 @@ def points_at(lines: Lines, omega: Array) -> list[EstimatedPoint]:
     correlated.
     """
     narrowest = _narrowest(lines, float(np.exp(np.mean(np.log(omega)))))
-    order = np.sort(omega)
-    gaps = np.concatenate([[np.inf], np.diff(order), [np.inf]])
-    nearest = dict(zip(order.tolist(), np.minimum(gaps[:-1], gaps[1:]), strict=True))
-
-    bands = []
-    for center in omega.tolist():
-        half = max(min(nearest[center] / 2, WIDEST * center), narrowest / 2)
-        bands.append(_centered(lines, center, half, narrowest))
+    gaps = np.abs(omega[:, None] - omega)
+    np.fill_diagonal(gaps, np.inf)
+    halves = np.maximum(np.minimum(gaps.min(axis=1) / 2, WIDEST * omega), narrowest / 2)
+    bands = [
+        _centered(lines, center, half, narrowest)
+        for center, half in zip(omega.tolist(), halves.tolist(), strict=True)
+    ]
     fitted = [band for band in bands if band is not None]
     return [_estimates(lines, band, fitted)[0] if band else EstimatedPoint() for band in bands]
 
@@ -301,11 +300,7 @@ def fit_band(
     transients = _transients(lines, rows, stretches, transient_order)
     regressors = _without(transients, np.hstack([c[:, None] * powers for c in (u, *conditioned)]))
     # Least squares is the special case in which the regressors are their own instruments.
-    instruments = regressors
-    if not lines.direct:
-        instruments = _without(
-            transients, np.hstack([c[:, None] * powers for c in (r, *conditioned)])
-        )
+    instruments = _without(transients, np.hstack([c[:, None] * powers for c in (r, *conditioned)]))
     solved = _solved(regressors, instruments)
     if solved is None:
         return None

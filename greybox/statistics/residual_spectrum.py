@@ -37,7 +37,11 @@ from greybox.statistics.frequency_grid import (
     output_pairs,
     products,
 )
-from greybox.statistics.residual_autocorrelation import levinson, vector_autoregressions
+from greybox.statistics.residual_autocorrelation import (
+    autocovariance,
+    levinson,
+    vector_autoregressions,
+)
 from greybox.statistics.slow_parts import (
     SlowParts,
     aicc_penalty,
@@ -609,16 +613,10 @@ def remaining_products(stretches: Sequence[Array]) -> Array:
     measured = [(e != 0).astype(float) for e in stretches]
     if all(np.all(e) for e in measured):
         return np.ones(len(measured[0]))
-    pairs = np.array([_lagged_products([e[i] for e in measured]) for i in range(len(measured[0]))])
-    complete = _lagged_products([np.ones(e.shape[1]) for e in stretches])
-    taper = np.maximum(complete / complete[0], 1e-12)
-    return np.clip((pairs[:, 1:] / taper[1:]).max(axis=1) / np.maximum(pairs[:, 0], 1), 1e-3, 1.0)
-
-
-def _lagged_products(stretches: Sequence[Array]) -> Array:
-    """Return the summed products of samples up to `HIGHEST_ORDER` apart, (lags,)."""
-    total = np.zeros(HIGHEST_ORDER + 1)
-    for e in stretches:
-        for lag in range(min(HIGHEST_ORDER + 1, e.size)):
-            total[lag] += e[lag:] @ e[: e.size - lag]
-    return total
+    complete = autocovariance([np.ones(e.shape[1]) for e in stretches], HIGHEST_ORDER)
+    masks = zip(*measured, strict=True)
+    pairs = np.array([autocovariance(list(rows), HIGHEST_ORDER) for rows in masks])
+    # Above the rounding errors that remain at lags longer than the record.
+    possible = np.flatnonzero(complete > 1e-9)[1:]
+    shares = pairs[:, possible] / complete[possible]
+    return np.clip(shares.max(axis=1, initial=0.0), 1e-3, 1.0)
