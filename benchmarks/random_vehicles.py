@@ -13,10 +13,7 @@ chirp is added to the control or to the setpoint.
 A model is right if its structure is that of the vehicle, if its response is within 5 % of the true
 one in the median over the band, or if its residuals are no larger than the noise. Printed: how many
 are right; how many of the wrong ones say that they do not explain the data; and for the true
-structures the share of 95 % intervals of coefficients and delay that hold the truth. It is above
-95 %. Below 2 rad/s, the squared errors of the responses of 40 vehicles are about half of their
-variances, which allow for what polynomials leave out; and residuals that are large by chance scale
-the errors of the parameters up, while small ones do not scale them down.
+structures the share of 95 % intervals of coefficients and delay that hold the truth.
 """
 
 import argparse

@@ -7,7 +7,7 @@ time.
 | --- | --- |
 | `metrics` | measures of fit; tests of whiteness, of correlation with the input, and of feedback |
 | `noise_ratio` | whether a signal is smooth or noise |
-| `residual_autocorrelation` | autoregressions of one series, and of several together |
+| `residual_autocorrelation` | autoregressions of one series |
 | `error_spectrum` | a spectrum of errors: residuals made white, errors drawn |
 | `frequency_grid` | transforms, and the bands in which spectra are compared |
 | `slow_parts` | error spectra of white noise with a slow part, compared by their likelihood |

@@ -92,19 +92,16 @@ class FrequencyGrid:
     def covariances(
         self, density: Callable[[int, int], ComplexArray], k: int, order: int
     ) -> tuple[Array, ComplexArray]:
-        """Return autocovariances (order + 1, k, k) and band means (k, k, b) of a periodogram.
+        """Return autocovariances (order + 1, k) and band means (k, k, b) of a periodogram.
 
         `density(i, j)` is its value for two outputs at all frequencies, the conjugate of (j, i).
         """
-        lags = np.zeros((order + 1, k, k))
+        lags = np.zeros((order + 1, k))
         banded = np.zeros((k, k, len(self.starts)), dtype=complex)
         for i, j in output_pairs(k):
             values = density(i, j)
-            r = np.fft.irfft(values, self.size)
-            # Negative lags are at the end of the transform.
-            lags[:, i, j] = r[: order + 1]
-            lags[1:, j, i] = r[: -order - 1 : -1]
-            lags[0, j, i] = r[0]
+            if i == j:
+                lags[:, i] = np.fft.irfft(values, self.size)[: order + 1]
             banded[i, j] = self.banded(values)
             banded[j, i] = banded[i, j].conj()
 

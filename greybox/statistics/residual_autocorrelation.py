@@ -1,11 +1,8 @@
 """The correlation of a series in time, as an autoregression."""
 
-from collections.abc import Iterator
-
 import numpy as np
 
 from greybox.files.arrays import Array
-from greybox.statistics.error_spectrum import ROUNDING
 
 HIGHEST_ORDER = 50  # of an autoregression: the longest lag of interest
 SAMPLES_PER_TERM = 20  # at least
@@ -63,34 +60,3 @@ def autoregression(stretches: list[Array]) -> Array:
     steps = levinson(r)
     scores = [count * np.log(variance) + (len(a) - 1) * np.log(count) for a, variance in steps]
     return steps[int(np.argmin(scores))][0]
-
-
-def vector_autoregressions(r: Array) -> Iterator[tuple[Array, Array]]:
-    """Yield coefficients (k, order * k) and innovation covariance (k, k) of every order.
-
-    The coefficients A_1, A_2 ... are side by side. Whittle's recursion from r (lags + 1, k, k),
-    with r(l) = E e(t + l) e(t)ᵀ, makes all of them stable.
-    """
-    k = r.shape[1]
-    last_first = r[:0:-1].reshape(-1, k)
-    # The backward coefficients are in reverse order, as the recursion uses them.
-    forward = backward = np.zeros((k, 0))
-    ahead = behind = r[0]
-    yield forward, ahead
-
-    for order in range(1, len(r)):
-        delta = r[order] + forward @ last_first[len(last_first) - (order - 1) * k :]
-        gain, back = -np.linalg.solve(
-            np.array([behind.T, ahead]), np.array([delta.T, delta])
-        ).transpose(0, 2, 1)
-        forward, backward = (
-            np.hstack([forward + gain @ backward, gain]),
-            np.hstack([back, backward + back @ forward]),
-        )
-        ahead = ahead + gain @ delta.T
-        behind = behind + back @ delta
-        ahead = (ahead + ahead.T) / 2
-        behind = (behind + behind.T) / 2
-        if np.linalg.eigvalsh(np.array([ahead, behind])).min() < ROUNDING * np.trace(r[0]) / k:
-            return  # rounding errors: the series is predictable
-        yield forward, ahead

@@ -6,9 +6,9 @@ several outputs together. So several families are fitted and averaged by their e
 
 - for every output by itself, autoregressions of every order, and white noise with a slow part
   (whose correlation decays exponentially);
-- for all outputs together, a vector autoregression, and white noise of the sensors with process
-  noise through the dynamics of the model. Records of a few correlation times determine this family
-  only.
+- for all outputs together, the same with a coherency that is constant in blocks of frequencies, and
+  white noise of the sensors with process noise through the dynamics of the model. Records of a few
+  correlation times determine this last family only.
 
 The disagreement of the families shows how well the variance is known.
 
@@ -37,16 +37,13 @@ from greybox.statistics.frequency_grid import (
     output_pairs,
     products,
 )
-from greybox.statistics.residual_autocorrelation import (
-    autocovariance,
-    levinson,
-    vector_autoregressions,
-)
+from greybox.statistics.residual_autocorrelation import autocovariance, levinson
 from greybox.statistics.slow_parts import (
     SlowParts,
     aicc_penalty,
 )
 from greybox.statistics.variance_components import (
+    LEAST,
     VarianceComponents,
     variance_components,
     whittle_score,
@@ -56,6 +53,10 @@ from greybox.statistics.variance_components import (
 # is then far below the uncertainty of the spectrum, and a count of parameters suffices, as for
 # white errors.
 LONGEST_CORRECTED = 50_000
+
+# Blocks of frequencies in which the coherency of outputs is constant: one, for sensors that share
+# their errors, and many, for wind that reaches several outputs through the dynamics.
+BLOCKS = (1, 24)
 
 TINY = 1e-300
 
@@ -166,7 +167,7 @@ def _corrected_mixture(spectra: "ResidualSpectra") -> "tuple[AveragedSpectrum, b
     for iteration in range(2):
         taken = mixture.taken
         taken_lags, taken_banded = spectra.taken_power(mixture.density)
-        if not np.all((lags + taken_lags)[0].diagonal() > 0):
+        if not np.all((lags + taken_lags)[0] > 0):
             # A fit to such errors would bring more power into an output than its residuals have.
             return mixture, iteration > 0
         mixture = spectra.mixture(lags + taken_lags, banded + taken_banded)
@@ -233,7 +234,7 @@ class ResidualSpectra:
 
     @cached_property
     def periodogram(self) -> tuple[Array, ComplexArray]:
-        """Autocovariances (lags, k, k), and band means (k, k, b) of the power, of the residuals."""
+        """Autocovariances (lags, k), and band means (k, k, b) of the power, of the residuals."""
         scale = (self.deviation * np.sqrt(self.counts))[:, None]
         transforms = [np.fft.rfft(e / scale, self.grid.size) for e in self.residuals]
         nothing = np.zeros(len(self.grid.weight), dtype=complex)
@@ -244,10 +245,9 @@ class ResidualSpectra:
             self.highest_order,
         )
         # Outputs that are combinations of others have a singular covariance.
-        ridge = ROUNDING * np.eye(k)
-        lags[0] += ridge
+        lags[0] += ROUNDING
 
-        return lags, banded + ridge[:, :, None]
+        return lags, banded + ROUNDING * np.eye(k)[:, :, None]
 
     @property
     def highest_order(self) -> int:
@@ -295,12 +295,12 @@ class ResidualSpectra:
     def mixture(self, lags: Array, banded: ComplexArray) -> AveragedSpectrum:
         """Return the average of the spectra that may have caused a periodogram."""
         k = len(self.counts)
-        alone = [self.one_output(i, lags[:, i, i], banded[i, i].real) for i in range(k)]
+        alone = [self.one_output(i, lags[:, i], banded[i, i].real) for i in range(k)]
         # Independent outputs need the fewest numbers, so short records decide for them.
         candidates = [self.independent_outputs(alone)]
 
         if k > 1:
-            candidates.append(self.joint_outputs(lags))
+            candidates += [self.joint_outputs(candidates[0], banded, n) for n in BLOCKS]
         if self.noise_parts is not None:
             candidates = [self.judged_on_residuals(average, banded) for average in candidates]
 
@@ -465,26 +465,33 @@ class ResidualSpectra:
             evidence,
         )
 
-    def joint_outputs(self, lags: Array) -> AveragedSpectrum:
-        """Return the vector autoregression of the order that AICc chooses, from lags (l, k, k)."""
-        k = lags.shape[1]
-        n = self.counts.max()
-        # Whittle's recursion yields all orders at the price of the highest. A coefficient needs at
-        # least five numbers.
-        longest = int(min(len(lags) - 1, n // (5 * k)))
-        steps = list(vector_autoregressions(lags[: longest + 1]))
-        innovations = np.array([innovation for _, innovation in steps])
-        penalties = [aicc_penalty(a.size + k * (k + 1) / 2, n * k) for a, _ in steps]
-        scores = n * np.linalg.slogdet(innovations)[1] + penalties
-        order = int(np.argmin(scores))
-        a, innovation = steps[order]
-        delays = self.grid.delays[1 : order + 1]
-        response = np.linalg.inv(np.eye(k) + np.tensordot(delays, a.reshape(k, order, k), (0, 1)))
-        density = (response @ innovation @ response.conj().transpose(0, 2, 1)).transpose(1, 2, 0)
-        score = float(scores[order])
-        taken = self.taken_by(density)
+    def joint_outputs(
+        self, apart: AveragedSpectrum, banded: ComplexArray, blocks: int
+    ) -> AveragedSpectrum:
+        """Return outputs of these spectra whose coherency is constant in blocks of bands."""
+        k = len(self.counts)
+        numbers = self.counts.max()
+        root = np.sqrt(np.einsum("iib->ib", apart.density).real)
+        weight = self.grid.band_weight
+        blocks = min(blocks, len(weight))
+        starts = np.linspace(0, len(weight), blocks, endpoint=False).astype(int)
+        shares = np.add.reduceat(weight, starts)
+        white = banded / (root[:, None] * root)
+        means: ComplexArray = np.add.reduceat(white * weight, starts, axis=-1) / shares
+        # What the fit took is an estimate, which may leave a negative part.
+        matrices = _positive(means.transpose(2, 0, 1)) + LEAST * np.eye(k)
+        size = np.sqrt(np.einsum("bii->bi", matrices).real)
+        coherency = matrices / (size[:, :, None] * size[:, None])
+        gain = numbers * float(shares @ np.linalg.slogdet(coherency)[1])
+        widths = np.diff(starts, append=len(weight))
+        density = np.repeat(coherency, widths, axis=0).transpose(1, 2, 0) * root[:, None] * root
 
-        return AveragedSpectrum(density, _log_power(density), taken, 2 * (order + 1) / n, score)
+        return replace(
+            apart,
+            density=density,
+            taken=self.taken_by(density),
+            score=apart.score + gain + aicc_penalty(k * (k - 1) * blocks, numbers * k),
+        )
 
     def score_of(self, density: ComplexArray) -> float:
         """Return -2 log likelihood of the residuals for errors of a spectrum (k, k, b)."""
