@@ -3,6 +3,7 @@
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 from xml.etree.ElementTree import Element
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from greybox.files.arrays import Array
 from greybox.html_report.elements import tag
-from greybox.plotting.figure import Figure, Limits, Panel, Series
+from greybox.plotting.figure import Figure
 
 DIGITS = 5  # of numbers in a figure: a pixel is a thousandth of a panel
 COLUMNS = 600  # of a line on the page, two pixels wide; a line then takes about 18 kB
@@ -27,47 +28,23 @@ def figure_grid(figures: Sequence[Figure]) -> Element:
 
 def figure_element(figure: Figure) -> Element:
     """Return a figure; the script draws into the element of class ``plot``."""
-    values = {
-        "title": figure.title,
-        "label": figure.label,
-        "log": figure.is_logarithmic,
-        "plane": figure.is_plane,
-        "whole": figure.is_whole,
-        "limits": _ends(figure.limits),
-        "panels": [_panel(panel) for panel in figure.panels],
-    }
+    # The page draws bands of curves, but not the ellipses of single points.
+    panels = [
+        replace(panel, series=[series for series in panel.series if series.kind != "regions"])
+        for panel in figure.panels
+    ]
     # In an attribute, which is escaped: a name in the data could end a script element.
-    data = json.dumps(values, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    options: dict[str, Any] = {"ensure_ascii": False, "separators": (",", ":")}
+    data = json.dumps(replace(figure, panels=panels), allow_nan=False, default=_plain, **options)
     caption = tag("figcaption", tag("strong", figure.title), f" {figure.caption}".rstrip())
     return tag("figure", caption, tag("div", class_="plot", data_figure=data))
 
 
-def _panel(panel: Panel) -> dict[str, Any]:
-    return {
-        "label": panel.label,
-        "height": panel.height,
-        "log": panel.is_logarithmic,
-        "limits": _ends(panel.limits),
-        "steps": list(panel.steps),
-        # The page draws bands of curves, but not the ellipses of single points.
-        "series": [_series(series) for series in panel.series if series.kind != "regions"],
-    }
-
-
-def _series(series: Series) -> dict[str, Any]:
-    columns = {"x": series.x, "y": series.y, "low": series.low, "high": series.high}
-    return {
-        "name": series.name,
-        "kind": series.kind,
-        "color": series.color,
-        "style": series.style,
-        **{name: _rounded(values) for name, values in columns.items() if values is not None},
-        **({"notes": list(series.notes)} if series.notes else {}),
-    }
-
-
-def _ends(limits: Limits | None) -> list[float | None] | None:
-    return None if limits is None else [_number(limit) for limit in limits]
+def _plain(thing: Any) -> Any:
+    """Return numbers as a list, anything else by the names of its attributes."""
+    if isinstance(thing, np.ndarray):
+        return _rounded(thing)
+    return {name: value for name, value in vars(thing).items() if value is not None}
 
 
 def _rounded(values: Array) -> list[float | None]:

@@ -100,8 +100,8 @@
       delete holder.dataset.figure;
       this.number = plots += 1;
       this.hidden = new Set();
-      this.toX = this.figure.log ? Math.log10 : (value) => value;
-      this.fromX = this.figure.log ? (value) => 10 ** value : (value) => value;
+      this.toX = this.figure.is_logarithmic ? Math.log10 : (value) => value;
+      this.fromX = this.figure.is_logarithmic ? (value) => 10 ** value : (value) => value;
       this.prepare();
       this.reset();
       this.build();
@@ -109,8 +109,8 @@
 
     prepare() {
       for (const panel of this.figure.panels) {
-        panel.to = panel.log ? (value) => (value > 0 ? Math.log10(value) : null) : (value) => value;
-        panel.from = panel.log ? (value) => 10 ** value : (value) => value;
+        panel.to = panel.is_logarithmic ? (value) => (value > 0 ? Math.log10(value) : null) : (value) => value;
+        panel.from = panel.is_logarithmic ? (value) => 10 ** value : (value) => value;
         for (const series of panel.series) {
           series.at = series.x.map(this.toX);
           series.sorted = series.at.every((value, k) => k === 0 || value >= series.at[k - 1]);
@@ -212,7 +212,7 @@
       let top = 8;
       for (const panel of figure.panels) {
         panel.top = top;
-        panel.bottom = top + (figure.plane ? Math.min(width - left - right, 470) : usual * panel.height);
+        panel.bottom = top + (figure.is_plane ? Math.min(width - left - right, 470) : usual * panel.height);
         top = panel.bottom + 16;
       }
       const height = top - 16 + bottom;
@@ -231,7 +231,7 @@
     places(figure) {
       for (const panel of figure.panels) panel.shown = panel.view || this.natural(panel);
       this.seen = [...this.view];
-      if (figure.plane) { // one scale for both axes
+      if (figure.is_plane) { // one scale for both axes
         const [panel] = figure.panels;
         const perX = (this.seen[1] - this.seen[0]) / (this.right - this.left);
         const perY = (panel.shown[1] - panel.shown[0]) / (panel.bottom - panel.top);
@@ -265,7 +265,7 @@
 
     horizontalTicks(narrow) {
       const count = (this.right - this.left) / (narrow ? 48 : 64);
-      return this.figure.log ? logarithmicTicks(...this.seen, count) : linearTicks(...this.seen, count, [], this.figure.whole ? 1 : 0);
+      return this.figure.is_logarithmic ? logarithmicTicks(...this.seen, count) : linearTicks(...this.seen, count, [], this.figure.is_whole ? 1 : 0);
     }
 
     panelOf(panel, k, ticks, narrow) {
@@ -288,7 +288,7 @@
         }
       }
       const count = height / (narrow ? 30 : 34);
-      const rows = panel.log ? logarithmicTicks(...panel.shown, count) : linearTicks(...panel.shown, count, panel.steps);
+      const rows = panel.is_logarithmic ? logarithmicTicks(...panel.shown, count) : linearTicks(...panel.shown, count, panel.steps);
       for (const tick of rows) {
         const y = this.py(panel, tick.at);
         grid += `M${left},${y.toFixed(1)}h${width}`;
@@ -327,7 +327,7 @@
     // The rows in sight, and one to either side.
     rows(series) {
       const count = series.at.length;
-      if (!series.sorted || this.figure.plane) return [0, count];
+      if (!series.sorted || this.figure.is_plane) return [0, count];
       return [Math.max(0, below(series.at, this.seen[0]) - 1), Math.min(count, below(series.at, this.seen[1]) + 2)];
     }
 
@@ -383,7 +383,7 @@
           if (x >= this.seen[0] && x <= this.seen[1] && series.yAt[k] !== null) stops.push({ panel, series, k, x });
         });
       }
-      return this.figure.plane ? stops : stops.sort((a, b) => a.x - b.x).filter((stop, k, list) => k === 0 || stop.x !== list[k - 1].x);
+      return this.figure.is_plane ? stops : stops.sort((a, b) => a.x - b.x).filter((stop, k, list) => k === 0 || stop.x !== list[k - 1].x);
     }
 
     read(x, y) {
@@ -392,10 +392,10 @@
       let distance = Infinity;
       for (const stop of stops) {
         const aside = Math.abs(this.px(stop.x) - x);
-        const away = this.figure.plane ? Math.hypot(aside, this.py(stop.panel, stop.series.yAt[stop.k]) - y) : aside;
+        const away = this.figure.is_plane ? Math.hypot(aside, this.py(stop.panel, stop.series.yAt[stop.k]) - y) : aside;
         if (away < distance) [best, distance] = [stop, away];
       }
-      if (this.figure.plane) this.reading = distance < 2 * SNAP ? best : null;
+      if (this.figure.is_plane) this.reading = distance < 2 * SNAP ? best : null;
       else if (best && distance < SNAP) this.reading = best;
       else this.reading = { x: this.seen[0] + ((x - this.left) / (this.right - this.left)) * (this.seen[1] - this.seen[0]) };
       this.mark();
@@ -404,7 +404,7 @@
     step(by) {
       const stops = this.stops();
       if (!stops.length) return;
-      let k = this.reading ? stops.findIndex((stop) => (this.figure.plane ? stop.series === this.reading.series && stop.k === this.reading.k : stop.x >= this.reading.x - 1e-12)) : by > 0 ? -1 : stops.length;
+      let k = this.reading ? stops.findIndex((stop) => (this.figure.is_plane ? stop.series === this.reading.series && stop.k === this.reading.k : stop.x >= this.reading.x - 1e-12)) : by > 0 ? -1 : stops.length;
       if (k < 0 && this.reading) k = stops.length;
       this.reading = stops[Math.max(0, Math.min(stops.length - 1, k + by))];
       this.mark();
@@ -438,15 +438,15 @@
       this.overlay.replaceChildren();
       this.readout.replaceChildren();
       if (!reading) return;
-      const found = figure.plane ? [{ panel: reading.panel, series: reading.series, k: reading.k, y: reading.series.yAt[reading.k] }] : this.values(reading.x);
-      if (!figure.plane) this.overlay.append(svg("path", { d: `M${this.px(reading.x).toFixed(1)},${figure.panels[0].top}V${figure.panels.at(-1).bottom}`, class: "cursor" }));
+      const found = figure.is_plane ? [{ panel: reading.panel, series: reading.series, k: reading.k, y: reading.series.yAt[reading.k] }] : this.values(reading.x);
+      if (!figure.is_plane) this.overlay.append(svg("path", { d: `M${this.px(reading.x).toFixed(1)},${figure.panels[0].top}V${figure.panels.at(-1).bottom}`, class: "cursor" }));
       for (const { panel, y } of found) {
         if (y === undefined) continue;
         const [cx, cy] = [this.px(reading.x), this.py(panel, y)];
         if (cy >= panel.top && cy <= panel.bottom) this.overlay.append(svg("circle", { cx, cy, r: 5, class: "cursor" }));
       }
       const [name, unit] = quantity(figure.label);
-      if (!figure.plane) this.readout.append(html("b", {}, `${name} = ${shown(this.fromX(reading.x))} ${unit}`.trim()));
+      if (!figure.is_plane) this.readout.append(html("b", {}, `${name} = ${shown(this.fromX(reading.x))} ${unit}`.trim()));
       let last = null;
       for (const one of found) {
         if (one.panel !== last && figure.panels.length > 1) this.readout.append(html("i", {}, quantity(one.panel.label)[0]));
@@ -458,7 +458,7 @@
 
     said({ panel, series, k, y, low, high }) {
       const name = series.name ? `${series.name}: ` : "";
-      if (k !== undefined && series.notes) return name + series.notes[k];
+      if (k !== undefined && series.notes.length) return name + series.notes[k];
       const unit = quantity(panel.label)[1];
       if (low !== undefined) return `${name}${shown(panel.from(low), 4)} to ${shown(panel.from(high), 4)} ${unit}`;
       const bars = k !== undefined && series.low && series.low[k] !== null && series.high[k] !== null ? ` (${shown(series.low[k], 4)} to ${shown(series.high[k], 4)})` : "";
@@ -481,7 +481,7 @@
       const shrink = ([low, high], center) => [center + (low - center) * factor, center + (high - center) * factor];
       const before = this.seen;
       this.view = shrink(before, around);
-      if (this.figure.plane) {
+      if (this.figure.is_plane) {
         const [panel] = this.figure.panels;
         const center = this.reading ? this.reading.series.yAt[this.reading.k] : (panel.shown[0] + panel.shown[1]) / 2;
         panel.view = shrink(panel.shown, center);
@@ -506,7 +506,7 @@
       const ends = (a, b) => [Math.min(a, b), Math.max(a, b)];
       const wide = Math.abs(end.x - start.x) > DRAG;
       const tall = Math.abs(end.y - start.y) > DRAG;
-      if (tall && panel && (this.figure.plane || Math.abs(end.y - start.y) > 24)) {
+      if (tall && panel && (this.figure.is_plane || Math.abs(end.y - start.y) > 24)) {
         const fromPy = (y) => panel.shown[0] + ((panel.bottom - y) / (panel.bottom - panel.top)) * (panel.shown[1] - panel.shown[0]);
         panel.view = ends(fromPy(start.y), fromPy(end.y));
       }
@@ -535,7 +535,7 @@
         const place = placeOf(event);
         if (!start) { this.read(place.x, place.y); return; }
         const panel = this.figure.panels.find((one) => start.y >= one.top - 8 && start.y <= one.bottom + 8);
-        const tall = panel && (this.figure.plane || Math.abs(place.y - start.y) > 24);
+        const tall = panel && (this.figure.is_plane || Math.abs(place.y - start.y) > 24);
         const [top, bottom] = tall ? [Math.min(start.y, place.y), Math.max(start.y, place.y)] : [this.figure.panels[0].top, this.figure.panels.at(-1).bottom];
         const box = { x: Math.min(start.x, place.x), y: top, width: Math.abs(place.x - start.x), height: bottom - top, class: "drag" };
         this.readout.replaceChildren();

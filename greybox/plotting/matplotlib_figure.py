@@ -348,8 +348,7 @@ def _vertical_axis(ax: Axes, panel: Panel) -> None:
     if panel.is_logarithmic:
         ax.set_yscale("log")
     if panel.limits is not None and ax.get_aspect() != 1:  # equal aspect changes the limits
-        low, high = (limit if np.isfinite(limit) else None for limit in panel.limits)
-        ax.set_ylim(low, high)
+        ax.set_ylim(panel.limits)
 
     # Below 60 degrees the steps 1, 2, 5 read well for angles too.
     span = float(np.ptp(ax.get_ylim()))

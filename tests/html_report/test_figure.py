@@ -32,10 +32,9 @@ def test_wide_figures_and_a_figure_alone_take_the_whole_width():
 
 def test_limits_of_axes_are_passed_on():
     assert values(Figure("a", "x", [], limits=(0.0, 3.0)))["limits"] == [0, 3]
-    assert values(Figure("a", "x", []))["limits"] is None
-    panels = [Panel("a", [], limits=(0.5, np.inf)), Panel("b", [], limits=(0.0, 123456.7))]
-    limits = [panel["limits"] for panel in values(Figure("a", "x", panels))["panels"]]
-    assert limits == [[0.5, None], [0, 123460]]
+    assert "limits" not in values(Figure("a", "x", []))
+    (panel,) = values(Figure("a", "x", [Panel("b", [], limits=(0.5, 2.0))]))["panels"]
+    assert panel["limits"] == [0.5, 2]
 
 
 def test_the_caption_has_title_and_sentences():
