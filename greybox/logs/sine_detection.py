@@ -58,9 +58,10 @@ BENT_UNEXPLAINED = 0.5
 # 0.005 to 0.15, all ends are found within half a period; at 0.5, those of 10 of 15.
 FOLLOWS = 0.05
 
-# Least number of pieces of a sweep whose frequency moves one way. With two, every change of
-# frequency would be a sweep.
-SWEEP_PIECES = 3
+# Least number of half periods of a sweep. With fewer, sticks and noise may follow one another as
+# smoothly.
+SWEEP_HALF_PERIODS = 12
+SWEEP_PARTS = 6  # in each of which a sweep is faster, or slower, than in the one before
 
 # Least ratio of the frequencies at the ends of a sweep. At 1.1, 16 of 24 are found as one sweep; at
 # 2, 23, but narrower sweeps are lost.
@@ -81,8 +82,8 @@ def sines_and_sweeps(time: Array, values: Array) -> list[Segment]:
 
     A half period ends where the signal crosses the middle between two turning points. Several least
     heights of turning points are tried. Crossings on one line form a piece. A piece is a sine if a
-    fitted sine explains 85 % of its variance and its phase does not bend. Three or more bent pieces
-    in a row, with rising or falling frequency, are a sweep.
+    fitted sine explains 85 % of its variance and its phase does not bend. A bent piece is a part of
+    a sweep, which reaches as far as a smooth change of frequency predicts the crossings.
     """
     # Squares must neither vanish nor overflow.
     if time.size < SAMPLES or not 1e-100 < np.ptp(values) < 1e100:
@@ -94,10 +95,11 @@ def sines_and_sweeps(time: Array, values: Array) -> list[Segment]:
     for height in np.ptp(values) * HEIGHTS:
         corners = _turning_points(values, corners, float(height))
         crossings, swings = _crossings(time, values, corners)
-        pieces = [_fitted(time, values, crossings[a:b]) for a, b in _runs(crossings, swings)]
-        candidates += [s for s in pieces if s is not None and s.kind == "sine"]
-        sweeps = _sweeps([s for s in pieces if s is not None and s.kind == "sweep"])
-        candidates += [_whole(time, values, corners, crossings, swings, sweep) for sweep in sweeps]
+        for a, b in _runs(crossings, swings):
+            piece = _fitted(time, values, crossings[a:b])
+            if piece and piece.kind == "sweep":
+                piece = _sweep(time, values, corners, crossings, swings, (a, b), piece)
+            candidates += [piece] if piece else []
 
     # The longest run wins. Neighbors may overlap by a tenth, since their ends are uncertain by a
     # period.
@@ -251,55 +253,34 @@ def _phase_bend(t: Array, x: Array, omega: float, half: float) -> float:
     return abs(c[2] * c[7] - c[3] * c[6]) / (c[2] ** 2 + c[3] ** 2 + 1e-300) * (2 * half) ** 2 / 4
 
 
-def _sweeps(pieces: list[Segment]) -> list[Segment]:
-    """Join successive pieces whose frequency moves one way, three at least and by 30 % at least."""
-    chains: list[list[Segment]] = []
-    for piece in pieces:
-        chain = chains[-1] if chains else [piece]
-        rising = {b.band[0] > a.band[0] for a, b in pairwise([*chain, piece])}
-        if (
-            chains
-            and len(rising) == 1
-            and piece.start - chain[-1].end < 2 * math.pi / piece.band[0]
-        ):
-            chain.append(piece)
-        else:
-            chains.append([piece])
-
-    sweeps = []
-    for chain in chains:
-        low, high = sorted((chain[0].band[0], chain[-1].band[0]))
-        if len(chain) >= SWEEP_PIECES and high > SWEEP_RATIO * low:
-            sweeps.append(replace(chain[0], end=chain[-1].end, band=(low, high)))
-
-    return sweeps
-
-
-def _whole(
+def _sweep(
     time: Array,
     values: Array,
     corners: IntArray,
     crossings: Array,
     swings: Array,
-    sweep: Segment,
-) -> Segment:
-    """Return a sweep with its ends, where the frequency changes too fast for a piece.
+    run: tuple[int, int],
+    piece: Segment,
+) -> Segment | None:
+    """Return the sweep that a piece, which has the crossings of a `run`, is a part of.
 
     The half wave in which a sweep leaves or reaches a rest is part of it.
     """
     step = float(np.median(np.diff(time)))
-    first, last = (
-        int(np.argmin(np.abs(crossings - moment))) for moment in (sweep.start, sweep.end)
-    )
-    if last - first <= KNOWN_PERIODS:
-        return sweep
 
     def end(k: int, way: int) -> int:
         while 0 <= k + way < crossings.size and _follows(crossings, swings, k, way, step):
             k += way
         return k
 
-    first, last = end(first, -1), end(last, 1)
+    first, last = end(run[0], -1), end(run[1] - 1, 1)
+    if last - first < SWEEP_HALF_PERIODS:
+        return None
+    # The periods of noise in a narrow band wander both ways.
+    parts = np.array_split(np.diff(crossings[first : last + 1]), SWEEP_PARTS)
+    changes = np.diff([part.mean() for part in parts])
+    if np.any(changes > 0) and np.any(changes < 0):
+        return None
     start = _first_half_wave(
         time, values, corners[first], corners[first + 1], crossings[first : first + 3]
     )
@@ -315,7 +296,9 @@ def _whole(
         crossings[last - KNOWN_PERIODS : last + 1][::-1],
     )
     slow, fast = sorted(map(_end_frequency, ends), key=max)
-    return replace(sweep, start=start, end=stop, band=(min(slow), max(fast)))
+    if max(fast) < SWEEP_RATIO * min(slow):
+        return None
+    return replace(piece, start=start, end=stop, band=(min(slow), max(fast)))
 
 
 def _end_frequency(crossings: Array) -> tuple[float, float]:
