@@ -41,8 +41,8 @@ class Mapped(NamedTuple):
     def function(self) -> ca.Function:
         """Return parameters -> real and imaginary part (n,)."""
         p = ca.MX.sym("p", self.formula.numel_in(0))
-        rows: Any = _over(_rows(self.formula), self.omega)(p, self.omega[None])
-        return ca.Function("response", [p], [rows[0, :].T, rows[1, :].T])
+        rows: Any = _over(self.formula, self.omega)(p, self.omega[None])
+        return ca.Function("response", [p], [ca.densify(row.T) for row in rows])
 
 
 def lagrangian_hessian(
@@ -67,20 +67,26 @@ def lagrangian_hessian(
     """
     point, smoothing = ca.MX.sym("z", z.numel()), ca.MX.sym("smoothing")
     total: Any = ca.MX(z.numel(), z.numel())
+    omega, factors = ca.SX.sym("omega"), ca.SX.sym("factors", 2)
     for mapped, local, cost, weight in parts:
-        slope, curvature_times = _criterion_derivatives(cost, mapped.omega.size, z.numel())
-        omega = ca.SX.sym("omega")
-        rows = ca.Function("rows", [z, omega], [ca.vertcat(*mapped.formula(local, omega))])
-        r = ca.vec(_over(rows, mapped.omega)(point, mapped.omega[None]))
-        jacobian = _over(_transposed_jacobian(rows), mapped.omega)(point, mapped.omega[None])
-        pull = slope(r, smoothing)
+        count, frequencies = mapped.omega.size, mapped.omega[None]
+        slope, curvature_times = _criterion_derivatives(cost, count, z.numel())
+
+        # At one frequency.
+        r = ca.densify(ca.vertcat(*mapped.formula(local, omega)))
+        jacobian = ca.densify(ca.jacobian(r, z).T)
+        rows = ca.Function("rows", [z, omega], [r, jacobian])
+        summed, _ = ca.hessian(ca.dot(factors, r), z)
+        curvature = ca.Function("curvature", [z, omega, factors], [summed])
+
+        # At all of them.
+        outputs: Any = _over(rows, mapped.omega)(point, frequencies)
+        r, jacobian = ca.vec(outputs[0]), outputs[1]
         total += weight * ca.mtimes(jacobian, curvature_times(r, smoothing, jacobian.T))
-        curvature = _curvature(rows)
-        if curvature.nnz_out(0):
-            summed = curvature.map("curvatures", "serial", mapped.omega.size, [0], [0])
-            total += weight * summed(
-                point, mapped.omega[None], ca.reshape(pull, 2, mapped.omega.size)
-            )
+        if summed.nnz():
+            mapped_sum = curvature.map("curvatures", "serial", count, [0], [0])
+            pull = ca.reshape(slope(r, smoothing), 2, count)
+            total += weight * mapped_sum(point, frequencies, pull)
 
     multipliers = ca.SX.sym("multipliers", limits.numel())
     of_limits = ca.Function(
@@ -93,29 +99,6 @@ def lagrangian_hessian(
         [ca.triu(ca.densify(factor * total + of_limits(point, symbols)))],
         ["x", "p", "lam_f", "lam_g"],
         ["triu_hess_gamma_x_x"],
-    )
-
-
-def _rows(formula: ca.Function) -> ca.Function:
-    """Return (p, omega) -> real and imaginary part as one column."""
-    p, omega = ca.SX.sym("p", formula.numel_in(0)), ca.SX.sym("omega")
-    return ca.Function("rows", [p, omega], [ca.densify(ca.vertcat(*formula(p, omega)))])
-
-
-def _transposed_jacobian(rows: ca.Function) -> ca.Function:
-    p, omega = ca.SX.sym("p", rows.numel_in(0)), ca.SX.sym("omega")
-    return ca.Function("jacobian", [p, omega], [ca.densify(ca.jacobian(rows(p, omega), p).T)])
-
-
-def _curvature(rows: ca.Function) -> ca.Function:
-    """Return (p, omega, factors of both rows) -> the sum of their Hessians."""
-    p, omega, factors = (
-        ca.SX.sym("p", rows.numel_in(0)),
-        ca.SX.sym("omega"),
-        ca.SX.sym("factors", 2),
-    )
-    return ca.Function(
-        "curvature", [p, omega, factors], [ca.hessian(ca.dot(factors, rows(p, omega)), p)[0]]
     )
 
 

@@ -109,9 +109,9 @@ class LocalSolver(Runner):
         """Return outcomes that replace runs, by number: every minimum needs a certified run."""
         return {}
 
-    @abstractmethod
     def refined(self, nlp: CompiledProblem) -> "LocalSolver":
-        """Return the solver of the same problem with finer steps."""
+        """Return the solver of the same problem with finer steps, where there are steps."""
+        raise NotImplementedError
 
     def polished(self, search: Multistart) -> Multistart:
         """Return the search with its best minimum as exact as the arithmetic allows."""

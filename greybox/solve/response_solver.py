@@ -154,10 +154,6 @@ class ResponseSolver(LocalSolver):
         signatures = [self._problem.signatures(batch).astype(np.float32) for batch in batches]
         return costs, np.concatenate(signatures)
 
-    def refined(self, nlp: CompiledProblem) -> "ResponseSolver":
-        """Return the solver of another problem with the same options."""
-        return ResponseSolver(nlp, self._options, batched=self._batched)
-
     # --- many starts
 
     def screened(self, starts: Array) -> Screened | None:
