@@ -123,6 +123,7 @@ class CompiledProblem:
     def signatures(self, x: Array) -> Array:
         """Return the signatures (r, 2 N) of the responses for x (r, p), see `Part.signature`."""
         sizes = [part.magnitude for part in self.parts if isinstance(part, ResponsePart)]
+        # Over the measured magnitudes, so that responses of unlike units can be compared.
         responses = np.asarray(self.responses(self.all_values(x).T))
         return (responses / np.concatenate([np.zeros(0), *sizes, *sizes])[:, None]).T
 

@@ -295,6 +295,7 @@ class Part(ABC):
 
     def __init__(self, source: "Problem | Part") -> None:
         """Keep the problem and the facts that outlive it, or those of another part."""
+        # A part with other data shares the facts, but not what was built for the old data.
         if isinstance(source, Part):
             facts = ("problem", "name", "weight", "is_likelihood", "is_smoothed")
             vars(self).update(
@@ -371,6 +372,7 @@ class Part(ABC):
         damping: float = 0.0,
     ) -> Condensed:
         """Eliminate the nodes; continuity is exact where its variances (n,) are zero."""
+        # Without nodes the linearization is the condensed system already.
         gradient, hessian = linearization
         nothing = np.zeros((0, 0, len(gradient)))
         return Condensed(hessian, gradient, NO_NODES, nothing, NO_NODES, nothing, NO_NODES, 0.0)

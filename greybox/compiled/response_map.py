@@ -72,7 +72,7 @@ def lagrangian_hessian(
         count, frequencies = mapped.omega.size, mapped.omega[None]
         slope, curvature_times = _criterion_derivatives(cost, count, z.numel())
 
-        # At one frequency.
+        # At one frequency: the expressions do not grow with the number of frequencies.
         r = ca.densify(ca.vertcat(*mapped.formula(local, omega)))
         jacobian = ca.densify(ca.jacobian(r, z).T)
         rows = ca.Function("rows", [z, omega], [r, jacobian])
@@ -83,7 +83,7 @@ def lagrangian_hessian(
         outputs: Any = _over(rows, mapped.omega)(point, frequencies)
         r, jacobian = ca.vec(outputs[0]), outputs[1]
         total += weight * ca.mtimes(jacobian, curvature_times(r, smoothing, jacobian.T))
-        if summed.nnz():
+        if summed.nnz():  # a formula that is linear in the parameters has none
             mapped_sum = curvature.map("curvatures", "serial", count, [0], [0])
             pull = ca.reshape(slope(r, smoothing), 2, count)
             total += weight * mapped_sum(point, frequencies, pull)

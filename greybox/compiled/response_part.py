@@ -110,6 +110,7 @@ class ResponsePart(Part):
 
     def trajectory(self, z: Array, nodes: Array, *, simulated: bool = False) -> Trajectory:
         """Return the point z, without nodes; its cost may not be finite."""
+        # Smoothed already, because every iteration asks for this cost and rarely for another.
         cost = np.array([[float(self.objective(z, SMOOTHING))]])
         return Trajectory(z, NO_NODES, NO_NODES, NO_NODES, cost, simulated=True)
 
@@ -215,8 +216,10 @@ class ResponsePart(Part):
         response = self.response(values)
         size = criterion.error_size(response, data)
         order = np.argsort(data.omega, kind="stable")
+        # An error of size zero has no relative error, and so no correlation.
         if not np.all(size > 0):
             return None
+        # Turned by the phase of the model: errors along and across it are then comparable.
         turned = (np.exp(-1j * np.angle(response)) / size)[order]
         moved = self.sensitivity(values)[:, : len(root)] @ root
         if data.common_errors is not None:  # known, and accounted for elsewhere

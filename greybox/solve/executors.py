@@ -100,6 +100,7 @@ def run_all(
                 yield number, start, outcome
 
         if recalled is None and executor is not None:
+            # Measured on the first batch: only so much work in a task shows progress in time.
             # Sixteen tasks or more, so that workers of unlike speed end at about the same time.
             seconds = sum(outcome.seconds for outcome in outcomes)
             size = int(TASK_SECONDS * len(batch) / max(seconds, 1e-6))
@@ -156,6 +157,7 @@ def _tasks(
     starts: Batch = []
     for batch in batches:
         recalled = _recalled(memory, batch)
+        # A batch stays whole: the last digits of a run depend on how many are run together.
         if starts and (recalled is not None or len(starts) + len(batch) > most):
             yield starts, None
             starts = []
@@ -213,6 +215,7 @@ class _Tasks:
             task = _Task(batch, Future())
             task.future.set_result(recalled)
             return task
+        # Limits are of this thread, and the worker does not share it.
         begins, limits = _begins(batch, self._begins), current_limits()
         arguments = self._payload, begins, os.getpid(), limits
         return _Task(batch, self._executor.submit(run_starts, *arguments))

@@ -101,6 +101,7 @@ def limited(limits: TimeLimits) -> Iterator[None]:
 @contextmanager
 def one_run(spent: float = 0.0, starts: int = 1) -> Iterator[None]:
     """Apply the time limit of so many starts, of which `spent` seconds have passed."""
+    # Within a run that has a limit, a longer one must not extend it.
     previous = _state.run_ends
     _state.run_ends = min(previous, time.time() + starts * _state.limits.start - spent)
     try:

@@ -74,6 +74,7 @@ class Memory:
 
     def keep(self, number: int, start: Array, outcome: Outcome) -> None:
         """Store a run, unless it is stored already, or was cut short and has to be made again."""
+        # A task may be looked at twice: when it is finished, and when its turn comes.
         is_new = number not in self._added and self.recall(number, start) is None
         if self._kept is not None and is_new and outcome.status not in (INTERRUPTED, SEARCH_OVER):
             self._added.add(number)

@@ -137,6 +137,7 @@ def agreeing_runs(
         return ()
     best = minima[0].cost
     limit = best + TOLD_APART * (1.0 if is_likelihood else abs(best) / max(numbers, 1))
+    # By cost alone: the data cannot tell these ends apart, whatever their responses.
     columns = Runs.of(runs)
     close = columns.indices[columns.converged & (columns.cost <= limit)]
     return tuple(sorted({*close.tolist(), *minima[0].runs}))

@@ -182,6 +182,7 @@ class Progress:
         if self.is_exact:
             return replace(self, damping=damping, full_damping=full_damping)
 
+        # A stage also ends without a step, or it would repeat the same failure.
         is_predicted = is_full and step.decrease > 0 and abs(ratio - 1) <= KEPT_PROMISE
         promises_little = step.decrease <= KEPT_PROMISE * abs(merit)
         is_done = is_predicted or promises_little or not length

@@ -94,6 +94,7 @@ class SharedRuns(Runner):
             return ends[key]
         end = self.levels[level].run_from(z, near_solution=True)
         if end[0].converged:
+            # Many ends mean that runs do not meet: dropping all of them costs little.
             if len(ends) >= MOST_STORED:
                 ends.clear()
             ends[key] = end
