@@ -14,8 +14,8 @@ from functools import partial
 
 import numpy as np
 
+from greybox.compiled.record_model import longest_delay
 from greybox.data.record import Record, require_time
-from greybox.files.arrays import Array
 from greybox.files.text_table import number, one_line, text_table
 from greybox.formulation.input_assumptions import (
     Inputs,
@@ -23,7 +23,7 @@ from greybox.formulation.input_assumptions import (
     described_inputs,
 )
 from greybox.formulation.problem import Problem
-from greybox.formulation.time_criteria import OutputError
+from greybox.formulation.time_criteria import OutputError, modeled_outputs
 from greybox.modeling.model import Model
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.realization import Dynamics, dynamics
@@ -151,7 +151,8 @@ def equation_error(
         raise TypeError(f"record is {record!r:.60}: give a Record, as gb.prepare returns it.")
     require_time(record, "equation_error")
     criterion = _NoOutputs(inputs=inputs)
-    parameters = Problem(model, record, criterion, fixed=fixed or {}, free=free).parameters
+    problem = Problem(model, record, criterion, fixed=fixed or {}, free=free)
+    parameters = problem.parameters
     constants = {n: p.start for n, p in parameters.items() if p.fixed}
     unknown = {n: p for n, p in parameters.items() if not p.fixed}
     if not unknown:
@@ -163,7 +164,7 @@ def equation_error(
     start = np.array([p.start for p in unknown.values()])
     equations = regressions(system, record.signals, constants, start)
     _require_equations(model, equations, record)
-    longest_delays = _longest_delays(system, parameters)
+    longest_delays = longest_delay(problem, system)
     between = dict(zip(system.inputs, between_samples(inputs, system.inputs, record), strict=True))
 
     # The smoothing does not depend on the parameters, so it is done once.
@@ -191,18 +192,12 @@ class _NoOutputs(OutputError):  # noqa: N818  (no exception)
     """A criterion that compares no outputs: regressions may do with states alone."""
 
     def compared(self, model: Model, record: Record) -> tuple[str, ...]:
+        modeled_outputs(model, record.signals, model.output_names, "record")  # checks the inputs
         return ()
 
 
 def _require_motion(model: Model, system: Dynamics, record: Record) -> None:
-    """Raise when an input is missing, or nothing moves at all."""
-    for name in system.inputs:
-        if name not in record.signals:
-            raise ValueError(
-                f"the record has no signal {name!r}, an input of {model.label}; it has "
-                f"{', '.join(record.signals)}: name it with gb.prepare(..., signals={{{name!r}: "
-                "...})."
-            )
+    """Raise when nothing moves at all."""
     signals = dict.fromkeys((*system.inputs, *system.states, *system.outputs))
     names = [name for name in signals if name in record.signals]
     values = [record[name][np.isfinite(record[name])] for name in names]
@@ -232,19 +227,6 @@ def _require_equations(model: Model, equations: Equations, record: Record) -> No
         f"no equation of {model.label} can be used ({reasons}); the record has "
         f"{', '.join(record.signals)}: add the missing states under their names."
     )
-
-
-def _longest_delays(system: Dynamics, parameters: Mapping[str, Parameter]) -> Array:
-    """Return the largest delay of every input that the bounds allow (m,), s."""
-    own = [parameters[name] for name in system.parameters]
-    # The search may try any delay within the bounds, and the rows must be the same for all.
-    highest = [p.start if p.fixed else p.bounds[1] for p in own]
-    delays = np.asarray(system.delay(highest)).ravel()
-    if not np.all(np.isfinite(delays)):
-        raise ValueError(
-            "a free delay has no upper bound: declare Parameter(..., bounds=(0, longest delay))."
-        )
-    return delays
 
 
 def _bias(
