@@ -467,7 +467,11 @@ def test_it_prints_itself(flown):
 @pytest.mark.parametrize(
     ("change", "options", "sentence"),
     [
-        ({"F": None}, {}, "Slider needs the input 'F', which the record does not have; it has x, v"),
+        (
+            {"F": None},
+            {},
+            "Slider needs the input 'F', which the record does not have; it has x, v",
+        ),
         ({"F": 0.3, "x": 0.1, "v": 0.0}, {}, "F and x and v of Slider are constant in the record"),
         (
             {"F": -0.3, "x": -0.1, "v": 0.0},
