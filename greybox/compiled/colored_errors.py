@@ -74,6 +74,7 @@ def colored_errors(
 
     independent = independent_numbers(numbers, initial_states, paid, factor)
     larger = independent / (independent - initial_states)
+    # Half a degree of freedom keeps what follows finite where nothing remains.
     remaining = max(independent - initial_states - paid, 0.5)
     if not effect.corrected:
         larger *= (remaining + paid) / remaining

@@ -77,6 +77,7 @@ class DisturbedRecord:
 
     def _by_derivatives(self, derivatives: Array) -> Array:
         """Return the mean of additional derivatives over a step, carried on for half of it."""
+        # Terms have values at samples, and a step lasts until the next sample.
         later = np.hstack([derivatives[:, 1:], derivatives[:, -1:]])
         mean = self.part.segments.columns((derivatives + later) / 2)
         A = self._slopes[0][: self.part.states]
@@ -85,6 +86,7 @@ class DisturbedRecord:
     def followed_by(self, effects: Sequence[Effect]) -> Array:
         """Return how the outputs (k, c, samples) follow effects, the initial states along."""
         part, n = self.part, self.part.states
+        # No residual follows where nothing was measured.
         present = part.segments.columns(self.present.astype(float))
         A, C = (slope[:n] for slope in self._slopes)
         ends, J = part.segments.disturbed(
@@ -106,6 +108,7 @@ class DisturbedRecord:
                 -ends[:, :, n:],
                 np.zeros(n),
             )
+            # What is known cannot make up for a term.
             nodes[known] = 0
             J = np.einsum("slkn,snc->slkc", J[..., :n], nodes) + J[..., n:]
         return -J.transpose(2, 3, 0, 1).reshape(*J.shape[2:], -1)

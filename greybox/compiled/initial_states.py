@@ -64,6 +64,7 @@ class InitialStates:
         hidden[[link.state for link in self._links]] = False
         is_known = hidden & np.isfinite(known)
         states[is_known] = measured_states[is_known] = known[is_known, None]
+        # Noise around zero is a worse start than zero itself.
         away = np.abs(measured_states.mean(axis=1)) > 0.5 * measured_states.std(axis=1)
         states[away] = measured_states[away]
         finite, _ = self._judged(states, measured, inputs, p)

@@ -51,6 +51,7 @@ def record_information(
             shocks=slopes.shocks,
         )
 
+    # Rows without a time have no neighbors with which they could be correlated.
     in_order = model.has_time and not model.errors_are_white
     return Information(
         part,

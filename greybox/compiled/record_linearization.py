@@ -16,6 +16,7 @@ def with_filter_covariance(
 ) -> Linearization:
     """Add what the covariance of a steady filter contributes over `count` samples."""
     rows = filter_information(steady, weight, count, b.parameter_hessian.shape[1])
+    # Zero where the residuals have the covariance that the filter predicts.
     excess = (np.eye(len(weight)) - weight @ products @ weight.T / count).ravel()
     return replace(
         b,

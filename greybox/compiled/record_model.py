@@ -108,6 +108,7 @@ class RecordModel:
 
     def step(self, integrator: Integrator, substeps: int) -> SampleStep:
         """Compile one sample, or return it where that was done before."""
+        # Excerpts and parts with other outputs need no new sample.
         key = (integrator, substeps)
         if key not in self.steps:
             held = tuple(between.held for between in self.between)
@@ -132,6 +133,7 @@ def record_model(
     Functions that equal those of one of the `others` are shared with it.
     """
     assert isinstance(problem.data, Record)
+    # Gains that follow from process noise come last; the filter fills them in.
     q = ca.vertcat(q, ca.SX.zeros(len(_parameters(problem)) - q.numel()))
     expressions = tuple(str(q[i]) for i in range(q.numel()))
     kind = _kind(problem)
@@ -170,6 +172,7 @@ def _first_of_its_kind(
     assert isinstance(problem.data, Record)
     criterion, delay, parameters, outputs, between, _ = kind
     initial_values = criterion.initial
+    # Instants between the samples at which an input was read count as delays.
     system = dynamics(problem.model, delay_order(delay))
     system = system.later([intersample.late for intersample in between])
     symbol = ca.SX.sym("q", len(parameters))
@@ -261,6 +264,7 @@ def longest_delay(problem: Problem, system: Dynamics) -> Array:
     if not system.delayed:
         return np.zeros(len(system.inputs))
     values: dict[str, float] = {}
+    # A search may go as far as the bound, and must compare the same samples all the way.
     for name, p in problem.parameters.items():
         high = p.bounds[1] if math.isfinite(p.bounds[1]) else max(p.box[1], p.start)
         values[name] = p.start if p.fixed or not math.isfinite(high) else high

@@ -62,6 +62,7 @@ class RecordProgram(Program):
         covariance = self._part.covariance
         products = self._products(z, unknowns, w).full()
         following = self._joined(covariance.weight(products), self._part.place(z).data)
+        # The weights come first; what follows them changes only where a delay passes a sample.
         size = len(self._part.outputs) ** 2
         return covariance.cost(products), following, np.array_equal(following[size:], w[size:])
 

@@ -26,6 +26,7 @@ def require_independent(outputs: tuple[str, ...], measured: Array) -> None:
     """
     complete = measured[:, np.isfinite(measured).all(axis=0)]
     count = complete.shape[1]
+    # So few samples always are dependent.
     if count <= len(outputs):
         return
     centered = complete - complete.mean(axis=1, keepdims=True)

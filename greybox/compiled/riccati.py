@@ -193,6 +193,7 @@ def noise_model(
     F, C = by_state(point, without_gain, data)
     half, _ = by_state(point, without_gain, np.append(data[:-1], step / 2))
 
+    # The filter itself gives the slopes of its gains.
     columns = np.isin(np.arange(len(names)), active) & ~is_gain
     places = np.flatnonzero(columns).tolist()
     slopes = [ca.densify(ca.jacobian(ca.vec(M), q)[:, places]) for M in (F, half, C)]

@@ -92,6 +92,8 @@ class SampleStep:
             [last, np.repeat(data[-1:], size - m, axis=0)]
         )  # a call takes RUN samples
 
+        # CasADi reads and writes these arrays in place: with a conversion of 6000 samples a call
+        # takes seven times as long.
         function: Any = self.folded(RUN)
         buffer, evaluate = function.buffer()
         buffer.set_arg(1, q.data)
@@ -126,6 +128,7 @@ def sample_step(
     x, q, d = (kind.sym(name, measurement.numel_in(k)) for k, name in enumerate("xqd"))
     corrected, mean, change, residual, simulated = measurement(x, q, d)
     end = step(corrected, mean, change, q[: len(system.parameters)], d[d.numel() - 1])
+    # Outputs and derivatives of many models have terms in common.
     function = ca.Function("sample", [x, q, d], [end, residual, simulated], {"cse": True})
     return SampleStep(function, measurement, system, d.numel())
 

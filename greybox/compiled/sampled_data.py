@@ -118,6 +118,7 @@ class SampledData:
         pieces_of_all = []
         for stretch in self.stretches:
             count = math.ceil(pieces * len(stretch) / total)
+            # Two segments at least: within one, the node alone explains the outputs.
             length = max(samples // (count * len(self.stretches)), 2 * self.segment_length)
             length = min(length, len(stretch) // count)
             for start in np.linspace(0, len(stretch) - length, count).astype(int):
@@ -276,6 +277,7 @@ def sampled_data(
             "while other outputs change: if the sensor is dead, leave it out of the record."
         )
 
+    # For the warning of a fit that loses too much to the longest delay.
     measured = np.any([np.isfinite(record[name]) for name in outputs], axis=0)
     masked = sum(int(measured[s.rows[: s.masked]].sum()) for s in stretches)
     return SampledData(usable, outputs, segment_length, masked, constant)
@@ -352,6 +354,7 @@ def _stretch(
     """Return a stretch; `alone` is the step of a single sample, s."""
     if time.size == 1:
         return Stretch(inputs, outputs, rows, alone if alone > 0 else 1.0)
+    # The mean step has more digits than a difference of two rounded times.
     step = float((time[-1] - time[0]) / (time.size - 1))
     off = np.abs(time - time[0] - step * np.arange(time.size)).max() / step
     if off > JITTER:

@@ -220,6 +220,7 @@ class TransientPart(Part):
         """
         slopes, n, omega = at.slopes @ by, len(self.states), self.data.omega
         changes = np.array([[self.data.change(name)] for name in self.inputs])
+        # A delay turns the integral, and moves the last change of the input out of the manoeuvre.
         later = -1j * omega * at.signals[n:] - changes
         modelled = np.einsum("lkr,rcx,cl->klx", at.to_outputs, slopes, at.signals)
         modelled += np.einsum("lkm,ml,mx->klx", at.transfer, later, at.delay_slopes @ by)
@@ -229,8 +230,10 @@ class TransientPart(Part):
         if not self._is_equation_error:
             return mean, mean, relative
         if len(self.outputs) == 1:
+            # d log det P = tr(P⁻¹ dP), with P = jωI - A.
             relative -= np.einsum("lij,jix->lx", at.inverse, slopes[:n, :n])[:, None, None, :]
         else:
+            # With T = P C⁻¹, dT T⁻¹ is -(dA + T dC) P⁻¹.
             left = np.concatenate([np.broadcast_to(np.eye(n), at.transform.shape), at.transform], 2)
             relative -= np.einsum("lar,rcx,lcb->labx", left, slopes[:, :n], at.inverse)
         unexplained = np.einsum("lab,bl->al", at.transform, self._measured - at.modelled)
@@ -355,6 +358,7 @@ class TransientPart(Part):
         weight = at.covariance.weight(products)
         observed = weight @ products @ weight.T / (2 * len(self.data))
         numbers = self.numbers - len(self.states)
+        # Ends that are fitted along make the errors smaller than they were.
         lost = len(self.states) / max(numbers, 1)
         meat = (
             np.einsum("ka,klx,aly->xy", observed, mean, mean) * (1 + lost) + variance.T @ variance

@@ -78,6 +78,7 @@ class TranscribedProgram(LocalSolver):
             [program.parameters.numel() for program in self._programs]
         )[:-1]
 
+        # States may go anywhere: a bound would only cut off their search.
         unbounded = np.full(unknowns.numel() - z.numel(), np.inf)
         low, high = nlp.scaling.to_solver(nlp.lower), nlp.scaling.to_solver(nlp.upper)
         self._bounds = {

@@ -185,6 +185,7 @@ class Progress:
         # A stage also ends without a step, or it would repeat the same failure.
         is_predicted = is_full and step.decrease > 0 and abs(ratio - 1) <= KEPT_PROMISE
         promises_little = step.decrease <= KEPT_PROMISE * abs(merit)
+        # A stage that makes no step has nothing left to do.
         is_done = is_predicted or promises_little or not length
         is_over = is_done or self.state_iterations == 1
         return replace(

@@ -20,6 +20,7 @@ def merit_function(parts: AllParts, residual_weights: Sequence[Array], progress:
     """Return the merit function, infinite where a part diverges or a predictor is unstable."""
 
     def exact(iterate: Iterate) -> float:
+        # An infinite merit shortens the steps that would make a predictor unstable.
         if not iterate.finite or not are_stable(parts, iterate, simulated=True):
             return math.inf
         violation = progress.constraint_penalty * parts.limits.violation(iterate.z)

@@ -72,6 +72,7 @@ def stability_constraints(parts: AllParts, iterate: Iterate, dz: Array) -> tuple
         if gain.is_stable(trajectory, gain.part.place(iterate.z + dz)):
             continue
         slopes, distances = gain.pole_derivatives(trajectory, iterate.z)
+        # Poles that coincide have no derivative; the line search still keeps them inside.
         finite = np.isfinite(slopes).all(axis=1)
         normals.append(-slopes[finite])
         limits.append(-0.9 * distances[finite])  # one step goes only part of the way to the limit
