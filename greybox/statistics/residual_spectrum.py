@@ -477,7 +477,7 @@ class ResidualSpectra:
         starts = np.linspace(0, len(weight), blocks, endpoint=False).astype(int)
         shares = np.add.reduceat(weight, starts)
         white = banded / (root[:, None] * root)
-        means: ComplexArray = np.add.reduceat(white * weight, starts, axis=-1) / shares
+        means: Any = np.add.reduceat(white * weight, starts, axis=-1) / shares
         # What the fit took is an estimate, which may leave a negative part.
         matrices = _positive(means.transpose(2, 0, 1)) + LEAST * np.eye(k)
         size = np.sqrt(np.einsum("bii->bi", matrices).real)
@@ -509,17 +509,20 @@ class ResidualSpectra:
         Pᵀ. The errors of other data of the fit are assumed to have the same color.
         """
         grid = self.grid
-        # They are used twice; records that are corrected are short enough to store them.
-        transforms = list(self.transforms())
         # Bands are wider than the lines of the transform: the density is interpolated.
         spread = grid.spread_out(density)
-        colored = [
-            self._in_time(filtered(spread, F), J)
-            for J, F in zip(self.weighted, transforms, strict=True)
-        ]
+        # They are used twice; records that are corrected are short enough to store them.
+        stretches = []
+        for s, J in enumerate(self.weighted):
+            A = J if self.initial is None else np.concatenate([J, self.initial[s]], axis=1)
+            transform = grid.transform(A, self.deviation)
+            colored = np.fft.irfft(filtered(spread, transform), grid.size)[..., : A.shape[2]]
+            stretches.append((A, transform, colored))
+
+        p = len(self.inverse)
         size = self.deviation[:, None, None]
         bread = sum(product_over_time(J, self.noise) for J in self.weighted)
-        meat = sum(products(J * size, G) for J, G in zip(self.weighted, colored, strict=True))
+        meat = sum(products(A[:, :p] * size, colored[:, :p]) for A, _, colored in stretches)
         own = self.inverse @ bread @ self.inverse
         factor = np.sum(self.inverse * meat) / max(float(np.sum(self.inverse * bread)), TINY)
         middle = self.inverse @ meat @ self.inverse + factor * (self.inverse - own)
@@ -527,23 +530,14 @@ class ResidualSpectra:
         pairs = []
         sizes = self.noise / self.deviation[:, None]
         unit = np.sqrt(self.counts)
-        for s, e in enumerate(self.residuals):
-            J = self.weighted[s]
-            transform = transforms[s]
-            moved = self.inverse @ colored[s]
-            covariance = middle
-            if self.initial is not None:
-                # The errors of a stretch's initial states are correlated with those of the
-                # parameters.
-                X = self.initial[s]
-                of_initial = grid.transform(X, self.deviation)
-                G = self._in_time(filtered(spread, of_initial), X)
-                cross = self.inverse @ products(J * size, G)
-                covariance = np.block([[middle, cross], [cross.T, products(X * size, G)]])
-                J = np.concatenate([J, X], axis=1)
-                moved = np.concatenate([moved, G], axis=1)
-                transform = np.concatenate([transform, of_initial], axis=1)
-            half = moved - covariance.T @ np.tensordot(sizes, J, 1) / 2
+        for (A, transform, colored), e in zip(stretches, self.residuals, strict=True):
+            # The errors of a stretch's initial states are correlated with those of the parameters,
+            # which other stretches determine, too.
+            inverse = np.eye(A.shape[1])
+            inverse[:p, :p] = self.inverse
+            covariance = inverse @ products(A * size, colored) @ inverse
+            covariance[:p, :p] = middle
+            half = inverse @ colored - covariance.T @ np.tensordot(sizes, A, 1) / 2
             half *= (e != 0)[:, None] / unit[:, None, None]
             first = np.tensordot(sizes / self.deviation / unit[:, None], transform, 1)
             pairs.append((first, np.fft.rfft(half, grid.size).conj()))
@@ -556,10 +550,6 @@ class ResidualSpectra:
             return total
 
         return grid.covariances(product, len(unit), self.highest_order)
-
-    def _in_time(self, transform: ComplexArray, like: Array) -> Array:
-        """Return the samples (k, p, n) of a transform, as many as another array has."""
-        return np.fft.irfft(transform, self.grid.size)[..., : like.shape[2]]
 
 
 @dataclass(frozen=True, eq=False)
