@@ -1,6 +1,9 @@
 """The command `greybox response`: a response, a matrix of responses, or a manoeuvre's spectrum."""
 
 import argparse
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from greybox.cli.measurement_options import MEASUREMENT_OPTIONS, stated_band, stated_choices
@@ -50,28 +53,44 @@ def run(options: argparse.Namespace) -> Answer:
     require_writable(options.out, options.force, (".csv",), "table")
     if options.held and not options.manoeuvre:
         raise UsageError(f"--held {options.held[0]} is for --manoeuvre: give it too.")
-    if options.manoeuvre:
-        return _manoeuvre(options)
-    if len(options.input) > 1 or len(options.output) > 1:
-        return _matrix(options)
+    is_matrix = len(options.input) > 1 or len(options.output) > 1
+    if is_matrix and not (options.manoeuvre or options.period):
+        raise UsageError(
+            "--input or --output has several signals: give one of each, or the --period of the "
+            "multisines that excite all inputs at once, or a --manoeuvre."
+        )
 
-    names = {"input": options.input[0], "output": options.output[0]}
-    settings = Settings(**(stated_choices(options) | names))
     recording = read_log(options)
-    measured = measure(recording, settings)
-    answer = response_json(recording, measured)
-    response = measured.response
+    kind = _manoeuvre if options.manoeuvre else _matrix if is_matrix else _response
+    measured, answer, write, items = kind(options, recording)
+    # What the reader of the log has left out concerns every measurement.
+    lines = [str(measured), *(["", *recording.findings] if recording.findings else [])]
+    if write is not None:
+        if options.out is not None:
+            write(options.out)
+            lines.append(f"saved {options.out}")
+        lines += save_figure(options.plot, "spectrum" if options.manoeuvre else "bode", *items)
+        if options.out is not None and len(items) > 1:
+            pair = f"--input {items[0].input} --output {items[0].output}"
+            lines.append(f"  fit one: greybox fit --model MODEL --data {options.out} {pair}")
+    return answer, *lines
+
+
+Kind = tuple[Any, dict[str, Any], Callable[[Path], None] | None, Sequence[Any]]
+"""A measurement, its JSON, what writes its data, if they are usable, and what is drawn of them."""
+
+
+def _response(options: argparse.Namespace, recording: Recording) -> Kind:
+    names = {"input": options.input[0], "output": options.output[0]}
+    measured = measure(recording, Settings(**(stated_choices(options) | names)))
+    answer, response = response_json(recording, measured), measured.response
     if not measured.quality.usable or response is None:
         answer["error"] = " ".join(measured.quality.refusals)
-        return answer, *_text(recording, measured)
-
-    if options.out is not None:
-        write_response(response, options.out)
-    return answer, *_text(recording, measured), *_notes(options, "bode", response)
+        return measured, answer, None, ()
+    return measured, answer, partial(write_response, response), [response]
 
 
-def _manoeuvre(options: argparse.Namespace) -> Answer:
-    recording = read_log(options)
+def _manoeuvre(options: argparse.Namespace, recording: Recording) -> Kind:
     measured = measure_manoeuvre(
         recording,
         options.input,
@@ -93,19 +112,10 @@ def _manoeuvre(options: argparse.Namespace) -> Answer:
             name: {"alpha": values.real, "beta": values.imag}
             for name, values in getattr(spectrum, kind).items()
         }
-    if options.out is not None:
-        write_spectrum(spectrum, options.out)
-    return answer, *_text(recording, measured), *_notes(options, "spectrum", spectrum)
+    return measured, answer, partial(write_spectrum, spectrum), [spectrum]
 
 
-def _matrix(options: argparse.Namespace) -> Answer:
-    if options.period is None:
-        raise UsageError(
-            "--input or --output has several signals: give one of each, or the --period of the "
-            "multisines that excite all inputs at once, or a --manoeuvre."
-        )
-
-    recording = read_log(options)
+def _matrix(options: argparse.Namespace, recording: Recording) -> Kind:
     measured = measure_matrix(
         recording,
         options.input,
@@ -124,26 +134,8 @@ def _matrix(options: argparse.Namespace) -> Answer:
         ],
         "units": {name: unit for name, unit in measured.record.units.items() if unit},
     }
-    notes = _notes(options, "bode", *measured.responses)
-    if options.out is not None:
-        write_responses(measured.responses, options.out)
-        first = measured.responses[0]
-        # Columns of a matrix have the names of their signals in front.
-        prefix = f"{first.output}_{first.input}_"
-        notes.append(f"  fit one: greybox fit --data {options.out} --prefix {prefix} --model MODEL")
-
-    return answer, *_text(recording, measured), *notes
-
-
-def _text(recording: Recording, measured: Any) -> list[str]:
-    # What the reader of the log has left out concerns every measurement.
-    return [str(measured), *(["", *recording.findings] if recording.findings else [])]
-
-
-def _notes(options: argparse.Namespace, figure: str, *items: Any) -> list[str]:
-    """Draw the figure of this name in `greybox.plotting`, and return lines about written files."""
-    saved = [] if options.out is None else [f"saved {options.out}"]
-    return saved + save_figure(options.plot, figure, *items)
+    write = partial(write_responses, measured.responses)
+    return measured, answer, write, measured.responses
 
 
 def _origin(recording: Recording, measured: Any) -> dict[str, Any]:

@@ -358,7 +358,7 @@ def test_a_matrix_of_responses_from_the_log_to_a_model(capsys, tmp_path):
     _, said, _ = run(capsys, *command, "--out", out)
     assert said.splitlines()[-2:] == [
         f"saved {out}",
-        f"  fit one: greybox fit --data {out} --prefix p_da_ --model MODEL",
+        f"  fit one: greybox fit --model MODEL --data {out} --input da --output p",
     ]
     assert "end it in .csv" in refused(capsys, *command, "--out", tmp_path / "matrix.h5")
     assert "there are 1 excitations for 2 inputs" in refused(capsys, *command[:-1])
