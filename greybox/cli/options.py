@@ -5,6 +5,7 @@ import contextlib
 import math
 import re
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -182,31 +183,11 @@ def as_options(text: str, options: argparse.Namespace) -> str:
 # --- types of values
 
 
-def positive(text: str) -> int:
-    """Return an integer of at least 1."""
-    return _integer(text, 1)
-
-
-def nonnegative(text: str) -> int:
-    """Return an integer of at least 0."""
-    return _integer(text, 0)
-
-
 def _integer(text: str, least: int) -> int:
     # isdigit() alone would accept ², and int() 1_000: neither is what a script means.
     if not text.isascii() or not text.isdigit() or int(text) < least:
         raise argparse.ArgumentTypeError(f"{text!r} is not an integer of at least {least}")
     return int(text)
-
-
-def probability(text: str) -> float:
-    """Return a number between 0 and 1."""
-    return _between(text, 1.0, "a probability between 0 and 1")
-
-
-def positive_number(text: str) -> float:
-    """Return a finite number above zero."""
-    return _between(text, math.inf, "a number above 0")
 
 
 def _between(text: str, limit: float, kind: str) -> float:
@@ -230,11 +211,13 @@ def _uncertain(text: str) -> tuple[float, float]:
 
 KINDS: dict[str, Callable[[str], Any]] = {
     **dict.fromkeys(("FILE", "DIR", "RESULT", "RESPONSE"), Path),
-    **dict.fromkeys(("HZ", "S", "DEGREES", "DB"), positive_number),
+    **dict.fromkeys(
+        ("HZ", "S", "DEGREES", "DB"), partial(_between, limit=math.inf, kind="a number above 0")
+    ),
     **dict.fromkeys(("SECONDS", "START", "END", "NAME=VALUE"), float),
-    "N": positive,
-    "K": nonnegative,
-    "P": probability,
+    "N": partial(_integer, least=1),
+    "K": partial(_integer, least=0),
+    "P": partial(_between, limit=1.0, kind="a probability between 0 and 1"),
     "NAME=LOW:HIGH": _interval,
     "NAME=VALUE+-SIGMA": _uncertain,
 }

@@ -5,25 +5,22 @@ import argparse
 import pytest
 
 from greybox.cli.options import (
+    KINDS,
     SHARED,
     UsageError,
     as_options,
     declare,
-    nonnegative,
-    positive,
-    positive_number,
-    probability,
 )
 
 
 def test_integers():
-    assert (positive("20"), nonnegative("0")) == (20, 0)
+    assert (KINDS["N"]("20"), KINDS["K"]("0")) == (20, 0)
     for text in ("0", "-3", "1.5", "many", "", "²"):
         with pytest.raises(argparse.ArgumentTypeError, match="not an integer of at least 1"):
-            positive(text)
+            KINDS["N"](text)
     for text in ("-1", "x", "٣"):
         with pytest.raises(argparse.ArgumentTypeError, match="not an integer of at least 0"):
-            nonnegative(text)
+            KINDS["K"](text)
 
 
 def parsed(words, text=SHARED):
@@ -82,7 +79,7 @@ names [NAME]...
 
 
 def test_probabilities_and_times():
-    assert (probability("0.25"), positive_number("1e-9"), positive_number("90")) == (
+    assert (KINDS["P"]("0.25"), KINDS["HZ"]("1e-9"), KINDS["HZ"]("90")) == (
         0.25,
         1e-9,
         90.0,
@@ -91,10 +88,10 @@ def test_probabilities_and_times():
         with pytest.raises(
             argparse.ArgumentTypeError, match="is not a probability between 0 and 1"
         ):
-            probability(text)
+            KINDS["P"](text)
     for text in ("0", "-1", "inf", "nan", "x"):
         with pytest.raises(argparse.ArgumentTypeError, match="is not a number above 0"):
-            positive_number(text)
+            KINDS["HZ"](text)
 
 
 @pytest.mark.parametrize(
