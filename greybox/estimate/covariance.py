@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
-import casadi as ca
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
@@ -490,10 +489,7 @@ def _active_constraints(nlp: CompiledProblem, x: Array) -> tuple[Array, tuple[st
         return np.zeros((0, p)), ()
 
     values = nlp.all_values(x)
-    # Constraints may contain a trim, which only MX can express.
-    symbols = ca.MX.sym("x", len(values))
-    slope = ca.Function("slope", [symbols], [ca.jacobian(nlp.constraint(symbols), symbols)])
-    gradient = np.asarray(ca.DM(slope(values)))[:, :p]
+    gradient = nlp.constraint.jacobian()(values, 0).full()[:, :p]
     slack = np.asarray(nlp.constraint(values)).ravel()
     active = slack < 1e-6 * (np.abs(gradient) @ np.abs(x) + 1e-12)
 

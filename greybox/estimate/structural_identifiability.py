@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
@@ -349,13 +348,11 @@ def _times(
     step = 1.0
     length = SAMPLES // STRETCHES
     if n:
-        x, u = ca.SX.sym("x", n), ca.SX.sym("u", len(system.inputs))
         p = [values[name] for name in system.parameters]
-        slope = ca.Function("A", [x, u], [ca.densify(ca.jacobian(system.derivative(x, u, p), x))])
         # Not at zero itself, where the slope of a kink such as |v| v vanishes.
-        poles = np.linalg.eigvals(
-            np.nan_to_num(slope(0.1 * random.normal(size=n), np.zeros(u.numel())).full())
-        )
+        point = (0.1 * random.normal(size=n), np.zeros(len(system.inputs)), p)
+        slope, *_ = system.derivative.jacobian()(*point, 0)
+        poles = np.linalg.eigvals(np.nan_to_num(slope.full()))
         fastest = max(float(np.abs(poles).max()), 1e-3)
         step = FASTEST / fastest
         growing = float(poles.real.max(initial=0.0))
