@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from greybox.compiled.response_map import Mapped
@@ -194,12 +193,9 @@ def response_and_slope(
     else:
         compiled = response_formula(model, omega, **options).closed()
 
-    q = ca.MX.sym("p", len(p))
-    rows = ca.vertcat(*compiled(q))
-    slope = ca.Function("slope", [q], [ca.densify(ca.horzcat(rows, ca.jacobian(rows, q)))])
-    values_and_slopes = slope(p).full().reshape(2, omega.size, 1 + len(p))
-    columns = values_and_slopes[0] + 1j * values_and_slopes[1]
+    re, im = (part.full().ravel() for part in compiled(p))
+    re_slope, im_slope = (part.full() for part in compiled.jacobian()(p, 0, 0))
     response = FrequencyResponse(
-        omega, columns[:, 0], input, output, name=model.label, source="model"
+        omega, re + 1j * im, input, output, name=model.label, source="model"
     )
-    return response, columns[:, 1:]
+    return response, re_slope + 1j * im_slope
