@@ -166,13 +166,13 @@ def assess(
     # compensated for it. It must not count as information.
     length = np.linalg.norm(jacobian, axis=0)
     reach = np.sqrt(sum(((share.limit * share.reach) ** 2 for share in shares), np.zeros(p)))
-    reach[reach * np.abs(1 / nlp.scaling.slope(x)) < ROUNDING] = 0
-    length[(length * np.abs(1 / nlp.scaling.slope(x)) < ROUNDING) | (length < DEAD * reach)] = 0
-    jacobian = jacobian * (length > 0)
+    rounding = ROUNDING * np.abs(nlp.scaling.slope(x))
+    reach[reach < rounding] = 0
+    jacobian = jacobian * ((length >= rounding) & (length >= DEAD * reach))
 
     # Ranks can only be judged in units in which all columns have length one. Take the length before
     # the initial states are fitted: where these compensate for a parameter, only rounding remains.
-    size = np.where(np.isfinite(reach) & (reach > 0), 1 / np.where(reach > 0, reach, 1.0), 1.0)
+    size = 1 / np.where(np.isfinite(reach) & (reach > 0), reach, 1.0)
     unit = np.nan_to_num(jacobian * size)
     bounded = [nlp.free.index(name) for name in at_bound]
 
@@ -460,13 +460,13 @@ def _at_bound(
     curvature = sum((np.sum(share.root[:, :p] ** 2, axis=0) for share in shares), np.zeros(p))
     spread = sum((np.diag(share.meat) for share in shares), np.zeros(p))
     is_seen = np.isfinite(curvature) & (curvature > 0) & np.isfinite(spread)
-    error = np.sqrt(np.where(is_seen, spread, 0.0)) / np.where(is_seen, curvature, 1.0)
-    close = (distance <= 0.01 * error) & ~held
+    deviation = np.sqrt(np.where(is_seen, spread, 0.0))
+    close = (distance * np.where(is_seen, curvature, 1.0) <= 0.01 * deviation) & ~held
     if close.any() and trajectories and all(t is not None for t in trajectories):
         outward = np.where(bound == nlp.lower, 1.0, -1.0) * _gradient(nlp, x, trajectories)
         # By more than a hundredth of the standard deviation that noise gives the gradient. In a
         # flat valley a minimum may lie this close to a bound that does not hold it.
-        held |= close & (outward > 0.01 * np.sqrt(np.where(is_seen, spread, 0.0)))
+        held |= close & (outward > 0.01 * deviation)
     return tuple(name for name, is_held in zip(nlp.free, held, strict=True) if is_held)
 
 

@@ -126,14 +126,11 @@ def deletion_ratios(
     if dof < 2 or not total > 0:
         return np.full(n, math.nan), math.nan
 
-    # M_kk = [[a, b], [b, c]]
-    re, im = basis[:n], basis[n:]
-    a = 1 - np.sum(re**2, axis=1)
-    b = -np.sum(re * im, axis=1)
-    c = 1 - np.sum(im**2, axis=1)
-    is_judged = (a + c) / 2 - np.hypot((a - c) / 2, b) > ROUNDING
-
-    with np.errstate(divide="ignore", invalid="ignore"):
-        q = (c * z[:n] ** 2 - 2 * b * z[:n] * z[n:] + a * z[n:] ** 2) / (a * c - b**2)
+    rows = np.stack([basis[:n], basis[n:]], axis=1)
+    M = np.eye(2) - rows @ rows.transpose(0, 2, 1)
+    is_judged = np.linalg.eigvalsh(M)[:, 0] > ROUNDING
+    M[~is_judged] = np.eye(2)
+    points = z.reshape(2, n).T
+    q = np.sum(points * np.linalg.solve(M, points[..., None])[..., 0], axis=1)
     mean_square = np.maximum((total - q) / dof, max(least, ROUNDING * total))
     return np.where(is_judged, q / 2 / mean_square, math.nan), float(dof)
