@@ -78,19 +78,8 @@ class HeldMinima:
             tolerance=TOLERANCE,
             bounds=(lower, upper),
         )
-        minima = []
-        for start, z, at_minimum, count in zip(
-            starts, ends.z.T, ends.at_minimum, ends.iterations, strict=True
-        ):
-            if at_minimum:
-                minima.append((z, self._cost(z)))
-            # Where rounding ended Newton's method, the other one may converge. A run that took all
-            # iterations runs away.
-            elif count < WARM["max_iter"]:
-                minima.append(self._solved(held, start, value))
-            else:
-                minima.append((z, math.inf))
-        return minima
+        pairs = zip(ends.z.T, ends.at_minimum, strict=True)
+        return [(z, self._cost(z) if at_minimum else math.inf) for z, at_minimum in pairs]
 
     def _bounds(self, held: list[int], value: float | Array) -> tuple[Array, Array]:
         """Return the bounds (p,), which are equal for a held parameter."""
