@@ -359,8 +359,7 @@ def report(results: Results, settings: Sequence[Setting], seeds: Sequence[int]) 
         "problems, of the"
     )
     print(
-        "sums; and that of the iterations, which other work on the machine does not touch "
-        "(neighbors not included)"
+        "sums; and that of the iterations, which other work on the machine does not touch"
     )
     print(
         f"{'':<46} {'on':>5} {'off':>5} {'chance':>6}   {'on':>5} {'off':>5} {'chance':>6}   "
