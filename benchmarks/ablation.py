@@ -358,9 +358,7 @@ def report(results: Results, settings: Sequence[Setting], seeds: Sequence[int]) 
         "by chance; time of the setting over that with everything on: geometric mean over the "
         "problems, of the"
     )
-    print(
-        "sums; and that of the iterations, which other work on the machine does not touch"
-    )
+    print("sums; and that of the iterations, which other work on the machine does not touch")
     print(
         f"{'':<46} {'on':>5} {'off':>5} {'chance':>6}   {'on':>5} {'off':>5} {'chance':>6}   "
         f"{'time':>5} {'sum':>5} {'iter':>5}"
