@@ -136,7 +136,11 @@ class _Analysis:
         self.u = ca.SX.sym("u", len(model.inputs))
         self.free = tuple(name for name in model.parameters if name not in fixed)
         self.p = ca.SX.sym("p", len(self.free))
-        p = _column([fixed.get(name, self._symbol(name)) for name in model.parameters])
+        # The symbols by name, to see what a row needs.
+        self.state = dict(zip(model.states, ca.vertsplit(self.x), strict=True))
+        self.input = dict(zip(model.inputs, ca.vertsplit(self.u), strict=True))
+        self.parameter = dict(zip(self.free, ca.vertsplit(self.p), strict=True))
+        p = _column([{**fixed, **self.parameter}[name] for name in model.parameters])
         f = ca.vertsplit(ca.SX(model.derivative(self.x, self.u, p)))
         h = ca.vertsplit(ca.SX(model.output(self.x, self.u, p)))
         self.f = dict(zip(model.states, f, strict=True))
@@ -144,9 +148,6 @@ class _Analysis:
         self.delays = ca.SX(model.delay(p))
         self.states: dict[str, KnownState] = {}
         self.left_out: list[str] = []
-
-    def _symbol(self, name: str) -> ca.SX:
-        return self.p[self.free.index(name)] if name in self.free else ca.SX(0)
 
     @one_thread_at_a_time
     def result(self) -> Equations:
@@ -169,14 +170,14 @@ class _Analysis:
         simulated = [s.name for s in states if s.how == "simulated"]
         derivative = _column([self.f[name] for name in simulated])
         return Equations(
-            states=tuple(sorted(states, key=lambda s: s.how == "simulated")),
+            states=tuple(states),  # the simulated ones come last
             equations=equations,
             state_names=self.model.states,
             input_names=self.model.inputs,
             free=self.free,
             linear=linear,
             nonlinear=nonlinear,
-            rows=self._affine_function(_column(rows), _column([*map(self._symbol, linear)])),
+            rows=self._affine_function(_column(rows), _column([self.parameter[n] for n in linear])),
             simulated=self._affine_function(derivative, self._states(simulated)),
             delay=ca.Function("delay", [self.p], [ca.densify(self.delays)]),
             left_out=tuple(self.left_out),
@@ -201,14 +202,15 @@ class _Analysis:
         outputs: list[Source] = [(n, h, "signal") for n, h in self.h.items() if n in self.signals]
         rates: list[Source] = [(n, self.f[n], "derivative") for n in self.states]
         for source, row, how in (*outputs, *rates):
-            for k, name in enumerate(self.model.states):
-                if self._unknown(row) != {name} or self._inputs(row) or self._own_parameters(row):
+            for name, x in self.state.items():
+                others = {**self.input, **self.parameter}
+                if self._unknown(row) != {name} or _needed(row, others):
                     continue
-                slope = ca.simplify(ca.jacobian(row, self.x[k]))
-                if ca.symvar(slope) or slope.is_zero() or not self._affine(row, self.x[k]):
+                slope = ca.simplify(ca.jacobian(row, x))
+                if ca.symvar(slope) or slope.is_zero() or not self._affine(row, x):
                     continue
                 signal = ca.SX.sym("s")
-                offset = ca.substitute(row, self.x[k], 0)
+                offset = ca.substitute(row, x, 0)
                 value = ca.Function("value", [self.x, signal], [(signal - offset) / slope])
                 self.states[name] = KnownState(name, how, source, value)
                 return True
@@ -236,12 +238,12 @@ class _Analysis:
             names = [n for n in names if n not in excluded]
 
         for name in names:
-            used = [n for n in self.model.states if n in self._used(self.f[name]) and n != name]
-            source = " and ".join([*used, *self._inputs(self.f[name])]) or "rest"
+            used = [n for n in _needed(self.f[name], {**self.state, **self.input}) if n != name]
+            source = " and ".join(used) or "rest"
             self.states[name] = KnownState(name, "simulated", source, None)
 
     def _states(self, names: Sequence[str]) -> ca.SX:
-        return _column([self.x[self.model.states.index(n)] for n in names])
+        return _column([self.state[n] for n in names])
 
     def _affine(self, rows: ca.SX, symbols: ca.SX) -> bool:
         """Return whether rows are affine in the symbols."""
@@ -274,22 +276,16 @@ class _Analysis:
                 yield row, equation
 
     def _unknown(self, row: ca.SX) -> set[str]:
-        return self._used(row) - self.states.keys()
-
-    def _used(self, row: ca.SX) -> set[str]:
-        return {name for k, name in enumerate(self.model.states) if ca.depends_on(row, self.x[k])}
-
-    def _inputs(self, row: ca.SX) -> list[str]:
-        return [name for k, name in enumerate(self.model.inputs) if ca.depends_on(row, self.u[k])]
+        return {*_needed(row, self.state)} - self.states.keys()
 
     def _behind(self, row: ca.SX) -> set[str]:
         """Return the states that a row needs, directly or through simulated states."""
         needed: set[str] = set()
-        new = self._used(row)
+        new = {*_needed(row, self.state)}
         while new:
             needed |= new
             rows = [self.f[n] for n in new if self._is_simulated(n)]
-            new = set().union(*(self._used(row) for row in rows)) - needed
+            new = {*_needed(_column(rows), self.state)} - needed
         return needed
 
     def _rows_behind(self, row: ca.SX) -> list[ca.SX]:
@@ -300,14 +296,11 @@ class _Analysis:
     def _is_simulated(self, name: str) -> bool:
         return name in self.states and self.states[name].how == "simulated"
 
-    def _own_parameters(self, row: ca.SX) -> tuple[str, ...]:
-        return tuple(n for n in self.free if ca.depends_on(row, self._symbol(n)))
-
     def _parameters(self, row: ca.SX) -> tuple[str, ...]:
         """Return the free parameters of a row, of its simulated states and its delays."""
         column = ca.vertcat(*self._rows_behind(row))
-        late = [self.delays[self.model.inputs.index(n)] for n in self._inputs(column)]
-        return self._own_parameters(ca.vertcat(column, *late))
+        late = [self.delays[self.model.inputs.index(n)] for n in _needed(column, self.input)]
+        return tuple(_needed(ca.vertcat(column, *late), self.parameter))
 
     def _sources(self, row: ca.SX, target: str) -> tuple[str, ...]:
         """Return the measured states behind a row and its target."""
@@ -323,11 +316,9 @@ class _Analysis:
     def _linear(self, rows: list[ca.SX]) -> tuple[str, ...]:
         """Return the parameters in which all rows are jointly affine."""
         # A parameter of a delay or of a simulated state changes the regressors themselves.
-        inside = ca.vertcat(
-            *[r for row in rows for r in self._rows_behind(row)[1:]], self.delays, ca.SX(0, 1)
-        )
-        names = [n for n in self.free if not ca.depends_on(inside, self._symbol(n))]
-        names = [n for n in names if any(ca.depends_on(row, self._symbol(n)) for row in rows)]
+        inside = [r for row in rows for r in self._rows_behind(row)[1:]]
+        excluded = _needed(_column([*inside, self.delays]), self.parameter)
+        names = [n for n in _needed(_column(rows), self.parameter) if n not in excluded]
 
         right_sides = _column(rows)
         partners = {n: self._partners(right_sides, n, names) for n in names}
@@ -335,14 +326,19 @@ class _Analysis:
         # If parameters multiply one another, the search is over the one with the most partners: the
         # others are then linear.
         for name in sorted(names, key=lambda n: len(partners[n])):
-            if self._affine(right_sides, _column([self._symbol(n) for n in (*linear, name)])):
+            if self._affine(right_sides, _column([self.parameter[n] for n in (*linear, name)])):
                 linear.append(name)
         return tuple(name for name in names if name in linear)
 
     def _partners(self, right_sides: ca.SX, name: str, others: list[str]) -> set[str]:
         """Return the parameters that this one multiplies, itself where it is a power."""
-        slope = ca.simplify(ca.jacobian(right_sides, self._symbol(name)))
-        return {n for n in others if ca.depends_on(slope, self._symbol(n))}
+        slope = ca.simplify(ca.jacobian(right_sides, self.parameter[name]))
+        return {n for n in _needed(slope, self.parameter) if n in others}
+
+
+def _needed(rows: ca.SX, symbols: Mapping[str, ca.SX]) -> list[str]:
+    """Return the names of the symbols on which rows depend."""
+    return [name for name, symbol in symbols.items() if ca.depends_on(rows, symbol)]
 
 
 def _unstable(matrix: np.ndarray, names: list[str]) -> list[str]:
