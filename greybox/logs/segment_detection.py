@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -168,7 +169,7 @@ def _announced(
         columns["omega"] = 2 * np.pi * columns.pop("frequency")
     segments = []
     for rows in _tests(record.time, columns):
-        value = {key: float(values[rows[0]]) for key, values in columns.items()}
+        value: dict[str, Any] = {key: float(x[rows[0]]) for key, x in columns.items()}
         start, end = record.time[rows[[0, -1]]].tolist()
         axis = f"{value.pop('axis'):g}" if "axis" in value else ""
         value.pop("segment", None)

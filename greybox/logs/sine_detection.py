@@ -63,8 +63,8 @@ FOLLOWS = 0.05
 SWEEP_HALF_PERIODS = 12
 SWEEP_PARTS = 6  # in each of which a sweep is faster, or slower, than in the one before
 
-# Least ratio of the frequencies at the ends of a sweep. At 1.1, 16 of 24 are found as one sweep; at
-# 2, 23, but narrower sweeps are lost.
+# Least ratio of the frequencies at the ends of a sweep. At 1.1 and at 1.3, all 24 are found as one
+# sweep.
 SWEEP_RATIO = 1.3
 
 # The next half period of a sweep is predicted from this number of half periods, within this

@@ -88,7 +88,8 @@ def vehicle_in(text: str) -> str:
 
 def _modes(mode: Messages | None, vehicle: str) -> tuple[tuple[float, str], ...]:
     """Return (time, name): by number, or by the name that text logs write."""
-    modes = (mode and mode.texts.get("Mode")) or column(mode, "ModeNum", "Mode")
+    written = mode.texts.get("Mode") if mode else None
+    modes = written or column(mode, "ModeNum", "Mode")
     names = [
         value.upper()
         if isinstance(value, str)
