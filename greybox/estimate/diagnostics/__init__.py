@@ -4,7 +4,7 @@ Begin with `general`.
 
 | file | question |
 | --- | --- |
-| `general` | all warnings and notes of a fit, the most serious first |
+| `general` | all warnings of a fit, the most serious first |
 | `identifiability` | Which parameters do the data determine, alone or in combination? |
 | `global_minimum` | Is this the global minimum, and the only one? |
 | `noise_level` | Is the noise as large as stated, and does the criterion use that? |

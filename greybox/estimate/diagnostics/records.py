@@ -203,9 +203,9 @@ def _bounded(
             name = gain.part.model.record.name or part.problem.name
             place = "" if alone else f" of {name!r}"
             text = (
-                f"the Kalman gain{place} reached the stability limit: the data show no process "
-                "noise in a state that it corrects, and the standard errors, which do not account "
-                "for the limit, are too small; name fewer states in "
+                f"the Kalman gain{place} reached the stability limit, as where the data show no "
+                "process noise in a state that it corrects. The standard errors do not account for "
+                "the limit and are too small: name fewer states in "
                 "PredictionError(corrected=...), or compare with OutputError()."
             )
             yield "limit", name, text
