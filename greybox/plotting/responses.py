@@ -94,7 +94,7 @@ def drawn_responses(
     """
     names = distinct_labels([_label(item) for item in items], labels)
     parts = [_parts(item, name) for item, name in zip(items, names, strict=True)]
-    every = [part for several in parts for part in several]
+    every = [part for group in parts for part in group]
     if not every:
         raise ValueError(
             "there is no frequency response to draw: gb.plotting.time_history draws fitted records."
@@ -106,18 +106,18 @@ def drawn_responses(
     # Data without names belong to the curve of these data, or else to the only pair.
     only = next(iter(pairs.values())) if len(set(pairs.values())) == 1 else ("", "")
 
-    curves = [_distinct(several) for several in parts]
+    curves = [_distinct(group) for group in parts]
     # One curve for several data sets must not have the color of one of them.
     is_shared = any(
-        0 < len(distinct) < len([part for part in several if part.curve is not None])
-        for several, distinct in zip(parts, curves, strict=True)
+        0 < len(distinct) < len([part for part in group if part.curve is not None])
+        for group, distinct in zip(parts, curves, strict=True)
     )
     colors = {} if is_shared else {checksum: k for k, checksum in enumerate(data)}
     drawn = []
     for i, name in enumerate(names):
-        other = i if len(data) <= 1 else (INK if i == 0 else GRAY)
+        plain_color = i if len(data) <= 1 else (INK if i == 0 else GRAY)
         for part, curve in curves[i]:
-            color = colors.get(part.checksum, other) if len(data) > 1 else other
+            color = colors.get(part.checksum, plain_color) if len(data) > 1 else plain_color
             look = {"fit": part.fit, "band": _band(part, level)}
             pair = part.pair if all(part.pair) else only
             drawn.append(DrawnResponse(curve, name, color, i, False, part.checksum, pair, **look))
