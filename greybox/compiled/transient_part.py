@@ -178,7 +178,9 @@ class TransientPart(Part):
             delay_slopes=delay_slopes,
             signals=np.vstack([states, inputs]),
             inverse=inverse,
-            to_outputs=np.concatenate([by_ends, np.broadcast_to(np.eye(k), transform.shape)], 2),
+            to_outputs=np.concatenate(
+                [by_ends, np.broadcast_to(np.eye(k, dtype=complex), transform.shape)], 2
+            ),
             transfer=transfer,
             modelled=C @ states + D @ inputs,
             transform=transform,
@@ -192,7 +194,7 @@ class TransientPart(Part):
     def _transform(self, C: Array, pencil: ComplexArray) -> ComplexArray:
         """Return T (lines, k, k): for an equation error of all states, or of the one output."""
         if not self._is_equation_error:
-            return np.broadcast_to(np.eye(len(C)), (len(pencil), len(C), len(C)))
+            return np.broadcast_to(np.eye(len(C), dtype=complex), (len(pencil), *C.shape[:1] * 2))
         if len(C) == 1:
             return np.linalg.det(pencil)[:, None, None]
         return pencil @ np.linalg.inv(C)

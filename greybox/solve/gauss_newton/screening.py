@@ -161,9 +161,8 @@ class ShortSegments:
         if points not in self._segments:
             copies = np.repeat(np.arange(points), len(self.chosen))
             step, active = self._part.step, self._part.model.active
-            every = tuple(range(step.function.numel_in(1)))
             self._segments[points] = Segments(
-                step, len(copies), self.length, active, records=copies, own=every
+                step, len(copies), self.length, active, records=copies, own=True
             )
         return self._segments[points]
 
