@@ -267,8 +267,6 @@ class Part(ABC):
         The factor on the cost of this part.
     is_likelihood : bool
         True when the cost is a negative log-likelihood.
-    is_smoothed : bool
-        True when the cost has kinks, which a solver rounds off while it is at work.
     numbers : int
         Real numbers of the data that are compared.
     samples : int
@@ -297,7 +295,7 @@ class Part(ABC):
         """Keep the problem and the facts that outlive it, or those of another part."""
         # A part with other data shares the facts, but not what was built for the old data.
         if isinstance(source, Part):
-            facts = ("problem", "name", "weight", "is_likelihood", "is_smoothed")
+            facts = ("problem", "name", "weight", "is_likelihood")
             vars(self).update(
                 (name, value) for name, value in vars(source).items() if name in facts
             )
@@ -307,7 +305,6 @@ class Part(ABC):
         self.name = source.name
         self.weight = float(source.weight)
         self.is_likelihood = source.criterion.is_likelihood
-        self.is_smoothed = source.criterion.smoothed
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave the problem behind."""
