@@ -114,7 +114,7 @@ def crossings(values: Array, omega: Array) -> Crossings:
     is_negative = values < 0
     plant, place = np.nonzero(is_negative[:, :-1] != is_negative[:, 1:])
     before, after = values[plant, place], values[plant, place + 1]
-    with np.errstate(invalid="ignore"):  # unstable loops
+    with np.errstate(all="ignore"):  # unstable loops
         share = before / (before - after)
     at = omega[place] + share * (omega[place + 1] - omega[place])
     return Crossings(len(values), plant, place, share, at)
