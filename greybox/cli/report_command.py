@@ -13,6 +13,7 @@ from greybox.estimate.result import Fit
 from greybox.study.study import Study, read_study
 from greybox.validation.compare import compare
 from greybox.validation.comparison import Comparison
+from greybox.validation.same_data import labels_of
 
 EXAMPLES = (
     "pitch.h5",
@@ -60,11 +61,17 @@ def _held_out(options: argparse.Namespace, results: Sequence[Fit | Study]) -> Co
             raise UsageError("--columns and --rate go with --held-out.")
         return None
 
-    fits = [result for result in results if isinstance(result, Fit)]
+    from greybox.html_report.report import members_of  # noqa: PLC0415  (imports matplotlib)
+
+    single = [result for result in results if isinstance(result, Fit)]
+    fits = dict(zip(labels_of(single), single, strict=True))
+    for study in results:
+        if isinstance(study, Study):
+            fits |= {entry.label: entry.fit for entry in members_of(study) if entry.fit}
     if len(fits) < 2:
         raise UsageError("--held-out compares fits by what they predict: give two or more results.")
     # All models must have the outputs that are compared, so the first one names the signals.
-    model = fits[0].model_of()
+    model = next(iter(fits.values())).model_of()
     data = [
         read_data(path, model, columns=options.columns, rate=options.rate)
         for path in options.held_out
@@ -72,4 +79,4 @@ def _held_out(options: argparse.Namespace, results: Sequence[Fit | Study]) -> Co
     records = [record for record in data if isinstance(record, Record)]
     if len(records) < len(data):
         raise UsageError("--held-out takes records, which are tables of signals.")
-    return compare(*fits, records=records)
+    return compare(*fits.values(), records=records, labels=list(fits))
