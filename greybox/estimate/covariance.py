@@ -114,7 +114,7 @@ class _Share:
 
     `reach` (p,) has the lengths of the root's columns before the initial states were fitted along.
     `limit` is a factor on both that limits the weight of a part beside others. `pull` (p,) is the
-    gradient that noise has in the mean at the true values.
+    mean gradient of the cost at the true values, over the noise.
     """
 
     root: Array

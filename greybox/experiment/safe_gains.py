@@ -266,7 +266,7 @@ def _judged(
     poor: list[float] = []
     for k, law in enumerate(laws):
         control = linear_controller(law, loops.sensors, loops.inputs)
-        # Where the estimate fails, the draws need not be asked.
+        # Where the estimate itself fails, its draws are not tried.
         meets, rejection, places = judged(replace(loops.first, controller=control))
         if meets[0]:
             bandwidth[k] = rejection

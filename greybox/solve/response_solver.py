@@ -248,7 +248,7 @@ class ResponseSolver(LocalSolver):
         return certified
 
     def _confirm(self, run: Run, certified: dict[int, Outcome]) -> bool:
-        """Tell whether IPOPT stays at the end of a run; a lower minimum replaces the run."""
+        """Tell whether IPOPT stays where a run ended; a lower minimum replaces that run."""
         if stop_requested():
             return True
         # From inside its bounds IPOPT would leave a valley that is narrow in a wide box.

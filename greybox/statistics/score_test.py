@@ -103,7 +103,7 @@ def score_tests(residuals: Array, fitted: Array, terms: Array, *, in_time: bool)
 
 
 def _power(rows: Array) -> Array:
-    """Return the power of rows (N, c) at all frequencies, in all their sum of squares."""
+    """Return the power (frequencies, c) of columns (N, c); it adds up to their sum of squares."""
     power = np.abs(np.fft.rfft(rows, axis=0)) ** 2 / len(rows)
     power[1 : (len(rows) + 1) // 2] *= 2
     return power

@@ -157,8 +157,8 @@ def prediction_verdict(
         if share > 50 and of_signs < SIGNIFICANT / 10:
             p, test = of_signs, f"sign test, {p_text(of_signs)}"
     if not p < SIGNIFICANT:
-        # Absence of evidence is not evidence of absence: equal are models whose difference is small
-        # even at the end of its interval.
+        # Absence of evidence is not evidence of absence: models are called equal only if their
+        # difference is small even at the end of its interval.
         widest = abs(mean) + t_quantile(1 - SIGNIFICANT, dof) * error
         if widest <= 0.1 * min(first, second):
             return f"{equal} less than 10 % ({windows}, {test})."

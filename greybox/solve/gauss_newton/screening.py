@@ -76,7 +76,7 @@ def improved(nlp: CompiledProblem, limits: Limits, z: Array) -> Points:
         ShortSegments(p, most, 1 + -(-2 * p.states // len(p.outputs))) for p in chosen
     ]
     whole_segments = [ShortSegments(part, most, part.data.segment_length) for part in chosen]
-    with np.errstate(all="ignore"):  # of points that are left where they are
+    with np.errstate(all="ignore"):  # points that overflow stay where they are
         states = np.concatenate([record.states_from_data(z) for record in whole_segments], axis=1)
         short = descended(evaluated(z, states, short_segments), short_segments, limits, 4)
         drawn = evaluated(z, states, whole_segments)
