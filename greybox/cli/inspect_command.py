@@ -5,7 +5,8 @@ import shlex
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from greybox.cli.output import Answer, require_figure, save_figure
+from greybox.cli.options import option_words
+from greybox.cli.output import Answer, attributes, require_figure, save_figure
 from greybox.cli.read_log import read_log
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
@@ -97,12 +98,8 @@ def next_command(
     else:
         return ""
 
-    for name in ("announced", "setpoint"):
-        words += [f"--{name}", value] if (value := getattr(options, name)) else []
-    for name in ("fields", "columns"):
-        pairs = getattr(options, name).items()
-        words += [f"--{name}", *map("=".join, pairs)] if pairs else []
-    return shlex.join(words)
+    reading = attributes(options, "announced", "setpoint", "fields", "columns")
+    return shlex.join([*words, *option_words(reading)])
 
 
 def about(recording: Recording) -> str:

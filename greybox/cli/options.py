@@ -4,7 +4,7 @@ import argparse
 import contextlib
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -160,7 +160,27 @@ def by_name(words: Sequence[str], flag: str, form: str) -> dict[str, Any]:
     return result
 
 
-# --- how messages name options
+# --- how options are written, and how messages name them
+
+
+def option_words(values: Mapping[str, Any]) -> list[str]:
+    """Return the words that state these options; options without a value are left out."""
+    words: list[str] = []
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            texts = [f"{key}={_word(text)}" for key, text in value.items()]
+        elif isinstance(value, tuple | list):
+            texts = list(map(_word, value))
+        else:
+            texts = [] if value is True else [str(value)]
+        if value or (value == 0 and value is not False):  # zero is a value
+            words += [f"--{name.replace('_', '-')}", *texts]
+
+    return words
+
+
+def _word(value: Any) -> str:
+    return ":".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 def as_options(text: str, options: argparse.Namespace) -> str:

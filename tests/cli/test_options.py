@@ -10,6 +10,7 @@ from greybox.cli.options import (
     UsageError,
     as_options,
     declare,
+    option_words,
 )
 
 
@@ -108,3 +109,11 @@ def test_probabilities_and_times():
 def test_arguments_become_options(text, option):
     options = argparse.Namespace(settle=2.0, open_loop=False, band=[], input="")
     assert as_options(text, options) == option
+
+
+def test_the_words_of_options_are_read_as_they_were():
+    shared = "--fix a=-0.1 b=2.0 --bounds c=0.0:inf --fields omega=W --rate 50.0 --force --seed 0"
+    text = f"{SHARED}\n--seed K\n    seed"
+    values = vars(parsed(shared, text))
+    assert parsed(" ".join(option_words({"force": True, **values})), text) == parsed(shared, text)
+    assert option_words({"settle": 0.0, "rate": None, "axis": "", "fix": {}}) == ["--settle", "0.0"]
