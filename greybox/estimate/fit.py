@@ -45,7 +45,7 @@ from greybox.formulation.prior_part import stated_priors
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Listed, Starts, as_starts
 from greybox.formulation.sum import Sum
-from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.one_thread import LOCK, one_thread_at_a_time
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
 from greybox.solve.executors import require_executor, runner_fingerprint
 from greybox.solve.interruption import (
@@ -283,6 +283,9 @@ def fit_keeping(
                 answer = replace(answer, profiles=profiled)
         seconds = time.perf_counter() - began
         answer = replace(answer, warnings=(*messages, *answer.warnings), seconds=seconds)
+    # What CasADi built is freed here, not at the return while another thread builds.
+    with LOCK:
+        del run, nlp, search, solver
     if take_interrupt():
         raise Interrupted(answer)
     return answer

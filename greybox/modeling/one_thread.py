@@ -1,8 +1,8 @@
 """One lock for derivatives and solvers of CasADi; properties whose value is built when needed.
 
 CasADi 3.8.2 frees a sparsity pattern twice if two threads use it at once, and the process crashes.
-Only derivatives, solvers and mapped functions make such patterns. Evaluation of functions is safe,
-as long as every thread has its own.
+Only derivatives, solvers and mapped functions make such patterns, or free them. Evaluation of
+functions is safe, as long as every thread has its own.
 """
 
 import functools
@@ -13,7 +13,7 @@ from typing import Any, ParamSpec, TypeVar
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
-_LOCK = threading.RLock()
+LOCK = threading.RLock()
 
 
 def one_thread_at_a_time(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
@@ -21,7 +21,7 @@ def one_thread_at_a_time(function: Callable[Arguments, Result]) -> Callable[Argu
 
     @functools.wraps(function)
     def locked(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
-        with _LOCK:
+        with LOCK:
             return function(*args, **kwargs)
 
     return locked
