@@ -18,6 +18,7 @@ from greybox.logs.axis_signals import NAMES
 from greybox.logs.flight_controllers import AXES, named_filters
 from greybox.logs.named_columns import in_si
 from greybox.logs.px4 import AXES as PX4_AXES
+from greybox.modeling.model import require_known
 from greybox.models import ardupilot, betaflight, px4
 from greybox.models.digital_filters import SampledLag, SampledLowPass, SampledNotch
 
@@ -435,11 +436,7 @@ def safe_gains_of_log(fits, recording, gains, axis="pitch", *, signals=None, **r
     if not check.reproduces:
         raise ValueError(f"the loop is not the one that flew. {check}")
     names = flown.gain_names
-    for name in gains:
-        if name not in names:
-            raise ValueError(
-                f"{name!r} is no gain of {axis} in the log: give one of {', '.join(names)}."
-            )
+    require_known(gains, names, "gain", f"the log of {axis}")
     ranges = {names[name]: ends for name, ends in gains.items()}
     safe = gb.safe_gains(fits, flown.controllers, ranges, **requirements)
     values, today = (dict(zip(gains, m.values(), strict=True)) for m in (safe.values, safe.today))

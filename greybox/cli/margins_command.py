@@ -54,45 +54,44 @@ def run(options: argparse.Namespace) -> Answer:
     """Read the fit, close the loop, and return the margins wherever it is broken."""
     fit, _ = stated_fit(options)
     require_figure(options.plot, options.force)
+    tracking = tuple(options.tracking) if options.tracking else None
+    wrong, measured = "", ()
     # A log has the controller that flew, with its gains and its rate.
     if options.log:
-        firmware = shipped_module("models", "firmware")
-        loop = firmware.loop_of_log(
+        flown = shipped_module("models", "firmware").loop_of_log(
             read(options.log),
             fit,
             options.axis,
             signals=options.signals,
             broken_at=options.broken_at or (),
-            tracking=tuple(options.tracking) if options.tracking else None,
+            tracking=tracking,
             level=options.level,
         )
-        answer = loop.to_dict()
-        if not loop.is_safe:
+        loops, measured = [flown.model, *flown.others], flown.loops
+        answer, text = flown.to_dict(), [str(flown)]
+        if not flown.check.reproduces:
             wrong = "the controllers of the log do not reproduce its control."
-            answer["error"] = wrong if loop.model.is_safe else loop.model.verdict
-        return answer, "\n\n".join(
-            [str(loop), *save_figure(options.plot, "loop", loop.model, *loop.loops)]
-        )
+    else:
+        controllers = stated_controllers(options)
+        loops = [
+            margins(
+                fit,
+                controllers,
+                broken_at=signal,
+                tracking=tracking,
+                at=options.at or None,
+                level=options.level,
+            )
+            for signal in options.broken_at or [""]
+        ]
+        answer: dict[str, Any] = {"loops": [loop.to_dict() for loop in loops]}
+        text = list(map(str, loops))
 
-    controllers = stated_controllers(options)
-    loops = [
-        margins(
-            fit,
-            controllers,
-            broken_at=signal,
-            tracking=tuple(options.tracking) if options.tracking else None,
-            at=options.at or None,
-            level=options.level,
-        )
-        for signal in options.broken_at or [""]
-    ]
     # A loop may be safe where it is broken at one signal, and not at another.
-    answer: dict[str, Any] = {"loops": [loop.to_dict() for loop in loops]}
-    unsafe = [loop.verdict for loop in loops if not loop.is_safe]
-    if unsafe:
-        answer["error"] = " ".join(unsafe)
-    lines = save_figure(options.plot, "loop", loops[0])
-    return answer, "\n\n".join([*map(str, loops), *lines])
+    unsafe = " ".join(loop.verdict for loop in loops if not loop.is_safe)
+    if unsafe or wrong:
+        answer["error"] = unsafe or wrong
+    return answer, "\n\n".join([*text, *save_figure(options.plot, "loop", loops[0], *measured)])
 
 
 def stated_controllers(options: argparse.Namespace) -> list[Controller]:
