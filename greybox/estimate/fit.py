@@ -291,6 +291,7 @@ def fit_keeping(
     return answer
 
 
+@one_thread_at_a_time  # also frees what it compiles
 def fingerprint(problem: AnyProblem, by: SolverChoice) -> str:
     """Return the key of stored runs: of the compiled problem, its data and the solver options."""
     return runner_fingerprint(by.compiled(problem)[1])
