@@ -391,16 +391,24 @@ def flown_controllers(recording, model, axis="pitch", *, signals=None):
 
 
 def loop_of_log(
-    recording, fit, axis="pitch", *, signals=None, broken_at=(), tracking=None, level=0.95
+    recording,
+    fit,
+    axis="pitch",
+    *,
+    signals=None,
+    broken_at=(),
+    tracking=None,
+    at=None,
+    level=0.95,
 ):
     """Return the `LoopOfLog` of a fit and the tests of an axis in a log.
 
     The loop is broken at the control, where it is measured, and where `broken_at` says; `signals`
-    are as of `flown_controllers`, `tracking` as of `gb.margins`.
+    are as of `flown_controllers`, `tracking` and `at` as of `gb.margins`.
     """
     flown, check = flown_controllers(recording, fit.model_of(0), axis, signals=signals)
     of_model, *others = (
-        gb.margins(fit, flown.controllers, broken_at=place, tracking=tracking, level=level)
+        gb.margins(fit, flown.controllers, broken_at=place, tracking=tracking, at=at, level=level)
         for place in ("", *broken_at)
     )
 

@@ -58,6 +58,7 @@ def run(options: argparse.Namespace) -> Answer:
     wrong, measured = "", ()
     # A log has the controller that flew, with its gains and its rate.
     if options.log:
+        refuse_controllers(options)
         flown = shipped_module("models", "firmware").loop_of_log(
             read(options.log),
             fit,
@@ -65,6 +66,7 @@ def run(options: argparse.Namespace) -> Answer:
             signals=options.signals,
             broken_at=options.broken_at or (),
             tracking=tracking,
+            at=options.at,
             level=options.level,
         )
         loops, measured = [flown.model, *flown.others], flown.loops
@@ -79,7 +81,7 @@ def run(options: argparse.Namespace) -> Answer:
                 controllers,
                 broken_at=signal,
                 tracking=tracking,
-                at=options.at or None,
+                at=options.at,
                 level=options.level,
             )
             for signal in options.broken_at or [""]
@@ -92,6 +94,16 @@ def run(options: argparse.Namespace) -> Answer:
     if unsafe or wrong:
         answer["error"] = unsafe or wrong
     return answer, "\n\n".join([*text, *save_figure(options.plot, "loop", loops[0], *measured)])
+
+
+def refuse_controllers(options: argparse.Namespace) -> None:
+    """Refuse options that state a controller beside a log, which has the one that flew."""
+    for name in ("controller", "set", "rate"):
+        if getattr(options, name):
+            raise UsageError(
+                f"--{name} states a controller, and --log has the one that flew: leave out one of "
+                "them."
+            )
 
 
 def stated_controllers(options: argparse.Namespace) -> list[Controller]:

@@ -3,7 +3,11 @@
 import argparse
 
 from greybox.cli.catalog import shipped_module
-from greybox.cli.margins_command import CONTROLLER_OPTIONS, stated_controllers
+from greybox.cli.margins_command import (
+    CONTROLLER_OPTIONS,
+    refuse_controllers,
+    stated_controllers,
+)
 from greybox.cli.output import Answer, require_figure, require_writable, save_figure
 from greybox.cli.saved_fits import saved_fit
 from greybox.experiment.gain_file import write_gains
@@ -38,6 +42,8 @@ fits RESULT...
 --level
 --broken-at SIGNAL
     where to break the loop
+--at NAME=VALUE...
+    operating point of an ODE
 --names GAIN=PARAMETER...
     names of the gains in the firmware, for --parameters
 --parameters FILE
@@ -57,9 +63,10 @@ def run(options: argparse.Namespace) -> Answer:
     fits = [saved_fit(path, options) for path in options.fits]
     required = {
         name: getattr(options, name)
-        for name in ("phase_margin", "gain_margin", "delay", "level", "broken_at")
+        for name in ("phase_margin", "gain_margin", "delay", "level", "broken_at", "at")
     }
     if options.log:
+        refuse_controllers(options)
         safe = shipped_module("models", "firmware").safe_gains_of_log(
             fits,
             read(options.log),

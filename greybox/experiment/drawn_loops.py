@@ -56,7 +56,7 @@ def drawn_loops(
         model,
         _draws(plant, [fitted.rename.get(name, name) for name in model.parameters]),
         controller,
-        at=fitted.at if at is None and is_response else at,
+        at=fitted.at if is_response and not at else at,
         delay_has="hold" if is_response else "nothing",
     )
 

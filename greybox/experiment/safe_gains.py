@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.estimate.fitted_part import FittedRecord, FittedResponse
+from greybox.estimate.fitted_part import FittedPart, FittedRecord, FittedResponse
 from greybox.estimate.response_band import require_level
 from greybox.estimate.result import Fit
 from greybox.experiment.controller import Controller
@@ -133,7 +133,7 @@ class SafeGains:
         return "\n".join(filter(None, lines))
 
 
-def safe_gains(
+def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
     fits: Fit | Sequence[Fit],
     controller: Controller | Sequence[Controller],
     gains: Mapping[str, tuple[float, float]],
@@ -143,6 +143,8 @@ def safe_gains(
     delay: float = 0.0,
     level: float = 0.95,
     broken_at: str = "",
+    at: Mapping[str, float] | None = None,
+    parts: Sequence[int] = (0,),
 ) -> SafeGains:
     """Return which gains meet requirements on the margins with a stated confidence.
 
@@ -170,6 +172,10 @@ def safe_gains(
     level : float
     broken_at : str
         Where the loop is broken, as for `greybox.margins`.
+    at : mapping of name to float, optional
+        The operating point of an ODE; by default that of each fitted part.
+    parts : sequence of int
+        The parts of a fit of several problems that are flights of this loop.
 
     Raises
     ------
@@ -195,7 +201,11 @@ def safe_gains(
             law[k].values = Names({**law[k].values, own: float(value)}, type(law[k]).__name__)
         laws.append(law)
     wanted = {"phase margin": phase_margin, "gain margin": gain_margin, "delay": delay}
-    answers = [_judged(fit, controllers, laws, wanted, broken_at) for fit in flights]
+    answers = [
+        _judged(fit, part, drawn_loops(fit, controllers, at=at, part=part), laws, wanted, broken_at)
+        for fit in flights
+        for part in parts
+    ]
     confidences, bandwidths, cures = zip(*answers, strict=True)
     confidence, bandwidth = np.min(confidences, axis=0), np.min(bandwidths, axis=0)
     shape = [*map(len, values.values())]
@@ -229,19 +239,20 @@ def _divided(name: str, low: float, high: float, count: int) -> Array:
 
 def _judged(
     fit: Fit,
-    controllers: Sequence[Controller],
+    part: int,
+    loops: SampledLoop,
     laws: Sequence[Sequence[Controller]],
     wanted: Mapping[str, float],
     broken_at: str,
 ) -> tuple[Array, Array, str]:
     """Return confidence and bandwidth (sets,) of a flight, and what cures poor measurements."""
-    loops = drawn_loops(fit, controllers).of(slice(1 + DRAWS))
+    loops = loops.of(slice(1 + DRAWS))
     signal = broken_at or loops.inputs[0]
     require_signal(signal, loops.signals)
     omega = np.geomspace(1e-4, 0.999, FREQUENCIES) * math.pi / loops.period
     late = np.exp(-1j * omega * wanted["delay"])[:, None, None]
     plants = loops.plant_response(omega)
-    points, is_good = _measured_points(fit, loops)
+    points, is_good = _measured_points(fit.parts[part], loops)
 
     def judged(loop: SampledLoop) -> tuple[BoolArray, float, list[float]]:
         """Return which plants meet the requirements, bandwidth and crossovers of the first."""
@@ -250,13 +261,14 @@ def _judged(
         # the poles of a few draws show what those of all would, in a tenth of the time.
         is_stable = np.ones(len(plant), dtype=bool)
         is_stable[:FEW] = loop.of(slice(FEW)).is_stable
-        first, second = (
+        with_and_without = [
             margin_numbers(loop.broken_at(signal, omega, response), omega, is_stable)
-            for response in (plant, plant * late)
-        )
+            for response in ([plant, plant * late] if wanted["delay"] else [plant])
+        ]
         # A loop that is stable without the delay is so with less than its delay margin.
+        first = with_and_without[0]
         meets = is_stable & (first["delay margin"].value >= wanted["delay"])
-        for numbers in (first, second):
+        for numbers in with_and_without:
             for name, least in (("phase", "phase"), ("gain", "gain"), ("gain reduction", "gain")):
                 meets &= numbers[f"{name} margin"].value >= wanted[f"{least} margin"]
         places = [first[name].first[1] for name in ("phase margin", "crossover")]
@@ -281,9 +293,9 @@ def _judged(
     return confidence, bandwidth, begin + cure if poor else ""
 
 
-def _measured_points(fit: Fit, loops: SampledLoop) -> tuple[Array, BoolArray]:
+def _measured_points(part: FittedPart, loops: SampledLoop) -> tuple[Array, BoolArray]:
     """Return the frequencies (n,) of a flight's response, and at which it was measured well."""
-    part, nothing = fit.parts[0], (np.zeros(0), np.zeros(0, dtype=bool))
+    nothing = np.zeros(0), np.zeros(0, dtype=bool)
     if isinstance(part, FittedResponse):
         data, fitted = part.data, part.response
     elif isinstance(part, FittedRecord):

@@ -21,6 +21,7 @@ from greybox.modeling.model import Model
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.state_space import StateSpace
+from greybox.modeling.transfer_function import require_no_operating_point
 from greybox.modeling.trim import trim_of
 
 DOT = "_dot"  # after the name of a signal: its derivative in time
@@ -310,6 +311,7 @@ def _plants(
     if isinstance(model, StateSpace):
         point = trim_of(model, at).closed()
     else:
+        require_no_operating_point(model, at)
         point = ca.Function("rest", [p], [ca.SX.zeros(x.numel()), ca.SX.zeros(u.numel())])
 
     results = []

@@ -90,6 +90,38 @@ def test_unmodeled_delay_and_a_second_flight_leave_fewer_gains(answers):
     assert np.array_equal(both.allowed, answers[0].allowed & answers[1].allowed)
 
 
+class Fast(gb.StateSpace):
+    """A rate whose control works with the square of the speed."""
+
+    states, inputs, outputs = ("q", "speed"), ("u",), ("q",)
+    K = gb.Parameter(10.0, bounds=(1, 100))
+    a = gb.Parameter(2.0, bounds=(0, 20))
+
+    def derivative(self, x, u, p):
+        return (p.K * x.speed**2 * u.u - p.a * x.q, 0 * x.speed)
+
+    def output(self, x, u, p):
+        return (x.q,)
+
+
+def test_parts_of_a_fit_are_flights_and_the_operating_point_counts():
+    omega = np.geomspace(1, 60, 20)
+    errors = 1 + 0.01 * np.random.default_rng(0).normal(size=(2, 20)).T @ [1, 1j]
+
+    def problem(K, **options):
+        data = gb.FrequencyResponse(omega, K / (1j * omega + 2) * errors, "u", "q")
+        return gb.Problem(Fast(), data, at={"speed": 1.0}, **options)
+
+    both = problem(20.0) + problem(5.0, rename={"K": "K_heavy"})
+    fit = gb.fit(both, starts=2, progress=False)
+    light, slow, fast = (
+        gb.safe_gains(fit, RateLoop(), {"K_P": (0.5, 50.0)}, **options).best["K_P"]
+        for options in ({}, {"parts": [1]}, {"parts": [1], "at": {"speed": 2.0}})
+    )
+    # Twice the speed is four times the gain, that of the light vehicle.
+    assert fast == light < slow
+
+
 @pytest.mark.parametrize("data", [{"noise": 0.4}, {"lowest": 0.2, "highest": 1.5}])
 def test_a_response_that_was_measured_poorly_at_the_crossover_is_refused(data):
     answer = gb.safe_gains(fitted(0, **data), RateLoop(), {"K_P": (0.1, 0.2)})
