@@ -130,6 +130,9 @@ class Problem:
         if not is_finite_number(self.weight) or self.weight <= 0:
             raise ValueError(f"weight {self.weight!r} must be a finite number above 0.")
 
+        if isinstance(self.criterion, TimeCriterion) and isinstance(self.data, Record):
+            object.__setattr__(self, "model", self.criterion.disturbed(self.model, self.data))
+
         # An unknown word is refused here, not in the middle of a search.
         delay_order(self.delay)
 

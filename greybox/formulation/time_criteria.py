@@ -11,6 +11,7 @@ from greybox.data.record import Record, require_time
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.input_assumptions import Inputs, require_inputs
+from greybox.modeling.colored_disturbance import ColoredDisturbance, gust_on, undisturbed
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameter, is_finite_number
 from greybox.modeling.state_space import StateSpace
@@ -117,6 +118,10 @@ class TimeCriterion(AnyCriterion):
             return SPECTRUM_CONDITION
         return self.condition if data.has_time else ROWS_CONDITION
 
+    def disturbed(self, model: Model, record: Record) -> Model:
+        """Return the model with the states of the disturbances that the criterion assumes."""
+        return undisturbed(model)
+
     def compared(self, model: Model, record: Record) -> tuple[str, ...]:
         """Return the outputs of the model that are in the record.
 
@@ -202,12 +207,13 @@ class PredictionError(TimeCriterion):
 
     Innovations form: x[k+1] = F(x[k] + K e[k], u), with e the difference of measured and predicted
     outputs and a constant gain K that is estimated with the parameters; its entries are named
-    ``K_<state>_<output>``. With `process_noise` (filter error), K is the gain of the steady Kalman
-    filter instead, which also gives the covariance of e. Instead of a gain for every pair, the
-    parameters are then ``w_<state>`` for each of these states and ``v_<output>`` for each output.
-    Without process noise (``w_<state>`` = 0), this is output error. Outputs at the beginning of a
-    record that depend on a delayed input from before it are left out, unless that input is at rest
-    there, see `TimeCriterion`.
+    ``K_<state>_<output>``. With `process_noise` or `disturbance` (filter error), K is the gain of
+    the steady Kalman filter instead, which also gives the covariance of e. Instead of a gain for
+    every pair, the parameters are then ``w_<state>`` for each of these states and ``v_<output>``
+    for each output. Without process noise (``w_<state>`` = 0), this is output error.
+
+    Outputs at the beginning of a record that depend on a delayed input from before it are left out,
+    unless that input is at rest there, see `TimeCriterion`.
 
     Source: Ljung, System Identification, 2nd ed., section 4.3; Klein and Morelli, chapter 6;
     Jategaonkar, Flight Vehicle System Identification, 2nd ed., chapter 5.
@@ -225,6 +231,7 @@ class PredictionError(TimeCriterion):
 
     corrected: Sequence[str] = ()
     process_noise: Sequence[str] = ()
+    disturbance: Mapping[str, str] = field(default_factory=dict)
     rule: ClassVar[str] = "prediction error, one sample ahead"
     condition: ClassVar[str] = "white innovations"
     errors_are_white: ClassVar[bool] = True
@@ -235,19 +242,34 @@ class PredictionError(TimeCriterion):
         super().__post_init__()
         if isinstance(self.process_noise, str):
             object.__setattr__(self, "process_noise", (self.process_noise,))
-        if self.process_noise and self.corrected:
-            raise ValueError("process_noise says which states are corrected: leave out corrected.")
-        if self.process_noise and self.noise != "diagonal":
+        if not isinstance(self.disturbance, Mapping) or {*self.disturbance.values()} - {"colored"}:
+            raise ValueError(f"disturbance is {self.disturbance!r}: give {{state: 'colored'}}.")
+        if self.driven() and self.corrected:
             raise ValueError(
-                "with process_noise sensors have the parameters v_<output>: leave out "
-                f"noise={self.noise!r}, and give deviations that are known as "
+                "process_noise and disturbance say which states are corrected: leave out corrected."
+            )
+        if self.driven() and self.noise != "diagonal":
+            raise ValueError(
+                "with process_noise or disturbance sensors have the parameters v_<output>: leave "
+                f"out noise={self.noise!r}, and give deviations that are known as "
                 "fixed={'v_<output>': ...}."
             )
+
+    def disturbed(self, model: Model, record: Record) -> Model:
+        """Return the model with a state for every colored disturbance.
+
+        Its time constant lies between a sample, below which it is white, and the record.
+        """
+        model = undisturbed(model)
+        if not self.disturbance or not isinstance(model, StateSpace):
+            return model
+        bounds = record.step, float(record.time[-1] - record.time[0])
+        return ColoredDisturbance(model, *((state, bounds) for state in self.disturbance))
 
     def parameters(self, model: Model, record: Record) -> dict[str, Parameter]:
         """Return the unknowns that the criterion adds: biases, and gains or sizes of noise."""
         result = super().parameters(model, record)
-        for state in self.process_noise:
+        for state in self.driven():
             result[f"w_{state}"] = Parameter(
                 0.0,
                 bounds=(0.0, math.inf),
@@ -256,13 +278,13 @@ class PredictionError(TimeCriterion):
                 about=f"process noise on the derivative of {state}",
             )
 
-        for output in self.compared(model, record) if self.process_noise else ():
+        for output in self.compared(model, record) if self.driven() else ():
             result[f"v_{output}"] = _deviation_parameter(output, record)
         return result
 
     def driven(self) -> tuple[str, ...]:
         """Return the states with process noise."""
-        return tuple(self.process_noise)
+        return (*self.process_noise, *(gust_on(state) for state in self.disturbance))
 
     def gains(self, model: Model, outputs: Sequence[str]) -> tuple[tuple[str, str], ...]:
         """Return every pair of a corrected state (with process noise: any) and an output."""
@@ -277,7 +299,7 @@ class PredictionError(TimeCriterion):
                 "OutputError()."
             )
 
-        require_known((*self.corrected, *self.process_noise), model.states, "state", model.label)
+        require_known((*self.corrected, *self.driven()), model.states, "state", model.label)
         return tuple(
             (state, output) for state in self.corrected or model.states for output in outputs
         )
@@ -317,11 +339,11 @@ WIDEST_BIAS = 10.0
 def _deviation_parameter(name: str, record: Record) -> Parameter:
     """Return the unknown standard deviation of the noise of a sensor."""
     spread = float(np.nanstd(record[name])) or 1.0
-    start = 0.1 * spread  # until the residuals show the noise
     return Parameter(
-        start,
+        0.1 * spread,  # until the residuals show the noise
         bounds=(1e-5 * spread, math.inf),  # far below the resolution of sensors
-        starts=(start, start),
+        # Manoeuvres of unlike sizes share a sensor, so that their boxes must overlap.
+        starts=(1e-5 * spread, spread),
         unit=record.units.get(name, "1"),
         about=f"standard deviation of the noise of {name}",
     )

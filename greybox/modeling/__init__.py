@@ -22,6 +22,7 @@ Begin with `model`.
 | `held_inputs` | the exact step of a linear system with held inputs |
 | `known_systems` | linear models with known numbers, such as a filter |
 | `late_sensors` | an ODE whose outputs are measured with a delay or a lag |
+| `colored_disturbance` | an ODE with gusts on its derivatives |
 | `model_reference`, `model_file` | a model by name in a stored result, or in a file of your own |
 """
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from greybox.files.text_table import printable
+from greybox.modeling.colored_disturbance import ColoredDisturbance
 from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
 from greybox.modeling.late_sensors import LateSensors
 from greybox.modeling.model import Model
@@ -91,6 +92,7 @@ def included_model(module_name: str, class_name: str) -> type[Model] | None:
         KnownTransferFunction,
         KnownStateSpace,
         LateSensors,
+        ColoredDisturbance,
     )
     for kind in kinds:
         if (kind.__module__, kind.__qualname__) == (module_name, class_name):

@@ -105,7 +105,7 @@ def _require_same_assumptions(small: FittedPart, large: FittedPart, labels: Sequ
 
 def _assumptions(part: FittedPart) -> dict[str, object]:
     """Return what nested models have in common, by its name."""
-    added = ("biases", "corrected", "process_noise")
+    added = ("biases", "corrected", "process_noise", "disturbance")
     settings = {name: value for name, value in part.settings.items() if name not in added}
     return {
         # Output error is prediction error with gains of zero.

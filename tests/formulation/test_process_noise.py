@@ -178,3 +178,50 @@ def test_what_process_noise_does_not_go_with_is_refused():
         gb.fit(
             gb.Problem(Spring(), record, WIND), starts=1, method=gb.Collocation(), progress=False
         )
+
+
+def test_manoeuvres_of_unlike_sizes_share_the_noise_of_their_sensors():
+    large, small = flown(0.3), flown(0.3, seed=2)
+    small = small.with_signals(x=0.01 * small["x"], v=0.01 * small["v"], F=0.01 * small["F"])
+    assert gb.several(Spring(), [large, small], criterion=WIND).parameters["v_x"].bounds[0] > 0
+
+
+GUSTY = gb.PredictionError(disturbance={"v": "colored"}, inputs="held")
+
+
+def gusty(seed=1, n=400, rms=1.0, time=0.5):
+    """A record of the spring in gusts of first order; they are an Ornstein-Uhlenbeck process."""
+    model = gb.Problem(Spring(), flown(0.0, n=20), GUSTY).model
+    truth, noise = TRUTH | {"T_gust_v": time}, {"gust_v": rms * np.sqrt(2 / time)}
+    return disturbed(model, truth, doublets(1, n, 1.0, seed), STEP, noise, SENSORS, seed)
+
+
+def test_gusts_are_estimated_with_their_time_constant(tmp_path):
+    record = gusty()
+    problem = gb.Problem(Spring(), record, GUSTY)
+    assert problem.model.states == ("x", "v", "gust_v")
+    assert problem.with_(criterion=gb.OutputError()).model.states == ("x", "v")
+    truth = TRUTH | {"w_gust_v": 2.0, "v_x": 0.05, "v_v": 0.15}
+    found = fit(problem, starts=[TRUTH])
+    assert_true(found, truth, 3.0)
+    # The errors of a time constant are nearly normal in its logarithm.
+    relative = found.standard_error["T_gust_v"] / found.estimate["T_gust_v"]
+    assert abs(np.log(found.estimate["T_gust_v"] / 0.5)) < 3 * relative
+
+    gb.save(found, tmp_path / "fit.h5")
+    loaded = gb.load(tmp_path / "fit.h5", models=[Spring])
+    assert loaded.model_of(0).states == ("x", "v", "gust_v")
+    assert np.isfinite(gb.simulate(loaded, record=record)["x"]).all()
+
+
+def test_gusts_that_do_not_blow_have_no_time_constant():
+    found = fit(gb.Problem(Spring(), flown(0.0, seed=2), GUSTY))
+    assert found.estimate["w_gust_v"] == 0
+    assert not any("not determined" in text for text in found.warnings)
+
+
+def test_disturbances_are_named_by_state_and_color():
+    with pytest.raises(ValueError, match="'colored'"):
+        gb.PredictionError(disturbance={"v": "pink"})
+    with pytest.raises(ValueError, match="state 'y'"):
+        gb.Problem(Spring(), flown(0.3, n=50), gb.PredictionError(disturbance={"y": "colored"}))

@@ -290,7 +290,7 @@ def test_unknowns_of_the_criterion_have_sizes_of_the_measured_signals():
     )
     spread = np.sqrt(8 / 3)
     assert deviation.start == pytest.approx(0.1 * spread)
-    assert deviation.starts == (deviation.start, deviation.start)
+    assert deviation.starts == pytest.approx((1e-5 * spread, spread))
     assert deviation.bounds == pytest.approx((1e-5 * spread, np.inf))
     assert deviation.unit == "m/s"
     assert found["v_x"].start == pytest.approx(0.1)

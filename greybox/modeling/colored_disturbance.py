@@ -1,0 +1,94 @@
+"""An ODE with disturbances of first-order color on its derivatives, such as gusts."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from greybox.modeling.model import Model, require_known
+from greybox.modeling.parameter import Parameter
+from greybox.modeling.state_space import StateSpace
+from greybox.modeling.symbolic_reading import as_list
+
+
+class ColoredDisturbance(StateSpace):
+    """An ODE whose derivatives have disturbances with states of their own.
+
+    The disturbance ``gust_<state>`` adds to the derivative of the state, and follows
+    T d' = -d + white noise, with the time constant ``T_gust_<state>``. White noise through a first
+    order lag is the simplest spectrum of turbulence (Dryden's, along the flight path).
+
+    Parameters
+    ----------
+    model : StateSpace
+    disturbed : (state, (low, high))
+        A tuple for each disturbed state, with the bounds of the time constant, s.
+
+    Source: MIL-HDBK-1797, appendix A; Jategaonkar, Flight Vehicle System Identification, 2nd ed.,
+    chapter 5.
+    """
+
+    def __init__(self, model: StateSpace, *disturbed: tuple[str, tuple[float, float]]) -> None:
+        self.model = model
+        self.inputs = tuple(model.inputs)
+        self.outputs = tuple(model.outputs)
+        self.delays = model.delays
+        self.units = model.units
+        self.disturbed = tuple(state for state, _ in disturbed)
+        self.gusts = tuple(gust_on(state) for state in self.disturbed)
+        self.states = (*model.states, *self.gusts)
+        require_known(self.disturbed, model.states, "state", model.label)
+        times = {
+            f"T_{gust_on(state)}": Parameter(
+                math.sqrt(low * high),
+                bounds=(low, high),
+                unit="s",
+                about=f"time constant of the disturbance on the derivative of {state}",
+                scale="log",
+            )
+            for state, (low, high) in disturbed
+        }
+        # A name of the model would be overwritten silently.
+        for name in (*self.gusts, *times):
+            if name in (*model.parameters, *model.states, *model.inputs):
+                raise ValueError(f"{model.label} already has {name!r}: rename it there.")
+        self.parameters = {**model.parameters, **times}
+
+    @property
+    def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
+        """Derived quantities of the model."""
+        return self.model.derived
+
+    @property
+    def label(self) -> str:
+        """The model and which states are disturbed."""
+        return f"{self.model.label}, disturbed {', '.join(self.disturbed)}"
+
+    def derivative(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
+        """Return the derivatives of the model's states, then those of the disturbances."""
+        rates = dict(zip(self.model.states, as_list(self.model.derivative(x, u, p)), strict=True))
+        for state, gust in zip(self.disturbed, self.gusts, strict=True):
+            rates[state] = rates[state] + x[gust]
+        return [*rates.values(), *(-x[gust] / p[f"T_{gust}"] for gust in self.gusts)]
+
+    def output(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
+        """Return the outputs of the model."""
+        return self.model.output(x, u, p)
+
+    @property
+    def trim(self) -> Any:  # type: ignore[override]
+        """The trim of the model, if it has one, in calm air."""
+        return None if self.model.trim is None else self._trim
+
+    def _trim(self, at: Any, p: Any) -> Mapping[str, Any]:
+        assert self.model.trim is not None
+        return {**dict.fromkeys(self.gusts, 0.0), **self.model.trim(at, p)}
+
+
+def gust_on(state: str) -> str:
+    """Return the name of the disturbance on the derivative of a state."""
+    return f"gust_{state}"
+
+
+def undisturbed(model: Model) -> Model:
+    """Return the model without colored disturbances."""
+    return model.model if isinstance(model, ColoredDisturbance) else model
