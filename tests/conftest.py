@@ -82,3 +82,13 @@ def press_ctrl_c():
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield lambda: os.kill(os.getpid(), signal.SIGINT)
     signal.signal(signal.SIGINT, before)
+
+
+@pytest.fixture(scope="session")
+def small_study(tmp_path_factory):
+    """Three structures on three data sets, one fit twice, and a member that fails; made once."""
+    from small_study import members
+
+    import greybox as gb
+
+    return gb.batch(members(), tmp_path_factory.mktemp("study") / "small", progress=False)

@@ -6,8 +6,9 @@ from pathlib import Path
 
 from greybox.cli.batch_command import as_json
 from greybox.cli.options import UsageError
-from greybox.cli.output import Answer, attributes
+from greybox.cli.output import Answer, attributes, require_writable
 from greybox.cli.saved_fits import saved_fit
+from greybox.files.safe_files import write_text
 from greybox.study.study import read_study
 from greybox.validation.compare import compare
 from greybox.validation.comparison import Comparison
@@ -15,25 +16,41 @@ from greybox.validation.comparison import Comparison
 EXAMPLES = (
     "linear.h5 nonlinear.h5",
     "results",
+    "results --latex table.tex --csv table.csv",
 )
 OPTIONS = """
 results RESULT...
     fits of the same data, as greybox fit --out saves them, or the folder of a study
 --model
+--csv FILE
+    the estimates of a study, a row for every member and parameter
+--latex FILE
+    the estimates of a study with standard errors, as tables for the package booktabs
+--force
 """
 SUMMARY = ("labels", "data", "supported", "verdict", "table", "statements")
 
 
 def run(options: argparse.Namespace) -> Answer:
     """Read the fits, or the study, and compare."""
+    tables = {"to_csv": options.csv, "to_latex": options.latex}
+    for path in tables.values():
+        require_writable(path, options.force)
     if len(options.results) > 1:
+        if any(tables.values()):
+            raise UsageError("--csv and --latex are for a study: give one folder.")
         comparison = _comparison(options)
         return attributes(comparison, *SUMMARY), str(comparison)
     if options.results[0].is_file():  # a study is a folder
         raise UsageError(f"there is one fit, {options.results[0]}: give at least two to compare.")
     # Members of a study may have different data, so that they are listed, not compared by tests.
     study = read_study(options.results[0])
-    return as_json(study), str(study)
+    lines = [str(study)]
+    for method, path in tables.items():
+        if path is not None:
+            write_text(path, getattr(study, method)())
+            lines.append(f"wrote {path}")
+    return as_json(study), "\n".join(lines)
 
 
 def _comparison(options: argparse.Namespace) -> Comparison:

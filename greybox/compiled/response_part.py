@@ -13,7 +13,7 @@ from greybox.compiled.part import (
     Program,
     Trajectory,
 )
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, complex_array
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.problem import Problem
@@ -80,12 +80,12 @@ class ResponsePart(Part):
     def response(self, values: Array) -> ComplexArray:
         """Return the model's response (n,) at all values x (k,)."""
         parts = np.asarray(self.model_response(values)).reshape(2, -1)
-        return parts[0] + 1j * parts[1]
+        return complex_array(*parts)
 
     def sensitivity(self, values: Array) -> ComplexArray:
         """Return the derivatives of the response by all values x (k,): (n, k)."""
         parts = np.asarray(ca.DM(self._slope(values))).reshape(2, -1, len(values))
-        return parts[0] + 1j * parts[1]
+        return complex_array(*parts)
 
     @cached_property
     @one_thread_at_a_time
@@ -257,7 +257,7 @@ class ResponseProgram(Program):
 def _complex(stacked: Array) -> ComplexArray:
     """Return real rows (2n, k), real parts first, as complex rows (n, k)."""
     n = len(stacked) // 2
-    return stacked[:n] + 1j * stacked[n:]
+    return complex_array(stacked[:n], stacked[n:])
 
 
 def _symbol(function: ca.Function, k: int = 0) -> Any:

@@ -15,6 +15,7 @@ from urllib.parse import quote
 import numpy as np
 from numpy.typing import NDArray
 
+from greybox.files.arrays import complex_array
 from greybox.files.sealed_files import Node, Stored
 from greybox.files.text_table import printable
 
@@ -116,7 +117,7 @@ def _array(value: Any, item: Any, place: Stored | None) -> Any:
         raise ValueError("numbers are missing")
     if issubclass(item, np.complexfloating):
         require(values.ndim > 1 and len(values) == 2, "complex numbers have two parts")
-        return values[0] + 1j * values[1]
+        return complex_array(*values)
     return values.astype(next(kind for scalar, kind in ITEMS.items() if issubclass(item, scalar)))
 
 

@@ -46,6 +46,7 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
         "starts_box": {q.name: q.box for q in free},
         "unit": {q.name: q.unit for q in parameters},
         "fixed": {q.name: q.value for q in parameters if q.kind == "fixed"},
+        "at": {name: x for part in result.responses for name, x in part.at.items()},
         "tied": [q.name for q in parameters if q.kind == "tied"],
         "derived": result.derived,
         "prior": {

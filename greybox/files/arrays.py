@@ -7,3 +7,10 @@ Array = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.integer]
+
+
+def complex_array(real: Array, imaginary: Array) -> ComplexArray:
+    """Return complex numbers, without the warnings and NaN of ``1j *`` infinity."""
+    values = np.array(real, dtype=np.complex128)
+    values.imag = imaginary
+    return values

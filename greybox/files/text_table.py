@@ -2,6 +2,7 @@
 
 import difflib
 import math
+import re
 import unicodedata
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -105,7 +106,10 @@ def alternatives(name: object, names: Iterable[str]) -> str:
 
 
 def with_error(value: float, error: float) -> tuple[str, str]:
-    """Format a standard error with two significant digits, and the value to its last digit."""
+    """Format a standard error with two significant digits, and the value to its last digit.
+
+    Of a value that this rounding would change by more than 5 %, two significant digits remain.
+    """
     if not (math.isfinite(value) and math.isfinite(error)) or error <= 0:
         return number(value), "-"
     # The digits of such an error would leave the value none, or more than a person reads.
@@ -118,9 +122,16 @@ def with_error(value: float, error: float) -> tuple[str, str]:
             f"{value:.{max(2, math.floor(math.log10(abs(value))) + decimals + 1)}g}",
             f"{error:.2g}",
         )
-    places = max(decimals, 0)
+    digits = decimals
+    if abs(round(value, digits) - value) > 0.05 * abs(value):
+        # 12 ± 340 and not 10 ± 340: the estimate belongs to the answer, however large its error.
+        digits = 1 - math.floor(math.log10(abs(value)))
 
-    return f"{round(value, decimals):.{places}f}", f"{round(error, decimals):.{places}f}"
+    return _rounded(value, digits), _rounded(error, decimals)
+
+
+def _rounded(value: float, decimals: int) -> str:
+    return f"{round(value, decimals):.{max(decimals, 0)}f}"
 
 
 def greek(name: str) -> str:
@@ -130,6 +141,16 @@ def greek(name: str) -> str:
         return unicodedata.lookup(f"GREEK {size} LETTER {name}")
     except KeyError:
         return name
+
+
+def index_parts(name: str) -> tuple[str, list[str]]:
+    """Return a name as a base and its indices: ``omega_p`` is omega, p, and ``a1`` is a, 1."""
+    base, *indices = name.strip("_").split("_") if name.strip("_") else [name]
+    numbered = re.fullmatch(r"([^\W\d]+)(\d+)", base)
+    if numbered:
+        base, digits = numbered.groups()
+        indices = [digits, *indices]
+    return base, indices
 
 
 def in_greek(name: str) -> str:

@@ -1,11 +1,10 @@
 """Formulas as MathML, which browsers draw by themselves."""
 
 import math
-import re
 from collections.abc import Sequence
 from xml.etree.ElementTree import Element
 
-from greybox.files.text_table import greek
+from greybox.files.text_table import greek, index_parts
 from greybox.html_report.elements import Child, tag
 from greybox.modeling.expression_tree import (
     RELATIONS,
@@ -29,11 +28,7 @@ def formula(left: Child, right: Expression) -> Element:
 
 def symbol(name: str) -> Element:
     """Return a name as a symbol: ``omega_p`` is ω with the index p, ``a1`` is a with index 1."""
-    base, *indices = name.strip("_").split("_") if name.strip("_") else [name]
-    numbered = re.fullmatch(r"([^\W\d]+)(\d+)", base)
-    if numbered:
-        base, digits = numbered.groups()
-        indices = [digits, *indices]
+    base, indices = index_parts(name)
     if not indices:
         return tag("mi", greek(base))
     # Upright: an index such as max in K_max is a word and not a product of variables.

@@ -220,12 +220,23 @@ def _fit_member(
         return
 
     marks = {"fingerprint": runs.fingerprint, "asked": _asked(member)}
-    answer = {**(summary(result) if result else {}), **marks}
+    answer = {**(summary(result) if result else _stated(member.problem)), **marks}
     with responding(Response.FINISH):
         if result is not None:
             save(result, stored.file)
         # The answer says that the member is done, so it comes last.
         write_answer(folder, member.name, {**answer, "error": error} if error else answer)
+
+
+def _stated(problem: AnyProblem) -> dict[str, Any]:
+    """Return what tells a member that failed from others, as the summary of a fit has it."""
+    parts = problem.parts
+    return {
+        "problem": problem.name,
+        "model": list(dict.fromkeys(part.model.label for part in parts)),
+        "data": list(dict.fromkeys(part.data.name or part.name for part in parts)),
+        "criterion": "; ".join(dict.fromkeys(part.criterion.name for part in parts)),
+    }
 
 
 def _is_done(member: Member, stored: StudyMember) -> bool:

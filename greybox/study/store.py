@@ -31,6 +31,9 @@ from greybox.solve.runs import IMPROVED, POLISHED, SCREENED, Outcome
 
 Status = Literal["done", "failed", "unfinished"]
 
+# Fields of an answer that tell members of a study apart.
+FACTORS = ("model", "data", "criterion", "delay", "seed", "fixed", "at")
+
 DATABASE = "study.sqlite"
 LOCK = "lock"
 APPLICATION = 0x67_72_65_79  # "grey": SQLite files name the program that wrote them
@@ -111,6 +114,27 @@ class StudyMember:
         return str(self.answer.get("error", ""))
 
     @property
+    def reason(self) -> str:
+        """Why there is no fit, with the cure; empty if there is one."""
+        if self.status == "unfinished":
+            return "not fitted yet: the same batch continues"
+        return self.error
+
+    @property
+    def factors(self) -> dict[str, str]:
+        """What members are selected and grouped by: status, model, data and the like, as texts."""
+        texts = {"status": str(self.status)}
+        for name in FACTORS:
+            value = self.answer.get(name)
+            if isinstance(value, dict):
+                value = ", ".join(f"{key} = {number:g}" for key, number in value.items())
+            elif isinstance(value, list):
+                value = ", ".join(value)
+            if value not in (None, ""):
+                texts[name] = str(value)
+        return texts
+
+    @property
     def status(self) -> Status:
         """Return "done" with a usable answer, "failed" with an error, or "unfinished"."""
         if not self.answer:
@@ -130,14 +154,10 @@ class StudyMember:
         return self.folder / f"{self.number:03d}-{short}.h5"
 
     @property
-    def fit(self) -> Fit:
-        """The whole fit, read from its file.
-
-        Raises
-        ------
-        FileNotFoundError
-            If the member has no fit yet.
-        """
+    def fit(self) -> Fit | None:
+        """The whole fit, read from its file; None if there is none, and `reason` says why."""
+        if self.status != "done":
+            return None
         from greybox.estimate.storage import load  # noqa: PLC0415  (slow import)
 
         return load(self.file)

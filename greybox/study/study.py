@@ -3,18 +3,32 @@
 Begin with `read_study`.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import csv
+import io
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from greybox.files.text_table import counted, number, one_line, printable, text_table, with_error
-from greybox.study.store import Status, StudyMember, read_members
+from greybox.data.pandas_frames import Frame
+from greybox.files.optional_package import required
+from greybox.files.text_table import (
+    alternatives,
+    counted,
+    number,
+    one_line,
+    printable,
+    some,
+    text_table,
+    with_error,
+)
+from greybox.study.latex import latex_number, latex_symbol, latex_table, latex_text
+from greybox.study.store import FACTORS, Status, StudyMember, read_members
 
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """All members of a study, in their order; printed, it is a table that compares them."""
+    """Members of a study, in their order; printed, it is a table that compares them."""
 
     folder: Path
     members: tuple[StudyMember, ...]
@@ -31,6 +45,89 @@ class Study:
         """Return the number of members with this status."""
         return sum(member.status == status for member in self.members)
 
+    @property
+    def done(self) -> tuple[StudyMember, ...]:
+        """The members with an estimate."""
+        return tuple(member for member in self.members if member.status == "done")
+
+    def select(self, **factors: Any) -> "Study":
+        """Return the members with these values of factors: ``select(model=["A", "B"], seed=0)``.
+
+        The factors are ``status, model, data, criterion, delay, seed, fixed`` and those that a grid
+        varied; `StudyMember.factors` has them.
+
+        Raises
+        ------
+        ValueError
+            For a factor that no member has.
+        """
+        members = self.members
+        for name, values in factors.items():
+            self._require_factor(name)
+            chosen = set(map(str, values if isinstance(values, list | tuple | set) else [values]))
+            members = tuple(m for m in members if m.factors.get(name) in chosen)
+        return replace(self, members=members)
+
+    def groups(self, by: str) -> dict[str, "Study"]:
+        """Return the members by the value of a factor; those without one are left out."""
+        self._require_factor(by)
+        values = dict.fromkeys(m.factors[by] for m in self.members if by in m.factors)
+        return {value: self.select(**{by: value}) for value in values}
+
+    def _require_factor(self, name: str) -> None:
+        names = dict.fromkeys(key for member in self.members for key in member.factors)
+        if self.members and name not in names:
+            raise ValueError(
+                f"no member has the factor {name!r}; there are {alternatives(name, names)}"
+            )
+
+    @property
+    def table(self) -> list[dict[str, Any]]:
+        """A row for every member and quantity as plain values; `to_pandas` has the columns."""
+        return [row for member in self.members for row in _rows(member)]
+
+    def to_pandas(self) -> Frame:
+        """Return a row for every member and quantity as a pandas data frame.
+
+        In this long form members of different structures share a table: rows are selected,
+        grouped and, by ``pivot(index="member", columns="parameter", values="value")``, spread. The
+        columns are ``member``, the factors, ``grade, cost, starts, converged, agreeing, warnings,
+        reason``, then ``parameter, value, standard_error``, the ends ``low, high`` of the 95 %
+        interval, and ``unit``. A member without an estimate has one row without a parameter.
+
+        Raises
+        ------
+        ModuleNotFoundError
+            Without pandas, ``pip install 'greybox-id[pandas]'``.
+        """
+        return required("pandas", "pandas", "to_pandas()").DataFrame(self.table)
+
+    def to_csv(self) -> str:
+        """Return the rows of `to_pandas` as comma-separated values."""
+        text, rows = io.StringIO(), self.table
+        writer = csv.DictWriter(text, dict.fromkeys(name for row in rows for name in row))
+        writer.writeheader()
+        writer.writerows(rows)
+        return text.getvalue()
+
+    def to_latex(self) -> str:
+        r"""Return the estimates with standard errors as LaTeX, for ``\usepackage{booktabs}``.
+
+        A table for every group of members that estimate the same quantities. Its rows are named by
+        the factors in which they differ.
+        """
+        return "\n\n".join(_latex(members) for members in _alike(self.done))
+
+    @property
+    def failures(self) -> str:
+        """The members without an estimate by reason, with the cure; empty if none failed."""
+        reasons: dict[str, list[str]] = {}
+        for member in self.members:
+            if member.status == "failed":
+                reasons.setdefault(member.reason, []).append(member.name)
+        rows = [[str(len(names)), some(names), reason] for reason, names in reasons.items()]
+        return text_table(["failed", "members", "reason and cure"], rows, (1, 2)) if rows else ""
+
     def __repr__(self) -> str:
         return one_line(self, str(self.folder), self._state())
 
@@ -41,17 +138,8 @@ class Study:
 
     def __str__(self) -> str:
         blocks = [f"Study {printable(str(self.folder))}, {self._state()}", _overview(self.members)]
-        groups: dict[tuple[str, ...], list[StudyMember]] = {}
-        for member in self.members:
-            if member.status == "done":
-                groups.setdefault(tuple(member.answer["standard_error"]), []).append(member)
-        blocks += [_estimates(names, members) for names, members in groups.items()]
-        failed = [
-            f"{member.name}: {member.error}" for member in self.members if member.status == "failed"
-        ]
-        if failed:
-            blocks.append("\n".join(["Failed:", *(f"  {printable(text)}" for text in failed)]))
-        return "\n\n".join(blocks)
+        blocks += [_estimates(members) for members in _alike(self.done)]
+        return "\n\n".join([*blocks, *filter(None, [self.failures])])
 
 
 def read_study(folder: str | Path) -> Study:
@@ -73,9 +161,10 @@ def read_study(folder: str | Path) -> Study:
 def _require_readable(member: StudyMember) -> None:
     # Do now what printing will do: a damaged answer must be refused when it is read.
     try:
-        _row(member)
+        _overview([member])
+        _rows(member)
         if member.status == "done":
-            _cells(member.answer)
+            list(_cells(member, _shown))
             _require_labels(member.answer)
     except (LookupError, TypeError, ValueError, AttributeError):
         raise ValueError(
@@ -92,19 +181,11 @@ def _require_labels(answer: Mapping[str, Any]) -> None:
         raise TypeError
 
 
-def _overview(members: tuple[StudyMember, ...]) -> str:
-    header = [
-        "member",
-        "status",
-        "criterion",
-        "delay",
-        "runs",
-        "converged",
-        "agreeing",
-        "minima",
-        "cost",
-        "warnings",
-    ]
+COUNTS = ("starts", "converged", "agreeing", "minima")
+
+
+def _overview(members: Sequence[StudyMember]) -> str:
+    header = ["member", "status", "criterion", "delay", "runs", *COUNTS[1:], "cost", "warnings"]
     return text_table(header, [_row(member) for member in members], left=(0, 1, 2, 3))
 
 
@@ -112,25 +193,77 @@ def _row(member: StudyMember) -> list[str]:
     if member.status != "done":
         return [member.name, member.status, "", "", str(member.runs), *[""] * 5]
     answer = member.answer
-    counts = [str(int(answer[name])) for name in ("starts", "converged", "agreeing", "minima")]
+    counts = [str(int(answer[name])) for name in COUNTS]
     cost = "-" if answer["cost"] is None else number(answer["cost"], 6)
     texts = [str(answer[name]) for name in ("criterion", "delay")]
     return [member.name, member.status, *texts, *counts, cost, str(len(answer["warnings"]))]
 
 
-def _estimates(names: tuple[str, ...], members: list[StudyMember]) -> str:
-    return text_table(
-        ["member", *names], [[member.name, *_cells(member.answer)] for member in members]
-    )
+def _rows(member: StudyMember) -> list[dict[str, Any]]:
+    answer, is_done = member.answer, member.status == "done"
+    common = {"member": member.name, **dict.fromkeys(FACTORS), **member.factors}
+    common["grade"] = answer["verdict"]["grade"] if is_done else ""
+    common |= {name: answer.get(name) for name in ("cost", *COUNTS)}
+    common |= {"warnings": len(answer.get("warnings", ())), "reason": member.reason}
+
+    values = {**answer.get("derived", {}), **answer.get("estimate", {})}
+    intervals, units = answer.get("interval", {}), answer.get("unit", {})
+    rows = []
+    for name, error in (answer["standard_error"] if is_done else {"": None}).items():
+        low, high = intervals.get(name, (None, None))
+        row = {"parameter": name, "value": values.get(name), "standard_error": error}
+        rows.append({**common, **row, "low": low, "high": high, "unit": units.get(name, "")})
+    return rows
 
 
-def _cells(answer: Mapping[str, Any]) -> list[str]:
+def _alike(members: Sequence[StudyMember]) -> list[list[StudyMember]]:
+    """Return the members in groups that have the same quantities."""
+    groups: dict[tuple[str, ...], list[StudyMember]] = {}
+    for member in members:
+        groups.setdefault(tuple(member.answer["standard_error"]), []).append(member)
+    return [*groups.values()]
+
+
+def _estimates(members: Sequence[StudyMember]) -> str:
+    header = ["member", *members[0].answer["standard_error"]]
+    return text_table(header, [[m.name, *_cells(m, _shown)] for m in members])
+
+
+def _latex(members: Sequence[StudyMember]) -> str:
+    """Return a table of members that have the same quantities."""
+    answer = members[0].answer
+    models = dict.fromkeys(member.factors.get("model", "") for member in members)
+    units = answer.get("unit", {})
+    labels = names_by_difference(members)
+    symbols = [latex_symbol(name, units.get(name, "")) for name in answer["standard_error"]]
+    rows = [
+        [*map(latex_text, label.values()), *_cells(member, latex_number)]
+        for label, member in zip(labels, members, strict=True)
+    ]
+    table = latex_table([*map(latex_text, labels[0]), *symbols], rows, len(labels[0]))
+    return f"% {'; '.join(models)}\n{table}"
+
+
+def names_by_difference(members: Sequence[StudyMember]) -> list[dict[str, str]]:
+    """Return the factors in which members differ; their names where these do not suffice."""
+    factors = [member.factors for member in members]
+    names = dict.fromkeys(name for values in factors for name in values)
+    varied = [name for name in names if len({values.get(name) for values in factors}) > 1]
+    labels = [{name: values.get(name, "") for name in varied} for values in factors]
+    if len({tuple(label.values()) for label in labels}) == len(members) > 1:
+        return labels
+    return [{"member": member.name} for member in members]
+
+
+def _cells(member: StudyMember, form: Callable[[float | None, float | None], str]) -> Iterator[str]:
+    """Yield the estimates with their errors as text; a constant has no error."""
+    answer = member.answer
     values = {**answer["derived"], **answer["estimate"]}
-    cells = []
     for name, error in answer["standard_error"].items():
-        value = values[name]
-        if value is None or not error:  # unknown, or a constant
-            cells.append("-" if value is None else number(value))
-        else:
-            cells.append(" ± ".join(with_error(value, error)))
-    return cells
+        yield form(values[name], error or None)
+
+
+def _shown(value: float | None, error: float | None) -> str:
+    if value is None or error is None:
+        return "-" if value is None else number(value)
+    return " ± ".join(with_error(value, error))

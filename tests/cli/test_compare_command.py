@@ -25,3 +25,15 @@ def test_saved_fits_are_compared(capsys, tmp_path):
     )
     assert "there is one fit" in refused(capsys, "compare", paths["four"])
     assert "is given twice" in refused(capsys, "compare", paths["four"], paths["four"])
+
+
+def test_the_estimates_of_a_study_are_written_as_tables(capsys, tmp_path, small_study):
+    table, rows = tmp_path / "table.tex", tmp_path / "rows.csv"
+    arguments = ("compare", small_study.folder, "--latex", table, "--csv", rows)
+    status, out, _ = run(capsys, *arguments)
+    assert status == 0
+    assert f"wrote {table}" in out
+    assert table.read_text(encoding="utf-8") == small_study.to_latex()
+    assert rows.read_text(encoding="utf-8").splitlines() == small_study.to_csv().splitlines()
+    assert "exists" in refused(capsys, *arguments)
+    assert "for a study" in refused(capsys, "compare", "a.h5", "b.h5", "--csv", tmp_path / "c.csv")

@@ -116,7 +116,7 @@ def test_lines_are_kept_where_a_text_has_some():
 @pytest.mark.parametrize(
     ("value", "error", "shown"),
     [
-        (0.002, 2.0, ("0.0", "2.0")),  # a thousand times the value: its digits are noise
+        (0.002, 2.0, ("0.0020", "2.0")),  # up to a thousand times the value
         (0.00199, 2.0, ("0.00199", "2")),
         (-0.00199, 2.0, ("-0.00199", "2")),
         (2.5, 2.4e-9, ("2.5", "2.4e-09")),  # fewer than a billionth is rounding
@@ -130,7 +130,9 @@ def test_lines_are_kept_where_a_text_has_some():
         (123456.0, 6200.0, ("123500", "6200")),
         (1234567.0, 210000.0, ("1230000", "210000")),
         (5.0, 3.0, ("5.0", "3.0")),
-        (3.7, 9.96, ("4", "10")),
+        (3.7, 9.96, ("3.7", "10")),
+        (12.4, 340.0, ("12", "340")),
+        (-3.04, 340.0, ("-3.0", "340")),
     ],
 )
 def test_errors_far_larger_and_far_smaller_than_their_value(value, error, shown):

@@ -117,7 +117,7 @@ def test_a_member_that_fails_does_not_stop_the_rest(tmp_path):
     study = gb.batch([bad, *members()[:1]], tmp_path, progress=False)
     assert [member.status for member in study.members] == ["failed", "done"]
     assert "none" in study["bad"].error
-    assert f"bad: {study['bad'].error}" in str(study)
+    assert f"bad      {study['bad'].error}" in str(study)
     mended = gb.batch(
         [gb.study.Member(RESPONSE, 5, name="bad"), *members()[:1]], tmp_path, progress=False
     )

@@ -1,0 +1,51 @@
+"""Tables for a paper: LaTeX with the package booktabs."""
+
+import math
+import re
+from collections.abc import Sequence
+
+from greybox.files.text_table import greek, index_parts, with_error
+
+ACCENTS = ("tilde", "hat", "bar", "dot")
+SPECIAL = {c: f"\\{c}" for c in "&%$#_{}"} | {
+    "\\": r"\textbackslash{}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+}
+
+
+def latex_table(header: Sequence[str], rows: Sequence[Sequence[str]], texts: int) -> str:
+    """Return a table of cells in LaTeX; the first columns, `texts` of them, are flush left."""
+    body = [" & ".join(row) + r" \\" for row in rows]
+    columns = "l" * texts + "r" * (len(header) - texts)
+    begin = [rf"\begin{{tabular}}{{{columns}}}", r"\toprule", " & ".join(header) + r" \\"]
+    return "\n".join([*begin, r"\midrule", *body, r"\bottomrule", r"\end{tabular}"])
+
+
+def latex_text(text: str) -> str:
+    """Return text that LaTeX prints as it is."""
+    return "".join(SPECIAL.get(character, character) for character in text)
+
+
+def latex_symbol(name: str, unit: str = "") -> str:
+    """Return the name of a parameter as mathematics, followed by its unit."""
+    base, indices = index_parts(name)
+    letter = latex_text(base) if greek(base) == base else f"\\{base}"
+    if indices and indices[-1] in ACCENTS:
+        letter = f"\\{indices.pop()}{{{letter}}}"
+    index = ",".join(latex_text(text) for text in indices)
+    symbol = f"${letter}_{{\\mathrm{{{index}}}}}$" if indices else f"${letter}$"
+    return f"{symbol} ({latex_text(unit)})" if unit not in ("", "1") else symbol
+
+
+def latex_number(value: float | None, error: float | None = None) -> str:
+    """Return a value with its standard error, each with the digits that it deserves."""
+    if value is None:
+        return "--"
+    texts = with_error(value, math.nan if error is None else error)
+    powers = [re.sub(r"e([+-]\d+)", _power, text) for text in texts]
+    return f"${powers[0]}$" if texts[1] == "-" else rf"${powers[0]} \pm {powers[1]}$"
+
+
+def _power(exponent: re.Match[str]) -> str:
+    return rf" \cdot 10^{{{int(exponent[1])}}}"
