@@ -98,6 +98,8 @@ def nested_test(small: Fit, large: Fit) -> NestedTest:
     ValueError
         If the data differ, `small` is not shown to be `large` with terms removed, the costs have no
         likelihood ratio, or `large` costs more.
+    LookupError
+        If a loaded fit does not know its model.
 
     Sources: Rotnitzky and Jewell (1990), Biometrika 77; Satorra and Bentler (1994); Klein and
     Morelli, chapter 5; Self and Liang (1987), Journal of the American Statistical Association 82.

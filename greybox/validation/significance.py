@@ -82,9 +82,8 @@ def fit_verdict(
         if not other_samples(fits, labels):
             test = nested_test_at(nested_values(small, large, names), small, large, names)
             return f"{names[1]} contains {names[0]}, and {test}", test
-    except NotNestedError as reason:
-        if reason.undecided:
-            return f"{_undecided(labels)}: {reason}.", None
+    except (NotNestedError, LookupError):
+        pass  # without the equations of a loaded fit, AIC and predictions are what there is
     except ValueError as error:
         return f"{_undecided(labels)}: {error}", None
     return "" if difference is None else verdict_by_aic(labels, difference), None
