@@ -245,7 +245,7 @@ def fit_keeping(
     by = by or SolverChoice()
     nlp, solver = by.compiled(problem)
     rule = as_starts(solver.starts if starts is None else starts, seed)
-    points = rule.draw({name: nlp.problem.parameters[name] for name in nlp.free})
+    points = rule.numbered({name: nlp.problem.parameters[name] for name in nlp.free})
     run = partial(
         multistart,
         nlp,

@@ -2,14 +2,47 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
+from typing import ClassVar
 
 import numpy as np
 
 from greybox.files.arrays import Array
 from greybox.files.text_table import counted, one_line
 from greybox.modeling.parameter import Parameter, is_finite_number
+
+# Starts that are drawn at once: 4096 of ten parameters fit into the cache. A power of two, at which
+# a Sobol sequence is balanced; scipy warns otherwise.
+BLOCK = 2**12
+
+
+class Points(Sequence[Array]):
+    """Starts (p,) by number, drawn in blocks as they are asked for: ten million would take 1 GB.
+
+    `blocks` returns an iterator of arrays (b, p), from the first start on.
+    """
+
+    def __init__(self, number: int, blocks: Callable[[], Iterator[Array]]) -> None:
+        self.number, self.blocks = number, blocks
+        self._restart()
+
+    def _restart(self) -> None:
+        self._block, self._begin, self._following = np.empty((0, 0)), 0, self.blocks()
+
+    def __len__(self) -> int:
+        return self.number
+
+    def __getitem__(self, number: int) -> Array:  # type: ignore[override]  (no slices)
+        if not 0 <= number < self.number:
+            raise IndexError(f"start {number} of {self.number}")
+        if number < self._begin:
+            self._restart()
+        while number >= self._begin + len(self._block):
+            self._begin += len(self._block)
+            self._block = next(self._following)
+        return self._block[number - self._begin]
 
 
 class Starts(ABC):
@@ -21,6 +54,11 @@ class Starts(ABC):
     def draw(self, parameters: Mapping[str, Parameter]) -> Array:
         """Return the starts, (number, p), for the free parameters in their order."""
 
+    def numbered(self, parameters: Mapping[str, Parameter]) -> Points:
+        """Return the starts of `draw` by number."""
+        drawn = self.draw(parameters)
+        return Points(len(drawn), lambda: iter((drawn,)))
+
     @abstractmethod
     def __str__(self) -> str: ...
 
@@ -29,7 +67,7 @@ class Starts(ABC):
 class RandomStarts(Starts):
     """Points drawn in the unit cube and spread over the boxes of the parameters.
 
-    A subclass defines `unit_points`.
+    A subclass defines `unit_points`, and `most`, the largest number.
 
     Parameters
     ----------
@@ -40,10 +78,11 @@ class RandomStarts(Starts):
 
     number: int
     seed: int = 0  # type: ignore[assignment]
+    most: ClassVar[int]
 
     @abstractmethod
-    def unit_points(self, size: int) -> Array:
-        """Return points in the unit cube, (number, size)."""
+    def unit_points(self, dimensions: int) -> Iterator[Array]:
+        """Yield blocks (b, dimensions) of points in the unit cube, `number` in all."""
 
     def __post_init__(self) -> None:
         """Check number and seed."""
@@ -53,12 +92,21 @@ class RandomStarts(Starts):
                 raise ValueError(
                     f"{name} of starts is {value!r}: give a whole number of at least {least}."
                 )
+        if self.number > self.most:
+            raise ValueError(
+                f"number of starts is {self.number}: {type(self).__name__} draws at most "
+                f"{self.most}, give a smaller number."
+            )
 
     def __str__(self) -> str:
         return f"{self.number} by {type(self).__name__}, seed {self.seed}"
 
     def draw(self, parameters: Mapping[str, Parameter]) -> Array:
         """Return the starts, (number, p)."""
+        return np.concatenate([*self.numbered(parameters).blocks()])
+
+    def numbered(self, parameters: Mapping[str, Parameter]) -> Points:
+        """Return the starts by number, drawn as they are asked for."""
         for name, parameter in parameters.items():
             low, high = parameter.box
             if not (math.isfinite(low) and math.isfinite(high)):
@@ -67,32 +115,44 @@ class RandomStarts(Starts):
                     f"{high:g}): declare Parameter(..., starts=(low, high)) or give the starts as "
                     "a list."
                 )
-        shares = self.unit_points(len(parameters))
-        return np.column_stack([p.in_box(shares[:, k]) for k, p in enumerate(parameters.values())])
+
+        def blocks() -> Iterator[Array]:
+            for shares in self.unit_points(len(parameters)):
+                columns = [p.in_box(shares[:, k]) for k, p in enumerate(parameters.values())]
+                yield np.column_stack(columns)
+
+        return Points(self.number, blocks)
 
 
 @dataclass(frozen=True)
 class Sobol(RandomStarts):
     """Scrambled Sobol points; more of them with the same seed begin with the same points."""
 
-    def unit_points(self, size: int) -> Array:
-        """Return the first `number` points of the sequence."""
+    most = 2**30  # points of scipy's sequence, of 30 bits
+
+    def unit_points(self, dimensions: int) -> Iterator[Array]:
+        """Yield the points of the sequence."""
         from scipy.stats import qmc  # noqa: PLC0415  (imports slowly)
 
-        sequence = qmc.Sobol(size, scramble=True, rng=np.random.default_rng(self.seed))
-        # A power of two keeps the sequence balanced, and scipy warns otherwise.
-        return sequence.random_base2(math.ceil(math.log2(self.number)))[: self.number]
+        sequence = qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(self.seed))
+        size = min(2 ** math.ceil(math.log2(self.number)), BLOCK)
+        for begin in range(0, self.number, size):
+            yield sequence.random(size)[: self.number - begin]
 
 
 @dataclass(frozen=True)
 class LatinHypercube(RandomStarts):
     """Latin hypercube: every parameter has `number` layers with one point in each."""
 
-    def unit_points(self, size: int) -> Array:
-        """Return one random hypercube."""
+    most = 2**20  # it is drawn as a whole, 8 MB a parameter
+
+    def unit_points(self, dimensions: int) -> Iterator[Array]:
+        """Yield one random hypercube."""
         from scipy.stats import qmc  # noqa: PLC0415  (imports slowly)
 
-        return qmc.LatinHypercube(size, rng=np.random.default_rng(self.seed)).random(self.number)
+        yield qmc.LatinHypercube(dimensions, rng=np.random.default_rng(self.seed)).random(
+            self.number
+        )
 
 
 @dataclass(frozen=True)
@@ -144,7 +204,14 @@ class Chained(Starts):
 
     def draw(self, parameters: Mapping[str, Parameter]) -> Array:
         """Return the points of every rule, (sum of numbers, p)."""
-        return np.vstack([rule.draw(parameters) for rule in self.rules])
+        return np.concatenate([*self.numbered(parameters).blocks()])
+
+    def numbered(self, parameters: Mapping[str, Parameter]) -> Points:
+        """Return the points of every rule by number."""
+        parts = [rule.numbered(parameters) for rule in self.rules]
+        return Points(
+            sum(map(len, parts)), lambda: chain.from_iterable(part.blocks() for part in parts)
+        )
 
 
 def as_starts(

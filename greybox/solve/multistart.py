@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from types import MappingProxyType
@@ -57,7 +57,7 @@ def solver_for(
 def multistart(
     nlp: CompiledProblem,
     solver: LocalSolver,
-    starts: Array,
+    starts: Sequence[Array],
     *,
     progress: ProgressReport | None = None,
     movable: bool = True,
@@ -65,7 +65,7 @@ def multistart(
     kept: KeptRuns | None = None,
     promising: tuple[int, int] | None = None,
 ) -> Multistart:
-    """Run the solver from every row of `starts` (r, p) and group the runs into minima.
+    """Run the solver from all `starts` (p,) and group the runs into minima.
 
     With `promising`, so many starts are run first that the solver finds the most promising; the
     others follow if not enough of these, the second number, agree. On the fits of the paper each of
@@ -79,12 +79,12 @@ def multistart(
     (`greybox.solve.executors`). Runs that were `kept` are not made again.
     """
     began = time.perf_counter()
-    points: Array | FiniteStarts = starts
+    points: Sequence[Array] | FiniteStarts = starts
     if movable and nlp.strategies.moved_starts:
         points = FiniteStarts(nlp, solver, starts)
     memory = Memory() if kept is None else Memory(kept, runner_fingerprint(solver))
     few, enough = promising or (len(starts), 0)
-    screened = solver.screened(starts) if movable and few < len(starts) else None
+    screened = solver.screened(np.array(starts)) if movable and few < len(starts) else None
     begins = {} if screened is None else dict(enumerate(screened.begins))
 
     # Four screened runs, which begin near their ends, gain little from excerpts.
@@ -168,7 +168,7 @@ def agreeing_runs_of(
     return agreeing_runs(runs, minima, numbers=numbers, is_likelihood=is_likelihood, zero=zero)
 
 
-def _listed(starts: Array, costs: Array, made: Mapping[int, Run]) -> Runs:
+def _listed(starts: Iterable[Array], costs: Array, made: Mapping[int, Run]) -> Runs:
     """Return the runs that were made by number, and for every other start its cost."""
     only_compared = {"status": SCREENED, "converged": False, "stage": SCREENED}
     return Runs.of(
@@ -208,33 +208,37 @@ def _certified(
 
 
 class FiniteStarts:
-    """Starts (r, p) by number; those without a finite model move toward the first with one.
+    """Starts (p,) by number; those without a finite model move toward the first with one.
 
     A start is moved when it is asked for, so that the first run does not wait for the last start.
     """
 
-    def __init__(self, nlp: CompiledProblem, solver: LocalSolver, starts: Array) -> None:
+    def __init__(self, nlp: CompiledProblem, solver: LocalSolver, starts: Sequence[Array]) -> None:
         self._nlp, self._solver, self._starts = nlp, solver, starts
 
     @cached_property
-    def _first(self) -> int | None:
+    def _first(self) -> tuple[int, Array] | None:
+        """Return number and start of the first with a finite model."""
         finite = (
-            k
+            (k, start)
             for k, start in enumerate(self._starts)
             if stop_requested() or self._solver.is_finite_at(start)
         )
         return next(finite, None)
 
     def __getitem__(self, number: int) -> Array:
-        start, first = self._starts[number], self._first
-        if first is None or number == first:
+        if self._first is None:
+            return self._starts[number]
+        first, finite = self._first
+        start = self._starts[number]
+        if number == first:
             return start
         if number > first and self._solver.is_finite_at(start):
             return start
 
         # The farthest point on the way, halved up to six times, in the solver's variables.
         nlp = self._nlp
-        home = nlp.scaling.to_solver(self._starts[first])
+        home = nlp.scaling.to_solver(finite)
         away = nlp.scaling.to_solver(start) - home
         for halvings in range(1, 7):
             z = home + 0.5**halvings * away

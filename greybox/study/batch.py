@@ -35,8 +35,8 @@ from greybox.solve.multistart import BATCHED
 from greybox.study.store import StoredRuns, StudyMember, add_members, locked, write_answer
 from greybox.study.study import Study, read_study
 
-# A problem that cannot be fitted ends its own member; any other error is a bug.
-MEMBER_ERRORS = (ValueError, TypeError, ArithmeticError, LookupError, RuntimeError)
+# Errors of a user's input, whose messages say enough; of others the class is named, too.
+SENTENCES = (ValueError, TypeError, RuntimeError)
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,8 +211,11 @@ def _fit_member(
         error = "" if result.converged else ": ".join([result.status, *result.warnings[:1]])
     except (ExecutorLostError, KeptRunsError):  # of the workers or the folder, not of the member
         raise
-    except MEMBER_ERRORS as raised:
-        error = " ".join(str(raised).split()) or type(raised).__name__
+    # Whatever else happens ends this member alone: a batch runs for days without its user.
+    except Exception as raised:
+        message = " ".join(str(raised).split())
+        is_sentence = message and isinstance(raised, SENTENCES)
+        error = message if is_sentence else f"{type(raised).__name__}: {message}".rstrip(": ")
     finally:
         with responding(Response.FINISH):
             runs.write()

@@ -124,6 +124,29 @@ def test_a_member_that_fails_does_not_stop_the_rest(tmp_path):
     assert [member.status for member in mended.members] == ["done", "done"]
 
 
+class Huge(gb.solve.Starts):
+    """A rule that needs more memory than there is."""
+
+    def draw(self, parameters):
+        """Fail as numpy does."""
+        raise MemoryError
+
+    def __str__(self):
+        return "huge"
+
+
+def test_too_many_starts_or_too_little_memory_end_their_member_only(tmp_path):
+    listed = [
+        gb.study.Member(RESPONSE, 10**12, name="many"),
+        gb.study.Member(RESPONSE, Huge(), name="huge"),
+        *members()[:1],
+    ]
+    study = gb.batch(listed, tmp_path, progress=False)
+    assert [member.status for member in study.members] == ["failed", "failed", "done"]
+    assert "1000000000000" in study["many"].error
+    assert study["huge"].error == "MemoryError"
+
+
 def test_another_problem_under_the_same_name_is_refused_and_changes_nothing(tmp_path):
     gb.batch(members()[:1], tmp_path, progress=False)
     files = {path: path.read_bytes() for path in tmp_path.rglob("*.*")}
