@@ -14,17 +14,20 @@ from typing import Any
 from greybox.cli.options import UsageError, as_options
 from greybox.cli.output import BAD_INPUT, FAILED, INTERRUPTED, USABLE, write_answer
 from greybox.modeling.model_reference import UnknownModelError
-from greybox.solve.interruption import Response, listening, responding, take_interrupt
+from greybox.solve.interruption import Response, ended_status, listening, responding, take_interrupt
 
 
 def execute(options: argparse.Namespace, arguments: Sequence[str]) -> int:
     """Run the command of the parsed `options`, write its answer, and return the exit status."""
     # Ctrl-C during the output must not leave half a JSON object.
     with listening():
-        result, text, status = _answer(options, arguments)
+        try:
+            result, text, status = _answer(options, arguments)
+        except KeyboardInterrupt:
+            result, text, status = {"error": "interrupted."}, "", INTERRUPTED
         with responding(Response.FINISH):
             status = write_answer(result, text, options.json, status)
-        return INTERRUPTED if take_interrupt() else status
+        return ended_status() if take_interrupt() or status == INTERRUPTED else status
 
 
 def _answer(

@@ -6,6 +6,8 @@ Only the modules of the command at hand are imported, so that help and version a
 import argparse
 import contextlib
 import io
+import mmap
+import os
 import sys
 from collections.abc import Collection, Sequence
 from importlib import import_module
@@ -36,6 +38,10 @@ COMMANDS = {
     "report": "write a page about results that can be shared",
     "new": "write a commented file to start from",
 }
+
+# MB of address space: enough for any number of threads in OpenBLAS, and for one, with which fits
+# take 570 to 610.
+ADDRESSES = (1024, 600)
 
 BEGIN = """\
 begin with:
@@ -68,12 +74,14 @@ class _Parser(argparse.ArgumentParser):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit status.
 
-    0 a usable answer, 1 a run that failed, 2 bad usage or bad input, 130 interrupted by Ctrl-C.
+    0 a usable answer, 1 a run that failed, 2 bad usage or bad input, 130 interrupted by
+    Ctrl-C, 143 by SIGTERM.
     """
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     # Mistakes in the arguments are answered as JSON too, before anything is parsed.
     as_json = "--json" in arguments
     try:
+        _require_memory()
         parsed = _parse(arguments)
         if not isinstance(parsed, argparse.Namespace):
             return write_answer({}, parsed, as_json)
@@ -86,6 +94,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return write_answer({"error": "interrupted."}, "", as_json)
     except UsageError as error:
         return write_answer({"error": str(error)}, "", as_json, BAD_INPUT)
+
+
+def _require_memory() -> None:
+    """Raise UsageError where OpenBLAS would ask for memory for ever."""
+    for size in ADDRESSES:
+        with contextlib.suppress(OSError):
+            mmap.mmap(-1, size << 20).close()
+            return
+        os.environ["OPENBLAS_NUM_THREADS"] = "1"  # each has a buffer of 128 MB
+    raise UsageError(
+        f"greybox needs {ADDRESSES[-1]} MB of address space: raise the limit (ulimit -v, or that "
+        "of the container)."
+    )
 
 
 def parser_of(commands: Collection[str] = tuple(COMMANDS)) -> argparse.ArgumentParser:

@@ -1,6 +1,7 @@
 """Where runs are made: in this process, in others on this machine, or by Dask's workers."""
 
 import argparse
+import logging
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -40,6 +41,8 @@ def _client(address: str):
     except ModuleNotFoundError:
         raise UsageError("--scheduler needs Dask: pip install 'greybox-id[dask]'.") from None
 
+    # The client would print tracebacks of a scheduler that is lost, for which there is a sentence.
+    logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     # Without a limit a wrong address would wait for ever.
     try:
         return Client(address, timeout=CONNECTING)

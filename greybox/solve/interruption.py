@@ -1,5 +1,7 @@
 """What ends a search early: a time limit, or Ctrl-C, which is obeyed where work can end in order.
 
+SIGTERM, which batch systems, containers and systemd send before they kill, is obeyed like Ctrl-C.
+
 The clock of the limits is the time of day, not that of the process: workers are told when a search
 ends.
 
@@ -7,9 +9,8 @@ An exception that a signal handler raises is swallowed by CasADi while IPOPT eva
 that run counts as failed and the search goes on; in a root finder it becomes a RuntimeError.
 Solvers therefore ask `stop_requested` at every iteration, and end the current run.
 
-Only the main thread receives signals, and only Python's own handler, which raises
-KeyboardInterrupt, is replaced: a program with a handler of its own keeps it. In other threads
-nothing here has an effect.
+Only the main thread receives signals, and only Python's own handlers are replaced: a program with
+a handler of its own keeps it. In other threads nothing here has an effect.
 """
 
 import math
@@ -32,6 +33,9 @@ class Response(Enum):
     STOP = auto()  # noted; solvers see it and end
     FINISH = auto()  # noted; the current work is finished
 
+
+# The signals that end a program in order, with Python's own handlers of them.
+ENDING = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
 
 # Seconds within which a second signal is the same Ctrl-C: the terminal sends it to all processes,
 # and programs such as timeout(1) forward it.
@@ -76,6 +80,7 @@ class _State(threading.local):
     listening = False
     noted = False
     noted_at = 0.0  # s, on the monotonic clock
+    number = int(signal.SIGINT)
     response = Response.RAISE
 
 
@@ -145,6 +150,11 @@ def take_interrupt() -> bool:
     return noted
 
 
+def ended_status() -> int:
+    """Return the exit status of a program that the last of these signals ended, as in a shell."""
+    return 128 + _state.number
+
+
 @contextmanager
 def listening() -> Iterator[None]:
     """Note Ctrl-C within; an error after one was caused by it, and becomes a KeyboardInterrupt.
@@ -152,17 +162,17 @@ def listening() -> Iterator[None]:
     A second Ctrl-C raises KeyboardInterrupt in any case.
     """
     # The handler of another program is left alone, and so are other threads.
+    usual = {
+        number: handler for number, handler in ENDING.items() if signal.getsignal(number) == handler
+    }
     in_main_thread = threading.current_thread() is threading.main_thread()
-    if (
-        _state.listening
-        or not in_main_thread
-        or signal.getsignal(signal.SIGINT) is not signal.default_int_handler
-    ):
+    if _state.listening or not in_main_thread or not usual:
         yield
         return
     _state.listening = True
     _state.noted = False
-    signal.signal(signal.SIGINT, _note)
+    for number in usual:
+        signal.signal(number, _note)
     try:
         yield
     except Exception as error:
@@ -171,7 +181,8 @@ def listening() -> Iterator[None]:
             raise KeyboardInterrupt from error
         raise
     finally:
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        for number, handler in usual.items():
+            signal.signal(number, handler)
         _state.listening = False
         _state.noted = False
 
@@ -187,8 +198,9 @@ def responding(response: Response) -> Iterator[None]:
         _state.response = previous
 
 
-def _note(_number: int, _frame: FrameType | None) -> None:
+def _note(number: int, _frame: FrameType | None) -> None:
     now = time.monotonic()
+    _state.number = number
 
     # A second Ctrl-C must end the program even if a solver does not look.
     again = _state.noted and now - _state.noted_at > ECHO

@@ -8,6 +8,8 @@ from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecu
 from contextlib import contextmanager, suppress
 from typing import Any
 
+from greybox.solve.interruption import ENDING
+
 # How often a task is tried that ends its worker: its memory may have been another program's fault.
 TRIALS = 2
 
@@ -110,8 +112,9 @@ def _new_process() -> Executor:
 
 
 def _prepare_worker() -> None:
-    """Leave Ctrl-C, which a terminal sends to all processes, to the parent; end with the parent."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    """Leave Ctrl-C and SIGTERM, which may go to all processes, to the parent; end with it."""
+    for number in ENDING:
+        signal.signal(number, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

@@ -1,6 +1,8 @@
 """`greybox batch` and `greybox compare`, as they are typed."""
 
 import json
+import os
+import signal
 import sys
 
 import pytest
@@ -166,13 +168,17 @@ def test_usage(study, tmp_path, capsys):
         assert message in result["error"]
 
 
-def test_ctrl_c_says_how_to_go_on(study, capsys, monkeypatch, press_ctrl_c):
+@pytest.mark.usefixtures("press_ctrl_c")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_and_sigterm_say_how_to_go_on(study, capsys, monkeypatch, number):
     study.write_text(TWO_SEEDS)
     add = StoredRuns.add
     monkeypatch.setattr(
-        StoredRuns, "add", lambda self, *run: (add(self, *run), run[0] == 7 and press_ctrl_c())
+        StoredRuns,
+        "add",
+        lambda self, *run: (add(self, *run), run[0] == 7 and os.kill(os.getpid(), number)),
     )
-    assert main(["batch", str(study), "--out", "out"]) == 130
+    assert main(["batch", str(study), "--out", "out"]) == 128 + number
     shown = capsys.readouterr()
     assert "greybox: interrupted; the same command continues." in shown.err
     assert "2 members: 2 unfinished" in shown.out

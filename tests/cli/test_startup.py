@@ -5,6 +5,7 @@ Ctrl-C, and standard output that is not UTF-8, closed, or full.
 
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -132,3 +133,19 @@ def test_a_full_disk_under_standard_output_is_an_error():
         done = greybox("--help", stdout=full)
     assert done.returncode == 1
     assert done.stderr == b"greybox: cannot write to standard output: No space left on device.\n"
+
+
+def test_too_little_memory_is_said_at_once():
+    # 400 MB, with which OpenBLAS would ask again for ever.
+    limit = (400 << 20, 400 << 20)
+    command = [sys.executable, "-m", "greybox", "fit", "rotors"]
+    done = subprocess.run(
+        command,
+        check=False,
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, limit),
+    )
+    assert done.returncode == 2
+    assert "address space" in done.stderr
+    assert done.stderr.count("\n") == 1

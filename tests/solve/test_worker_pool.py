@@ -40,6 +40,12 @@ def test_a_call_whose_worker_is_killed_is_made_again(pool, tmp_path):
     assert pool.submit(end_worker, str(tmp_path / "seen")).result() == "second time"
 
 
+def test_a_signal_to_all_processes_is_left_to_the_parent(pool):
+    number = pool.submit(os.getpid).result()
+    os.kill(number, signal.SIGTERM)
+    assert number in {pool.submit(os.getpid).result() for _ in range(4)}
+
+
 def test_a_call_that_always_ends_its_worker_is_lost_and_no_other(pool):
     pool.submit(abs, -1).result()
     calls = [pool.submit(abs, -k) for k in range(4)]
