@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import casadi as ca
 import numpy as np
 
-from greybox.compiled.response_map import Mapped
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.identifiability import KnownDirections
 from greybox.files.arrays import Array, ComplexArray
@@ -183,19 +183,25 @@ def response_and_slope(
     options: dict[str, Any] = {"input": input, "output": output, "at": signals["at"]}
     options["pade"] = delay_order(signals["delay"])
     p = [values[name] for name in model.parameters]
-    if sine is not None:
-        sine = enough_harmonics(model, omega, sine.between(measured, omega), values, **options)
-        compiled = harmonic_function(model, omega, sine, **options)
-    elif (formula := formula_at_one_frequency(model, omega, **options)) is not None:
+    if sine is None and (formula := formula_at_one_frequency(model, omega, **options)) is not None:
         # One small function mapped over the frequencies compiles several times faster than one
-        # expression of all of them.
-        compiled = Mapped(formula, omega).function()
+        # expression of all of them, or than the derivative of the mapped function.
+        q, frequency = ca.SX.sym("p", len(p)), ca.SX.sym("omega")
+        parts = ca.vertcat(*formula(q, frequency))
+        rows = ca.densify(ca.horzcat(parts, ca.jacobian(parts, q)))
+        mapped = ca.Function("slopes", [q, frequency], [rows]).map(omega.size)
+        re, im = np.reshape(mapped(p, omega[None]).full(), (2, omega.size, -1))
     else:
-        compiled = response_formula(model, omega, **options).closed()
+        if sine is None:
+            compiled = response_formula(model, omega, **options).closed()
+        else:
+            sine = enough_harmonics(model, omega, sine.between(measured, omega), values, **options)
+            compiled = harmonic_function(model, omega, sine, **options)
+        pairs = zip(compiled(p), compiled.jacobian()(p, 0, 0), strict=True)
+        re, im = (np.hstack([row.full(), slope.full()]) for row, slope in pairs)
 
-    re, im = (part.full().ravel() for part in compiled(p))
-    re_slope, im_slope = (part.full() for part in compiled.jacobian()(p, 0, 0))
+    result = re + 1j * im
     response = FrequencyResponse(
-        omega, re + 1j * im, input, output, name=model.label, source="model"
+        omega, result[:, 0], input, output, name=model.label, source="model"
     )
-    return response, re_slope + 1j * im_slope
+    return response, result[:, 1:]
