@@ -79,6 +79,7 @@ class Columns:
     ) -> None:
         function = _dense(function)
         self._function, self._shared, self._fewest = function, shared, fewest
+        self._sizes = [function.numel_out(k) for k in range(function.n_out())]
         self._layouts: dict[int, _Mapped | _Registers] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -88,13 +89,12 @@ class Columns:
     def __call__(self, *inputs: Array) -> list[Array]:
         """Return the outputs, (numel, m) each, for inputs (numel, m), shared ones (numel,)."""
         m = next(v.shape[1] for k, v in enumerate(inputs) if k not in self._shared)
-        sizes = range(self._function.n_out())
-        outputs = [np.empty((self._function.numel_out(k), m)) for k in sizes]
+        outputs = [np.empty((size, m)) for size in self._sizes]
         # Equal shares need only one layout of the registers.
-        size = math.ceil(m / math.ceil(m / CHUNK)) if m else 1
+        width = math.ceil(m / math.ceil(m / CHUNK)) if m else 1
 
-        for begin in range(0, m, size):
-            columns = slice(begin, min(begin + size, m))
+        for begin in range(0, m, width):
+            columns = slice(begin, min(begin + width, m))
             part = [v if k in self._shared else v[:, columns] for k, v in enumerate(inputs)]
             values = self._layout(columns.stop - begin).run(part)
             for out, value in zip(outputs, values, strict=True):
