@@ -16,12 +16,15 @@ from greybox.validation.comparison import Comparison
 EXAMPLES = (
     "linear.h5 nonlinear.h5",
     "results",
+    "results --by model",
     "results --latex table.tex --csv table.csv",
 )
 OPTIONS = """
 results RESULT...
     fits of the same data, as greybox fit --out saves them, or the folder of a study
 --model
+--by FACTOR
+    compare the values of this factor over the data sets of a study: model, criterion, delay, ...
 --csv FILE
     the estimates of a study, a row for every member and parameter
 --latex FILE
@@ -37,20 +40,24 @@ def run(options: argparse.Namespace) -> Answer:
     for path in tables.values():
         require_writable(path, options.force)
     if len(options.results) > 1:
-        if any(tables.values()):
-            raise UsageError("--csv and --latex are for a study: give one folder.")
+        if any(tables.values()) or options.by:
+            raise UsageError("--by, --csv and --latex are for a study: give one folder.")
         comparison = _comparison(options)
         return attributes(comparison, *SUMMARY), str(comparison)
     if options.results[0].is_file():  # a study is a folder
         raise UsageError(f"there is one fit, {options.results[0]}: give at least two to compare.")
     # Members of a study may have different data, so that they are listed, not compared by tests.
     study = read_study(options.results[0])
-    lines = [str(study)]
+    answer, lines = as_json(study), [str(study)]
+    if options.by:
+        comparison = study.ranking(options.by)
+        answer |= attributes(comparison, *SUMMARY)
+        lines = [str(comparison)]
     for method, path in tables.items():
         if path is not None:
             write_text(path, getattr(study, method)())
             lines.append(f"wrote {path}")
-    return as_json(study), "\n".join(lines)
+    return answer, "\n".join(lines)
 
 
 def _comparison(options: argparse.Namespace) -> Comparison:

@@ -6,6 +6,7 @@ Begin with `batch`.
 | --- | --- |
 | `batch` | fit many problems; a batch that was killed resumes |
 | `study` | members and answers of a study, also while it runs |
+| `ranking` | which structure describes the data sets best |
 | `latex` | tables for a paper |
 | `store` | a study on disk: one SQLite database and a file for each fit |
 | `bootstrap` | repeat one fit on data that are drawn anew |

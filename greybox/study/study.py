@@ -23,7 +23,9 @@ from greybox.files.text_table import (
     with_error,
 )
 from greybox.study.latex import latex_number, latex_symbol, latex_table, latex_text
+from greybox.study.ranking import Records, ranking
 from greybox.study.store import FACTORS, Status, StudyMember, read_members
+from greybox.validation.comparison import Comparison
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +120,39 @@ class Study:
         """
         return "\n\n".join(_latex(members) for members in _alike(self.done))
 
+    def ranking(
+        self,
+        by: str = "model",
+        *,
+        records: Records = (),
+        window: float | None = None,
+        lead: float | None = None,
+    ) -> Comparison:
+        """Compare structures, or another factor, over the data sets; ``gb.compare(study)``.
+
+        For every data set the table has BIC less the least: of each structure that of its best
+        member. Criteria that are no likelihoods are put on the scale of one, as in
+        `greybox.compare`. The statements count the data sets in which each structure is the best;
+        the verdict adds BIC up over all data sets that all structures have in common.
+
+        Parameters
+        ----------
+        by : str
+            The factor whose values are compared; see `select`.
+        records : sequence of Record, or mapping of data set to sequence of Record
+            Held out from all fits: how well each structure predicts them, as the mean fit of all
+            outputs in percent.
+        window, lead : float, s
+            As in `greybox.compare`.
+        """
+        self._require_factor(by)
+        fits = [
+            (member.factors[by], member.factors["data"], fit)
+            for member in self.done
+            if by in member.factors and (fit := member.fit)
+        ]
+        return ranking(fits, records, window, lead)
+
     @property
     def failures(self) -> str:
         """The members without an estimate by reason, with the cure; empty if none failed."""
@@ -181,30 +216,32 @@ def _require_labels(answer: Mapping[str, Any]) -> None:
         raise TypeError
 
 
-COUNTS = ("starts", "converged", "agreeing", "minima")
+OVERVIEW = ("member", "status", "criterion", "delay", "starts", "converged", "agreeing", "minima")
 
 
 def _overview(members: Sequence[StudyMember]) -> str:
-    header = ["member", "status", "criterion", "delay", "runs", *COUNTS[1:], "cost", "warnings"]
-    return text_table(header, [_row(member) for member in members], left=(0, 1, 2, 3))
-
-
-def _row(member: StudyMember) -> list[str]:
-    if member.status != "done":
-        return [member.name, member.status, "", "", str(member.runs), *[""] * 5]
-    answer = member.answer
-    counts = [str(int(answer[name])) for name in COUNTS]
-    cost = "-" if answer["cost"] is None else number(answer["cost"], 6)
-    texts = [str(answer[name]) for name in ("criterion", "delay")]
-    return [member.name, member.status, *texts, *counts, cost, str(len(answer["warnings"]))]
+    header = [*OVERVIEW, "cost", "warnings"]
+    rows = []
+    for member in members:
+        row = _rows(member)[0]
+        texts = ["" if row[name] is None else str(row[name]) for name in OVERVIEW]
+        is_done = member.status == "done"
+        rows.append(
+            [*texts, *([number(row["cost"], 6), str(row["warnings"])] if is_done else "  ")]
+        )
+    return text_table(header, rows, left=(0, 1, 2, 3))
 
 
 def _rows(member: StudyMember) -> list[dict[str, Any]]:
     answer, is_done = member.answer, member.status == "done"
     common = {"member": member.name, **dict.fromkeys(FACTORS), **member.factors}
     common["grade"] = answer["verdict"]["grade"] if is_done else ""
-    common |= {name: answer.get(name) for name in ("cost", *COUNTS)}
-    common |= {"warnings": len(answer.get("warnings", ())), "reason": member.reason}
+    common |= {name: answer.get(name) for name in ("cost", "converged", "agreeing", "minima")}
+    common |= {
+        "starts": member.runs,
+        "warnings": len(answer.get("warnings", ())),
+        "reason": member.reason,
+    }
 
     values = {**answer.get("derived", {}), **answer.get("estimate", {})}
     intervals, units = answer.get("interval", {}), answer.get("unit", {})

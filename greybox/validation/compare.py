@@ -28,7 +28,7 @@ from greybox.validation.significance import verdicts
 
 
 def compare(
-    *fits: Fit,
+    *fits: Any,
     records: Record | Sequence[Record] | None = None,
     window: float | None = None,
     lead: float | None = None,
@@ -52,9 +52,11 @@ def compare(
 
     Parameters
     ----------
-    *fits : Fit
+    *fits : Fit, or a single Study
+        Of a study, the structures are compared over its data sets, see `Study.ranking`.
     records : Record or sequence of them, optional
-        Held out from all fits. Without them the fits must have the same data.
+        Held out from all fits. Without them the fits must have the same data. For a study also a
+        mapping of data set to such records.
     window, lead : float, s
         Length of the predictions, and of the data before them from which the state is estimated.
         By default 1 s and 0.5 s, or 10 samples of the slowest record if that is longer; the lead is
@@ -74,6 +76,8 @@ def compare(
     Vehicle System Identification, chapter 11; Burnham and Anderson (2002), Model Selection and
     Multimodel Inference.
     """
+    if len(fits) == 1 and hasattr(fits[0], "ranking"):
+        return fits[0].ranking(records=records or (), window=window, lead=lead)
     check_fits(fits)
     _check_labels(labels, len(fits))
     lengths = {"window": window, "lead": lead}

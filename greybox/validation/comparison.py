@@ -104,7 +104,7 @@ class Comparison:
     def __str__(self) -> str:
         lines = [f"Comparison of {', '.join(self.labels)}", "", f"  data  {self.data}", ""]
         lines += [f"  {self.verdict}", ""] if self.verdict else []
-        titles = {"fit": ""}
+        titles = dict.fromkeys(row.data for row in self.rows) | {"fit": ""}
         titles |= {kind: f"{kind} data: {self._windows(kind)}" for kind in self.predictions}
         for data, title in titles.items():
             rows = [row for row in self.rows if row.data == data]

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.estimate.fitted_part import FittedPart, FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.result import Fit
@@ -62,6 +63,8 @@ def data_difference(fits: Sequence[Fit], names: Sequence[str]) -> str:
 
 def _same(a: FittedPart, b: FittedPart) -> bool:
     """Tell whether two parts have the same data."""
+    if isinstance(a, FittedResponse) and isinstance(b, FittedResponse):
+        return a.data.checksum == b.data.checksum or _same_response(a.data, b.data)
     # The checksum alone does not decide: excerpts of a log have the checksum of the whole log.
     if a.data.checksum != b.data.checksum or type(a) is not type(b):
         return False
@@ -71,6 +74,16 @@ def _same(a: FittedPart, b: FittedPart) -> bool:
     return np.array_equal(a.data.time, b.data.time) and all(
         np.array_equal(a.data[name], b.data[name], equal_nan=True) for name in shared
     )
+
+
+def _same_response(a: FrequencyResponse, b: FrequencyResponse) -> bool:
+    """Tell whether two responses have the same numbers, or one is a derivative of the other."""
+    if a.variance is not None or b.variance is not None or not np.array_equal(a.omega, b.omega):
+        return False
+    # The response of a rate is that of its angle times s. All criteria for responses without
+    # variances take errors relative to the response, which a factor does not change.
+    factors = ((1j * a.omega) ** power for power in range(-2, 3))
+    return any(np.allclose(a.response * factor, b.response, rtol=1e-9) for factor in factors)
 
 
 def shared_data(fits: Sequence[Fit]) -> str:

@@ -1,0 +1,108 @@
+"""Structures over the data sets of a study: the true one wins, by evidence and by prediction."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_study import Lag, LagLead, data
+
+import greybox as gb
+from greybox.study.ranking import ranking
+
+
+def bic(comparison, name, structure):
+    return comparison.value(name, structure, data="study", output="BIC less the least")
+
+
+def test_the_true_structure_is_supported_by_all_data_sets(small_study):
+    comparison = gb.compare(small_study)
+    assert comparison.supported == "Lag"
+    assert "3 data sets together" in comparison.verdict
+    fits = [small_study[f"slow, {name}"].fit for name in ("Lag", "Gain", "LagLead")]
+    pair = gb.compare(*fits, labels=["Lag", "Gain", "LagLead"])
+    for name in ("Lag", "Gain", "LagLead"):
+        expected = pair.value("BIC less the least", name)
+        assert bic(comparison, "slow", name) == expected
+    assert "of 3 data sets: Lag in 3 (100 %)" in str(comparison)
+
+
+def test_another_factor_is_ranked(small_study):
+    seeds = small_study.select(data="fast", model="Lag").ranking("seed")
+    assert seeds.labels == ("0", "1")
+    with pytest.raises(ValueError, match="factor 'colour'"):
+        small_study.ranking("colour")
+
+
+class RateLag(Lag):
+    """The lag as a rate: the response times s."""
+
+    output = "r"
+
+    def response(self, s, p):
+        return super().response(s, p) * s
+
+
+def test_responses_of_an_angle_and_of_its_rate_are_one_data_set():
+    angle = data("slow")
+    rate = replace(angle, response=1j * angle.omega * angle.response, output="r")
+    other = replace(angle, response=angle.response[::-1], output="y")
+    fits = [
+        (model.__name__, "slow", gb.fit(gb.Problem(model(), response), starts=2, progress=False))
+        for model, response in ((Lag, angle), (RateLag, rate), (LagLead, other))
+    ]
+    comparison = ranking(fits)
+    values = [bic(comparison, "slow", name) for name in ("Lag", "RateLag")]
+    assert values == pytest.approx([0.0, 0.0], abs=1e-6)
+    assert bic(comparison, "slow 2", "Lag") is None
+
+
+class Line(gb.StateSpace):
+    """A line without dynamics."""
+
+    states, inputs, outputs = (), ("u",), ("y",)
+    slope = gb.Parameter(1.0, bounds=(-10, 10))
+
+    def derivative(self, x, u, p):
+        return ()
+
+    def output(self, x, u, p):
+        return (p.slope * u.u,)
+
+
+class Bent(Line):
+    """A line with a square."""
+
+    bend = gb.Parameter(0.1, bounds=(-10, 10))
+
+    def output(self, x, u, p):
+        return (p.slope * u.u + p.bend * u.u**2,)
+
+
+def test_held_out_records_rank_structures_by_their_predictions():
+    def record(name, seed):
+        rng = np.random.default_rng(seed)
+        u = rng.uniform(-1, 1, 40)
+        noise = 0.05 * rng.standard_normal(40)
+        return gb.Record(
+            np.arange(40.0), {"u": u, "y": 2 * u + u**2 + noise}, name=name, has_time=False
+        )
+
+    fits = [
+        (
+            type(model).__name__,
+            "one",
+            gb.fit(gb.Problem(model, record("one", 0)), starts=1, progress=False),
+        )
+        for model in (Line(), Bent())
+    ]
+    comparison = ranking(fits, {"one": [record("two", 1)]})
+    measure = "error of held-out predictions, % of the signal"
+    line, bent = (
+        comparison.value("one", name, data="study", output=measure) for name in ("Line", "Bent")
+    )
+    expected = gb.compare(*(fit for _, _, fit in fits), records=[record("two", 1)])
+    assert 100 - bent == pytest.approx(expected.value("fit", "Bent", data="held-out", output="y"))
+    assert bent < line - 5
+    assert "of 1 data set: Bent in 1 (100 %)" in str(comparison)
+    # Records of the fits themselves are not held out.
+    assert "not held out" in str(ranking(fits, [record("one", 0)]))
