@@ -2,7 +2,6 @@
 
 import difflib
 import math
-import re
 import unicodedata
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -141,16 +140,6 @@ def greek(name: str) -> str:
         return unicodedata.lookup(f"GREEK {size} LETTER {name}")
     except KeyError:
         return name
-
-
-def index_parts(name: str) -> tuple[str, list[str]]:
-    """Return a name as a base and its indices: ``omega_p`` is omega, p, and ``a1`` is a, 1."""
-    base, *indices = name.strip("_").split("_") if name.strip("_") else [name]
-    numbered = re.fullmatch(r"([^\W\d]+)(\d+)", base)
-    if numbered:
-        base, digits = numbered.groups()
-        indices = [digits, *indices]
-    return base, indices
 
 
 def in_greek(name: str) -> str:

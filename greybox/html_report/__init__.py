@@ -9,7 +9,6 @@
 | `comparison_section` | several results side by side |
 | `figure` | the figures of `greybox.plotting` as elements of the page |
 | `tables` | tables of estimates |
-| `equation`, `mathml` | the equation of the model |
 | `provenance` | where data and result come from |
 | `elements` | HTML elements |
 """

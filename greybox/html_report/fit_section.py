@@ -1,6 +1,9 @@
 """Everything that the page shows of one fit."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from inspect import getsource
+from textwrap import dedent
+from typing import Any
 from xml.etree.ElementTree import Element
 
 from greybox.estimate.profiles import Profiles
@@ -9,11 +12,10 @@ from greybox.estimate.verdict import verdict
 from greybox.files.text_table import listed
 from greybox.html_report.elements import tag
 from greybox.html_report.entry import Entry
-from greybox.html_report.equation import equations
 from greybox.html_report.figure import COLUMNS, figure_grid
 from greybox.html_report.provenance import data_summary, provenance
 from greybox.html_report.tables import Cell, number_cell, parameter_table, table
-from greybox.modeling.model import Model
+from greybox.modeling.transfer_function import TransferFunction
 from greybox.plotting.bode import bode_figure
 from greybox.plotting.nyquist import nyquist_figures
 from greybox.plotting.profile import profile_figures
@@ -104,32 +106,21 @@ def _profiles(profiles: Profiles) -> Iterator[Element]:
 
 
 def _equations(fit: Fit) -> Iterator[Element]:
-    """Yield the equation of every model, or why it cannot be written, and its author's words."""
+    """Yield the description of every model by its author, and its formula as it is programmed."""
     # Several records of one model have one equation: take the first part.
     first = {part.label: k for k, part in reversed([*enumerate(fit.parts)])}
     for k in sorted(first.values()):
         part = fit.parts[k]
         yield tag("h4", part.label)
-        is_written = True
-        try:
-            model = fit.model_of(k)
-            yield tag("div", equations(model), class_="equations")
-            if fit.converged:  # the values of a failed fit are NaN
-                yield tag("p", "With the estimate:", class_="soft")
-                yield tag("div", equations(model, _values(fit, k, model)), class_="equations")
-        except (LookupError, ValueError, TypeError, ArithmeticError) as error:
-            is_written = False
-            yield tag("p", f"The equation cannot be written from the formula: {_sentence(error)}")
         if part.equation:
-            summary = tag("summary", "Description by the author of the model")
-            yield tag("details", summary, tag("pre", part.equation), open=not is_written)
-
-
-def _values(fit: Fit, k: int, model: Model) -> Mapping[str, float]:
-    # Four digits: an equation is for reading, the table above has the estimates.
-    outside = fit.parts[k].outside
-    values = {name: fit.estimate.get(outside(name)) for name in model.parameters}
-    return {name: float(f"{value:.4g}") for name, value in values.items() if value is not None}
+            yield tag("pre", part.equation)
+        try:
+            model: Any = fit.model_of(k)
+            is_ratio = isinstance(model, TransferFunction)
+            methods = [model.response] if is_ratio else [model.derivative, model.output]
+            yield tag("pre", "\n".join(dedent(getsource(method)) for method in methods))
+        except (LookupError, ValueError, TypeError, OSError) as error:
+            yield tag("p", f"The formula is not available: {_sentence(error)}")
 
 
 def _histories(fit: Fit) -> Iterator[Element]:

@@ -11,7 +11,6 @@ Begin with `model`.
 | `rational` | numerator, denominator and delay of a function of s |
 | `function_of_s` | what these two readings of s share |
 | `formula_structure` | a formula operation by operation, and the mean of its switches |
-| `expression_tree` | a formula as sums, products and functions, to print it |
 | `pade_delay` | a delay as a rational function or as states |
 | `linear_response` | the frequency response of a model |
 | `trim`, `linearization` | the operating point, and the linear system there |

@@ -21,6 +21,7 @@ and returns the Figure.
 | `spectrum` | transforms of manoeuvres |
 | `profile` | profiles of the likelihood |
 | `loops` | the loop of margins, with bands; safe gains |
+| `study` | members of a study: trends, estimates, costs, maps of structures |
 | `flight_log` | logs and their tests |
 | `signals` | units, symbols, labels and shaded tests |
 | `long_lines` | draws no more points than can be seen |
@@ -39,4 +40,7 @@ from greybox.plotting.profile import profiles as profiles
 from greybox.plotting.residuals import residuals as residuals
 from greybox.plotting.spectrum import spectrum as spectrum
 from greybox.plotting.starts import starts as starts
+from greybox.plotting.study import estimates as estimates
+from greybox.plotting.study import structures as structures
+from greybox.plotting.study import trend as trend
 from greybox.plotting.time_history import time_history as time_history

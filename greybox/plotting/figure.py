@@ -42,6 +42,8 @@ class Series:
         What matplotlib writes beside the points.
     is_hollow : bool
         Of a line: hair-thin.
+    is_across : bool
+        The error bars `low` to `high` are horizontal.
     """
 
     name: str
@@ -55,6 +57,7 @@ class Series:
     notes: Sequence[str] = ()
     labels: Sequence[str] = ()
     is_hollow: bool = False
+    is_across: bool = False
 
 
 def band(name: str, x: Array, low: Array, high: Array, color: int = 0) -> Series:
@@ -86,6 +89,8 @@ class Panel:
         Natural distances of ticks, such as `ANGLES`; by default 1, 2 and 5 times powers of ten.
     title : str
         Drawn by matplotlib above the panel; the page has captions.
+    ticks : sequence of str
+        Names at 1, 2, ... in place of numbers.
     """
 
     label: str
@@ -95,6 +100,7 @@ class Panel:
     limits: Limits | None = None
     steps: Sequence[float] = ()
     title: str = ""
+    ticks: Sequence[str] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +132,8 @@ class Figure:
         The figure takes the whole width of the page.
     limits : (float, float) or None
         Limits of the horizontal axis; by default everything that is drawn.
+    ticks : sequence of str
+        Names at 1, 2, ... of the horizontal axis in place of numbers.
     """
 
     title: str
@@ -140,3 +148,4 @@ class Figure:
     is_whole: bool = False
     is_wide: bool = False
     limits: Limits | None = None
+    ticks: Sequence[str] = ()

@@ -128,8 +128,12 @@ def draw_into(
 
 def height_of(figures: Sequence[Figure], inches: float = 2.5, columns: int = 1) -> float:
     """Return the height in inches that figures with panels of this height need."""
-    rows = -(-len(_panels(figures)) // columns)
-    return 1.1 + inches * (rows if len(figures) > 1 else sum(p.height for p in figures[0].panels))
+    rows: float = -(-len(_panels(figures)) // columns)
+    if len(figures) == 1:
+        rows = sum(panel.height for panel in figures[0].panels)
+    # Names below the axis stand upright, a letter takes 0.08 inch.
+    names = max((len(name) for figure in figures for name in figure.ticks), default=0)
+    return 1.1 + 0.08 * names + inches * rows
 
 
 def flat_axes(axes: GivenAxes) -> AxesArray:
@@ -202,9 +206,11 @@ def _draw_points(ax: Axes, series: Series) -> None:
     y = _finite(series.y)
     layer = 3.0 if len(y) <= CROWD else 1.5
     if series.low is not None and series.high is not None:
-        ends = [y - _finite(series.low), _finite(series.high) - y]
+        middle = series.x if series.is_across else y
+        ends = [middle - _finite(series.low), _finite(series.high) - middle]
         look = {"ecolor": color_of(series.color), "elinewidth": 1.0, "alpha": 0.2 * layer}
-        ax.errorbar(series.x, y, ends, fmt="none", zorder=layer - 0.3, **look)
+        look["xerr" if series.is_across else "yerr"] = ends
+        ax.errorbar(series.x, y, fmt="none", zorder=layer - 0.3, **look)
 
     # The ink of all points together stays the same: a thousand points must not hide the curve.
     size = MARKER_SIZE * min(1.0, (CROWD / max(len(y), 1)) ** 0.5)
@@ -352,7 +358,9 @@ def _vertical_axis(ax: Axes, panel: Panel) -> None:
 
     # Below 60 degrees the steps 1, 2, 5 read well for angles too.
     span = float(np.ptp(ax.get_ylim()))
-    if panel.steps and span > 60:
+    if panel.ticks:
+        ax.set_yticks(range(1, len(panel.ticks) + 1), [*map(plain, panel.ticks)])
+    elif panel.steps and span > 60:
         steps = [*panel.steps, panel.steps[-1] * np.ceil(span / (7 * panel.steps[-1]))]
         step = next(step for step in steps if step >= max(15, span / 7))
         ax.yaxis.set_major_locator(MultipleLocator(step))
@@ -367,6 +375,9 @@ def _horizontal_axis(axes: AxesArray, figure: Figure) -> None:
             ax.set_xlabel(plain(figure.label), fontsize=11)
         if figure.limits is not None and not figure.is_plane:
             ax.set_xlim(figure.limits)
+        if figure.ticks:
+            names = [*map(plain, figure.ticks)]
+            ax.set_xticks(range(1, len(names) + 1), names, rotation=90)
         if figure.is_whole:
             ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
 

@@ -7,7 +7,6 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.response_band import radius, require_level
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array
 from greybox.files.text_table import counted
 from greybox.plotting.figure import Figure, Limits, Panel, Series
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw, flat_axes
@@ -96,7 +95,7 @@ def columns_of(count: int) -> int:
 
 
 def _figure(responses: Sequence[DrawnResponse], level: float | None) -> Figure:
-    limits, reach = _limits(responses)
+    limits = _limits(responses)
     series = _regions(responses, level)
     for drawn in responses:
         response = drawn.response
@@ -108,12 +107,12 @@ def _figure(responses: Sequence[DrawnResponse], level: float | None) -> Figure:
         series.append(drawn.series(x, response.beta[order], notes=notes, labels=labels))
 
     name = ratio(responses)
-    note = f"Curves reach a magnitude of {reach:.3g}, beyond this figure." if limits else ""
+    note = "Curves that reach farther are cut off." if limits else ""
     panel = Panel(
         f"Imaginary part of {name}",
         series,
         limits=limits and limits[1],
-        title=f"cut off: curves reach a magnitude of {reach:.3g}" if limits else "",
+        title=note,
     )
     return Figure(
         "Nyquist diagram" if name == "P(jω)" else f"Nyquist diagram, {name}",
@@ -169,25 +168,17 @@ def _regions(responses: Sequence[DrawnResponse], level: float | None) -> list[Se
     return regions
 
 
-def _largest_magnitude(responses: Sequence[DrawnResponse]) -> float:
-    """Return the largest measured magnitude; without data, the largest one of the curves."""
-    measured = [drawn for drawn in responses if drawn.is_measured] or responses
-    sizes = [float(np.abs(drawn.response.response).max()) for drawn in measured]
-    return max(sizes, default=0.0)
-
-
-def _limits(responses: Sequence[DrawnResponse]) -> tuple[tuple[Limits, Limits] | None, float]:
-    """Return both limits where curves would make the data a dot, and the curves' magnitude."""
+def _limits(responses: Sequence[DrawnResponse]) -> tuple[Limits, Limits] | None:
+    """Return both limits where curves would make the data a dot."""
     measured = [drawn.response.response for drawn in responses if drawn.is_measured]
-    reach = _largest_magnitude([drawn for drawn in responses if not drawn.is_measured])
-    size = _largest_magnitude(responses)
-    if not measured or not 0 < UNLIKE * size < reach:
-        return None, reach
-
     # The origin is always visible: stability is read from where the curve passes it.
     points = np.concatenate([np.zeros(1, dtype=complex), *measured])
-
-    def around(part: Array) -> Limits:
-        return float(part.min()) - size / 2, float(part.max()) + size / 2
-
-    return (around(np.real(points)), around(np.imag(points))), reach
+    size = float(np.abs(points).max())
+    reach = max(np.abs(drawn.response.response).max() for drawn in responses)
+    if not 0 < UNLIKE * size < reach:
+        return None
+    corners = np.array(
+        [[np.min(part), np.max(part)] for part in (np.real(points), np.imag(points))]
+    )
+    x, y = (corners + size / 2 * np.array([-1, 1])).tolist()
+    return (x[0], x[1]), (y[0], y[1])

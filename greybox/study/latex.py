@@ -4,7 +4,7 @@ import math
 import re
 from collections.abc import Sequence
 
-from greybox.files.text_table import greek, index_parts, with_error
+from greybox.files.text_table import greek, with_error
 
 ACCENTS = ("tilde", "hat", "bar", "dot")
 SPECIAL = {c: f"\\{c}" for c in "&%$#_{}"} | {
@@ -29,7 +29,11 @@ def latex_text(text: str) -> str:
 
 def latex_symbol(name: str, unit: str = "") -> str:
     """Return the name of a parameter as mathematics, followed by its unit."""
-    base, indices = index_parts(name)
+    # omega_p is omega with the index p, a1 is a with the index 1.
+    base, *indices = name.strip("_").split("_") if name.strip("_") else [name]
+    if numbered := re.fullmatch(r"([^\W\d]+)(\d+)", base):
+        base, digits = numbered.groups()
+        indices = [digits, *indices]
     letter = latex_text(base) if greek(base) == base else f"\\{base}"
     if indices and indices[-1] in ACCENTS:
         letter = f"\\{indices.pop()}{{{letter}}}"

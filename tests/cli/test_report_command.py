@@ -95,10 +95,10 @@ def test_a_model_of_ones_own_is_drawn_where_its_file_is_given(capsys, own, tmp_p
     run(capsys, "report", "own.h5", "--out", "without.html")
     without = (tmp_path / "without.html").read_text(encoding="utf-8")
     assert f"<code>greybox fit {file} --starts 4 --out own.h5</code>" in without
-    assert "The equation cannot be written from the formula: the model Lag" in without
+    assert "The formula is not available: the model Lag" in without
     assert "Bode diagram" in without
     run(capsys, "report", "own.h5", "--model", file, "--out", "with.html")
-    assert "<mfrac>" in (tmp_path / "with.html").read_text(encoding="utf-8")
+    assert "return p.K / (p.T * s + 1)" in (tmp_path / "with.html").read_text(encoding="utf-8")
 
 
 def test_held_out_records_are_predicted(capsys, own, tmp_path):

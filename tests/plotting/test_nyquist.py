@@ -73,7 +73,7 @@ def test_a_curve_far_off_leaves_the_data_visible(pitch):
     (axes,) = gb.plotting.nyquist(replace(pitch, parts=(off,)))
     assert all(axes.viewLim.contains(*spot) for spot in points(axes)[0].get_xydata())
     assert np.ptp(axes.get_ylim()) < 5 * np.abs(part.data.response).max()
-    assert "cut off: curves reach a magnitude of" in axes.get_title()
+    assert "cut off" in axes.get_title()
     assert "cut off" not in gb.plotting.nyquist(pitch)[0].get_title()
 
 
@@ -113,4 +113,4 @@ def test_the_values_tell_each_point_and_far_curves_leave_the_data_readable():
     half = np.abs(data.response).max() / 2
     assert figure.limits == pytest.approx((-half, data.response.real.max() + half))
     assert figure.panels[0].limits == pytest.approx((data.response.imag.min() - half, half))
-    assert figure.caption.startswith("Curves reach a magnitude of ")
+    assert "cut off" in figure.caption

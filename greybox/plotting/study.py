@@ -1,0 +1,220 @@
+"""Figures of a study: a parameter over operating points or members, and maps of structures."""
+
+import math
+from collections.abc import Mapping
+from itertools import groupby
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from greybox.files.arrays import Array
+from greybox.files.text_table import number, with_error
+from greybox.plotting.figure import CROSS, Figure, Panel, Series
+from greybox.plotting.matplotlib_figure import draw
+from greybox.study.ranking import EVIDENCE
+from greybox.study.store import StudyMember
+from greybox.study.study import Study
+from greybox.validation.comparison import Comparison, p_text
+
+NAMED = 40  # members up to which each has its name
+
+# Classes of a map by their upper end, with color and marker. Differences of BIC: Kass and Raftery
+# (1995), as in `validation/parsimony.py`.
+BIC = {
+    "at most 2 above the least BIC": (2.0, 2, 0),
+    "2 to 10": (10.0, 4, 1),
+    "more than 10": (np.inf, 1, CROSS),
+}
+AGREEING = {
+    "under a quarter of the starts agree": (0.25, 1, CROSS),
+    "up to three quarters": (0.75, 4, 1),
+    "more": (1.0, 2, 0),
+}
+
+Value = tuple[StudyMember, float, float]
+"""A quantity of a member, and its standard error."""
+
+
+def trend(
+    study: Study, quantity: str, over: str | Mapping[str, float], ax: Axes | None = None
+) -> Axes:
+    """Draw a quantity with its standard errors over the operating point, a color a structure.
+
+    The lines are weighted by the standard errors. If estimates scatter more than these say, the
+    error of the slope is enlarged accordingly; p is the probability of such a slope without a
+    trend, by Student's t.
+
+    Parameters
+    ----------
+    study : Study
+    quantity : str
+        A parameter or a derived quantity.
+    over : str or mapping of data set to number
+        Another quantity, an operating point of the problem (``at``), or its value by data set.
+    ax : Axes, optional
+        By default a new figure is made.
+
+    Raises
+    ------
+    ValueError
+        If no member has the quantity.
+    """
+    return draw([trend_figure(study, quantity, over)], ax, size=(6.4, 3.4))[0]
+
+
+def trend_figure(study: Study, quantity: str, over: str | Mapping[str, float]) -> Figure:
+    """Return a quantity over the operating point."""
+    if isinstance(over, str):
+        label, places = over, {member: x for member, x, _ in _values(study, over)}
+    else:
+        label = "Operating point"
+        places = {m: over[m.factors["data"]] for m in study.done if m.factors["data"] in over}
+    series = []
+    for k, (model, values) in enumerate(_by_model(_values(study, quantity))):
+        points = [(places[member], y, error) for member, y, error in values if member in places]
+        if points:
+            x, y, error = np.array(points).T
+            look = {"low": y - error, "high": y + error}
+            series.append(Series(model, "points", x, y, k, k, **look))
+            if len(set(x)) > 2 and np.all(error > 0):
+                series.append(_line(model, x, y, error, k))
+    panel = Panel(_label(study, quantity), series)
+    return Figure("Trend", _label(study, label), [panel], f"{quantity} over {label}")
+
+
+def _line(model: str, x: Array, y: Array, error: Array, color: int) -> Series:
+    """Return the weighted line, whose name has the slope and its test."""
+    from scipy.stats import t  # noqa: PLC0415  (slow import)
+
+    (slope, intercept), covariance = np.polyfit(x, y, 1, w=1 / error, cov="unscaled")
+    dof = len(x) - 2
+    scatter = float(np.sum(((y - intercept - slope * x) / error) ** 2)) / dof
+    slope_error = math.sqrt(covariance[0, 0] * max(scatter, 1.0))
+    p_value = 2 * float(t.sf(abs(slope) / slope_error, dof))
+    text = " ± ".join(with_error(slope, slope_error))
+    ends = np.array([x.min(), x.max()])
+    line = intercept + slope * ends
+    return Series(f"{model}: slope {text}, {p_text(p_value)}", "line", ends, line, color)
+
+
+def estimates(study: Study, quantity: str, ax: Axes | None = None) -> Axes:
+    """Draw a quantity of all members with standard errors; ``"cost"`` sorted, as a waterfall.
+
+    Parameters
+    ----------
+    study : Study
+    quantity : str
+        A parameter, a derived quantity, or ``"cost"``.
+    ax : Axes, optional
+        By default a new figure is made.
+
+    Raises
+    ------
+    ValueError
+        If no member has the quantity.
+    """
+    return draw([estimates_figure(study, quantity)], ax)[0]
+
+
+def estimates_figure(study: Study, quantity: str) -> Figure:
+    """Return a quantity of all members, the first or lowest one at the top."""
+    values = _values(study, quantity)
+    if quantity == "cost":
+        values.sort(key=lambda value: value[1])
+    rows = {member: float(len(values) - k) for k, (member, _, _) in enumerate(values)}
+    series = []
+    for k, (model, group) in enumerate(_by_model(values)):
+        x, error = np.array([value[1:] for value in group]).T
+        look = {"low": x - error, "high": x + error, "is_across": True}
+        notes = [f"{m.name}: {' ± '.join(with_error(*pair))}" for m, *pair in group]
+        y = np.array([rows[member] for member, _, _ in group])
+        series.append(Series(model, "points", x, y, k, k, notes=notes, **look))
+    names = [member.name for member in rows][::-1] if len(rows) <= NAMED else [""]
+    panel = Panel("", series, max(1.0, min(len(rows), NAMED) / 10), ticks=names)
+    x = [value for _, value, _ in values]
+    is_logarithmic = quantity == "cost" and min(x) > 0 and max(x) > 30 * min(x)
+    title = "Costs" if quantity == "cost" else "Estimates"
+    label = _label(study, quantity)
+    return Figure(title, label, [panel], quantity, is_logarithmic=is_logarithmic)
+
+
+def structures(results: Study | Comparison, ax: Axes | None = None) -> Axes:
+    """Draw a map of structures and data sets.
+
+    Parameters
+    ----------
+    results : Study or Comparison
+        Of a study, the share of the starts that agree on the best minimum; of
+        ``gb.compare(study)``, how far BIC is above the least.
+    ax : Axes, optional
+        By default a new figure is made.
+    """
+    return draw([structures_figure(results)], ax)[0]
+
+
+def structures_figure(results: Study | Comparison) -> Figure:
+    """Return a map of marks of three classes, which print well."""
+    classes = BIC if isinstance(results, Comparison) else AGREEING
+    cells = _evidence(results) if isinstance(results, Comparison) else _shares(results)
+    columns, rows = (list(dict.fromkeys(key[k] for key in cells)) for k in (0, 1))
+    low, series = -np.inf, []
+    for name, (high, color, style) in classes.items():
+        inside = {key: value for key, value in cells.items() if low < value <= high}
+        low = high
+        x, y = (
+            np.array([1.0 + places.index(key[k]) for key in inside])
+            for k, places in enumerate((columns, rows[::-1]))
+        )
+        notes = [f"{row}, {column}: {number(v, 3)}" for (column, row), v in inside.items()]
+        series.append(Series(name, "points", x, y, color, style, notes=notes))
+    height = max(0.6, len(rows) / 10)
+    limits = (0.5, len(rows) + 0.5), (0.5, len(columns) + 0.5)
+    panel = Panel("", series, height, limits=limits[0], ticks=rows[::-1])
+    return Figure("Structures", "", [panel], limits=limits[1], ticks=columns)
+
+
+def _evidence(comparison: Comparison) -> dict[tuple[str, str], float]:
+    return {
+        (row["measure"], label): value
+        for row in comparison.table
+        if row["output"] == EVIDENCE
+        for label, value in row["values"].items()
+        if value is not None
+    }
+
+
+def _shares(study: Study) -> dict[tuple[str, str], float]:
+    """Return the least share of agreeing starts by data set and structure."""
+    shares: dict[tuple[str, str], float] = {}
+    for member in study.members:
+        factors, agreeing = member.factors, member.answer.get("agreeing", 0)
+        if {"data", "model"} <= factors.keys():
+            key = factors["data"], factors["model"]
+            shares[key] = min(agreeing / max(member.runs, 1), shares.get(key, 1.0))
+    return shares
+
+
+def _values(study: Study, quantity: str) -> list[Value]:
+    values = []
+    for member in study.done:
+        answer = member.answer
+        known = {"cost": answer["cost"], **answer["derived"], **answer["estimate"]}
+        value = {**answer.get("at", {}), **known}.get(quantity)
+        if value is not None:
+            values.append((member, value, answer["standard_error"].get(quantity) or 0.0))
+    if not values:
+        raise ValueError(f"no member has the quantity {quantity!r:.60}.")
+    return values
+
+
+def _label(study: Study, quantity: str) -> str:
+    units = {n: unit for m in study.done for n, unit in m.answer.get("unit", {}).items()}
+    unit = units.get(quantity, "1")
+    return quantity if unit in ("", "1") else f"{quantity}, {unit}"
+
+
+def _by_model(values: list[Value]) -> list[tuple[str, list[Value]]]:
+    def model(value: Value) -> str:
+        return value[0].factors["model"]
+
+    return [(name, [*group]) for name, group in groupby(sorted(values, key=model), model)]

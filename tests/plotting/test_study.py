@@ -1,0 +1,73 @@
+"""Figures of a study: the numbers in their series are those of the members."""
+
+import numpy as np
+import pytest
+from small_study import SPEEDS
+
+import greybox as gb
+from greybox.plotting.study import estimates_figure, structures_figure, trend_figure
+
+
+def by_name(figure):
+    return {series.name: series for series in figure.panels[0].series}
+
+
+def test_a_trend_has_a_weighted_line_and_its_test(small_study):
+    study = small_study.select(model="Lag", seed=0)
+    figure = trend_figure(study, "T_lag", SPEEDS)
+    points, line = figure.panels[0].series
+    fits = [study[f"{name}, Lag"].fit for name in SPEEDS]
+    assert points.y.tolist() == [fit.estimate["T_lag"] for fit in fits]
+    errors = np.array([fit.standard_error["T_lag"] for fit in fits])
+    assert points.high - points.y == pytest.approx(errors)
+    # The normal equations of weighted least squares, written out.
+    x, weights = np.array([*SPEEDS.values()]), errors**-2
+    middle = np.sum(weights * x) / np.sum(weights)
+    slope = np.sum(weights * (x - middle) * points.y) / np.sum(weights * (x - middle) ** 2)
+    assert (line.y[1] - line.y[0]) / (line.x[1] - line.x[0]) == pytest.approx(slope)
+    assert slope == pytest.approx(0.03, rel=0.1)
+    shown = float(line.name.split("slope ")[1].split()[0])
+    assert shown == pytest.approx(slope, rel=1e-3)
+    assert float(line.name.split("p = ")[1]) < 0.05
+    assert figure.panels[0].label == "T_lag, s"
+    # Another quantity may be the operating point.
+    assert trend_figure(study, "T_lag", "K").panels[0].series[0].x == pytest.approx(2.0, rel=0.05)
+    with pytest.raises(ValueError, match="no member has the quantity 'mass'"):
+        trend_figure(study, "mass", SPEEDS)
+
+
+def test_estimates_have_a_row_each_and_costs_are_sorted(small_study):
+    figure = estimates_figure(small_study, "K")
+    (panel,) = figure.panels
+    assert panel.ticks[-1] == "hover, Lag"
+    lag = by_name(figure)["Lag"]
+    for x, y, note in zip(lag.x, lag.y, lag.notes, strict=True):
+        name = panel.ticks[int(y) - 1]
+        assert note.startswith(name)
+        assert x == small_study[name].answer["estimate"]["K"]
+    costs = estimates_figure(small_study, "cost")
+    rows = sorted((y, x) for s in costs.panels[0].series for x, y in zip(s.x, s.y, strict=True))
+    assert [x for _, x in rows] == sorted((x for _, x in rows), reverse=True)
+
+
+def test_maps_of_structures_and_data_sets(small_study):
+    figure = structures_figure(gb.compare(small_study))
+    names = figure.panels[0].ticks
+    best = by_name(figure)["at most 2 above the least BIC"]
+    assert {names[int(y) - 1] for y in best.y} == {"Lag"}
+    assert best.x.tolist() == [1.0, 2.0, 3.0]
+    assert sorted(len(series.x) for series in figure.panels[0].series) == [3, 3, 3]
+    agreeing = by_name(structures_figure(small_study))
+    assert agreeing["under a quarter of the starts agree"].notes == ["Broken, slow: 0"]
+    assert len(agreeing["more"].x) == 9
+
+
+def test_names_stand_at_the_axes(small_study):
+    ax = gb.plotting.structures(small_study)
+    assert [text.get_text() for text in ax.get_xticklabels()] == ["hover", "slow", "fast"]
+    assert [text.get_text() for text in ax.get_yticklabels()][-1] == "Lag"
+    ax = gb.plotting.estimates(small_study, "T_lag")
+    spans = [bar.get_segments()[0] for bar in ax.collections]
+    assert spans
+    assert all(np.ptp(span[:, 1]) == 0 < np.ptp(span[:, 0]) for span in spans)
+    assert gb.plotting.trend(small_study, "K", SPEEDS).get_ylabel() == "K"
