@@ -333,11 +333,11 @@ def test_unknowns_of_the_criterion_have_sizes_of_the_measured_signals():
         ),
         (
             lambda: gb.PredictionError(process_noise="v", corrected=("v",)),
-            "process_noise says which states are corrected: leave out corrected.",
+            "process_noise and disturbance say which states are corrected: leave out corrected.",
         ),
         (
             lambda: gb.PredictionError(process_noise="v", noise="full"),
-            "with process_noise sensors have the parameters v_<output>: leave out noise='full', and",
+            "with process_noise or disturbance sensors have the parameters v_<output>: leave out noise='full', and",
         ),
     ],
 )
