@@ -28,10 +28,30 @@ class DisturbedRecord:
         m, k = len(part.system.inputs), len(part.outputs)
         self._slopes = segments.sample_derivatives(trajectory.states, q, data)
         self.states = segments.in_order(trajectory.states)
+        self.outputs = part.simulated_outputs(trajectory)
+        # The future of a predictor contains its errors of today.
+        self.is_predicted = bool(part.gains)
+        if self.is_predicted:
+            self._without_corrections()
         self.inputs = segments.in_order(data[m : 4 * m])[1::3]
         self.present = segments.in_order(data[-1 - k : -1]) > 0
-        self.outputs = part.simulated_outputs(trajectory)
         self.parameters = self._placed.q
+
+    def _without_corrections(self) -> None:
+        """Replace predicted states by those that the inputs alone cause, where these are as small.
+
+        Colored gusts correlate prediction errors with the states that earlier ones corrected.
+        """
+        part, placed, segments = self.part, self._placed, self.part.segments
+        gains = [f"K_{state}_{output}" for state, output in part.gains]
+        q = np.where(np.isin(part.model.parameters, gains), 0.0, placed.q)
+        counts, nodes = part.data.segment_counts, self._trajectory.nodes
+        _, states, _, _ = segments.simulate_stretches(counts, nodes, q, placed.data)
+        # An unstable model diverges without corrections.
+        calm = segments.in_order(states)
+        if np.all(np.abs(calm).max(axis=1) < 10 * np.abs(self.states).max(axis=1)):
+            self.states = calm
+            self.outputs = segments.in_order(segments.outputs(states, q, placed.data))
 
     def by_stretch(self, function: Callable[..., Array], row: Array, *arguments: float) -> Array:
         """Return a function of the samples and the step of every stretch, segments filled up."""
@@ -79,6 +99,7 @@ class DisturbedRecord:
         """Return the mean of additional derivatives over a step, carried on for half of it."""
         # Terms have values at samples, and a step lasts until the next sample.
         later = np.hstack([derivatives[:, 1:], derivatives[:, -1:]])
+        later = derivatives if self.is_predicted else later
         mean = self.part.segments.columns((derivatives + later) / 2)
         A = self._slopes[0][: self.part.states]
         return self._placed.data[-1] / 2 * (mean + np.einsum("jac,jc->ac", A, mean))

@@ -1,5 +1,7 @@
 """The information of a record on all values of a problem, for the covariance of the estimate."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from greybox.compiled.colored_errors import colored_errors, independent_numbers
@@ -40,7 +42,7 @@ def record_information(
 
     def colored(root: Array) -> ColoredErrors:
         directions = by_values[:, : len(root)] @ root
-        return colored_errors(
+        errors = colored_errors(
             [directions.T @ J for J in data.unpadded(weighted)],
             data.unpadded(part.residuals(trajectory)),
             np.eye(root.shape[1]),
@@ -50,6 +52,8 @@ def record_information(
             initial=data.unpadded(slopes.by_initial),
             shocks=slopes.shocks,
         )
+        by_covariance = directions.T @ slopes.by_covariance @ directions
+        return replace(errors, meat=errors.meat + by_covariance)
 
     # Rows without a time have no neighbors with which they could be correlated.
     in_order = model.has_time and not model.errors_are_white

@@ -23,6 +23,8 @@ class Sensitivity:
     ----------
     triangle, white : (p, p) arrays
         A triangular factor of the Jacobian J, and JᵀJ.
+    by_covariance : (p, p) array
+        The share of JᵀJ that the covariance of the prediction errors of a filter contributes.
     weighted : (k, p, samples) array
         WᵀJ.
     by_initial : (k, m, samples) array
@@ -38,6 +40,7 @@ class Sensitivity:
 
     triangle: Array
     white: Array
+    by_covariance: Array
     weighted: Array
     by_initial: Array
     shocks: Callable[[], Array]
@@ -80,19 +83,22 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
         directions = np.einsum("lknc,cnm->kmcl", J[:, :, :n], initial_directions[batch])
         by_initial[:, :, batch] = np.einsum("ka,kmcl->amcl", weight, directions)
 
+    by_covariance = np.zeros((p, p))
     if placed.filter is not None:
         active = len(part.model.active)
         rows = filter_information(placed.filter, weight, part.compared_samples, active)
         rows = rows @ placed.slope
         squares += (rows**2).sum(axis=0)
         triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows]), mode="r"))
-        white += rows.T @ rows
+        by_covariance = rows.T @ rows
+        white += by_covariance
 
     first = by_nodes[data.begins_stretch] * noticed[:, None]
     by_initial = by_initial.reshape(k, m, s * length)
     return Sensitivity(
         triangle=triangle,
         white=white,
+        by_covariance=by_covariance,
         weighted=weighted.reshape(k, p, s * length),
         by_initial=by_initial,
         shocks=partial(_shocks, data, initial_directions, by_initial, weight),

@@ -15,8 +15,10 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.disturbances import DisturbedRecord
+from greybox.compiled.record_part import RecordPart
 from greybox.files.arrays import Array
 from greybox.files.text_table import number
+from greybox.modeling.colored_disturbance import undisturbed
 from greybox.modeling.model import Names
 from greybox.modeling.state_space import StateSpace
 
@@ -158,7 +160,11 @@ def terms_of_record(record: DisturbedRecord, candidates: Mapping[str, Formula]) 
 
     is_state_space = isinstance(part.problem.model, StateSpace)
     yield from _of_equations(record, candidates) if is_state_space else _of_feedback(record)
+    gains = {f"K_{state}_{output}" for state, output in part.gains}
     for place, k in enumerate(part.model.active):
+        # Gains correct what the model misses: they are not what it misses.
+        if part.model.parameters[k] in gains:
+            continue
         name = part.model.outside_names[k]
         # Beside other records, one may need values of its own.
         for kind, row, b in (("change", samples, ""), ("own", np.ones_like(samples), part.name)):
@@ -204,7 +210,7 @@ def _of_equations(record: DisturbedRecord, candidates: Mapping[str, Formula]) ->
         values = formula(Names(x), Names(u), Names(p))
         shapes[name] = np.broadcast_to(np.asarray(values, dtype=float), record.part.samples)
 
-    for i, present in _equations(record).items():
+    for i, present in dynamic_equations(record.part).items():
         for a, row in shapes.items():
             if a not in present:
                 yield Term("equation", lambda i=i, row=row: record.by_state(i, row), a, [*x][i])
@@ -221,24 +227,29 @@ def _shapes(name: str, row: Array) -> dict[str, Array]:
     }
 
 
-def _equations(record: DisturbedRecord) -> dict[int, set[str]]:
+def dynamic_equations(part: RecordPart) -> dict[int, set[str]]:
     """Return the states and inputs with a parameter in the derivative of each state, by its place.
 
-    Derivatives without any parameter or input are kinematic, and left out unless all are.
+    Derivatives without any parameter or input are kinematic, and left out unless all are; those of
+    colored disturbances are left out, too.
     """
-    system = record.part.system
+    system = part.system
     x, u, p = system.symbols
     derivative, names = system.derivative(x, u, p), (*system.states, *system.inputs)
     slopes = ca.jacobian(derivative, ca.vertcat(x, u))
+    model = undisturbed(part.problem.model)
+    own = range(len(model.states) if isinstance(model, StateSpace) else len(system.states))
     equations = {
         i: {name for k, name in enumerate(names) if ca.depends_on(slopes[i, k], p)}
-        for i in range(len(system.states))
+        for i in own
         if ca.depends_on(derivative[i], ca.vertcat(u, p))
     }
-    return equations or {i: set() for i in range(len(system.states))}
+    return equations or {i: set() for i in own}
 
 
 def _rate(record: DisturbedRecord, row: Array) -> Array:
+    if record.is_predicted:
+        return record.by_stretch(lambda y, step: np.diff(y, prepend=y[0]) / step, row)
     # A stretch may have one sample.
     return record.by_stretch(lambda y, step: np.gradient(np.append(y, y[-1]), step)[:-1], row)
 

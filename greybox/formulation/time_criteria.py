@@ -233,8 +233,7 @@ class PredictionError(TimeCriterion):
     process_noise: Sequence[str] = ()
     disturbance: Mapping[str, str] = field(default_factory=dict)
     rule: ClassVar[str] = "prediction error, one sample ahead"
-    condition: ClassVar[str] = "white innovations"
-    errors_are_white: ClassVar[bool] = True
+    condition: ClassVar[str] = "stationary innovations that no past input or output predicts"
     corrects_states: ClassVar[bool] = True
 
     def __post_init__(self) -> None:

@@ -509,7 +509,10 @@ def test_a_predictor_whose_noise_is_estimated_has_the_gradient_of_its_likelihood
         rtol=1e-4,
         atol=1e-5 * np.abs(fisher).max(),
     )
-    assert told.colored is None  # the errors of a predictor are white
+    root = np.linalg.cholesky(np.linalg.inv(fisher))
+    by_errors = told.colored(root).meat
+    # What the covariance of the errors says of their size is not lost beside their spectrum.
+    assert np.all(np.linalg.eigvalsh(by_errors - root.T @ (fisher - J.T @ J) @ root) > -1e-6)
 
 
 @pytest.mark.parametrize("sensors", [("x",), ("x", "v", "pull")])

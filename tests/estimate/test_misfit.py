@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 import greybox as gb
 
@@ -90,6 +91,43 @@ def test_a_record_that_needs_a_value_of_its_own_is_named(k):
 def test_a_missing_delay_has_its_size():
     (delay,) = [cause for cause in fitted(Late).misfit.causes if "delay of u" in cause.text]
     assert float(delay.text.split()[-2]) == pytest.approx(0.12, rel=0.3)
+
+
+class Windy:
+    """Gusts of 0.5 s that push the mass."""
+
+    inputs = ("u", "gust")
+
+    def derivative(self, x, u, p):
+        v, a = super().derivative(x, u, p)
+        return (v, a + u.gust)
+
+
+def predicted(plant, seed=0):
+    """Fit the predictor of the spring to a flight of another plant in gusts."""
+    random, n = np.random.default_rng(seed), 1000
+    gust = lfilter([1.0], [1, -np.exp(-STEP / 0.5)], random.normal(size=n))
+    u = np.repeat(random.choice([-1.0, 0.0, 1.0], n // 25), 25)
+    time = STEP * np.arange(n)
+    flight = gb.Record(time, {"u": u, "gust": gust}, hold=dict.fromkeys(("u", "gust"), np.inf))
+    model = type("Flown", (Windy, plant), {})()
+    x = gb.simulate(model, {"k": 25.0, "d": 2.0, "b": 25.0}, flight)["x"]
+    flight = flight.with_signals(x=x + 0.005 * random.normal(size=n))
+    rule = gb.PredictionError(inputs="held")
+    return gb.fit(gb.Problem(Spring(), flight, rule), starts=1, progress=False, profiles=False)
+
+
+def test_gusts_are_no_misfit_of_a_predictor():
+    fit = predicted(Spring)
+    assert fit.misfit.explains
+    assert any("PredictionError(disturbance={'v': 'colored'})" in text for text in fit.warnings)
+
+
+def test_a_delay_that_a_predictor_lacks_is_named_in_gusts():
+    fit = predicted(Late)
+    assert not fit.misfit.explains
+    assert "delay of u" in fit.misfit.likely[0].text
+    assert not any("as in gusts" in text for text in fit.warnings)
 
 
 class Resonance(gb.TransferFunction):

@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose
 from scipy.signal import lfilter
 
 import greybox as gb
+from greybox.estimate.diagnostics import records
 from greybox.estimate.diagnostics.records import (
     biased_by_feedback,
     colored_predictions,
@@ -301,7 +302,7 @@ def colors(record, criterion):
     return fit, [
         text
         for text in fit.warnings
-        if "from one sample to the next" in text or "feedback responds" in text
+        if "prediction errors are not white" in text or "feedback responds" in text
     ]
 
 
@@ -341,7 +342,7 @@ def test_prediction_errors_of_signals_that_were_smoothed_are_told_not_to_be_whit
     smooth = np.convolve(record["x"], np.ones(9) / 9, "same")
     _, (said,) = colors(record.with_signals(x=smooth), gb.PredictionError(inputs="held"))
     assert "the prediction errors are not white" in said
-    assert "for x from one sample to the next)" in said
+    assert "low-pass filtered" in said
 
 
 def test_a_predictor_at_the_limit_of_its_stability_is_told():
@@ -396,44 +397,40 @@ def fitted_with(residuals, *, white=True, inputs=None, time=True, name="one"):
     """A part and its fitted record with these residuals by output."""
     signals = inputs or {}
     part = SimpleNamespace(
-        model=SimpleNamespace(criterion=SimpleNamespace(errors_are_white=white)),
+        model=SimpleNamespace(criterion=SimpleNamespace(corrects_states=white)),
+        problem=SimpleNamespace(model=None),
+        data=SimpleNamespace(stretches=[SimpleNamespace(step=STEP)]),
         is_static=False,
         system=SimpleNamespace(inputs=tuple(signals)),
     )
     data = Signals(signals, has_time=time, name=name, samples=len(next(iter(residuals.values()))))
     return part, SimpleNamespace(
-        outputs=tuple(residuals), residual=residuals.__getitem__, data=data, name=name
+        outputs=tuple(residuals),
+        residual=residuals.__getitem__,
+        data=data,
+        name=name,
+        innovation_parameters=lambda output: 1,
     )
 
 
-@pytest.mark.parametrize(
-    ("n", "correlation", "told"),
-    [
-        (2000, 0.195, False),
-        (2000, 0.205, True),
-        (2000, -0.205, True),
-        (100, 0.49, False),
-        (100, 0.53, True),
-    ],
-)
-def test_prediction_errors_are_told_from_a_fifth_of_correlation_or_five_deviations_of_white_ones(
-    n, correlation, told
-):
-    """Two waves of correlations 1 and -1 from one sample to the next, of such shares; ends count for little."""
-    share = (1 + correlation * n / (n - 1)) / 2
-    slow = np.sqrt(2) * np.sin(2 * np.pi * np.arange(n) / n)
-    e = np.sqrt(share) * slow + np.sqrt(1 - share) * np.resize([1.0, -1.0], n)
-    value = whiteness([e], lags=1).correlations[0]
-    assert value == pytest.approx(correlation, abs=1e-2)
-    own = f"{value:.3g} for y"
-    found = [*colored_predictions([fitted_with({"y": e})])]
-    assert len(found) == told
-    assert all(f"({own} from one sample to the next)" in text for text in found)
-    if told:
-        (text,) = colored_predictions([fitted_with({"y": e}), fitted_with({"y": e}, name="two")])
-        assert f"{own} in 'one'" in text
-        assert f"{own} in 'two'" in text
-        assert not [*colored_predictions([fitted_with({"y": e}, white=False)])]
+def test_prediction_errors_are_tested_beyond_the_lag_that_a_gain_removes(monkeypatch):
+    monkeypatch.setattr(records, "gust_criterion", lambda part: "the cure")
+    random = np.random.default_rng(0)
+    white = random.normal(size=(60, 1000))
+    alarms = [*map(len, ([*colored_predictions([fitted_with({"y": e})])] for e in white))]
+    assert sum(alarms) <= 3
+
+    # A moving average of correlation 0.3 after two samples, and none after one.
+    e = lfilter([1.0, 0.0, 1 / 3], [1.0], random.normal(size=2000))
+    (text,) = colored_predictions([fitted_with({"y": e})])
+    assert f"(correlation 0.31 after {2 * STEP:.2g} s for y)" in text
+    assert "as in gusts, which last longer than a sample: use the cure" in text
+    (text,) = colored_predictions([fitted_with({"y": e})], explained=False)
+    assert "the cure" not in text
+    (text,) = colored_predictions([fitted_with({"y": e}), fitted_with({"y": e}, name="two")])
+    assert "for y in 'one'" in text
+    assert "for y in 'two'" in text
+    assert not [*colored_predictions([fitted_with({"y": e}, white=False)])]
 
 
 def fed_back(n=3000, *, gain=0.5, color=0.9, seed=0, **more):
@@ -456,7 +453,7 @@ def test_feedback_is_told_where_errors_are_colored_and_an_input_responds_to_them
     assert not [*biased_by_feedback([fed_back(gain=0.0)])]
     assert not [*biased_by_feedback([fed_back(time=False)])]
     part, fitted = fed_back()
-    part.model.criterion.errors_are_white = True
+    part.model.criterion.corrects_states = True
     assert not [*biased_by_feedback([(part, fitted)])]
     part, fitted = fed_back()
     part.is_static = True

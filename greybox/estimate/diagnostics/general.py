@@ -71,7 +71,9 @@ def warnings(
         *finding_warnings(nlp),
         *discretization_warnings(nlp, trajectories, error),
         *unexplained(misfit),
-        *record_warnings(nlp, answer.parts, trajectories, accuracy, feedback=feedback),
+        *record_warnings(
+            nlp, answer.parts, trajectories, accuracy, feedback=feedback, explained=errors
+        ),
         *harmonic_warnings(nlp, best.estimate, accuracy),
         *not_determined(nlp, accuracy),
         *held_without_error(nlp, accuracy),

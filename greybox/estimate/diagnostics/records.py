@@ -14,12 +14,18 @@ from greybox.data.record import Record
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.repeated import Finding, once
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
+from greybox.estimate.missing_terms import dynamic_equations
+from greybox.files.arrays import Array
 from greybox.files.text_table import counted, some
+from greybox.modeling.colored_disturbance import undisturbed
 from greybox.statistics.metrics import feedback_correlation, whiteness
 from greybox.statistics.noise_ratio import noise_ratio
 
-# Share of fits with a false alarm about feedback.
+# Share of fits with a false alarm about feedback, and about colored prediction errors.
 FALSE_ALARMS = 0.01
+# Correlation of prediction errors below which no gust is worth another criterion: it biases the
+# estimates by a fraction of a standard error.
+NOTICEABLE = 0.1
 
 
 def finding_warnings(nlp: CompiledProblem) -> Iterator[str]:
@@ -42,10 +48,12 @@ def record_warnings(
     accuracy: Accuracy,
     *,
     feedback: bool,
+    explained: bool,
 ) -> tuple[str, ...]:
     """Return the warnings about the records of a fit.
 
-    Residuals of a wrong model look like `feedback`, which is then not tested.
+    Residuals of a wrong model look like `feedback`, which is then not tested, and like gusts unless
+    the model has `explained` the data.
     """
     pairs = [
         (part, answer)
@@ -58,7 +66,7 @@ def record_warnings(
         *once(_short(nlp, accuracy)),
         *once(finding for pair in pairs for finding in unexplained_outputs(*pair, alone=alone)),
         *(biased_by_feedback(pairs) if feedback else ()),
-        *colored_predictions(pairs),
+        *colored_predictions(pairs, explained=explained),
         *once(_bounded(nlp, trajectories, alone=alone)),
         *(_resting([part for part, _ in pairs]) if len(pairs) == len(nlp.parts) else ()),
     )
@@ -120,26 +128,56 @@ def unexplained_outputs(
             )
 
 
-def colored_predictions(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]:
-    """Warn where prediction errors are correlated in time: their standard errors ignore that."""
+def colored_predictions(
+    pairs: Sequence[tuple[RecordPart, FittedRecord]], *, explained: bool = True
+) -> Iterator[str]:
+    """Warn where prediction errors are correlated in time: another disturbance causes them.
+
+    A free gain removes the correlation from one sample to the next, so that many lags are tested.
+    """
+    tested = [
+        (part, fitted)
+        for part, fitted in pairs
+        if fitted.data.has_time and part.model.criterion.corrects_states
+    ]
+    outputs = sum(len(fitted.outputs) for _, fitted in tested)
     values = []
-    for part, fitted in pairs:
-        if not part.model.criterion.errors_are_white:
-            continue
+    for part, fitted in tested:
         for output in fitted.outputs:
-            test = whiteness([fitted.residual(output)], lags=1)
-            # Five standard deviations of the correlation of white errors, and a fifth at least.
-            if abs(test.correlations[0]) > max(0.2, 2 * test.bound):
+            errors = _by_piece(fitted.data, fitted.residual(output))
+            test = whiteness(errors, fitted=fitted.innovation_parameters(output))
+            lag = int(np.argmax(np.abs(test.correlations)))
+            r = float(test.correlations[lag])
+            if test.p_value < FALSE_ALARMS / outputs and abs(r) > NOTICEABLE:
                 place = _place(fitted.data, fitted.name, alone=len(pairs) == 1)
-                values.append(f"{test.correlations[0]:.3g} for {output}{place}")
+                after = part.data.stretches[0].step * (lag + 1)
+                values.append(f"{r:.2g} after {after:.2g} s for {output}{place}")
 
     if values:
-        yield (
-            f"the prediction errors are not white ({some(values)} from one sample to the next). "
-            "The signals were low-pass filtered, a state that the noise reaches is not corrected, "
-            "or the model is incomplete; the standard errors, which assume white prediction "
-            "errors, are then wrong."
+        part, _ = tested[0]
+        has_gusts = part.problem.model is not undisturbed(part.problem.model)
+        cause = (
+            f"as in gusts, which last longer than a sample: use {gust_criterion(part)}"
+            if explained and not has_gusts
+            else "as where signals were low-pass filtered, gusts reach another state, or the model "
+            "is incomplete"
         )
+        yield (
+            f"the prediction errors are not white (correlation {some(values)}), {cause}. The "
+            "standard errors account for their scatter, but not for the bias that a wrong model of "
+            "the disturbances causes."
+        )
+
+
+def gust_criterion(part: RecordPart) -> str:
+    """Return the code of the criterion that estimates gusts, for a state that they may reach."""
+    place = next(iter(dynamic_equations(part)))
+    return f"PredictionError(disturbance={{{part.system.states[place]!r}: 'colored'}})"
+
+
+def _by_piece(record: Record, values: Array) -> list[Array]:
+    """Return values (n,) split at gaps: lags across one would compare samples far apart."""
+    return np.split(values, np.cumsum([len(piece) for piece in record.pieces])[:-1])
 
 
 def biased_by_feedback(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]:
@@ -155,18 +193,16 @@ def biased_by_feedback(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iter
     tested = [
         (part, fitted)
         for part, fitted in pairs
-        if fitted.data.has_time and not part.model.criterion.errors_are_white
+        if fitted.data.has_time and not part.model.criterion.corrects_states
     ]
     outputs = sum(len(fitted.outputs) for _, fitted in tested)
     responding = []
 
     for part, fitted in tested:
-        # Lags across a gap would compare samples that are not neighbors.
-        ends = np.cumsum([len(piece) for piece in fitted.data.pieces])[:-1]
-        inputs = {name: np.split(fitted.data[name], ends) for name in part.system.inputs}
+        inputs = {name: _by_piece(fitted.data, fitted.data[name]) for name in part.system.inputs}
         place = _place(fitted.data, fitted.name, alone=len(pairs) == 1)
         for output in fitted.outputs:
-            residuals = np.split(fitted.residual(output), ends)
+            residuals = _by_piece(fitted.data, fitted.residual(output))
             if not whiteness(residuals).p_value < FALSE_ALARMS / outputs:
                 continue
             responses = {
