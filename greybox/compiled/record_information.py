@@ -56,7 +56,7 @@ def record_information(
         return replace(errors, meat=errors.meat + by_covariance)
 
     # Rows without a time have no neighbors with which they could be correlated.
-    in_order = model.has_time and not model.errors_are_white
+    in_order = model.has_time and not model.is_prior
     return Information(
         part,
         slopes.triangle @ by_values,

@@ -54,8 +54,6 @@ class RecordModel:
         What it has in common with records that share its functions, see `_kind`.
     has_time : bool
         Whether the record's samples follow one another in time.
-    errors_are_white : bool
-        Whether the criterion takes the errors for white, so that no correlation is looked for.
     is_prior : bool
         Whether the record stands for a-priori knowledge, and not for data.
     locate : casadi.Function
@@ -77,7 +75,6 @@ class RecordModel:
     criterion: TimeCriterion
     kind: tuple[Any, ...]
     has_time: bool
-    errors_are_white: bool
     is_prior: bool
     method: Transcription
     system: Dynamics
@@ -190,7 +187,6 @@ def _first_of_its_kind(
         criterion=criterion,
         kind=kind,
         has_time=problem.data.has_time,
-        errors_are_white=criterion.errors_are_white,
         is_prior=criterion.is_prior,
         method=method,
         system=system,

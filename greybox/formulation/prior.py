@@ -26,7 +26,6 @@ class Prior(TimeCriterion):
         "a-priori knowledge that is normal and independent of the errors of the data"
     )
     known_noise: ClassVar[bool] = True
-    errors_are_white: ClassVar[bool] = True
     is_prior: ClassVar[bool] = True
 
     @property

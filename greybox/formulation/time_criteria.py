@@ -51,9 +51,6 @@ class TimeCriterion(AnyCriterion):
 
     Attributes
     ----------
-    errors_are_white : bool
-        Whether the standard errors assume white residuals; otherwise they follow from the
-        autocorrelation of the residuals.
     corrects_states : bool
         Whether the residuals of a sample correct the states, by the gains of `gains`.
 
@@ -67,7 +64,6 @@ class TimeCriterion(AnyCriterion):
 
     condition: ClassVar[str] = "stationary output errors with the autocorrelation of the residuals"
     is_likelihood: ClassVar[bool] = True
-    errors_are_white: ClassVar[bool] = False
     corrects_states: ClassVar[bool] = False
 
     def __post_init__(self) -> None:

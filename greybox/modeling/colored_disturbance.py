@@ -1,16 +1,17 @@
 """An ODE with disturbances of first-order color on its derivatives, such as gusts."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
+from greybox.modeling.extended_model import ExtendedModel
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import as_list
 
 
-class ColoredDisturbance(StateSpace):
+class ColoredDisturbance(ExtendedModel):
     """An ODE whose derivatives have disturbances with states of their own.
 
     The disturbance ``gust_<state>`` adds to the derivative of the state, and follows
@@ -28,14 +29,8 @@ class ColoredDisturbance(StateSpace):
     """
 
     def __init__(self, model: StateSpace, *disturbed: tuple[str, tuple[float, float]]) -> None:
-        self.model = model
-        self.inputs = tuple(model.inputs)
-        self.outputs = tuple(model.outputs)
-        self.delays = model.delays
-        self.units = model.units
         self.disturbed = tuple(state for state, _ in disturbed)
         self.gusts = tuple(gust_on(state) for state in self.disturbed)
-        self.states = (*model.states, *self.gusts)
         require_known(self.disturbed, model.states, "state", model.label)
         times = {
             f"T_{gust_on(state)}": Parameter(
@@ -47,16 +42,7 @@ class ColoredDisturbance(StateSpace):
             )
             for state, (low, high) in disturbed
         }
-        # A name of the model would be overwritten silently.
-        for name in (*self.gusts, *times):
-            if name in (*model.parameters, *model.states, *model.inputs):
-                raise ValueError(f"{model.label} already has {name!r}: rename it there.")
-        self.parameters = {**model.parameters, **times}
-
-    @property
-    def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
-        """Derived quantities of the model."""
-        return self.model.derived
+        super().__init__(model, self.gusts, times)
 
     @property
     def label(self) -> str:
@@ -73,15 +59,6 @@ class ColoredDisturbance(StateSpace):
     def output(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
         """Return the outputs of the model."""
         return self.model.output(x, u, p)
-
-    @property
-    def trim(self) -> Any:  # type: ignore[override]
-        """The trim of the model, if it has one, in calm air."""
-        return None if self.model.trim is None else self._trim
-
-    def _trim(self, at: Any, p: Any) -> Mapping[str, Any]:
-        assert self.model.trim is not None
-        return {**dict.fromkeys(self.gusts, 0.0), **self.model.trim(at, p)}
 
 
 def gust_on(state: str) -> str:

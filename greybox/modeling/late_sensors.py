@@ -1,10 +1,11 @@
 """An ODE with outputs that are measured late (vanes, filters, air data): delays or lags."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
+from greybox.modeling.extended_model import ExtendedModel
 from greybox.modeling.model import Names, require_known
 from greybox.modeling.pade_delay import pade_rows, pade_steady
 from greybox.modeling.parameter import Parameter
@@ -15,7 +16,7 @@ ORDER = 2  # of the Padé approximation: half a degree of phase at one radian, 7
 NOTHING: Mapping[str, tuple[float, float]] = MappingProxyType({})
 
 
-class LateSensors(StateSpace):
+class LateSensors(ExtendedModel):
     """An ODE with late sensors, see `late_sensors`.
 
     Parameters
@@ -27,16 +28,10 @@ class LateSensors(StateSpace):
     """
 
     def __init__(self, model: StateSpace, *sensors: tuple[str, str, tuple[float, float]]) -> None:
-        self.model = model
-        self.inputs = tuple(model.inputs)
-        self.outputs = tuple(model.outputs)
-        self.delays = model.delays
-        self.units = model.units
-        self.states = tuple(model.states)
-        self.parameters = dict(model.parameters)
         self.late: dict[str, tuple[str, tuple[str, ...]]] = {}
+        parameters: dict[str, Parameter] = {}
         for output, kind, (low, high) in sensors:
-            require_known([output], self.outputs, "output", model.label)
+            require_known([output], model.outputs, "output", model.label)
             if output in self.late:
                 raise ValueError(f"{output!r} has a delay and a lag: give one of them.")
             if not 0 < low < high < math.inf:
@@ -45,25 +40,17 @@ class LateSensors(StateSpace):
                     "in s."
                 )
             name = f"{output}_{kind}"
-            added = tuple(f"{name}_{k}" for k in range(1 if kind == "lag" else ORDER))
-            # A state of this name in the model would be overwritten silently.
-            for new in (name, *added):
-                if new in (*self.parameters, *self.states, *self.inputs):
-                    raise ValueError(f"{model.label} already has {new!r}: rename it there.")
             # The geometric mean is equally far, in ratio, from both bounds.
-            self.parameters[name] = Parameter(
+            parameters[name] = Parameter(
                 math.sqrt(low * high),
                 bounds=(low, high),
                 unit="s",
                 about=f"{kind} of the sensor of {output}",
             )
-            self.states += added
+            added = tuple(f"{name}_{k}" for k in range(1 if kind == "lag" else ORDER))
             self.late[output] = name, added
-
-    @property
-    def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
-        """Derived quantities of the model."""
-        return self.model.derived
+        states = [state for _, added in self.late.values() for state in added]
+        super().__init__(model, states, parameters)
 
     @property
     def label(self) -> str:
@@ -78,11 +65,6 @@ class LateSensors(StateSpace):
     def output(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
         """Return what the sensors show."""
         return [measured for measured, _ in self._sensors(x, u, p).values()]
-
-    @property
-    def trim(self) -> Any:  # type: ignore[override]
-        """The trim of the model, if it has one, with sensors at rest."""
-        return None if self.model.trim is None else self._trim
 
     def _trim(self, at: Any, p: Any) -> Mapping[str, Any]:
         # At rest, every sensor shows the true output.

@@ -95,9 +95,8 @@ def test_what_a_criterion_in_time_answers_about_itself():
     assert gb.OutputError().gains(Cart(), ("x",)) == ()
     assert gb.PredictionError().gains(Cart(), ("x",)) == (("x", "x"), ("v", "x"))
     assert gb.PredictionError(corrected=("v",)).gains(Cart(), ("x",)) == (("v", "x"),)
-    questions = ("corrects_states", "errors_are_white")
-    assert [getattr(gb.OutputError(), q) for q in questions] == [False, False]
-    assert [getattr(gb.PredictionError(), q) for q in questions] == [True, False]
+    rules = gb.OutputError(), gb.PredictionError()
+    assert [rule.corrects_states for rule in rules] == [False, True]
 
 
 def test_settings_of_a_criterion_that_is_no_dataclass_are_its_public_values():

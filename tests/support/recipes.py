@@ -134,7 +134,6 @@ class DiagonalPrediction(gb.TimeCriterion):
 
     rule: ClassVar[str] = "prediction error with diagonal gains"
     condition: ClassVar[str] = "white innovations"
-    errors_are_white: ClassVar[bool] = True
     corrects_states: ClassVar[bool] = True
 
     def gains(self, model, outputs):
