@@ -12,7 +12,7 @@ from greybox.files.text_table import in_greek
 from greybox.plotting.figure import GRAY, INK, Figure, Panel, Series, band, rule
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.signals import chosen, shown_unit
-from greybox.statistics.metrics import CorrelationTest, input_correlation, whiteness
+from greybox.statistics.metrics import CorrelationTest, cross_correlation, whiteness
 from greybox.validation.comparison import p_text
 
 MOST_INPUTS = 3  # with a panel for each output: the inputs with the clearest correlation
@@ -106,7 +106,7 @@ def _tests(part: FittedRecord, output: str) -> list[tuple[str, CorrelationTest]]
         values = part.data[name]
         # A constant input has no correlation with anything.
         if name not in part.outputs and np.unique(values[np.isfinite(values)]).size > 1:
-            test = input_correlation(pieces, _pieces(part.data, values))
+            test = cross_correlation(pieces, _pieces(part.data, values))
             if not math.isnan(test.p_value):
                 inputs[name] = test
 

@@ -89,82 +89,29 @@ def whiteness(stretches: Sequence[ArrayLike], lags: int = LAGS, fitted: int = 0)
     return _tested(statistic, max(int(used.sum()) - fitted, 1), r, NORMAL_99 / math.sqrt(n))
 
 
-def input_correlation(
-    residuals: Sequence[ArrayLike], inputs: Sequence[ArrayLike], lags: int = LAGS
+def cross_correlation(
+    later: Sequence[ArrayLike], earlier: Sequence[ArrayLike], lags: int = LAGS
 ) -> CorrelationTest:
-    """Test whether residuals are correlated with the input 1 to `lags` samples earlier.
+    """Test whether a signal follows another one of 1 to `lags` samples before.
 
-    If they are, the model lacks dynamics. The input of the same sample or later is not tested,
-    since feedback correlates it with the errors. The test takes account of the autocorrelation of
-    the input, and of that of the residuals, as an autoregression. Source: Ljung (1999), System
-    Identification, 2nd ed., section 16.6.
-    """
-    pairs = _centered(residuals, inputs)
-    if pairs is None:
-        return _unknown(lags)
+    Residuals that follow an input show that the model lacks dynamics; an input that follows
+    residuals shows feedback. The same sample is not tested, since feedback may act within it. Both
+    are made white first, each by an autoregression of its own, so that the color of neither looks
+    like a response.
 
-    e, u = pairs
-
-    # The filter that whitens the residuals is applied to both, so that successive residuals are
-    # independent.
-    a = autoregression([np.nan_to_num(s) for s in e])
-    e, u = ([_filtered(s, a) for s in group] for group in (e, u))
-    # The products are taken over the same samples at every lag, not as those of a stationary input:
-    # a step or a drift, whose past values hardly differ, then raises no alarm.
-    errors, past = _with_past_values(e, u, lags)
-    products = past.T @ past
-
-    if not len(errors) > lags or not np.any(products) or not np.any(errors):
-        return _unknown(lags)
-    values, vectors = np.linalg.eigh(products)
-    # Relative eigenvalue of the input's correlations below which a direction has no information.
-    informative = values > 1e-6 * values[-1]
-    shared = past.T @ errors
-    variance = float(np.mean(errors**2))
-    statistic = (
-        float(np.sum((vectors[:, informative].T @ shared) ** 2 / values[informative])) / variance
-    )
-    r = shared / np.sqrt(np.maximum(np.diag(products), np.finfo(float).tiny) * np.sum(errors**2))
-
-    return _tested(statistic, int(informative.sum()), r, NORMAL_99 / math.sqrt(len(errors)))
-
-
-def _with_past_values(e: Sequence[Array], u: Sequence[Array], lags: int) -> tuple[Array, Array]:
-    """Return residuals (m,) whose `lags` past input values are all known, and these (m, lags)."""
-    pairs = [
-        (a[lags:], np.lib.stride_tricks.sliding_window_view(b, lags)[:-1, ::-1])
-        for a, b in zip(e, u, strict=True)
-        if len(a) > lags
-    ]
-
-    if not pairs:
-        return np.zeros(0), np.zeros((0, lags))
-    errors, past = (np.concatenate(group) for group in zip(*pairs, strict=True))
-    complete = np.isfinite(errors) & np.isfinite(past).all(axis=1)
-    return errors[complete], past[complete]
-
-
-def feedback_correlation(
-    residuals: Sequence[ArrayLike], inputs: Sequence[ArrayLike], lags: int = LAGS
-) -> CorrelationTest:
-    """Test whether an input responds to residuals 1 to `lags` samples before: feedback.
-
-    Both are made white first, each by an autoregression of its own, so that neither the color of
-    the residuals nor that of the input, nor dynamics that the model lacks, looks like a response.
     Source: Haugh (1976), Checking the independence of two covariance-stationary time series, JASA
-    71.
+    71; Ljung (1999), System Identification, 2nd ed., section 16.6.
     """
-    stretches = _centered(residuals, inputs)
+    stretches = _centered(later, earlier)
     if stretches is None:
         return _unknown(lags)
 
-    e, u = (
+    a, b = (
         [_filtered(s, autoregression([np.nan_to_num(s) for s in group])) for s in group]
         for group in stretches
     )
-    # In this order a response of the input follows the residual.
-    sums, pairs = _lagged(u, e, lags)
-    sizes = [rms(np.concatenate(group)) for group in (e, u)]
+    sums, pairs = _lagged(a, b, lags)
+    sizes = [rms(np.concatenate(group)) for group in (a, b)]
     used = pairs[1:] > 0
 
     if not (sizes[0] > 0 and sizes[1] > 0 and used.any()):
@@ -200,11 +147,11 @@ def mean_test(stretches: Sequence[ArrayLike]) -> tuple[float, float]:
 
 
 def _centered(
-    residuals: Sequence[ArrayLike], inputs: Sequence[ArrayLike]
+    a: Sequence[ArrayLike], b: Sequence[ArrayLike]
 ) -> tuple[list[Array], list[Array]] | None:
-    """Return residuals and inputs less their means; None with fewer than three pairs."""
-    e, u = ([_present(s) for s in group] for group in (residuals, inputs))
-    if sum(int(np.isfinite(a * b).sum()) for a, b in zip(e, u, strict=True)) < 3:
+    """Return two signals less their means; None with fewer than three pairs."""
+    e, u = ([_present(s) for s in group] for group in (a, b))
+    if sum(int(np.isfinite(x * y).sum()) for x, y in zip(e, u, strict=True)) < 3:
         return None
     e, u = ([s - float(np.nanmean(np.concatenate(group))) for s in group] for group in (e, u))
     return e, u

@@ -15,7 +15,7 @@ from greybox.estimate.diagnostics.records import (
     colored_predictions,
     unexplained_outputs,
 )
-from greybox.statistics.metrics import feedback_correlation, whiteness
+from greybox.statistics.metrics import cross_correlation, whiteness
 from greybox.statistics.noise_ratio import noise_ratio
 
 TRUTH = {"K": 2.0, "T": 0.1, "d": 0.023}
@@ -481,7 +481,7 @@ def test_feedback_is_tested_at_a_level_that_all_inputs_and_outputs_share():
 def _response(pair):
     _, fitted = pair
     halves = np.split(fitted.residual("y"), 2)
-    return feedback_correlation(halves, np.split(fitted.data["u"], 2)).p_value
+    return cross_correlation(np.split(fitted.data["u"], 2), halves).p_value
 
 
 def test_color_is_tested_at_a_level_that_all_outputs_share():

@@ -11,7 +11,7 @@ from scipy.integrate import trapezoid
 
 import greybox as gb
 from greybox.plotting.residuals import residual_figures
-from greybox.statistics.metrics import input_correlation, whiteness
+from greybox.statistics.metrics import cross_correlation, whiteness
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def test_residuals_have_a_histogram_and_their_correlations(spring, record):
     assert (itself.label, force.label) == ("Autocorrelation", "Correlation with force")
     for panel, test in (
         (itself, whiteness([e])),
-        (force, input_correlation([e], [record["force"]])),
+        (force, cross_correlation([e], [record["force"]])),
     ):
         points = named(panel, "", "points")
         assert points.y == pytest.approx(test.correlations)

@@ -18,7 +18,7 @@ from greybox.estimate.missing_terms import dynamic_equations
 from greybox.files.arrays import Array
 from greybox.files.text_table import counted, some
 from greybox.modeling.colored_disturbance import undisturbed
-from greybox.statistics.metrics import feedback_correlation, whiteness
+from greybox.statistics.metrics import cross_correlation, whiteness
 from greybox.statistics.noise_ratio import noise_ratio
 
 # Share of fits with a false alarm about feedback, and about colored prediction errors.
@@ -206,7 +206,7 @@ def biased_by_feedback(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iter
             if not whiteness(residuals).p_value < FALSE_ALARMS / outputs:
                 continue
             responses = {
-                name: feedback_correlation(residuals, u).p_value for name, u in inputs.items()
+                name: cross_correlation(u, residuals).p_value for name, u in inputs.items()
             }
             responding += [
                 f"{name} to {output}{place}"
