@@ -9,6 +9,7 @@ Printed: the share of intervals that hold the truth in percent, and half the mea
 """
 
 import argparse
+from collections import Counter
 from pathlib import Path
 
 import greybox as gb
@@ -145,19 +146,26 @@ def main():
     options = parser.parse_args()
     lines = [f"{options.repeats} flights a cell; of each margin: truth, % held, mean half width"]
     print(lines[0], flush=True)
+    totals, cells = Counter(), 0
     for plant in PLANTS:
         for signal in ("u", "reference"):
             label = f"{plant}, sweep at {signal}"
             if options.only not in label:
                 continue
             truth, held, widths = counted(plant, signal, options.repeats)
-            cells = [
+            totals.update(held)
+            cells += 1
+            numbers = [
                 f"{name} {truth[name].value:.4g} {100 * held[name] / options.repeats:.1f} % "
                 f"{widths[name]:.2g}"
                 for name in NAMES
             ]
-            lines.append(f"{label}: " + "; ".join(cells))
+            lines.append(f"{label}: " + "; ".join(numbers))
             print(lines[-1], flush=True)
+    flights = max(cells, 1) * options.repeats
+    shares = [f"{name} {100 * totals[name] / flights:.1f} %" for name in NAMES]
+    lines.append(f"all {flights} flights: {'; '.join(shares)}")
+    print(lines[-1], flush=True)
     if options.output:
         options.output.write_text("\n".join(lines) + "\n", encoding="utf-8")
 

@@ -4,20 +4,23 @@ Begin with `drawn_loops`.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from greybox.estimate.fitted_part import FittedResponse
+from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.result import Fit
 from greybox.experiment.controller import Controller
 from greybox.experiment.sampled_loop import SampledLoop, sampled_loop
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, IntArray
 from greybox.modeling.model import Model
 
 DRAWS = 512  # a quantile of 2.5 % is then known to 4 % of a standard error
 DRAWN = slice(1, 1 + DRAWS)  # the plants of a loop that are draws
 BESIDE = slice(1 + DRAWS, None)  # those that differ in what the data do not determine
+
+LONGEST = 4.0  # times a step: the error of a lag of half its value is that much larger upward
 
 
 def drawn_loops(
@@ -69,20 +72,76 @@ def _draws(fit: Fit, names: Sequence[str]) -> Array:
     from scipy.special import chdtri, ndtri  # noqa: PLC0415  (takes a tenth of a second to import)
     from scipy.stats import qmc  # noqa: PLC0415  (takes a third of a second to import)
 
-    known = fit.known_directions(names)
-    lines = fit.by_name
-    center = np.array([lines[name].value for name in names])
+    # The cost depends on every parameter of the fit, also on those of its other parts.
+    known = fit.known_directions(fit.names)
+    lines = [fit.by_name[name] for name in fit.names]
+    center = np.array([line.value for line in lines])
     variances, axes = np.linalg.eigh(known.covariance)
     root = axes * np.sqrt(np.maximum(variances, 0))
     dof = fit.fewest_degrees(names)
 
-    shares = qmc.Sobol(len(names) + 1, rng=np.random.default_rng(0)).random(DRAWS)
+    shares = qmc.Sobol(len(lines) + 1, rng=np.random.default_rng(0)).random(DRAWS)
     shares = np.clip(shares, 1e-9, 1 - 1e-9)
     normal = ndtri(shares[:, :-1]) @ root.T
     widening = np.sqrt(dof / chdtri(dof, shares[:, -1])) if math.isfinite(dof) else np.ones(DRAWS)
-    bias = np.array([lines[name].bias for name in names])
-    drawn = center - bias + normal * widening[:, None]
-    beside = center + 0.1 * (known.size[:, None] * known.unseen).T
+    steps = normal * widening[:, None] - np.array([line.bias for line in lines])
+    limits = np.array([line.bounds for line in lines]).T
 
-    limits = np.array([lines[name].bounds for name in names]).T
-    return np.clip(np.vstack([center, drawn, beside]), *limits)
+    def drawn(lengths: Array, rows: IntArray) -> Array:
+        return _within(limits, center + lengths[:, None] * steps[rows], known.covariance)
+
+    values = drawn(_lengths(fit, steps, drawn), np.arange(DRAWS))
+    beside = np.clip(center + 0.1 * (known.size[:, None] * known.unseen).T, *limits)
+    return np.vstack([center, values, beside])[:, [fit.names.index(name) for name in names]]
+
+
+def _lengths(fit: Fit, steps: Array, drawn: Callable[[Array, IntArray], Array]) -> Array:
+    """Return factors (draws,) that lengthen steps (draws, k) from the estimate to their likelihood.
+
+    With its factor the cost has risen as much as the standard errors predict for the step. Along
+    one parameter that is its profile: where its errors are not symmetric, or a pole cannot pass
+    zero, the draws follow. Records, whose costs take simulations, keep their steps, and so do fits
+    whose problem cannot be compiled again. `drawn` returns the values (m, k) at factors (m,) of
+    some of the steps.
+    """
+    unchanged = np.ones(len(steps))
+    if fit.white is None or len(fit.responses) < len(fit.parts):
+        return unchanged
+    try:
+        problem = compiled_again(fit)
+    except (ValueError, LookupError):
+        return unchanged
+
+    from scipy.optimize import elementwise  # noqa: PLC0415  (takes a tenth of a second to import)
+
+    p = len(fit.free)
+    size = np.sqrt(np.diag(fit.white))
+    size[size == 0] = 1  # of a parameter of which the data say nothing
+    curvature = np.linalg.pinv(fit.white / np.outer(size, size), rcond=1e-12, hermitian=True)
+    scaled = steps[:, :p] / size
+    predicted = np.sum(scaled @ curvature * scaled, axis=1) / 2
+    lowest = problem.costs(drawn(np.zeros(1), np.zeros(1, dtype=int))[:, :p])
+
+    def excess(lengths: Array, places: Array) -> Array:
+        rows = places.astype(int)
+        rise = (problem.costs(drawn(lengths, rows)[:, :p]) - lowest) / predicted[rows]
+        # A model without a response there is as unlikely as can be.
+        return np.sqrt(np.maximum(np.nan_to_num(rise, nan=1e6), 0)) - 1
+
+    ends = np.zeros(len(steps)), np.full(len(steps), LONGEST)
+    root = elementwise.find_root(
+        excess, ends, args=(np.arange(len(steps)),), tolerances={"xatol": 0.01}
+    )
+    # Where the cost remains low, a bound is met, or the data say nothing.
+    return np.nan_to_num(root.x, nan=LONGEST)
+
+
+def _within(limits: Array, values: Array, covariance: Array) -> Array:
+    """Move values (n, p) to the bounds (2, p) that they pass, and correlated ones with them."""
+    # Clipped alone, a parameter would leave the combinations that the data determine.
+    for _ in range(2):
+        for k, (low, high) in enumerate(limits.T):
+            beyond = values[:, k] - np.clip(values[:, k], low, high)
+            if beyond.any():
+                values = values - beyond[:, None] * covariance[k] / covariance[k, k]
+    return np.clip(values, *limits)

@@ -13,8 +13,7 @@ import numpy as np
 from greybox.experiment.sampled_loop import SampledLoop
 from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
 
-POINTS = 400
-DECADES = 4.0  # below the Nyquist frequency, within which crossings are looked for
+POINTS = 400  # in four decades below the Nyquist frequency
 TOP = 0.999  # of the Nyquist frequency
 REST = 1e-6  # rad per sample: a response at rest, still exact to ten digits
 FAR = 40.0  # dB: a crossing of the real axis that is farther away limits no gain
@@ -120,9 +119,12 @@ def crossings(values: Array, omega: Array) -> Crossings:
     return Crossings(len(values), plant, place, share, at)
 
 
-def loop_frequencies(loop: SampledLoop) -> Array:
+def loop_frequencies(loop: SampledLoop, points: int = POINTS) -> Array:
     """Return the frequencies, in rad/s, at which loops are evaluated before any refinement."""
-    return np.geomspace(10**-DECADES, TOP, POINTS) * math.pi / loop.period
+    # A loop at 8 kHz, or with a slow integrator, crosses a gain of one much below its rate. There
+    # its response is smooth, and fewer points suffice.
+    slow = np.geomspace(1e-6, 1e-4, points // 8, endpoint=False)
+    return np.r_[slow, np.geomspace(1e-4, TOP, points)] * math.pi / loop.period
 
 
 def refined(loop: SampledLoop, numbers: LoopNumbers) -> Numbers:
@@ -283,7 +285,8 @@ def _step_numbers(loop: SampledLoop, setpoint: str, response: str) -> Numbers:
     The rise is from 10 % to 90 % of the final response, which is settled within 2 % of it.
     """
     time, steps = step_responses(loop, setpoint, response)
-    rise = crossings(steps - 0.9, time).first.value - crossings(steps - 0.1, time).first.value
+    with np.errstate(invalid="ignore"):  # an unstable loop may reach neither
+        rise = crossings(steps - 0.9, time).first.value - crossings(steps - 0.1, time).first.value
     outside = np.abs(steps - 1) - TOLERANCE
     settling = np.where(outside[:, -1] < 0, crossings(outside, time).last.value, math.inf)
     numbers = {

@@ -51,6 +51,7 @@ UNITS = {
     "damping ratio": "",
     "natural frequency": "rad/s",
 }
+ORDER = "closest_observation"  # of quantiles: interpolation between infinite values is undefined
 _INTEGRALS = {"rad": 0, "deg": 0, "rad/s": 1, "deg/s": 1}  # from a response to an attitude
 
 
@@ -247,9 +248,12 @@ def margins(
     - *overshoot*, *rise time* from 10 % to 90 % and *settling time* to 2 % of a step;
     - *damping ratio* and *natural frequency* of the poles with the largest part in that step.
 
-    The intervals are quantiles over draws from the distribution of the estimates (Student's t), so
-    they need not be symmetric, and hold where the standard errors of the fit do. They contain the
-    errors of the parameters; not what the model leaves out, such as structural modes.
+    The intervals are quantiles over draws from the distribution of the estimates, so they need not
+    be symmetric. The draws have Student's t distribution with the covariance of the fit, within the
+    bounds of the parameters; of fits of frequency responses, every draw is as likely as its
+    distance says (Chandler and Bate), so that the intervals follow the profiles. The intervals
+    contain the errors of the parameters; not what the model leaves out, such as structural modes.
+    If more than ``(1 - level) / 2`` of the draws are unstable, their share is the answer.
 
     Parameters
     ----------
@@ -292,7 +296,7 @@ def margins(
     sampled plant) and 7.4 (margins); ADS-33E-PRF (2000), Handling Qualities Requirements for
     Military Rotorcraft, paragraph 3.3.2.1 (bandwidth and phase delay of attitudes); Tischler
     et al. (2017), Practical Methods for Aircraft and Rotorcraft Flight Control Design, section 3.3
-    (disturbance rejection).
+    (disturbance rejection); Chandler and Bate (2007), Biometrika 94 (the likelihood ratio).
     """
     require_level(level)
     loop = drawn_loops(plant, controller, values, at=at, part=part)
@@ -343,13 +347,18 @@ def _with_rows(answer: Margins, groups: Mapping[str, LoopNumbers], band: Array |
             if math.isnan(first):
                 continue
             low = high = math.nan
+            drawn = value[DRAWN]
+            lacking = np.isnan(drawn).sum() / max(drawn.size, 1)
             if not np.allclose(value[BESIDE], value[0], rtol=1e-3):
                 undetermined.append(name)
-            elif np.isnan(value[DRAWN]).any():
-                missing[name] = float(np.mean(np.isnan(value[DRAWN])))
+            elif lacking > tail:
+                missing[name] = lacking
             elif answer.instability <= tail:
-                ends = np.quantile(value[DRAWN], [tail, 1 - tail], method="closest_observation")
-                low, high = map(float, ends)
+                # Draws that lack the quantity, such as a crossing, count on both sides.
+                low, high = (
+                    float(np.quantile(np.nan_to_num(drawn, nan=end), share, method=ORDER))
+                    for end, share in ((-math.inf, tail), (math.inf, 1 - tail))
+                )
             beyond = band is not None and bool(omega < band[0] or omega > band[1])
             unit = UNITS[name.rstrip(" 0123456789")]
             rows.append(Margin(name, unit, first, low, high, omega, beyond, group))

@@ -18,7 +18,7 @@ from greybox.estimate.response_band import require_level
 from greybox.estimate.result import Fit
 from greybox.experiment.controller import Controller
 from greybox.experiment.drawn_loops import drawn_loops
-from greybox.experiment.loop_numbers import margin_numbers
+from greybox.experiment.loop_numbers import loop_frequencies, margin_numbers
 from greybox.experiment.sampled_loop import SampledLoop, linear_controller, require_signal
 from greybox.files.arrays import Array, BoolArray
 from greybox.files.json_numbers import plain
@@ -29,7 +29,7 @@ from greybox.spectral import spectral_response
 POINTS = {1: 41, 2: 17, 3: 9}  # values of each gain, by the number of gains
 DRAWS = 256  # of them 5 % are 13
 FEW = 16  # draws whose poles are computed
-FREQUENCIES = 260  # over four decades below the Nyquist frequency: margins to 0.1 degrees
+FREQUENCIES = 260  # in four decades below the Nyquist frequency: margins to 0.1 degrees
 
 # A point is measured well up to these limits of Tischler and Remple (2012), Aircraft and Rotorcraft
 # System Identification, sections 7.5 and 9.7: coherence, relative random error.
@@ -249,7 +249,7 @@ def _judged(
     loops = loops.of(slice(1 + DRAWS))
     signal = broken_at or loops.inputs[0]
     require_signal(signal, loops.signals)
-    omega = np.geomspace(1e-4, 0.999, FREQUENCIES) * math.pi / loops.period
+    omega = loop_frequencies(loops, FREQUENCIES)
     late = np.exp(-1j * omega * wanted["delay"])[:, None, None]
     plants = loops.plant_response(omega)
     points, is_good = _measured_points(fit.parts[part], loops)

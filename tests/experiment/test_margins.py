@@ -7,6 +7,8 @@ from rate_control import RATE, RateDynamics, RateLoop
 
 import greybox as gb
 from greybox.experiment.sampled_loop import sampled_loop
+from greybox.models.ardupilot import AngleController, RateController
+from greybox.problems import yaw_hover
 
 TRUTH = {"K": 40.0, "a": 2.0, "T": 0.05, "tau": 0.023}
 OMEGA = np.geomspace(1, 40, 30)
@@ -62,10 +64,20 @@ def test_margins_are_those_of_python_control():
             there = loop(np.exp(1j * omega / RATE))
             assert np.abs(there) == pytest.approx(1, abs=1e-9)
             assert value == pytest.approx(180 - np.abs(np.degrees(np.angle(there))), abs=1e-7)
-        omega = np.geomspace(0.1, 0.999 * np.pi * RATE, 20000)
-        distance = np.abs(1 + loop(np.exp(1j * omega / RATE))).min()
-        assert exact["modulus margin"].value == pytest.approx(distance, rel=1e-5)
+        modulus = exact["modulus margin"]
+        omega = np.union1d(np.geomspace(0.1, 0.999 * np.pi * RATE, 300), modulus.omega)
+        disk, *_ = control.disk_margins(loop, omega, skew=1.0)
+        assert modulus.value == pytest.approx(disk, rel=1e-8)
     assert compared > 15
+
+
+def test_a_crossover_far_below_the_rate_of_the_loop_counts():
+    values, gains = {"K": 25.6, "a": 6.2, "T": 0.083, "tau": 3 / RATE}, {"K_P": 0.094, "K_I": 2e-3}
+    margin = gb.margins(RateDynamics(), RateLoop(gains), values)["phase margin"]
+    there = in_python_control(values, gains)(np.exp(1j * margin.omega / RATE))
+    assert margin.omega < 0.02
+    assert np.abs(there) == pytest.approx(1, abs=1e-6)
+    assert margin.value == pytest.approx(180 - np.abs(np.degrees(np.angle(there))), abs=1e-4)
 
 
 @pytest.mark.parametrize(("margin", "sign"), [("gain margin", 1), ("gain reduction margin", -1)])
@@ -126,6 +138,39 @@ def test_intervals_cover_the_true_margins_and_are_as_wide_as_the_scatter():
         assert np.sum((low <= truth[name].value) & (truth[name].value <= high)) >= 6
         half_width = np.mean(high - low) / 2
         assert 1.2 < half_width / np.std(value, ddof=1) < 3.4
+
+
+def test_intervals_follow_the_profile_where_errors_are_not_symmetric():
+    omega = np.geomspace(1, 40, 12)
+    exact = gb.frequency_response(RateDynamics(), TRUTH, omega).response
+    errors = 0.5 * np.random.default_rng(4).normal(size=(2, omega.size))
+    data = gb.FrequencyResponse(omega, exact * (1 + errors[0] + 1j * errors[1]), "u", "q")
+    values = {name: TRUTH[name] for name in ("K", "a", "tau")}
+    fit = gb.fit(gb.Problem(RateDynamics(), data, fixed=values), starts=2, progress=False)
+    ends = gb.profile(fit, "T").intervals["T"]
+    # The longer the lag, the smaller the phase margin.
+    high, low = (
+        gb.margins(RateDynamics(), RateLoop(), {**TRUTH, "T": T, "tau": TRUTH["tau"] - 0.5 / RATE})
+        for T in ends
+    )
+    margin = gb.margins(fit, RateLoop())["phase margin"]
+    width = margin.high - margin.low
+    assert margin.low == pytest.approx(low["phase margin"].value, abs=0.03 * width)
+    assert margin.high == pytest.approx(high["phase margin"].value, abs=0.03 * width)
+    # By the standard error alone, the upper end would be elsewhere.
+    linear = fit.interval()["T"]
+    assert abs(linear[0] - ends[0]) > 0.1 * (ends[1] - ends[0])
+
+
+def test_a_pole_that_cannot_pass_zero_makes_no_draw_unstable():
+    # 300 bootstrap replicates are stable, although the standard error of a2 is twice its value.
+    fit = gb.fit(yaw_hover.problem(), starts=2, profiles=False, progress=False)
+    assert fit.standard_error["a2"] > fit.estimate["a2"]
+    gains = {"P": 0.18, "I": 0.018, "D": 0.0, "FLTE": 2.5}
+    rate = RateController(gains, signals={"q": "psi_dot"})
+    answer = gb.margins(fit, [AngleController(signals={"theta": "psi"}), rate])
+    assert answer.is_safe
+    assert 30 < answer["phase margin"].low < answer["phase margin"].high < 80
 
 
 def test_the_answer_begins_with_the_margins_and_names_what_is_extrapolated(fit):
