@@ -13,7 +13,7 @@ import numpy as np
 from margin_coverage import PLANTS, Rate, RateLoop, flown
 
 import greybox as gb
-from greybox.experiment import broken_loop, measured_margins
+from greybox.experiment import broken_loop
 
 NAMES = (
     "phase margin",
@@ -39,7 +39,7 @@ def main():
         for seed in range(options.repeats):
             record = flown(values, gains, rate, band, "u", seed)
             response = gb.spectral.spectral_response(record, "u_excitation", "u", band=band)
-            answer = measured_margins(broken_loop(response))
+            answer = gb.margins(broken_loop(response))
             for name in NAMES:
                 margin = answer[name]
                 if np.isfinite(margin.value):

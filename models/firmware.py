@@ -10,7 +10,7 @@ import numpy as np
 import greybox as gb
 from greybox.experiment.control_check import ControlCheck, check_controller
 from greybox.experiment.controller import sensors_of
-from greybox.experiment.measured_loop import broken_loop, measured_margins
+from greybox.experiment.measured_loop import broken_loop
 from greybox.experiment.sampled_loop import DOT, linear_controller
 from greybox.files.text_table import text_table
 from greybox.logs.ardupilot import SYSTEMID_AXES
@@ -424,7 +424,7 @@ def loop_of_log(
     has_errors = isinstance(data, gb.FrequencyResponse) and data.variance is not None
     if has_errors and read == {data.output}:
         loops.append(flown.loop_gain(data))
-    measured = tuple(measured_margins(loop, level=level) for loop in loops)
+    measured = tuple(gb.margins(loop, level=level) for loop in loops)
     notes = disagreements(of_model, measured)
     return LoopOfLog(flown, check, of_model, tuple(loops), measured, tuple(others), notes)
 

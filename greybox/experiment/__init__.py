@@ -11,9 +11,9 @@ tell).
 | `sampled_loop` | the loop of a plant and its controllers, as linear equations |
 | `drawn_loops` | that loop at an estimate and at draws from its distribution |
 | `loop_numbers` | margins and closed-loop numbers of such loops |
-| `margins` | these numbers with their errors |
+| `margins` | these numbers with their errors, and those of measured loops |
 | `control_check` | whether a controller computes the control of a log |
-| `measured_loop` | broken loops from measured responses, and their margins |
+| `measured_loop` | broken loops from measured responses |
 | `safe_gains` | gains that meet requirements on them with a stated confidence |
 | `gain_file` | files of gains for ground stations |
 | `virtual_flight` | flights in simulation |
@@ -33,9 +33,10 @@ from greybox.experiment.expected_errors import ExpectedErrors as ExpectedErrors
 from greybox.experiment.expected_errors import expected_errors as expected_errors
 from greybox.experiment.gain_file import write_gains as write_gains
 from greybox.experiment.margins import Margins as Margins
+from greybox.experiment.margins import margin_table as margin_table
 from greybox.experiment.margins import margins as margins
+from greybox.experiment.margins import measured_margins as measured_margins
 from greybox.experiment.measured_loop import broken_loop as broken_loop
-from greybox.experiment.measured_loop import measured_margins as measured_margins
 from greybox.experiment.multisine import multisine as multisine
 from greybox.experiment.safe_gains import SafeGains as SafeGains
 from greybox.experiment.safe_gains import safe_gains as safe_gains

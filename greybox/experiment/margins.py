@@ -1,4 +1,4 @@
-"""Margins and closed-loop numbers of a fitted plant with its controllers, with their errors.
+"""Margins and closed-loop numbers, with their errors: of a plant with its controllers, or measured.
 
 Begin with `margins`.
 """
@@ -11,21 +11,23 @@ from typing import Any
 
 import numpy as np
 
+from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.response_band import require_level
 from greybox.estimate.result import Fit
 from greybox.experiment.controller import Controller
-from greybox.experiment.drawn_loops import BESIDE, DRAWN, drawn_loops
+from greybox.experiment.drawn_loops import BESIDE, DRAWN, DRAWS, drawn_loops
 from greybox.experiment.loop_numbers import (
     LoopNumbers,
     broken_loop_numbers,
     closed_loop_numbers,
     follows,
     loop_frequencies,
+    margin_numbers,
     refined,
 )
 from greybox.experiment.sampled_loop import DOT, SampledLoop, require_signal
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, ComplexArray
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import listed, number, one_line, text_table
 from greybox.modeling.model import Model
@@ -51,7 +53,12 @@ UNITS = {
     "damping ratio": "",
     "natural frequency": "rad/s",
 }
+# Noise makes the least distance from -1 too small, and draws from a noisy response make it smaller
+# still. The draws so show the bias, and their quantiles are reflected about the value.
+LEAST = ("modulus margin", "disturbance rejection peak")
+
 ORDER = "closest_observation"  # of quantiles: interpolation between infinite values is undefined
+MAIN = ("phase margin", "gain margin", "delay margin", "crossover")  # of a table of many loops
 _INTEGRALS = {"rad": 0, "deg": 0, "rad/s": 1, "deg/s": 1}  # from a response to an attitude
 
 
@@ -188,32 +195,30 @@ class Margins:
     def __repr__(self) -> str:
         return one_line(self, self.verdict)
 
-    def __str__(self) -> str:
-        rows = [
-            (
-                m.name,
-                number(m.value, 4),
-                "-" if not math.isfinite(m.low) else f"{number(m.low, 4)} to {number(m.high, 4)}",
-                m.unit,
-                number(m.omega, 4) + (" *" if m.is_extrapolated else ""),
-            )
-            for m in self.margins
-        ]
+    @property
+    def rows(self) -> list[tuple[str, ...]]:
+        """The header of the printed table and its rows; every group begins with its name."""
         interval = "" if math.isnan(self.level) else f"{100 * self.level:g} % interval"
-        # Every group begins with its name.
-        starts = [k for k, m in enumerate(self.margins) if m.group != self.margins[k - 1].group]
-        for k in reversed(starts):
-            rows.insert(k, (f"{self.margins[k].group}:", "", "", "", ""))
-        header = ("", "value", interval, "unit", "at rad/s")
+        rows = [("", "value", interval, "unit", "at rad/s")]
+        group = ""
+        for m in self.margins:
+            if m.group != group:
+                group = m.group
+                rows.append((f"{group}:", "", "", "", ""))
+            ends = f"{number(m.low, 4)} to {number(m.high, 4)}" if math.isfinite(m.low) else "-"
+            place = number(m.omega, 4) + (" *" if m.is_extrapolated else "")
+            rows.append((m.name, number(m.value, 4), ends, m.unit, place))
+        return rows
+
+    def __str__(self) -> str:
+        header, *rows = self.rows
         table = [text_table(header, rows)] if rows else []
-        beyond = any(m.is_extrapolated for m in self.margins)
-        legend = ["* outside the frequencies of the fitted data: extrapolated."] if beyond else []
-        return "\n".join([self.verdict[0].upper() + self.verdict[1:], *table, *legend, *self.notes])
+        return "\n".join([self.verdict[0].upper() + self.verdict[1:], *table, *self.notes])
 
 
 def margins(
-    plant: Fit | Model,
-    controller: Controller | Sequence[Controller],
+    plant: Fit | Model | FrequencyResponse,
+    controller: Controller | Sequence[Controller] | None = None,
     values: Mapping[str, float] | None = None,
     *,
     broken_at: str = "",
@@ -257,8 +262,10 @@ def margins(
 
     Parameters
     ----------
-    plant : Fit or Model
-        A model has no errors, and its margins no intervals.
+    plant : Fit, Model or FrequencyResponse
+        A model has no errors, and its margins no intervals. A measured response is the gain of the
+        broken loop, as `greybox.experiment.broken_loop` makes it; its margins need no model and no
+        controller: see `greybox.experiment.measured_margins`.
     controller : Controller or several
         With the gains that fly. The outputs of one may be the setpoints of the next.
     values : mapping of parameter name to float, optional
@@ -284,7 +291,8 @@ def margins(
     ValueError
         If the fit has no estimate or no covariance, or the controllers do not fit the model.
     TypeError
-        For a plant that is neither, and for values beside a fit.
+        For a plant that is none of these, for values beside a fit, for a plant without a
+        controller, and for arguments beside a measured response.
 
     Notes
     -----
@@ -298,6 +306,14 @@ def margins(
     et al. (2017), Practical Methods for Aircraft and Rotorcraft Flight Control Design, section 3.3
     (disturbance rejection); Chandler and Bate (2007), Biometrika 94 (the likelihood ratio).
     """
+    if isinstance(plant, FrequencyResponse):
+        if controller or values or broken_at or tracking or at or part:
+            raise TypeError(
+                "a measured response is the broken loop itself: give no argument but the level."
+            )
+        return measured_margins(plant, level=level)
+    if controller is None:
+        raise TypeError("a plant has margins in a loop: give its controller.")
     require_level(level)
     loop = drawn_loops(plant, controller, values, at=at, part=part)
     model = plant.model_of(part) if isinstance(plant, Fit) else plant
@@ -335,6 +351,17 @@ def margins(
     return _with_rows(answer, groups, band)
 
 
+def margin_table(answers: Mapping[str, Margins]) -> str:
+    """Return the main margins of several loops, such as operating points or flights, as a table."""
+    rows = []
+    for label, answer in answers.items():
+        numbers = {margin.name: _with_interval(margin) for margin in answer.margins}
+        risk = "100" if not answer.is_stable else number(100 * answer.instability, 2)
+        rows.append((label, *(numbers.get(name, "-") for name in MAIN), risk))
+    header = ("", *(f"{name}, {UNITS[name]}" for name in MAIN), "unstable, %")
+    return text_table(header, rows)
+
+
 def _with_rows(answer: Margins, groups: Mapping[str, LoopNumbers], band: Array | None) -> Margins:
     """Return an answer with its rows, whose intervals are quantiles over the draws."""
     tail = (1 - answer.level) / 2
@@ -364,6 +391,8 @@ def _with_rows(answer: Margins, groups: Mapping[str, LoopNumbers], band: Array |
             rows.append(Margin(name, unit, first, low, high, omega, beyond, group))
 
     notes = list(answer.notes)
+    if any(row.is_extrapolated for row in rows):
+        notes.insert(0, "* outside the frequencies of the fitted data: extrapolated.")
     if undetermined:
         names = listed(undetermined)
         notes.insert(0, f"No interval: the data of the fit do not determine the {names}.")
@@ -395,3 +424,92 @@ def _with_interval(margin: Margin) -> str:
     if not (math.isfinite(margin.low) and math.isfinite(margin.high)):
         return number(margin.value, 3)
     return f"{number(margin.value, 3)} ({number(margin.low, 3)} to {number(margin.high, 3)})"
+
+
+def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins:
+    """Return the margins of a measured broken loop, with negative feedback.
+
+    They are read between the measured points, where magnitude and phase are straight lines over the
+    logarithm of frequency, and never beyond them: a note names what does not occur there. The
+    intervals come from draws from the errors of the points, which also correct the bias of the
+    modulus margin, and are wider by the error of the interpolation, a third of what leaving out
+    every second point changes. The loop is taken as stable, because it flew.
+
+    Parameters
+    ----------
+    loop : FrequencyResponse
+        With a variance, as `broken_loop` and `greybox.spectral` give it.
+    level : float
+
+    Returns
+    -------
+    Margins
+
+    Source: Davison and Hinkley (1997), Bootstrap Methods and their Application, section 5.2 (basic
+    intervals).
+
+    Raises
+    ------
+    ValueError
+        If the response has no variance.
+    """
+    require_level(level)
+    order = np.argsort(loop.omega)
+    points, drawn = np.log(loop.omega[order]), _drawn(loop)[:, order]
+    gain, omega = _between(points, drawn)
+    numbers = margin_numbers(gain, omega, np.ones(len(gain), dtype=bool))
+    fewer = margin_numbers(*_between(points[::2], drawn[:1, ::2]), np.ones(1, dtype=bool))
+    ends = [(1 - level) / 2, 0.5, (1 + level) / 2]
+    rows, unmeasured = [], []
+    for name, (values, places) in numbers.items():
+        unit = UNITS[name.rstrip(" 0123456789")]
+        row = Margin(name, unit, math.nan, math.nan, math.nan, math.nan, group="measured")
+        if values[0] and omega[0] < places[0] < omega[-1]:
+            value = float(values[0])
+            drawn_ends = np.quantile(values[1:], ends, method="closest_observation")
+            low, _, high = drawn_ends.tolist()
+            if name in LEAST:
+                high, value, low = (2 * value - drawn_ends).tolist()
+            # Straight lines between twice as distant points are four times as wrong.
+            change = abs(fewer[name].value[0] - values[0]) / 3 if name in fewer else 0.0
+            error = float(change) if math.isfinite(change) else 0.0
+            place = float(places[0])
+            row = replace(row, value=value, omega=place, low=low - error, high=high + error)
+        else:
+            unmeasured.append(name)
+        rows.append(row)
+
+    notes = []
+    if unmeasured:
+        notes.append(
+            f"Not measured, from {omega[0]:.3g} to {omega[-1]:.3g} rad/s with a gain from "
+            f"{abs(gain[0, 0]):.2g} to {abs(gain[0, -1]):.2g}: {listed(unmeasured)}. Fly other "
+            "frequencies; nothing is extrapolated."
+        )
+    if "phase margin 2" in numbers:
+        notes.append("The gain is one at several frequencies; the smallest margin counts.")
+    plant = loop.name or "the measured response"
+    # There are no plants whose loops could be evaluated elsewhere.
+    return Margins(plant, loop.input, "", "", tuple(rows), True, 0.0, level, None, tuple(notes))
+
+
+def _drawn(loop: FrequencyResponse) -> ComplexArray:
+    """Return the response and draws from its errors (1 + draws, n)."""
+    if loop.variance is None:
+        raise ValueError("the response has no variance: give one, as gb.spectral estimates it.")
+    random = np.random.default_rng(0)
+    errors = random.normal(size=(2, DRAWS, len(loop)))
+    if loop.dof is not None:
+        errors *= np.sqrt(loop.dof / random.chisquare(loop.dof, errors.shape[1:]))
+    size = np.sqrt(loop.variance * loop.independent_share / 2)
+    drawn = loop.response + size * (errors[0] + 1j * errors[1])
+    if loop.common_errors is not None:
+        drawn += random.normal(size=(DRAWS, len(loop.common_errors))) @ loop.common_errors
+    return np.vstack([loop.response, drawn])
+
+
+def _between(points: Array, response: ComplexArray) -> tuple[ComplexArray, Array]:
+    """Return gains (m, k) interpolated between points (n,) of log omega, and omega (k,)."""
+    x = np.unique([*points, *np.linspace(points[0], points[-1], 300)])
+    logarithm = np.log(np.abs(response)) + 1j * np.unwrap(np.angle(response), axis=1)
+    return np.exp([np.interp(x, points, row) for row in logarithm]), np.exp(x)

@@ -15,7 +15,7 @@ from greybox.plotting.figure import ANGLES, CROSS, GRAY, INK, Figure, Panel, Ser
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 
 SHOWN = (1e-2, 1e2)  # gains of the broken loop that are drawn
-CURVES = 60  # draws in the Nichols and Nyquist diagrams, where a band has no direction
+CURVES = 25  # draws in the Nichols and Nyquist diagrams, where a band has no direction
 
 
 def loop(

@@ -7,7 +7,7 @@ import pytest
 
 import greybox as gb
 from greybox.data.record import Recording
-from greybox.experiment import broken_loop, measured_margins
+from greybox.experiment import broken_loop
 from greybox.experiment.sampled_loop import sampled_loop
 from greybox.models.ardupilot import AngleController, RateController
 from greybox.models.firmware import disagreements, from_log, loop_of_log
@@ -25,7 +25,7 @@ def integrator(low, high, points=60, gain=2.0, delay=0.2):
 
 
 def test_margins_are_read_between_the_measured_points():
-    answer = measured_margins(integrator(0.1, 30))
+    answer = gb.margins(integrator(0.1, 30))
     assert answer["crossover"].value == pytest.approx(2, rel=1e-4)
     assert answer["phase margin"].value == pytest.approx(90 - np.degrees(0.4), abs=0.02)
     assert answer["gain margin"].omega == pytest.approx(np.pi / 0.4, rel=1e-3)
@@ -38,7 +38,7 @@ def test_margins_are_read_between_the_measured_points():
     ("band", "missing"), [((0.1, 1.5), "phase margin"), ((3, 30), "crossover")]
 )
 def test_nothing_is_extrapolated(band, missing):
-    answer = measured_margins(integrator(*band))
+    answer = gb.margins(integrator(*band))
     assert np.isnan(answer["phase margin"].value)
     (note,) = answer.notes
     assert missing in note
@@ -49,7 +49,7 @@ def test_nothing_is_extrapolated(band, missing):
 def test_several_crossovers_are_said():
     loop = integrator(0.1, 30)
     bump = 1 + 3 * np.exp(-((np.log(loop.omega / 5) / 0.2) ** 2))
-    answer = measured_margins(loop.times(bump + 0j))
+    answer = gb.margins(loop.times(bump + 0j))
     assert any("several frequencies" in note for note in answer.notes)
     assert answer["phase margin 3"].omega > answer["phase margin 1"].omega
 
@@ -60,7 +60,14 @@ def test_an_open_loop_and_a_response_without_errors_are_refused():
     with pytest.raises(ValueError, match="the loop was open"):
         broken_loop(gb.FrequencyResponse(omega, 1 + noise, "d", "u", variance=np.full(20, 1e-4)))
     with pytest.raises(ValueError, match="no variance"):
-        measured_margins(gb.FrequencyResponse(omega, 1 / (1j * omega), "u", "y"))
+        gb.margins(gb.FrequencyResponse(omega, 1 / (1j * omega), "u", "y"))
+
+
+def test_a_measured_loop_stands_alone_and_a_model_needs_a_controller():
+    with pytest.raises(TypeError, match="give no argument but the level"):
+        gb.margins(integrator(0.1, 30), controllers())
+    with pytest.raises(TypeError, match="give its controller"):
+        gb.margins(DampedAngle())
 
 
 def controllers():
