@@ -7,12 +7,10 @@ from greybox.cli.catalog import find_controller, shipped_module
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, require_figure, require_writable, save_figure
 from greybox.cli.saved_fits import saved_fit
-from greybox.estimate.result import Fit
 from greybox.experiment.controller import Controller
 from greybox.experiment.margins import margin_table, margins
 from greybox.logs.readers import read
 from greybox.study.study import read_study
-from greybox.validation.same_data import labels_of
 
 EXAMPLES = (
     "pitch.h5 --log flight.BIN --axis pitch",
@@ -58,7 +56,12 @@ results RESULT...
 
 def run(options: argparse.Namespace) -> Answer:
     """Read the fits, close their loops, and return the margins wherever these are broken."""
-    fits = _stated_fits(options)
+    fits: dict[str, Any] = {}
+    for path in options.results:
+        if path.is_dir():
+            fits |= {member.name: member.fit for member in read_study(path).done}
+        else:
+            fits[str(path)] = saved_fit(path, options)
     require_figure(options.plot, options.force)
     require_writable(options.report, options.force, (".html", ".htm"), "page")
     tracking = tuple(options.tracking) if options.tracking else None
@@ -66,7 +69,7 @@ def run(options: argparse.Namespace) -> Answer:
     # A log has the controller that flew, with its gains and its rate.
     if options.log:
         refuse_controllers(options)
-        if len(fits) > 1:
+        if len(fits) != 1:
             raise UsageError("--log is of one flight: give a single RESULT with it.")
         flown = shipped_module("models", "firmware").loop_of_log(
             read(options.log),
@@ -84,25 +87,25 @@ def run(options: argparse.Namespace) -> Answer:
             wrong = "the controllers of the log do not reproduce its control."
     else:
         controllers = stated_controllers(options)
-        places = options.broken_at or [""]
-        by_label = {
-            f"{label}, broken at {place}" if place else label: margins(
-                fit,
-                controllers,
-                broken_at=place,
-                tracking=tracking,
-                at=options.at,
-                level=options.level,
+        labeled = [
+            (
+                label,
+                margins(
+                    fit,
+                    controllers,
+                    broken_at=place,
+                    tracking=tracking,
+                    at=options.at,
+                    level=options.level,
+                ),
             )
             for label, fit in fits.items()
-            for place in places
-        }
-        loops = [*by_label.values()]
-        answer: dict[str, Any] = {
-            "loops": [loop.to_dict() for loop in loops],
-            "results": [*by_label],
-        }
-        text = [margin_table(by_label)] if len(fits) > 1 else [*map(str, loops)]
+            for place in options.broken_at or [""]
+        ]
+        loops = [loop for _, loop in labeled]
+        answer: dict[str, Any] = {"loops": [loop.to_dict() for loop in loops]}
+        answer["results"] = [label for label, _ in labeled]
+        text = [margin_table(labeled)] if len(fits) > 1 else [*map(str, loops)]
 
     # A loop may be safe where it is broken at one signal, and not at another.
     unsafe = " ".join(loop.verdict for loop in loops if not loop.is_safe)
@@ -112,20 +115,9 @@ def run(options: argparse.Namespace) -> Answer:
     if options.report:
         from greybox.html_report.report import report  # noqa: PLC0415  (slow import)
 
-        report([*fits.values()], options.report, margins=loops, measured=measured)
+        report(fits.values(), options.report, margins=loops, measured=measured)
         text.append(f"wrote {options.report}")
     return answer, "\n\n".join(text)
-
-
-def _stated_fits(options: argparse.Namespace) -> dict[str, Fit]:
-    """Return the fits in files and studies by their labels."""
-    files = [saved_fit(path, options) for path in options.results if not path.is_dir()]
-    studies = [read_study(path) for path in options.results if path.is_dir()]
-    members = {m.name: fit for study in studies for m in study.done if (fit := m.fit)}
-    fits = dict(zip(labels_of(files), files, strict=True)) | members
-    if not fits:
-        raise UsageError("no member of the study has an estimate.")
-    return fits
 
 
 def refuse_controllers(options: argparse.Namespace) -> None:

@@ -238,6 +238,29 @@ def connected(
     return tuple(controllers)
 
 
+def run_controllers(
+    controllers: Sequence[Controller],
+    memory: Sequence[ca.SX],
+    measured: Mapping[str, Any],
+    signals: dict[str, Any],
+    added: Mapping[str, Any],
+) -> list[ca.SX]:
+    """Run controllers in their order, and return their next states.
+
+    Their outputs, with what is `added`, go to `signals`, where the next ones find their setpoints;
+    a setpoint that is not there is zero.
+    """
+    following = []
+    for controller, state in zip(controllers, memory, strict=True):
+        u = {n: {**signals, **measured}[controller.outside(n)] for n in controller.inputs}
+        u |= {n: signals.get(controller.outside(n), ca.SX(0)) for n in controller.setpoints}
+        next_state, outputs = updated(controller, state, u)
+        following.append(next_state)
+        for k, name in enumerate(map(controller.outside, controller.outputs)):
+            signals[name] = outputs[k] + added.get(name, 0)
+    return following
+
+
 def sensors_of(controllers: Sequence[Controller]) -> tuple[str, ...]:
     """Return what controllers read from the plant: inputs that no controller provides."""
     provided = {c.outside(name) for c in controllers for name in c.outputs}

@@ -195,23 +195,18 @@ class Margins:
     def __repr__(self) -> str:
         return one_line(self, self.verdict)
 
-    @property
-    def rows(self) -> list[tuple[str, ...]]:
-        """The header of the printed table and its rows; every group begins with its name."""
-        interval = "" if math.isnan(self.level) else f"{100 * self.level:g} % interval"
-        rows = [("", "value", interval, "unit", "at rad/s")]
-        group = ""
+    def __str__(self) -> str:
+        rows, group = [], ""
         for m in self.margins:
+            # Every group begins with its name.
             if m.group != group:
                 group = m.group
                 rows.append((f"{group}:", "", "", "", ""))
             ends = f"{number(m.low, 4)} to {number(m.high, 4)}" if math.isfinite(m.low) else "-"
             place = number(m.omega, 4) + (" *" if m.is_extrapolated else "")
             rows.append((m.name, number(m.value, 4), ends, m.unit, place))
-        return rows
-
-    def __str__(self) -> str:
-        header, *rows = self.rows
+        interval = "" if math.isnan(self.level) else f"{100 * self.level:g} % interval"
+        header = ("", "value", interval, "unit", "at rad/s")
         table = [text_table(header, rows)] if rows else []
         return "\n".join([self.verdict[0].upper() + self.verdict[1:], *table, *self.notes])
 
@@ -351,15 +346,15 @@ def margins(
     return _with_rows(answer, groups, band)
 
 
-def margin_table(answers: Mapping[str, Margins]) -> str:
-    """Return the main margins of several loops, such as operating points or flights, as a table."""
+def margin_table(answers: Sequence[tuple[str, Margins]]) -> str:
+    """Return a table of the main margins of loops with labels, such as operating points."""
     rows = []
-    for label, answer in answers.items():
+    for label, answer in answers:
         numbers = {margin.name: _with_interval(margin) for margin in answer.margins}
-        risk = "100" if not answer.is_stable else number(100 * answer.instability, 2)
-        rows.append((label, *(numbers.get(name, "-") for name in MAIN), risk))
-    header = ("", *(f"{name}, {UNITS[name]}" for name in MAIN), "unstable, %")
-    return text_table(header, rows)
+        risk = number(100 * answer.instability, 2) if answer.is_stable else "100"
+        rows.append((label, answer.signal, *(numbers.get(name, "-") for name in MAIN), risk))
+    header = ("", "broken at", *(f"{name}, {UNITS[name]}" for name in MAIN), "unstable, %")
+    return text_table(header, rows, left=(0, 1))
 
 
 def _with_rows(answer: Margins, groups: Mapping[str, LoopNumbers], band: Array | None) -> Margins:
@@ -383,7 +378,7 @@ def _with_rows(answer: Margins, groups: Mapping[str, LoopNumbers], band: Array |
             elif answer.instability <= tail:
                 # Draws that lack the quantity, such as a crossing, count on both sides.
                 low, high = (
-                    float(np.quantile(np.nan_to_num(drawn, nan=end), share, method=ORDER))
+                    float(np.quantile(np.where(np.isnan(drawn), end, drawn), share, method=ORDER))
                     for end, share in ((-math.inf, tail), (math.inf, 1 - tail))
                 )
             beyond = band is not None and bool(omega < band[0] or omega > band[1])

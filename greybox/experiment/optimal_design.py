@@ -110,32 +110,6 @@ def shares(informations: Array, wanted: Array) -> Array:
     return _without_small(outcome.x[:-1])
 
 
-def optimal_shares(informations: Array, optimal: Optimality) -> Array:
-    """Return the shares (n,) of a given time with the smallest errors of all parameters.
-
-    Each share grows in proportion to its gain, relative to the mean gain (Silvey, Titterington and
-    Torsney 1978, An Algorithm for Optimal Designs on a Finite Design Space). At the optimum the
-    relative gain is one for all shares in use.
-
-    Parameters
-    ----------
-    informations : (n, p, p) array
-        Fisher information of one second of each test, for parameters of size one.
-    optimal : "A" or "D"
-    """
-    w = np.full(len(informations), 1 / len(informations))
-    for _ in range(2000):  # each takes a few products of small matrices
-        inverse = np.linalg.inv(np.tensordot(w, informations, 1))
-        weight = inverse if optimal == "D" else inverse @ inverse
-        slope = np.einsum("ij,nji->n", weight, informations)
-        ratio = slope / (w @ slope)
-        if ratio.max() < 1 + 1e-6:
-            break
-        w = w * (ratio if optimal == "D" else np.sqrt(ratio))
-        w = w / w.sum()
-    return _without_small(w)
-
-
 def _without_small(share: Array) -> Array:
     share = np.where(share < SMALLEST_SHARE, 0.0, share)
     return share / share.sum()

@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.experiment.controller import Controller, connected, sensors_of, updated
+from greybox.experiment.controller import Controller, connected, run_controllers, sensors_of
 from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
 from greybox.modeling.held_inputs import held_response
 from greybox.modeling.model import Model
@@ -357,17 +357,9 @@ def linear_controller(
     added = dict(zip(commands, ca.vertsplit(e), strict=True))
     memory = [ca.SX.sym("x", len(c.states)) for c in controllers]
 
-    signals = dict(zip(sensors, ca.vertsplit(y), strict=True)) | added
-    following = []
-    for controller, state in zip(controllers, memory, strict=True):
-        names = (*controller.inputs, *controller.setpoints)
-        next_state, outputs = updated(
-            controller, state, {n: signals[controller.outside(n)] for n in names}
-        )
-        following.append(next_state)
-        for k, name in enumerate(map(controller.outside, controller.outputs)):
-            signals[name] = outputs[k] + added[name]
-
+    signals = dict(added)
+    measured = dict(zip(sensors, ca.vertsplit(y), strict=True))
+    following = run_controllers(controllers, memory, measured, signals, added)
     x = ca.SX(ca.vertcat(*memory))
     total = ca.vertcat(*[signals[name] for name in commands])
     v = ca.vertcat(y, e)

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from greybox.data.intersample import CONTINUOUS, HELD
 from greybox.data.record import Record
-from greybox.experiment.controller import Controller, connected, sensors_of, updated
+from greybox.experiment.controller import Controller, connected, run_controllers, sensors_of
 from greybox.experiment.excitation import Excitation
 from greybox.experiment.sampled_loop import measured_signal
 from greybox.files.arrays import Array, BoolArray
@@ -273,9 +273,9 @@ def _step(loop: _Loop, substeps: int) -> tuple[ca.Function, list[str]]:
     early = [h[periods] for h, (periods, _) in zip(past, delays, strict=True)]
 
     # A control that is computed from this sample reaches the plant after it.
-    commanded = {c.outside(n) for c in loop.controllers for n in c.outputs}
+    outputs = [c.outside(n) for c in loop.controllers for n in c.outputs]
     now = [
-        late if not part and (periods or name not in commanded) else previous
+        late if not part and (periods or name not in outputs) else previous
         for name, late, previous, (periods, part) in zip(
             system.inputs, _late(past, signals, loop), early, delays, strict=True
         )
@@ -284,7 +284,8 @@ def _step(loop: _Loop, substeps: int) -> tuple[ca.Function, list[str]]:
         n: measured_signal(loop.label, system, n, x, ca.vertcat(*now), loop.p) + errors[k]
         for k, n in enumerate(loop.measured)
     }
-    remembered = _control(loop, memory, y, signals, excitation)
+    remembered = run_controllers(loop.controllers, memory, y, signals, excitation)
+    signals |= {n + ADDED: excitation[n] for n in outputs if n in excitation}
     late = _late(past, signals, loop)
     parts = [part for _, part in delays]
     force = ca.SX.zeros(len(system.states))
@@ -321,23 +322,6 @@ def _late(past: list[ca.SX], signals: Signals, loop: _Loop) -> list[ca.SX]:
         h[periods - 1] if periods else signals[n]
         for n, h, (periods, _) in zip(loop.system.inputs, past, loop.delays, strict=True)
     ]
-
-
-def _control(
-    loop: _Loop, memory: list[ca.SX], y: Signals, signals: Signals, excitation: Signals
-) -> list[ca.SX]:
-    """Run the controllers, add what they give to the signals, and return their next states."""
-    remembered = []
-    for controller, x in zip(loop.controllers, memory, strict=True):
-        u = {n: {**signals, **y}[controller.outside(n)] for n in controller.inputs}
-        u |= {n: signals.get(controller.outside(n), ca.SX(0)) for n in controller.setpoints}
-        following, outputs = updated(controller, x, u)
-        remembered.append(following)
-        for k, n in enumerate(map(controller.outside, controller.outputs)):
-            signals[n] = outputs[k] + excitation.get(n, 0)
-            if n in excitation:
-                signals[n + ADDED] = excitation[n]
-    return remembered
 
 
 def _integrated(loop: _Loop, x: ca.SX, u: ca.SX, force: ca.SX, span: float, count: int) -> ca.SX:

@@ -1,6 +1,6 @@
 """A page about one or several fits, to look at and to share."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,7 +21,7 @@ DETAILED = 12  # members of a study whose fits are loaded and shown: as many as 
 
 
 def report(
-    fits: Fit | Study | Sequence[Fit | Study],
+    fits: Fit | Study | Iterable[Fit | Study],
     path: str | Path,
     *,
     comparison: Comparison | None = None,

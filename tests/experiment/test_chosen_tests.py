@@ -9,7 +9,7 @@ from declared_models import TWO_LAGS, LagLagDelay
 import greybox as gb
 from greybox.experiment import choose_tests, expected_errors
 from greybox.experiment.chosen_tests import without_surplus
-from greybox.experiment.optimal_design import optimal_shares, size_of_errors
+from greybox.experiment.optimal_design import size_of_errors
 
 
 def response(low, high, noise=0.02, rename=None, points=8):
@@ -59,18 +59,7 @@ def test_the_wanted_errors_are_reached_and_nothing_shorter_does():
 
 
 @pytest.mark.parametrize("optimal", ["A", "D"])
-def test_no_other_shares_and_no_other_repeats_in_that_time_are_much_better(optimal):
-    random = np.random.default_rng(0)
-    slopes = random.normal(size=(6, 2, 3))
-    informations = np.einsum("kai,kaj->kij", slopes, slopes)
-    best = size_of_errors(
-        np.tensordot(optimal_shares(informations, optimal), informations, 1), optimal
-    )
-    for tried in random.dirichlet(np.full(6, 0.3), size=2000):
-        assert size_of_errors(np.tensordot(tried, informations, 1), optimal) > best - 1e-4 * abs(
-            best
-        )
-
+def test_no_other_repeats_in_that_time_are_much_better(optimal):
     found = choose_tests(TESTS, TWO_LAGS, seconds=300, optimal=optimal)
     assert found.flight_time <= 300
     scale = np.array(list(TWO_LAGS.values()))

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from greybox.experiment.optimal_design import (
-    optimal_shares,
     require_determined,
     shares,
     size_of_errors,
@@ -74,21 +73,6 @@ def test_the_size_of_errors_is_the_trace_or_the_determinant_of_the_covariance():
     assert size_of_errors(information, "D") == pytest.approx(np.log(np.linalg.det(covariance)))
     assert size_of_errors(np.diag([1.0, 2e-12]), "A") == pytest.approx(1 + 5e11)
     assert size_of_errors(np.diag([1.0, 0.5e-12]), "A") == np.inf
-
-
-@pytest.mark.parametrize("optimal", ["A", "D"])
-def test_optimal_shares_satisfy_the_equivalence_theorem(optimal):
-    """Kiefer and Wolfowitz (1960): no test brings more, to first order, than those in use, which all bring the same."""
-    slopes = np.random.default_rng(0).normal(size=(6, 2, 3))
-    informations = np.einsum("kai,kaj->kij", slopes, slopes)
-    share = optimal_shares(informations, optimal)
-    inverse = np.linalg.inv(np.tensordot(share, informations, 1))
-    weight = inverse if optimal == "D" else inverse @ inverse
-    brings = np.einsum("ij,nji->n", weight, informations) / np.sum(weight * np.linalg.inv(inverse))
-    assert brings[share > 0] == pytest.approx(1, abs=1e-3)
-    assert brings.max() < 1 + 1e-4
-    assert share.sum() == pytest.approx(1)
-    assert set(share[share < 1e-3]) <= {0.0}
 
 
 def test_three_parameters_are_determined_by_the_smallest_of_all_eigenvalues():
