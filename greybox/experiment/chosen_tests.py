@@ -10,7 +10,7 @@ from typing import get_args
 
 import numpy as np
 
-from greybox.experiment.expected_errors import ExpectedErrors, expected_errors
+from greybox.experiment.expected_errors import ExpectedErrors, expected_errors, wanted_rows
 from greybox.experiment.optimal_design import (
     Optimality,
     require_determined,
@@ -56,13 +56,7 @@ class ChosenTests:
             for name, count in self.repeats.items()
         ]
         errors = [
-            (
-                name,
-                f"± {error:.2g}",
-                f"± {self.wanted[name]:.2g}" if name in self.wanted else "",
-                self.units[name],
-            )
-            for name, error in self.standard_error.items()
+            (*row, self.units[row[0]]) for row in wanted_rows(self.standard_error, self.wanted)
         ]
         title = f"{sum(self.repeats.values())} tests, {self.flight_time:.0f} s of flight"
         lines = [title, "", text_table(("test", "flown", "s"), tests)]

@@ -10,7 +10,7 @@ from greybox.experiment.excitation import Excitation, Maneuver, checked_band
 from greybox.files.arrays import Array, IntArray
 
 
-def multisine(  # noqa: PLR0913 - each is one fact of the test card
+def multisine(
     low: float,
     high: float,
     period: float,
@@ -19,7 +19,6 @@ def multisine(  # noqa: PLR0913 - each is one fact of the test card
     amplitude: float = 1.0,
     signals: Sequence[str] = ("u",),
     unit: str = "",
-    points: int | None = None,
     periods: int = 4,
 ) -> Excitation:
     """Make sums of sines with low peaks, orthogonal over a period, for several inputs at once.
@@ -40,8 +39,6 @@ def multisine(  # noqa: PLR0913 - each is one fact of the test card
         Peak of each signal.
     signals : sequence of str
     unit : str
-    points : int, optional
-        Number of harmonics per signal, nearly log spaced; by default all.
     periods : int
         Number of repetitions. If there are several, the first is for settling.
 
@@ -57,7 +54,7 @@ def multisine(  # noqa: PLR0913 - each is one fact of the test card
             f"a period of {period:g} s at {rate:g} Hz has {period * rate:g} samples: make that a "
             "whole number."
         )
-    assigned = _assigned(low, high, period, len(signals), points)
+    assigned = _assigned(low, high, period, len(signals))
     phases = [_phases(harmonics) for harmonics in assigned]
     values = [_sum(h, p, count) for h, p in zip(assigned, phases, strict=True)]
     values = [amplitude * v / np.max(np.abs(v)) for v in values]
@@ -77,32 +74,16 @@ def multisine(  # noqa: PLR0913 - each is one fact of the test card
     return Excitation(time, repeated, dict.fromkeys(signals, unit), rate, schedule, settings)
 
 
-def _assigned(
-    low: float, high: float, period: float, signals: int, points: int | None
-) -> list[IntArray]:
+def _assigned(low: float, high: float, period: float, signals: int) -> list[IntArray]:
     """Assign the harmonics in the band to the signals in turn."""
     step = 2 * math.pi / period
     harmonics = np.arange(math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9) + 1)
-    assigned: list[IntArray] = [harmonics[k::signals] for k in range(signals)]
-    fewest = min(h.size for h in assigned) if assigned else 0
-    if fewest < max(points or 2, 2):
+    if not 0 < 2 * signals <= harmonics.size:
         raise ValueError(
             f"a period of {period:g} s has {harmonics.size} harmonics from {low:g} to {high:g} "
-            f"rad/s for {signals} signals, {fewest} each: lengthen the period or widen the band."
+            f"rad/s for {signals} signals: lengthen the period or widen the band."
         )
-    return assigned if points is None else [_log_spaced(h, points) for h in assigned]
-
-
-def _log_spaced(harmonics: IntArray, points: int) -> IntArray:
-    """Choose distinct harmonics that are nearly log spaced."""
-    # Low harmonics are sparse on a log scale: two points may fall on one, and are moved apart,
-    # first upward, then downward from the end.
-    places = np.searchsorted(harmonics, np.geomspace(harmonics[0], harmonics[-1], points) - 1e-9)
-    for k in range(1, points):
-        places[k] = max(places[k], places[k - 1] + 1)
-    for k in range(points - 1, -1, -1):
-        places[k] = min(places[k], harmonics.size - points + k)
-    return harmonics[places]
+    return [harmonics[k::signals] for k in range(signals)]
 
 
 def _phases(harmonics: IntArray) -> Array:

@@ -107,11 +107,7 @@ def shares(informations: Array, wanted: Array) -> Array:
         method="SLSQP",
         options={"maxiter": 300, "ftol": 1e-9},
     )
-    return _without_small(outcome.x[:-1])
-
-
-def _without_small(share: Array) -> Array:
-    share = np.where(share < SMALLEST_SHARE, 0.0, share)
+    share = np.where(outcome.x[:-1] < SMALLEST_SHARE, 0.0, outcome.x[:-1])
     return share / share.sum()
 
 

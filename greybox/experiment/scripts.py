@@ -5,7 +5,7 @@ from pathlib import Path
 
 from greybox.experiment.excitation import Excitation
 from greybox.experiment.sweep import DWELL
-from greybox.files.safe_files import write_text
+from greybox.files.delimited_text import write_delimited
 from greybox.logs.ardupilot import SYSTEMID_AXES
 
 AXES = {"roll": 1, "pitch": 2, "yaw": 3}  # of the SINE message, and the first three of SID_AXIS
@@ -14,14 +14,11 @@ FLOWN_AXES = SYSTEMID_AXES[:13]  # those that inject into an attitude loop or th
 
 def write_excitation(excitation: Excitation, path: str | Path) -> None:
     """Write time in s and the signals to a CSV file, atomically."""
-    units = excitation.units
-    header = [
-        "time_s",
-        *(f"{name} [{units[name]}]" if units[name] else name for name in excitation.signals),
-    ]
-    rows = zip(excitation.time, *excitation.signals.values(), strict=True)
-    lines = [",".join(header), *(",".join(repr(float(v)) for v in row) for row in rows)]
-    write_text(Path(path), "\n".join(lines) + "\n")
+    columns = {
+        f"{name} [{unit}]" if (unit := excitation.units[name]) else name: values
+        for name, values in excitation.signals.items()
+    }
+    write_delimited(Path(path), {}, {"time_s": excitation.time, **columns})
 
 
 def ardupilot_script(

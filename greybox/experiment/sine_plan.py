@@ -17,6 +17,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.experiment.controller import Controller
 from greybox.experiment.excitation import Excitation
+from greybox.experiment.expected_errors import wanted_rows
 from greybox.experiment.optimal_design import require_determined, shares, time_needed
 from greybox.experiment.sampled_loop import sampled_loop
 from greybox.experiment.sines import sine_schedule
@@ -92,10 +93,7 @@ class SinePlan:
                 self.omega, self.amplitude, self.limited_by, self.duration, strict=True
             )
         ]
-        errors = [
-            (name, f"± {error:.2g}", f"± {self.wanted[name]:.2g}" if name in self.wanted else "")
-            for name, error in self.standard_error.items()
-        ]
+        errors = wanted_rows(self.standard_error, self.wanted)
         unit = f" ({self.unit})" if self.unit else ""
         return "\n".join(
             [

@@ -6,11 +6,9 @@ import pytest
 from greybox.experiment.multisine import multisine
 
 
-@pytest.mark.parametrize(
-    ("points", "signals"), [(None, ["u"]), (None, ["p", "q", "r"]), (12, ["p", "q"])]
-)
-def test_multisines_are_orthogonal_and_start_at_zero(points, signals):
-    made = multisine(1.0, 20.0, 20.0, 100, amplitude=0.1, signals=signals, points=points)
+@pytest.mark.parametrize("signals", [["u"], ["p", "q", "r"]])
+def test_multisines_are_orthogonal_and_start_at_zero(signals):
+    made = multisine(1.0, 20.0, 20.0, 100, amplitude=0.1, signals=signals)
     period = np.array([made[name][:2000] for name in signals])
     gram = period @ period.T
     np.testing.assert_allclose(gram, np.diag(np.diag(gram)), atol=1e-12 * gram.max())
@@ -64,14 +62,7 @@ def test_peaks_are_low():
     assert (
         max(multisine(1.0, 20.0, 20.0, 100, signals=["p", "q", "r"]).peak_factors.values()) < 1.25
     )
-    assert multisine(1.0, 20.0, 60.0, 100, points=12).peak_factors["u"] < 1.6
     assert "peak factor 1.0" in str(dense)
-
-
-def test_sparse_harmonics_spread_over_octaves():
-    harmonics = np.array(multisine(0.5, 30.0, 60.0, 100, points=10).settings["harmonics"]["u"])
-    assert harmonics.size == 10
-    assert np.diff(np.log(harmonics)).max() < 0.8
 
 
 @pytest.mark.parametrize(
