@@ -7,7 +7,6 @@
 | `entry` | one result |
 | `fit_section` | everything about one fit |
 | `comparison_section` | several results side by side |
-| `margin_section` | stability margins of loops |
 | `figure` | the figures of `greybox.plotting` as elements of the page |
 | `tables` | tables of estimates |
 | `provenance` | where data and result come from |

@@ -42,19 +42,13 @@ PAGE = """\
 """
 
 
-def page(
-    entries: Sequence[Entry],
-    comparison: Comparison | None,
-    title: str,
-    margins: Sequence[Element] = (),
-) -> str:
+def page(entries: Sequence[Entry], comparison: Comparison | None, title: str) -> str:
     """Return the page of these results as HTML."""
-    loops = [_section("Stability margins", margins)] if margins else []
     fits = [entry.fit for entry in entries if entry.fit is not None]
     # A single result needs no comparison, and its sections are those of the page.
     if len(entries) == 1 and fits and comparison is None:
         sections = [_section(name, content) for name, content in fit_section(entries[0])]
-        return _document(title, [*sections, *loops])
+        return _document(title, sections)
 
     content = [overview(entries), *comparison_section(entries, comparison)]
     if any(entry.fit is None and not entry.error for entry in entries):
@@ -67,7 +61,7 @@ def page(
     sections = [
         _details(entry, is_open=len(entries) <= OPEN) for entry in entries if entry.fit is not None
     ]
-    return _document(title, [_section("Comparison", content), *loops, *sections])
+    return _document(title, [_section("Comparison", content), *sections])
 
 
 def _details(entry: Entry, *, is_open: bool) -> Element:

@@ -1,17 +1,14 @@
 """A page about one or several fits, to look at and to share."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.result import Fit
-from greybox.experiment.margins import Margins
 from greybox.files.safe_files import write_text
 from greybox.files.text_table import counted
 from greybox.html_report.entry import Entry
-from greybox.html_report.margin_section import margin_content
 from greybox.html_report.page import page
 from greybox.study.study import Study
 from greybox.validation.comparison import Comparison
@@ -21,12 +18,10 @@ DETAILED = 12  # members of a study whose fits are loaded and shown: as many as 
 
 
 def report(
-    fits: Fit | Study | Iterable[Fit | Study],
+    fits: Fit | Study | Sequence[Fit | Study],
     path: str | Path,
     *,
     comparison: Comparison | None = None,
-    margins: Margins | Sequence[Margins] = (),
-    measured: Sequence[FrequencyResponse] = (),
     title: str = "",
 ) -> None:
     """Write a page about fits: one HTML file for a browser, for print, or for a colleague.
@@ -42,10 +37,6 @@ def report(
     comparison : Comparison, optional
         With held-out results: ``gb.compare(a, b, records=flight)``. By default up to six fits are
         compared on their own data.
-    margins : Margins or sequence of them
-        Of loops of these fits, shown with their figures.
-    measured : sequence of FrequencyResponse
-        The first of these loops, broken, as it was measured: points in its figures.
     title : str
         By default the name of the fit.
 
@@ -79,9 +70,8 @@ def report(
     if len(entries) == 1:
         default = entries[0].answer.get("problem", entries[0].label)
     # A file of a stranger may contain any numbers, and warnings about them help nobody.
-    loops = [margins] if isinstance(margins, Margins) else margins
     with np.errstate(all="ignore"):
-        text = page(entries, comparison, title or default, [*margin_content(loops, measured)])
+        text = page(entries, comparison, title or default)
     write_text(Path(path), text)
 
 
