@@ -9,10 +9,12 @@ the starts failed. Terms that are linear in the signals are balanced exactly and
 linear model has its linear response.
 
 If a formula switches, its samples are means over the sampling interval (`formula_structure`). If a
-state decides a jump, as the speed does in dry friction, its harmonics fall slowly: the response
-with nine of them is exact to half a per cent, with 50 to a tenth of a per cent.
+state decides a jump, as the speed does in dry friction, its harmonics fall slowly. The response of
+a body that slides throughout is exact to 2 % with nine of them, to 0.4 % with 50; with stops, to 15
+and 3 %. A body at rest below the break-away force creeps by half a per cent of its compliance.
 """
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -151,6 +153,7 @@ class HarmonicBalance:
     finish: ca.Function
     guess: ca.Function
     is_linear: bool
+    switches: bool
 
     def response(self, omega: Array) -> ca.Function:
         """Return the function from the parameter vector to real and imaginary part (n,)."""
@@ -169,8 +172,8 @@ class HarmonicBalance:
         return ca.Function("response", [p], [response[0, :].T, response[1, :].T])
 
     def settings(self, p: Any, omega: Array) -> Any:
-        """Return columns of parameters `p`, operating point, frequency and amplitude."""
-        columns = ca.repmat(ca.vertcat(p, *self.trim(p)), 1, omega.size)
+        """Return columns of parameters `p`, operating point, width 1, frequency and amplitude."""
+        columns = ca.repmat(ca.vertcat(p, *self.trim(p), 1), 1, omega.size)
         amplitudes = ca.DM(self.sine.amplitudes(omega)).T
         return ca.vertcat(columns, ca.DM(omega).T, amplitudes)
 
@@ -191,13 +194,14 @@ def compiled_balance(
     check_sine(model, sine, input, omega)
     assert isinstance(model, StateSpace)
     trim = trim_of(model, at or {}).closed()
-    unknown, settings, balance, means, response, is_linear = _equations(
-        model, sine, input, output, pade
+    start = ca.DM([q.start for q in model.parameters.values()])
+    point = ca.vertcat(*trim(start))
+    unknown, settings, balance, means, response, is_linear, switches = _equations(
+        model, sine, input, output, pade, start, point
     )
 
-    start = [q.start for q in model.parameters.values()]
     middle = int(np.argsort(sine.amplitudes(omega))[omega.size // 2])
-    values = ca.vertcat(start, *trim(start), omega[middle], sine.amplitudes(omega)[middle])
+    values = ca.vertcat(start, point, 1, omega[middle], sine.amplitudes(omega)[middle])
     blocks = ca.Function(
         "slopes", [unknown, settings], [ca.jacobian(balance, unknown), ca.jacobian(means, unknown)]
     )
@@ -219,15 +223,23 @@ def compiled_balance(
 
     # Relative to the harmonics; Newton's last step squares it.
     size = ca.norm_inf(equations) / (1 + ca.norm_inf(unknown))
-    finish = ca.Function("finish", [unknown, settings], [response, size < 1e-8])
-    guess = _guess(newton, careful, finish)
-    return HarmonicBalance(model, sine, trim, newton, careful, finish, guess, is_linear)
+    # Infinite harmonics would pass: any equation is small beside them.
+    is_motion = ca.logic_and(size < 1e-8, ca.norm_inf(unknown) < math.inf)
+    finish = ca.Function("finish", [unknown, settings], [response, is_motion])
+    guess = _guess(newton, careful, finish, switches=switches)
+    return HarmonicBalance(model, sine, trim, newton, careful, finish, guess, is_linear, switches)
 
 
 def _equations(
-    model: StateSpace, sine: Sine, input: str, output: str, pade: int | None
-) -> tuple[Any, Any, Any, Any, Any, bool]:
-    """Return the unknown harmonics, the settings, the balance, means, response, and linearity.
+    model: StateSpace,
+    sine: Sine,
+    input: str,
+    output: str,
+    pade: int | None,
+    start: ca.DM,
+    trimmed: ca.DM,
+) -> tuple[Any, Any, Any, Any, Any, bool, bool]:
+    """Return unknown harmonics, settings, balance, means, response, linearity, any switches.
 
     The balance must vanish, and so must as many of the conditions on the means as the ODE leaves
     open. The response is real and imaginary part.
@@ -239,11 +251,12 @@ def _equations(
     z, parameters = symbols(model)
     outputs = traced_output(model, z, parameters)
     rows = [outputs[model.outputs.index(y)] for y in (output, sine.signal) if y in model.outputs]
-    formulas = ca.vertcat(traced_derivative(model, z, parameters), *rows)
+    derivatives = traced_derivative(model, z, parameters)
+    formulas = ca.vertcat(derivatives, *rows)
     at_point = ca.Function("at_point", [z, parameters], [rows[-1]])
 
-    p = kind.sym("p", len(model.parameters))
-    point = kind.sym("point", len(names))
+    p, point = kind.sym("p", len(model.parameters)), kind.sym("point", len(names))
+    width = kind.sym("width")  # of the ramps of switches, relative to the final one
     omega = kind.sym("omega")
     amplitude = kind.sym("amplitude")
 
@@ -265,17 +278,23 @@ def _equations(
         full.append(ca.vertcat(coefficients, fixed))
     per_amplitude = ca.horzcat(*full).T
 
-    first_column = ca.DM(ca.Sparsity.unit(columns, 0)).T
-    series = amplitude * per_amplitude + point @ first_column
-    balanced, is_linear = _harmonics(formulas, z, parameters, series, p, harmonics)
+    constant = ca.DM(ca.Sparsity.unit(columns, 0)).T
+    series = amplitude * per_amplitude + point @ constant
+    by_phase = phase_derivative(harmonics)
+    switches = has_switches(formulas)
+    sizes = _rms(series @ by_phase)
+    if switches:
+        # At rest an orbit has no speed to compare with, but what drives it has one.
+        gains = _gains(derivatives, z, parameters, trimmed, start)(point, p)
+        sizes = width * ca.sqrt(sizes**2 + (gains @ _rms(series) / omega) ** 2)
+    balanced, is_linear = _harmonics(formulas, z, parameters, series, p, sizes, switches=switches)
 
-    derivative = phase_derivative(harmonics)
-    balance = [ca.vec((omega * series[:n, :] @ derivative - balanced[:n, :]).T)]
+    balance = [ca.vec((omega * series[:n, :] @ by_phase - balanced[:n, :]).T)]
     means = [per_amplitude[k, 0] for k in (*range(n, len(names)), *range(n))]
     # An output that is computed gets equations instead: its first cosine is the amplitude, all
     # other harmonics vanish.
     if held is None:
-        moving_output = balanced[-1, :] - (at_point(point, p) @ first_column)
+        moving_output = balanced[-1, :] - (at_point(point, p) @ constant)
         balance.append(moving_output[1:].T - amplitude * ca.DM([1, *[0] * (2 * harmonics - 1)]))
         means.insert(0, moving_output[0] / amplitude)
     else:
@@ -288,13 +307,34 @@ def _equations(
 
     return (
         unknown,
-        ca.vertcat(p, point, omega, amplitude),
+        ca.vertcat(p, point, width, omega, amplitude),
         # Per amplitude, so that one tolerance serves sines of any size.
         ca.vertcat(*balance) / amplitude,
         ca.vertcat(*means),
         ca.vertcat(response.re, response.im),
         is_linear,
+        switches,
     )
+
+
+def _gains(
+    derivatives: ca.SX, z: ca.SX, parameters: ca.SX, point: ca.DM, start: ca.DM
+) -> ca.Function:
+    """Return the sizes of the derivatives by the signals, from signals and parameters.
+
+    Rows of zeros for the inputs follow those of the states.
+    A gain that is infinite at the operating point, as that of a square root at zero, counts as 0.
+    """
+    rows = ca.vertcat(*ca.vertsplit(derivatives), ca.SX(z.numel() - derivatives.numel(), 1))
+    jacobian = ca.fabs(ca.jacobian(rows, z))
+    values = np.asarray(ca.Function("gains", [z, parameters], [jacobian])(point, start))
+    finite = ca.sparsify(ca.DM(np.isfinite(values).astype(float))).sparsity()
+    return ca.Function("gains", [z, parameters], [ca.project(jacobian, finite)])
+
+
+def _rms(series: Any) -> Any:
+    """Return the root mean squares of the oscillations of signals (k, 2h + 1), (k, 1)."""
+    return ca.sqrt(ca.sum2(series[:, 1:] ** 2) / 2)
 
 
 def phase_derivative(harmonics: int) -> ca.DM:
@@ -312,37 +352,36 @@ def _first(row: Any) -> Complex:
 
 
 def _harmonics(
-    formulas: ca.SX, z: ca.SX, parameters: ca.SX, series: Any, p: Any, harmonics: int
+    formulas: ca.SX, z: ca.SX, parameters: ca.SX, series: Any, p: Any, sizes: Any, *, switches: bool
 ) -> tuple[Any, bool]:
     """Return the coefficients (k, 2h + 1) of `formulas` (k, 1), and whether all are linear.
 
-    `series` are the coefficients of the signals z.
+    `series` are the coefficients of the signals z, and `sizes` (k, 1) their speeds by phase.
     """
-    switches = has_switches(formulas)
+    harmonics = series.size2() // 2
     # An odd number of samples: a kink such as that of |v| v, sampled at a symmetric orbit, then
     # counts as if sampled twice as often. With 257, a relay and a saturation are exact to 1e-4.
     points = max(257 if switches else 33, 4 * harmonics + 1)
     to_samples, to_series = transforms(harmonics, points)
-    slopes = ca.SX.sym("slopes", z.numel())
-    sizes = ca.SX.sym("sizes", z.numel())
+    slope = ca.SX.sym("slope", z.numel())
+    size = ca.SX.sym("size", z.numel())
     if switches:
-        formulas = interval_means(formulas, z, slopes, sizes, 2 * np.pi / points)
+        formulas = interval_means(formulas, z, slope, size, 2 * np.pi / points)
 
     # Linear rows are balanced exactly, so that a linear model keeps its linear response.
     jacobian = ca.jacobian(formulas, z)
     curved = ca.DM([ca.depends_on(jacobian[k, :], z) for k in range(formulas.numel())])
     linear = (1 - curved) * formulas
     constant = ca.substitute(linear, z, ca.SX.zeros(z.numel()))
-    slope, constant = ca.Function("linear", [parameters], [ca.jacobian(linear, z), constant])(p)
-    coefficients = slope @ series + constant @ ca.DM(ca.Sparsity.unit(2 * harmonics + 1, 0)).T
+    gains, constant = ca.Function("linear", [parameters], [ca.jacobian(linear, z), constant])(p)
+    coefficients = gains @ series + constant @ ca.DM(ca.Sparsity.unit(2 * harmonics + 1, 0)).T
     if curved.is_zero():
         return coefficients, True
 
     speeds = series @ phase_derivative(harmonics)
-    rms_speeds = ca.sqrt(ca.sum2(speeds**2) / 2)
-    term = ca.Function("term", [z, slopes, sizes, parameters], [curved * formulas])
+    term = ca.Function("term", [z, slope, size, parameters], [curved * formulas])
     sampled = term.map("terms", "serial", points, [2, 3], [])(
-        series @ to_samples, speeds @ to_samples, rms_speeds, p
+        series @ to_samples, speeds @ to_samples, sizes, p
     )
 
     return coefficients + sampled @ to_series, False
@@ -386,22 +425,29 @@ def _mean_conditions(*slopes: Array) -> list[int] | None:
     return chosen if len(closed) == closed.shape[1] == rank else None
 
 
-def _guess(newton: ca.Function, careful: ca.Function, finish: ca.Function) -> ca.Function:
-    """Return the function from settings to harmonics: at once, or with a rising amplitude."""
+def _guess(
+    newton: ca.Function, careful: ca.Function, finish: ca.Function, *, switches: bool
+) -> ca.Function:
+    """Return the function from settings to harmonics: at once, or in steps."""
     settings: Any = ca.MX.sym("settings", newton.numel_in("p"))
     # So small that the first step leads to the linear response, but not zero, where a kink has no
     # slope.
     small = ca.DM(np.full(newton.numel_in("x0"), 1e-6))
 
-    # If Newton's method fails, the amplitude is doubled step by step from a 128th, where a smooth
-    # model is nearly linear.
+    # If Newton's method fails, the problem is changed step by step from a nearly linear one. The
+    # amplitude of a smooth model is doubled from a 128th. Switches weigh most at small amplitudes:
+    # their ramps are halved instead, from such a width that a sign is a viscous friction.
+    steps = [(1, 2.0**k) for k in range(-7, 1)]
+    if switches:
+        steps = [(3, 2.0**k) for k in range(11, -1, -1)]
     followed = ca.MX(small)
-    for k in range(7, -1, -1):
-        step = ca.vertcat(settings[:-1], settings[-1] / 2**k)
-        followed = careful(x0=followed, p=step)["x"]
+    for place, factor in steps:
+        scale = np.ones(settings.numel())
+        scale[-place] = factor
+        followed = careful(x0=followed, p=scale * settings)["x"]
 
-    by_doubling = ca.Function("by_doubling", [settings], [followed], {"never_inline": True})
+    by_steps = ca.Function("by_steps", [settings], [followed], {"never_inline": True})
 
     direct = newton(x0=small, p=settings)["x"]
-    chosen = ca.if_else(finish(direct, settings)[1], direct, by_doubling(settings), True)
+    chosen = ca.if_else(finish(direct, settings)[1], direct, by_steps(settings), True)
     return ca.Function("guess", [settings], [chosen])

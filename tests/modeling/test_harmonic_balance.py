@@ -15,7 +15,7 @@ from scipy.optimize import brentq
 
 import greybox as gb
 from greybox.modeling import harmonic_balance
-from greybox.modeling.harmonic_balance import harmonic_function
+from greybox.modeling.harmonic_balance import directly_found, harmonic_function
 from greybox.models.tilt import PAPER_G, LinearTilt, NonlinearTilt, Tilt
 from greybox.models.yaw import YawStates
 
@@ -329,6 +329,40 @@ def test_friction_under_a_force_is_the_exact_motion():
     assert_allclose(re + 1j * im, rubbing_exactly(5.0, 1.0, **values), rtol=5e-3)
 
 
+def rubbing_with_stops(force, omega, m, b, c):
+    """First harmonic of the speed over the force: small steps, in which a mass stops that would turn."""
+    t = np.linspace(0, 4 * np.pi / omega, 40_001)
+    speeds, speed = np.zeros(t.size), 0.0
+    push, step = (force * np.cos(omega * (t + t[1] / 2))).tolist(), t[1]
+    for k in range(t.size - 1):
+        rest = push[k] - b * speed
+        side = np.sign(speed) or np.sign(push[k]) * (abs(push[k]) > c)
+        after = speed + step / m * (rest - c * side) if side else 0.0
+        speed = 0.0 if speed * after < 0 else after
+        speeds[k + 1] = speed
+    last = slice(20_000, 40_000)
+    return 2 * np.mean(speeds[last] * np.exp(-1j * omega * t[last])) / force
+
+
+@pytest.mark.parametrize(("force", "error"), [(1.3, 0.02), (2.5, 0.01), (0.8, None)])
+def test_friction_with_stops_is_that_of_a_simulation_and_less_force_leaves_the_mass_at_rest(
+    force, error
+):
+    values = {"m": 1.0, "b": 0.5, "c": 1.0}
+    sine = gb.modeling.Sine("F", force, harmonics=31)
+    response, _ = directly_found(Rubbing(), values, np.array([2.0]), sine)
+    exact = rubbing_with_stops(force, 2.0, **values)
+    assert abs(exact) > 0.03 or error is None
+    assert abs(response[0] - exact) < (0.001 if error is None else error * abs(exact))
+
+
+def test_a_response_that_needs_more_harmonics_says_so():
+    sine = gb.modeling.Sine("F", 1.3, harmonics=3)
+    values = {"m": 1.0, "b": 0.5, "c": 1.0}
+    with pytest.warns(UserWarning, match="changes by up to .* between 1 and 3 harmonics"):
+        gb.modeling.harmonic_response(Rubbing(), values, 2.0, amplitude=sine)
+
+
 def test_a_fit_finds_the_friction_and_a_threshold_inside_a_condition():
     omega = np.geomspace(0.3, 20, 4)
     speed = 0.5
@@ -599,7 +633,7 @@ def test_what_is_given_at_every_frequency():
     )
     given = np.asarray(ca.DM(balance.settings(ca.DM([0.4]), omega)))
     speed = 2.0 + np.sqrt(PAPER_G * np.tan(0.05) / 0.4)
-    rows = [[0.4] * 3, [speed] * 3, [0.05] * 3, [2.0] * 3, omega, amplitudes]
+    rows = [[0.4] * 3, [speed] * 3, [0.05] * 3, [2.0] * 3, [1.0] * 3, omega, amplitudes]
     assert_allclose(given, rows, rtol=1e-9)
 
 
