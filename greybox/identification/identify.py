@@ -19,7 +19,7 @@ from greybox.files.text_table import one_line
 from greybox.identification.choices import Choice, choose
 from greybox.identification.families import Structure, family, gains
 from greybox.identification.measurement import Measurement, Settings, measure
-from greybox.identification.orders import select_orders
+from greybox.identification.orders import linear_fits, select_orders
 from greybox.identification.selection import Candidate, Selection, held_by_bounds, select
 from greybox.identification.structure_fit import (
     fit_within_far_bounds,
@@ -64,6 +64,11 @@ class Identification:
     def measurement(self) -> Measurement:
         """The measurement of the first log."""
         return self.measurements[0]
+
+    @property
+    def responses(self) -> list[FrequencyResponse]:
+        """The responses that were measured."""
+        return [m.response for m in self.measurements if m.response is not None]
 
     @property
     def refusals(self) -> tuple[str, ...]:
@@ -157,9 +162,20 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     if result.refusals:
         return result
 
-    responses = [m.response for m in measurements if m.response is not None]
     filters = _filters(measurements[0], through)
     series = [filter_model(known) for known in chain.from_iterable(filters.values())]
+    linear = None
+    if any(m.is_by_polynomials for m in measurements):
+        # The polynomials of a second measurement describe what the best rational function leaves.
+        # Their error at the lowest frequencies, where it exceeded the noise, nearly vanishes.
+        linear = linear_fits(result.responses, series)
+        measurements = tuple(
+            _judged(measure(r, s, linear.response)) for r, s in zip(recordings, used, strict=True)
+        )
+        result = replace(result, measurements=measurements)
+        if result.refusals:
+            return result
+    responses = result.responses
     given = {"fixed": fixed, "free": free, "bounds": bounds, "start": start}
     of_parameters = {name: values for name, values in given.items() if values}
     listed = [s if isinstance(s, Structure) else Structure(s, s.label) for s in structures]
@@ -173,7 +189,7 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
         ]
         selection = select(candidates)
     else:
-        selection = select_orders(responses, through=series, **of_parameters)
+        selection = select_orders(responses, through=series, linear=linear, **of_parameters)
     return replace(result, selection=selection, through=tuple(filters))
 
 

@@ -5,7 +5,7 @@ Begin with `measure`.
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 
@@ -15,6 +15,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
 from greybox.data.units import to_si
+from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted, number, one_line
 from greybox.identification.loop import controller_in
 from greybox.identification.systematic_errors import (
@@ -170,6 +171,9 @@ def named_signals(texts: Sequence[str]) -> dict[str, str]:
     return signals
 
 
+Near = Callable[[Array], ComplexArray]
+
+
 @dataclass(frozen=True, eq=False)
 class Measurement:
     """A measurement from a log; printed, it is a report.
@@ -207,6 +211,11 @@ class Measurement:
     controller: str = ""
     detail: str = field(default="", repr=False)
 
+    @property
+    def is_by_polynomials(self) -> bool:
+        """Whether the response is that of sweeps or noise, by local polynomials."""
+        return not (self.settings.period or any(s.kind == "sine" for s in self.used))
+
     def __repr__(self) -> str:
         return one_line(self, repr(self.response), repr(self.quality))
 
@@ -220,8 +229,10 @@ class Measurement:
         return "\n\n".join(part for part in parts if part)
 
 
-def measure(recording: Recording, settings: Settings) -> Measurement:
+def measure(recording: Recording, settings: Settings, near: Near | None = None) -> Measurement:
     """Measure the response of the tests in a log.
+
+    `near` returns a response near the true one, for sweeps and noise: see `spectral_response`.
 
     Raises
     ------
@@ -285,7 +296,9 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     pieces = [record.between(s.start, s.end) for s in used] or [record]
     if quality.usable:
         try:
-            response, detail, points = _estimated(record, pieces, used if sines else (), settings)
+            response, detail, points = _estimated(
+                record, pieces, used if sines else (), settings, near
+            )
             amplitudes = np.array([abs(point.u) for point in points.points]) if points else None
             errors = systematic_errors(recording, record, response, control, used, amplitudes)
             response = with_systematic_errors(response, errors)
@@ -416,7 +429,11 @@ def _rate(recording: Recording, settings: Settings, used: Sequence[Segment]) -> 
 
 
 def _estimated(
-    record: Record, pieces: Sequence[Record], sines: Sequence[Segment], settings: Settings
+    record: Record,
+    pieces: Sequence[Record],
+    sines: Sequence[Segment],
+    settings: Settings,
+    near: Near | None,
 ) -> tuple[FrequencyResponse, str, FiniteFrequency | None]:
     (u, _), (y, _) = settings.names
     if sines:
@@ -457,6 +474,7 @@ def _estimated(
             band=settings.band,
             points=settings.points,
             name=record.name,
+            near=near,
         )
     return measured, str(measured), None
 

@@ -11,6 +11,7 @@ from scipy.optimize import minimize_scalar
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.result import Fit
+from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted, number
 from greybox.identification.selection import (
     UNSTABLE,
@@ -74,6 +75,62 @@ class LinearFit(NamedTuple):
     starts: tuple[Mapping[str, float], ...]
 
 
+class LinearFits(NamedTuple):
+    """Structures fitted by linear least squares to one response, and their BIC.
+
+    Attributes
+    ----------
+    fits : mapping of Orders to LinearFit
+    bic : mapping of Orders to float
+    through : sequence of TransferFunction
+        Filters in series with the plant.
+    """
+
+    fits: Mapping[Orders, LinearFit]
+    bic: Mapping[Orders, float]
+    through: Sequence[TransferFunction]
+
+    @property
+    def best(self) -> Orders:
+        """The structure of the least BIC."""
+        return min(self.bic, key=lambda orders: self.bic[orders])
+
+    def response(self, omega: Array) -> ComplexArray:
+        """Return the response of the best structure with its filters at `omega` (n,), rad/s."""
+        values = self.fits[self.best].starts[0]
+        numerator, denominator = _polynomials(self.best, values)
+        s = 1j * omega
+        plant = np.polyval(numerator, s) / np.polyval(denominator, s)
+        return plant * np.exp(-s * values.get("T_delay", 0.0)) * _gain(self.through, omega)
+
+
+def linear_fits(
+    responses: Sequence[FrequencyResponse],
+    through: Sequence[TransferFunction] = (),
+    n: Sequence[int] = (),
+    m: Sequence[int] = (),
+    integrators: Sequence[int] = (),
+    *,
+    delay: bool = True,
+) -> LinearFits:
+    """Fit structures to the longest response; the arguments are those of `select_orders`."""
+    numbers = 2 * sum(map(len, responses))
+    grid = [o for o in _grid(n, m, integrators, delay) if o.parameters + 1 < numbers]
+    if not grid:
+        raise ValueError(
+            f"no structure of the grid has fewer unknowns than {numbers} real numbers: lower n."
+        )
+    plant = _before(max(responses, key=len), through)
+    fits = {orders: _linear_fit(plant, orders) for orders in grid}
+    # Errors beyond the given variances count as in `select`.
+    inflation = max(1.0, min(fit.squares for fit in fits.values()) / len(plant))
+    bic = {
+        orders: 2 * fit.squares / inflation + orders.parameters * math.log(numbers)
+        for orders, fit in fits.items()
+    }
+    return LinearFits(fits, bic, through)
+
+
 def select_orders(
     data: FrequencyResponse | Sequence[FrequencyResponse],
     n: Sequence[int] = (),
@@ -82,6 +139,7 @@ def select_orders(
     *,
     delay: bool = True,
     through: Sequence[TransferFunction] = (),
+    linear: LinearFits | None = None,
     **stated: Any,
 ) -> Selection:
     """Fit rational transfer functions (2.13) of rising order, and choose the smallest supported.
@@ -104,6 +162,8 @@ def select_orders(
         Whether the structures have a delay.
     through : sequence of TransferFunction
         Filters in series with the plant.
+    linear : LinearFits, optional
+        The structures, with their starts; by default those of the grid, fitted to these data.
     **stated
         `fixed`, `bounds` and `start` of parameters, as of `Problem`: ``b0`` and ``a0`` upwards, and
         ``T_delay``.
@@ -114,35 +174,23 @@ def select_orders(
         If no structure of the grid has fewer unknowns than the data have numbers.
     """
     responses = [data] if isinstance(data, FrequencyResponse) else list(data)
-    numbers = 2 * sum(map(len, responses))
-    grid = [o for o in _grid(n, m, integrators, delay) if o.parameters + 1 < numbers]
-    if not grid:
-        raise ValueError(
-            f"no structure of the grid has fewer unknowns than {numbers} real numbers: lower n."
-        )
+    # Linear least squares use the longest response only: they choose what is fitted by all.
+    linear = linear or linear_fits(responses, through, n, m, integrators, delay=delay)
+    grid, bic = [*linear.fits], linear.bic
     names = [f"b{k}" for k in range(max(o.m for o in grid) + 1)]
     names += [f"a{k}" for k in range(max(o.n for o in grid))]
     require_parameters(stated, {*names, "T_delay"})
-    # Linear least squares use the longest response only: they choose what is fitted by all.
-    plant = _before(max(responses, key=len), through)
-    linear = {orders: _linear_fit(plant, orders) for orders in grid}
-    # Errors beyond the given variances count as in `select`.
-    inflation = max(1.0, min(fit.squares for fit in linear.values()) / len(plant))
-    bic = {
-        orders: 2 * fit.squares / inflation + orders.parameters * math.log(numbers)
-        for orders, fit in linear.items()
-    }
     near = [
         orders
         for orders in grid
-        if bic[orders] - min(bic.values()) <= FAR_BEHIND
+        if bic[orders] - bic[linear.best] <= FAR_BEHIND
         and sum(bic[o] < bic[orders] for o in grid if o.parameters == orders.parameters)
         < OF_ONE_SIZE
     ]
 
     candidates, undelayed = [], []
     for orders in near:
-        starts = linear[orders].starts
+        starts = linear.fits[orders].starts
         candidate = _candidate(responses, orders, starts, through, stated)
         candidates.append(candidate)
         late = next((q for q in candidate.fit.quantities if q.name == "T_delay"), None)
@@ -179,11 +227,21 @@ def _grid(
 def _before(response: FrequencyResponse, through: Sequence[TransferFunction]) -> FrequencyResponse:
     """Return the response ahead of filters in series."""
     # Errors in common stay out: they weigh nothing in least squares with one variance a point.
-    gain = math.prod(frequency_response(f, None, response.omega).response for f in through)
+    gain = _gain(through, response.omega)
     variance = None if response.variance is None else response.variance / np.abs(gain) ** 2
     return replace(
         response, response=response.response / gain, variance=variance, common_errors=None
     )
+
+
+def _gain(through: Sequence[TransferFunction], omega: Array) -> ComplexArray | int:
+    return math.prod(frequency_response(f, None, omega).response for f in through)
+
+
+def _polynomials(orders: Orders, values: Mapping[str, float]) -> tuple[list[float], list[float]]:
+    """Return numerator and denominator, the highest power first."""
+    numerator = [values[f"b{k}"] for k in range(orders.m, -1, -1)]
+    return numerator, [1.0, *(values.get(f"a{k}", 0.0) for k in range(orders.n - 1, -1, -1))]
 
 
 def _linear_fit(data: FrequencyResponse, orders: Orders) -> LinearFit:
@@ -232,7 +290,8 @@ def _at_delay(
         )
     except ValueError:  # as many unknowns as equations
         return math.inf, {}
-    error = rational.response(data.omega).response - response
+    s = 1j * data.omega
+    error = np.polyval(rational.numerator, s) / np.polyval(rational.denominator, s) - response
     delays = {"T_delay": float(delay)} if orders.delay else {}
     return float(np.sum(np.abs(error / size) ** 2)), rational.coefficients | delays
 
@@ -287,8 +346,7 @@ def _described(orders: Orders, fit: Fit) -> tuple[str, tuple[str, ...]]:
     """Return the factored transfer function, and remarks on its poles and zeros."""
     if not fit.converged:
         return "", ()
-    numerator = [fit.estimate[f"b{k}"] for k in range(orders.m, -1, -1)]
-    denominator = [1.0, *(fit.estimate.get(f"a{k}", 0.0) for k in range(orders.n - 1, -1, -1))]
+    numerator, denominator = _polynomials(orders, fit.estimate)
     zeros, poles = np.roots(numerator), np.roots(denominator)
     delay = f" exp(-{number(fit.estimate['T_delay'], 3)} s)" if orders.delay else ""
     unstable = [f"{UNSTABLE} {root_text(p)}" for p in upper_half(poles) if p.real > 0]
