@@ -19,7 +19,7 @@ from greybox.files.text_table import one_line
 from greybox.identification.choices import Choice, choose
 from greybox.identification.families import Structure, family, gains
 from greybox.identification.measurement import Measurement, Settings, measure
-from greybox.identification.orders import linear_fits, select_orders
+from greybox.identification.orders import select_orders
 from greybox.identification.selection import Candidate, Selection, held_by_bounds, select
 from greybox.identification.structure_fit import (
     fit_within_far_bounds,
@@ -64,11 +64,6 @@ class Identification:
     def measurement(self) -> Measurement:
         """The measurement of the first log."""
         return self.measurements[0]
-
-    @property
-    def responses(self) -> list[FrequencyResponse]:
-        """The responses that were measured."""
-        return [m.response for m in self.measurements if m.response is not None]
 
     @property
     def refusals(self) -> tuple[str, ...]:
@@ -154,7 +149,7 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     if len(checksums) not in (0, len(recordings)):
         raise ValueError("a log is given twice: its errors would count as independent.")
     # The first log decides the signals of all: two sensors have two responses.
-    stated["drop_warned"] = not all_points
+    stated |= {"drop_warned": not all_points, "refined": True}
     settings, choices = choose(recordings[0], **stated)
     used = [settings, *(_settings_as(settings, r, stated) for r in recordings[1:])]
     measurements = tuple(_judged(measure(r, s)) for r, s in zip(recordings, used, strict=True))
@@ -162,20 +157,9 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     if result.refusals:
         return result
 
+    responses = [m.response for m in measurements if m.response is not None]
     filters = _filters(measurements[0], through)
     series = [filter_model(known) for known in chain.from_iterable(filters.values())]
-    linear = None
-    if any(m.is_by_polynomials for m in measurements):
-        # The polynomials of a second measurement describe what the best rational function leaves.
-        # Their error at the lowest frequencies, where it exceeded the noise, nearly vanishes.
-        linear = linear_fits(result.responses, series)
-        measurements = tuple(
-            _judged(measure(r, s, linear.response)) for r, s in zip(recordings, used, strict=True)
-        )
-        result = replace(result, measurements=measurements)
-        if result.refusals:
-            return result
-    responses = result.responses
     given = {"fixed": fixed, "free": free, "bounds": bounds, "start": start}
     of_parameters = {name: values for name, values in given.items() if values}
     listed = [s if isinstance(s, Structure) else Structure(s, s.label) for s in structures]
@@ -189,6 +173,9 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
         ]
         selection = select(candidates)
     else:
+        # The structures of the longest response serve all, unless a filter is taken out of it.
+        longest = max(measurements, key=lambda m: 0 if m.response is None else len(m.response))
+        linear = {} if series else longest.linear
         selection = select_orders(responses, through=series, linear=linear, **of_parameters)
     return replace(result, selection=selection, through=tuple(filters))
 

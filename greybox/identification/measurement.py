@@ -5,8 +5,9 @@ Begin with `measure`.
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -15,9 +16,9 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
 from greybox.data.units import to_si
-from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted, number, one_line
 from greybox.identification.loop import controller_in
+from greybox.identification.orders import LinearFit, Orders, best_response, linear_fits
 from greybox.identification.systematic_errors import (
     motor_saturation,
     systematic_errors,
@@ -76,6 +77,9 @@ class Settings:
         name. Their effect on the output is removed, see `spectral_response`.
     drop_warned : bool
         Leave out the frequencies of which the check of the response warns.
+    refined : bool
+        Measure sweeps and noise twice: the second time, the local polynomials describe what the
+        best rational function leaves.
     """
 
     input: str
@@ -95,6 +99,7 @@ class Settings:
     points: int = 40
     conditioned: Sequence[str] = ()
     drop_warned: bool = False
+    refined: bool = False
 
     def __post_init__(self) -> None:
         """Raise ValueError for settings that are invalid for any log."""
@@ -171,9 +176,6 @@ def named_signals(texts: Sequence[str]) -> dict[str, str]:
     return signals
 
 
-Near = Callable[[Array], ComplexArray]
-
-
 @dataclass(frozen=True, eq=False)
 class Measurement:
     """A measurement from a log; printed, it is a report.
@@ -197,6 +199,8 @@ class Measurement:
         The signal that shows a closed loop; empty without one.
     detail : str
         The response in words; sines as a table.
+    linear : mapping of Orders to LinearFit
+        The rational functions that were fitted to refine the response.
     """
 
     settings: Settings
@@ -210,11 +214,7 @@ class Measurement:
     filters: Mapping[str, tuple[KnownFilter, ...]] = field(default_factory=dict, repr=False)
     controller: str = ""
     detail: str = field(default="", repr=False)
-
-    @property
-    def is_by_polynomials(self) -> bool:
-        """Whether the response is that of sweeps or noise, by local polynomials."""
-        return not (self.settings.period or any(s.kind == "sine" for s in self.used))
+    linear: Mapping[Orders, LinearFit] = field(default_factory=dict, repr=False)
 
     def __repr__(self) -> str:
         return one_line(self, repr(self.response), repr(self.quality))
@@ -229,10 +229,8 @@ class Measurement:
         return "\n\n".join(part for part in parts if part)
 
 
-def measure(recording: Recording, settings: Settings, near: Near | None = None) -> Measurement:
+def measure(recording: Recording, settings: Settings) -> Measurement:
     """Measure the response of the tests in a log.
-
-    `near` returns a response near the true one, for sweeps and noise: see `spectral_response`.
 
     Raises
     ------
@@ -291,14 +289,13 @@ def measure(recording: Recording, settings: Settings, near: Near | None = None) 
         quality = check(record, response, judged, input=u, output=y)
         return Quality((*quality.findings, *jitter(during)))
 
-    quality, response, detail, points = quality_of(None), None, "", None
+    quality, response, detail, linear = quality_of(None), None, "", {}
     # Between tests the vehicle is flown by hand, in closed loop and without an instrument.
     pieces = [record.between(s.start, s.end) for s in used] or [record]
     if quality.usable:
         try:
-            response, detail, points = _estimated(
-                record, pieces, used if sines else (), settings, near
-            )
+            response, points, linear = _estimated(record, pieces, used if sines else (), settings)
+            detail = str(response)
             amplitudes = np.array([abs(point.u) for point in points.points]) if points else None
             errors = systematic_errors(recording, record, response, control, used, amplitudes)
             response = with_systematic_errors(response, errors)
@@ -324,8 +321,11 @@ def measure(recording: Recording, settings: Settings, near: Near | None = None) 
             response, about=_about(recording, record, response, signals, used, settings)
         )
     choices = _choices(settings, used, controller, signals, response)
+    if linear:
+        choices += ("refined: the polynomials describe what the best rational function leaves.",)
     return Measurement(
-        settings,
+        # Only a response that was refined needs the option when it is measured again.
+        replace(settings, refined=bool(linear)),
         tests,
         tuple(used),
         signals,
@@ -336,6 +336,7 @@ def measure(recording: Recording, settings: Settings, near: Near | None = None) 
         named_filters(recording, axis_of(control)),
         controller,
         detail,
+        linear,
     )
 
 
@@ -429,12 +430,8 @@ def _rate(recording: Recording, settings: Settings, used: Sequence[Segment]) -> 
 
 
 def _estimated(
-    record: Record,
-    pieces: Sequence[Record],
-    sines: Sequence[Segment],
-    settings: Settings,
-    near: Near | None,
-) -> tuple[FrequencyResponse, str, FiniteFrequency | None]:
+    record: Record, pieces: Sequence[Record], sines: Sequence[Segment], settings: Settings
+) -> tuple[FrequencyResponse, FiniteFrequency | None, dict[Orders, LinearFit]]:
     (u, _), (y, _) = settings.names
     if sines:
         if settings.conditioned:
@@ -453,9 +450,10 @@ def _estimated(
             if estimate.left_out
             else {}
         )
-        return replace(estimate.response, about=dropped), estimate.table, estimate
+        return replace(estimate.response, about=dropped), estimate, {}
 
     instrument = INSTRUMENT if INSTRUMENT in record.signals else None
+    linear = {}
     if settings.period:
         measured = periodic_response(
             pieces, settings.period, u, y, instrument=instrument, name=record.name
@@ -465,7 +463,8 @@ def _estimated(
                 (measured.omega >= settings.band[0]) & (measured.omega <= settings.band[1])
             )
     else:
-        measured = spectral_response(
+        estimate = partial(
+            spectral_response,
             pieces,
             u,
             y,
@@ -474,9 +473,15 @@ def _estimated(
             band=settings.band,
             points=settings.points,
             name=record.name,
-            near=near,
         )
-    return measured, str(measured), None
+        measured = estimate()
+        # At the lowest frequencies, a response changes much from line to line, and the error of the
+        # polynomials exceeds the noise. Of what a rational function leaves, it is far below.
+        # Three points have six numbers, more than the smallest rational function has unknowns.
+        if settings.refined and len(measured) >= 3:
+            linear = linear_fits([measured])
+            measured = estimate(near=partial(best_response, linear))
+    return measured, None, linear
 
 
 def _on_points(points: FiniteFrequency | None) -> Iterator[Finding]:

@@ -69,39 +69,10 @@ class Orders:
 
 
 class LinearFit(NamedTuple):
-    """Weighted sum of squares at the best delay; coefficients for it and its neighbors."""
+    """BIC at the best delay; coefficients for it and its neighbors."""
 
-    squares: float
-    starts: tuple[Mapping[str, float], ...]
-
-
-class LinearFits(NamedTuple):
-    """Structures fitted by linear least squares to one response, and their BIC.
-
-    Attributes
-    ----------
-    fits : mapping of Orders to LinearFit
-    bic : mapping of Orders to float
-    through : sequence of TransferFunction
-        Filters in series with the plant.
-    """
-
-    fits: Mapping[Orders, LinearFit]
-    bic: Mapping[Orders, float]
-    through: Sequence[TransferFunction]
-
-    @property
-    def best(self) -> Orders:
-        """The structure of the least BIC."""
-        return min(self.bic, key=lambda orders: self.bic[orders])
-
-    def response(self, omega: Array) -> ComplexArray:
-        """Return the response of the best structure with its filters at `omega` (n,), rad/s."""
-        values = self.fits[self.best].starts[0]
-        numerator, denominator = _polynomials(self.best, values)
-        s = 1j * omega
-        plant = np.polyval(numerator, s) / np.polyval(denominator, s)
-        return plant * np.exp(-s * values.get("T_delay", 0.0)) * _gain(self.through, omega)
+    bic: float
+    starts: Sequence[Mapping[str, float]]
 
 
 def linear_fits(
@@ -112,23 +83,33 @@ def linear_fits(
     integrators: Sequence[int] = (),
     *,
     delay: bool = True,
-) -> LinearFits:
-    """Fit structures to the longest response; the arguments are those of `select_orders`."""
+) -> dict[Orders, LinearFit]:
+    """Fit structures by linear least squares; the arguments are those of `select_orders`."""
     numbers = 2 * sum(map(len, responses))
     grid = [o for o in _grid(n, m, integrators, delay) if o.parameters + 1 < numbers]
     if not grid:
         raise ValueError(
             f"no structure of the grid has fewer unknowns than {numbers} real numbers: lower n."
         )
+    # The longest response only: they choose what is fitted by all.
     plant = _before(max(responses, key=len), through)
     fits = {orders: _linear_fit(plant, orders) for orders in grid}
     # Errors beyond the given variances count as in `select`.
-    inflation = max(1.0, min(fit.squares for fit in fits.values()) / len(plant))
-    bic = {
-        orders: 2 * fit.squares / inflation + orders.parameters * math.log(numbers)
-        for orders, fit in fits.items()
+    inflation = max(1.0, min(squares for squares, _ in fits.values()) / len(plant))
+    return {
+        orders: LinearFit(2 * squares / inflation + orders.parameters * math.log(numbers), starts)
+        for orders, (squares, starts) in fits.items()
     }
-    return LinearFits(fits, bic, through)
+
+
+def best_response(fits: Mapping[Orders, LinearFit], omega: Array) -> ComplexArray:
+    """Return the response of the structure of least BIC at `omega` (n,) in rad/s."""
+    orders = min(fits, key=lambda o: fits[o].bic)
+    values = fits[orders].starts[0]
+    numerator, denominator = _polynomials(orders, values)
+    s = 1j * omega
+    ratio = np.polyval(numerator, s) / np.polyval(denominator, s)
+    return ratio * np.exp(-s * values["T_delay"])
 
 
 def select_orders(
@@ -139,7 +120,7 @@ def select_orders(
     *,
     delay: bool = True,
     through: Sequence[TransferFunction] = (),
-    linear: LinearFits | None = None,
+    linear: Mapping[Orders, LinearFit] | None = None,
     **stated: Any,
 ) -> Selection:
     """Fit rational transfer functions (2.13) of rising order, and choose the smallest supported.
@@ -162,8 +143,8 @@ def select_orders(
         Whether the structures have a delay.
     through : sequence of TransferFunction
         Filters in series with the plant.
-    linear : LinearFits, optional
-        The structures, with their starts; by default those of the grid, fitted to these data.
+    linear : mapping of Orders to LinearFit, optional
+        The structures with their starts, instead of those of the grid.
     **stated
         `fixed`, `bounds` and `start` of parameters, as of `Problem`: ``b0`` and ``a0`` upwards, and
         ``T_delay``.
@@ -174,23 +155,22 @@ def select_orders(
         If no structure of the grid has fewer unknowns than the data have numbers.
     """
     responses = [data] if isinstance(data, FrequencyResponse) else list(data)
-    # Linear least squares use the longest response only: they choose what is fitted by all.
     linear = linear or linear_fits(responses, through, n, m, integrators, delay=delay)
-    grid, bic = [*linear.fits], linear.bic
-    names = [f"b{k}" for k in range(max(o.m for o in grid) + 1)]
-    names += [f"a{k}" for k in range(max(o.n for o in grid))]
+    names = [f"b{k}" for k in range(max(o.m for o in linear) + 1)]
+    names += [f"a{k}" for k in range(max(o.n for o in linear))]
     require_parameters(stated, {*names, "T_delay"})
+    least = min(fit.bic for fit in linear.values())
     near = [
         orders
-        for orders in grid
-        if bic[orders] - bic[linear.best] <= FAR_BEHIND
-        and sum(bic[o] < bic[orders] for o in grid if o.parameters == orders.parameters)
+        for orders, (bic, _) in linear.items()
+        if bic - least <= FAR_BEHIND
+        and sum(linear[o].bic < bic for o in linear if o.parameters == orders.parameters)
         < OF_ONE_SIZE
     ]
 
     candidates, undelayed = [], []
     for orders in near:
-        starts = linear.fits[orders].starts
+        starts = linear[orders].starts
         candidate = _candidate(responses, orders, starts, through, stated)
         candidates.append(candidate)
         late = next((q for q in candidate.fit.quantities if q.name == "T_delay"), None)
@@ -198,7 +178,7 @@ def select_orders(
             without = replace(orders, delay=False)
             candidates[-1] = _candidate(responses, without, starts, through, stated)
             undelayed.append(str(without))
-    rest = len(grid) - len(near)
+    rest = len(linear) - len(near)
     notes = []
     if rest:
         notes.append(f"{counted(rest, 'other structure')}: BIC further above by least squares.")
@@ -227,15 +207,11 @@ def _grid(
 def _before(response: FrequencyResponse, through: Sequence[TransferFunction]) -> FrequencyResponse:
     """Return the response ahead of filters in series."""
     # Errors in common stay out: they weigh nothing in least squares with one variance a point.
-    gain = _gain(through, response.omega)
+    gain = math.prod(frequency_response(f, None, response.omega).response for f in through)
     variance = None if response.variance is None else response.variance / np.abs(gain) ** 2
     return replace(
         response, response=response.response / gain, variance=variance, common_errors=None
     )
-
-
-def _gain(through: Sequence[TransferFunction], omega: Array) -> ComplexArray | int:
-    return math.prod(frequency_response(f, None, omega).response for f in through)
 
 
 def _polynomials(orders: Orders, values: Mapping[str, float]) -> tuple[list[float], list[float]]:
@@ -244,11 +220,11 @@ def _polynomials(orders: Orders, values: Mapping[str, float]) -> tuple[list[floa
     return numerator, [1.0, *(values.get(f"a{k}", 0.0) for k in range(orders.n - 1, -1, -1))]
 
 
-def _linear_fit(data: FrequencyResponse, orders: Orders) -> LinearFit:
-    """Fit the coefficients by linear least squares at many delays."""
+def _linear_fit(data: FrequencyResponse, orders: Orders) -> tuple[float, list[dict[str, float]]]:
+    """Return the least weighted squares over the delay; coefficients there and beside it."""
     if not orders.delay:
         squares, coefficients = _at_delay(data, orders, 0.0)
-        return LinearFit(squares, (coefficients,))
+        return squares, [coefficients]
     turn = TURN / float(data.omega.max())
     longest = turn
     while True:
@@ -269,7 +245,7 @@ def _linear_fit(data: FrequencyResponse, orders: Orders) -> LinearFit:
     # The squares have several minima over the delay: the neighbors on the grid are starts too.
     near = [_at_delay(data, orders, float(refined.x)), *fits[around]]
     near.sort(key=lambda pair: pair[0])
-    return LinearFit(near[0][0], tuple(coefficients for _, coefficients in near))
+    return near[0][0], [coefficients for _, coefficients in near]
 
 
 def _at_delay(

@@ -416,12 +416,15 @@ def _beside(
     u, y, *others = lines.values
     output = near(lines.omega) * u
     rest = lines._replace(values=np.array([u, y - output, *others]))
-    result = []
-    for fitted, omega in ((band.fitted, band.omega) for band in bands):
-        band, _ = _judged(rest, fitted, omega)
-        error = fitted.weights(omega) @ output[fitted.rows] - near(omega)
-        result.append(band._replace(correction=band.correction + error))
-    return result
+    judged = (_judged(rest, band.fitted, band.omega)[0] for band in bands)
+    return [
+        b._replace(
+            correction=b.correction
+            + b.fitted.weights(b.omega) @ output[b.fitted.rows]
+            - near(b.omega)
+        )
+        for b in judged
+    ]
 
 
 def _judged(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Band, bool]:
