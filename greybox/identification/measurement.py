@@ -294,8 +294,9 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     pieces = [record.between(s.start, s.end) for s in used] or [record]
     if quality.usable:
         try:
-            response, points, linear = _estimated(record, pieces, used if sines else (), settings)
-            detail = str(response)
+            response, detail, points, linear = _estimated(
+                record, pieces, used if sines else (), settings
+            )
             amplitudes = np.array([abs(point.u) for point in points.points]) if points else None
             errors = systematic_errors(recording, record, response, control, used, amplitudes)
             response = with_systematic_errors(response, errors)
@@ -321,8 +322,6 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
             response, about=_about(recording, record, response, signals, used, settings)
         )
     choices = _choices(settings, used, controller, signals, response)
-    if linear:
-        choices += ("refined: the polynomials describe what the best rational function leaves.",)
     return Measurement(
         # Only a response that was refined needs the option when it is measured again.
         replace(settings, refined=bool(linear)),
@@ -431,7 +430,7 @@ def _rate(recording: Recording, settings: Settings, used: Sequence[Segment]) -> 
 
 def _estimated(
     record: Record, pieces: Sequence[Record], sines: Sequence[Segment], settings: Settings
-) -> tuple[FrequencyResponse, FiniteFrequency | None, dict[Orders, LinearFit]]:
+) -> tuple[FrequencyResponse, str, FiniteFrequency | None, dict[Orders, LinearFit]]:
     (u, _), (y, _) = settings.names
     if sines:
         if settings.conditioned:
@@ -450,7 +449,7 @@ def _estimated(
             if estimate.left_out
             else {}
         )
-        return replace(estimate.response, about=dropped), estimate, {}
+        return replace(estimate.response, about=dropped), estimate.table, estimate, {}
 
     instrument = INSTRUMENT if INSTRUMENT in record.signals else None
     linear = {}
@@ -481,7 +480,9 @@ def _estimated(
         if settings.refined and len(measured) >= 3:
             linear = linear_fits([measured])
             measured = estimate(near=partial(best_response, linear))
-    return measured, None, linear
+            about = {"refined": "the polynomials describe what the best rational function leaves"}
+            measured = replace(measured, about=measured.about | about)
+    return measured, str(measured), None, linear
 
 
 def _on_points(points: FiniteFrequency | None) -> Iterator[Finding]:
@@ -639,6 +640,6 @@ def _choices(
     if settings.conditioned:
         choices.append(f"conditioned: the effect of {', '.join(settings.conditioned)} is removed.")
     if response is not None:
-        names = [n for n in ("dropped", "left out", "converted") if n in response.about]
+        names = [n for n in ("dropped", "left out", "converted", "refined") if n in response.about]
         choices += [f"{name}: {response.about[name]}." for name in names]
     return tuple(choices)
