@@ -173,9 +173,8 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
         ]
         selection = select(candidates)
     else:
-        # The structures of the longest response serve all, unless a filter is taken out of it.
-        longest = max(measurements, key=lambda m: 0 if m.response is None else len(m.response))
-        linear = {} if series else longest.linear
+        # The structures of the first response serve all, unless a filter is taken out of it.
+        linear = {} if series else measurements[0].linear
         selection = select_orders(responses, through=series, linear=linear, **of_parameters)
     return replace(result, selection=selection, through=tuple(filters))
 

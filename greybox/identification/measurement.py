@@ -481,7 +481,7 @@ def _estimated(
             linear = linear_fits([measured])
             measured = estimate(near=partial(best_response, linear))
             about = {"refined": "the polynomials describe what the best rational function leaves"}
-            measured = replace(measured, about=measured.about | about)
+            measured = replace(measured, about={**measured.about, **about})
     return measured, str(measured), None, linear
 
 

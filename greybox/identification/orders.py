@@ -78,15 +78,11 @@ class LinearFit(NamedTuple):
 def linear_fits(
     responses: Sequence[FrequencyResponse],
     through: Sequence[TransferFunction] = (),
-    n: Sequence[int] = (),
-    m: Sequence[int] = (),
-    integrators: Sequence[int] = (),
-    *,
-    delay: bool = True,
+    structures: Sequence[Orders] = (),
 ) -> dict[Orders, LinearFit]:
-    """Fit structures by linear least squares; the arguments are those of `select_orders`."""
+    """Fit structures by linear least squares, by default those of `select_orders`."""
     numbers = 2 * sum(map(len, responses))
-    grid = [o for o in _grid(n, m, integrators, delay) if o.parameters + 1 < numbers]
+    grid = [o for o in structures or orders_of() if o.parameters + 1 < numbers]
     if not grid:
         raise ValueError(
             f"no structure of the grid has fewer unknowns than {numbers} real numbers: lower n."
@@ -155,7 +151,7 @@ def select_orders(
         If no structure of the grid has fewer unknowns than the data have numbers.
     """
     responses = [data] if isinstance(data, FrequencyResponse) else list(data)
-    linear = linear or linear_fits(responses, through, n, m, integrators, delay=delay)
+    linear = linear or linear_fits(responses, through, orders_of(n, m, integrators, delay=delay))
     names = [f"b{k}" for k in range(max(o.m for o in linear) + 1)]
     names += [f"a{k}" for k in range(max(o.n for o in linear))]
     require_parameters(stated, {*names, "T_delay"})
@@ -192,9 +188,14 @@ def select_orders(
     return select(candidates, "\n".join(notes))
 
 
-def _grid(
-    n: Sequence[int], m: Sequence[int], integrators: Sequence[int], delay: bool
+def orders_of(
+    n: Sequence[int] = (),
+    m: Sequence[int] = (),
+    integrators: Sequence[int] = (),
+    *,
+    delay: bool = True,
 ) -> list[Orders]:
+    """Return the structures of a grid; see `select_orders`."""
     return [
         Orders(order, zeros, count, delay)
         for count in integrators or range(INTEGRATORS + 1)
