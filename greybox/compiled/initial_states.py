@@ -41,6 +41,7 @@ class InitialStates:
         With `scanned`, sizes are tried where the model is not finite.
         """
         self._n = len(system.states)
+        self._driven = len((system.undelayed or system).states)
         self._scanned = scanned
         x, u, p = system.symbols
         y = system.output(x, u, p)[[system.outputs.index(name) for name in outputs]]
@@ -83,10 +84,13 @@ class InitialStates:
         return states
 
     def poles(self, states: Array, inputs: Array, p: Array) -> ComplexArray:
-        """Return the finite poles (s, n) of the linearizations at states (n, s)."""
+        """Return the finite poles (s, n) of the linearizations at states (n, s).
+
+        Those of delays, which no integrator follows, are left out.
+        """
         matrices = self._model(states, inputs, p)[2][: self._n**2].T.reshape(
             inputs.shape[1], self._n, self._n
-        )
+        )[:, : self._driven, : self._driven]
         return np.linalg.eigvals(matrices[np.isfinite(matrices).all(axis=(1, 2))]).astype(complex)
 
     def _sized(

@@ -258,7 +258,10 @@ class SegmentedPart(Part):
         curvature = np.nan_to_num(np.mean(diagonals, axis=0))
         # A state that no output shows has no such scale: any will do.
         visible = np.maximum(curvature, 1e-200)
-        return np.where(curvature > 1e-200, spread**2 * samples / visible, 1.0)
+        variance = np.where(curvature > 1e-200, spread**2 * samples / visible, 1.0)
+        # The states of a delay follow from the input alone: with gaps they would be another input.
+        variance[len((self.system.undelayed or self.system).states) :] = 0
+        return variance
 
     def condense(
         self,

@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.modeling.model import Model
 from greybox.modeling.one_thread import one_thread_at_a_time
-from greybox.modeling.pade_delay import observer_form, pade_rows
+from greybox.modeling.pade_delay import MOST_EXACT, observer_form, pade_rows, pade_step
 from greybox.modeling.rational import Rational, as_rational
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import (
@@ -38,6 +38,12 @@ class Dynamics:
         (x, u, p) -> (n,) and (k,).
     delay : casadi.Function
         (p) -> the delay of every input (m,), s; zero where it is approximated by states.
+    undelayed : Dynamics or None
+        Where delays are approximated by states that have an exact solution, the model that the
+        delayed inputs drive. Its states come first.
+    delay_step : casadi.Function or None
+        (states of delays, mean and change of the inputs (m,) over a step, p, step) -> the states of
+        delays at its end, mean and change of the delayed inputs.
     """
 
     states: tuple[str, ...]
@@ -47,6 +53,8 @@ class Dynamics:
     derivative: ca.Function
     output: ca.Function
     delay: ca.Function
+    undelayed: "Dynamics | None" = None
+    delay_step: ca.Function | None = None
 
     @property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -89,7 +97,7 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
     """
     z, p = symbols(model)
     if isinstance(model, TransferFunction):
-        return _realized(model, p, pade)
+        return _with_delay(model, p, pade)
     assert isinstance(model, StateSpace)
     x, u = z[: len(model.states)], z[len(model.states) :]
     names = list(model.parameters)
@@ -110,6 +118,19 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
         ),
         pade,
     )
+
+
+def _with_delay(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
+    whole = _realized(model, p, pade)
+    if pade is None:
+        return whole
+    try:
+        cascade = _with_pade_states(_realized(model, p, None), pade)
+    # A delay inside a loop has no states apart from those of the loop.
+    except ValueError:
+        return whole
+    # A product of two delays has two approximations, which are not that of their sum.
+    return cascade if len(cascade.states) == len(whole.states) else whole
 
 
 def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
@@ -170,15 +191,16 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
     if pade is None or not exact.delayed:
         return exact
     x, u, p = exact.symbols
+    change, step = ca.SX.sym("change", u.numel()), ca.SX.sym("step")
     delays: Any = ca.vertsplit(exact.delay(p))
     names = list(exact.states)
-    states = [x]
-    rows = []
-    delayed_inputs = []
+    states, rows, delayed_inputs = [], [], []
+    steps: list[tuple[Any, Any, Any]] = []
     for k, name in enumerate(exact.inputs):
         # An input without a delay needs no states.
         if delays[k].is_zero():
             delayed_inputs.append(u[k])
+            steps.append((ca.SX(0, 1), u[k], change[k]))
             continue
         state = ca.SX.sym(f"delay_{name}", pade)
         output, derivative = pade_rows(ca.vertsplit(state), u[k], delays[k], pade)
@@ -186,9 +208,12 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
         states.append(state)
         rows += derivative
         delayed_inputs.append(output)
+        steps.append(pade_step(state, u[k], change[k], delays[k], step))
 
-    full = ca.vertcat(*states)
+    full = ca.vertcat(x, *states)
     delayed = ca.vertcat(*delayed_inputs)
+    later = [ca.vertcat(*values) for values in zip(*steps, strict=True)]
+    delay_step = ca.Function("delay_step", [ca.vertcat(*states), u, change, p, step], later)
     return replace(
         exact,
         states=tuple(names),
@@ -197,4 +222,6 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
         ),
         output=ca.Function("output", [full, u, p], [exact.output(x, delayed, p)]),
         delay=ca.Function("delay", [p], [ca.SX.zeros(u.numel())]),
+        undelayed=exact if pade <= MOST_EXACT else None,
+        delay_step=delay_step,
     )
