@@ -94,19 +94,10 @@ class KalmanGain:
         rows = reached(A, self.states if noise is None else noise.driven)
         return A[np.ix_(rows, rows)]
 
-    def excerpt_cost(self, nodes: Array, placed: Placed) -> float:
-        """Return the approximate cost of a simulation, from the start of the longest stretch."""
-        part, length = self.part, self.part.data.segment_length
-        counts = part.data.segment_counts
-        longest = int(np.argmax(counts))
-        first = sum(counts[:longest])
-        # Enough samples to compare gains, and few enough to simulate a dozen candidates.
-        count = min(counts[longest], max(3000 // length, 1))
-
-        rows = part.segments.rows(placed.data)
-        excerpt = rows[first * length : (first + count) * length]
-        _, residuals = part.step.simulate(nodes[first], placed.q, excerpt)
-        return part.covariance.cost(residuals.T @ residuals * (len(rows) / len(excerpt)))
+    def simulated_cost(self, z: Array, nodes: Array) -> float:
+        """Return the cost of a simulation from the first nodes, for the covariance it shows."""
+        products = self.part.trajectory(z, nodes, simulated=True).products
+        return self.part.covariance.cost(products)
 
     def steady_state(self, trajectory: Trajectory, process: Sequence[Array]) -> list[Array | None]:
         """Return the unknowns (u,) of steady Kalman filters; None for an unstable predictor.

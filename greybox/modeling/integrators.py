@@ -120,8 +120,7 @@ def step_function(system: Dynamics, integrator: Integrator, substeps: int) -> ca
     """Return (x, mean, change, p, step) -> x one sample later.
 
     `mean` and `change` (m,) are those of the inputs over the step. Explicit schemes see inputs that
-    are delayed by states as lines, too, with the moments of their exact solution in every substep;
-    implicit ones integrate these states with the model's.
+    are delayed by states as lines, too, see `pade_step`; implicit ones integrate these states.
     """
     kind: Any = ca.MX if integrator.implicit else ca.SX
     x = kind.sym("x", len(system.states))
@@ -132,19 +131,13 @@ def step_function(system: Dynamics, integrator: Integrator, substeps: int) -> ca
 
     undelayed = None if integrator.implicit else system.undelayed
     driven = undelayed or system
-    result: Any
-    result, delay_states = ca.vertsplit(x, [0, len(driven.states), len(system.states)])
-    span = h / substeps
+    result, late = ca.vertsplit(x, [0, len(driven.states), len(system.states)])
     for k in range(substeps if system.states else 0):
         # The input at the beginning of the substep; `change` is that over the whole step.
         u, slope = mean + change * (k / substeps - 0.5), change / h
-        if undelayed and system.delay_step:
-            middle = u + slope * span / 2
-            delay_states, middle, rise = system.delay_step(
-                delay_states, middle, slope * span, p, span
-            )
-            u, slope = middle - rise / 2, rise / span
-        result = integrator.advance(driven, result, u, slope, p, span)
+        if undelayed:
+            late, u, slope = system.delay_step(late, u, slope, p, h / substeps)
+        result = integrator.advance(driven, result, u, slope, p, h / substeps)
 
-    result = ca.vertcat(result, delay_states)
-    return ca.Function("step", [x, mean, change, p, h], [result], {"cse": True})
+    end = ca.vertcat(result, late)
+    return ca.Function("step", [x, mean, change, p, h], [end], {"cse": True})

@@ -94,11 +94,11 @@ def pade_steady(u: Any, order: int) -> list[Any]:
     return [first, *(-row for row in rows[:-1])]
 
 
-def pade_step(x: Any, mean: Any, change: Any, delay: Any, h: Any) -> tuple[Any, Any, Any]:
-    """Return the states x (order,) a step h later, and mean and change of the delayed input.
+def pade_step(x: Any, u: Any, slope: Any, delay: Any, h: Any) -> tuple[Any, Any, Any]:
+    """Return the states x (order,) a step h later, and the delayed input as a line over the step.
 
-    The input is linear over the step, with this mean and change. All results are exact; the change
-    is the slope of the best line times h. With a delay of zero, the input is not delayed.
+    The input is a line that begins at `u`. The states are exact, and so are the first two moments
+    of the delayed input, from which its line follows. A delay of zero leaves the input as it is.
     """
     order = x.numel()
     # x' = A (x - rest · u) / delay; the first state less its rest is what the delay adds to u.
@@ -119,9 +119,9 @@ def pade_step(x: Any, mean: Any, change: Any, delay: Any, h: Any) -> tuple[Any, 
 
     # Without a transient, the states follow a ramp at a constant distance.
     lag = delay / h * ca.DM(np.linalg.inv(A))
-    first = rest * (mean - change / 2) + lag @ rest * change
-    end = first + rest * change + transition @ (x - first)
+    first = rest * u + lag @ rest * slope * h
+    end = first + rest * slope * h + transition @ (x - first)
     # What the states lack of rest, on average and in slope: moments of the differential equation.
     behind = lag @ (end - x)
-    rise = 6 * lag @ (x + end - 2 * (rest * mean + behind))
-    return end, mean + behind[0], change + rise[0]
+    rise = 6 * lag @ (x + end - 2 * behind - rest * (2 * u + slope * h))
+    return end, u + behind[0] - rise[0] / 2, slope + rise[0] / h

@@ -41,9 +41,9 @@ class Dynamics:
     undelayed : Dynamics or None
         Where delays are approximated by states that have an exact solution, the model that the
         delayed inputs drive. Its states come first.
-    delay_step : casadi.Function or None
-        (states of delays, mean and change of the inputs (m,) over a step, p, step) -> the states of
-        delays at its end, mean and change of the delayed inputs.
+    delay_step : casadi.Function
+        (states of delays, inputs (m,) at the beginning of a step, their slopes, p, step) -> states
+        of delays at its end, delayed inputs and their slopes, see `pade_step`.
     """
 
     states: tuple[str, ...]
@@ -54,7 +54,7 @@ class Dynamics:
     output: ca.Function
     delay: ca.Function
     undelayed: "Dynamics | None" = None
-    delay_step: ca.Function | None = None
+    delay_step: ca.Function = ca.Function()  # noqa: RUF009  (empty, and never changed)
 
     @property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -191,7 +191,7 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
     if pade is None or not exact.delayed:
         return exact
     x, u, p = exact.symbols
-    change, step = ca.SX.sym("change", u.numel()), ca.SX.sym("step")
+    slope, h = ca.SX.sym("slope", u.numel()), ca.SX.sym("step")
     delays: Any = ca.vertsplit(exact.delay(p))
     names = list(exact.states)
     states, rows, delayed_inputs = [], [], []
@@ -200,7 +200,7 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
         # An input without a delay needs no states.
         if delays[k].is_zero():
             delayed_inputs.append(u[k])
-            steps.append((ca.SX(0, 1), u[k], change[k]))
+            steps.append((ca.SX(0, 1), u[k], slope[k]))
             continue
         state = ca.SX.sym(f"delay_{name}", pade)
         output, derivative = pade_rows(ca.vertsplit(state), u[k], delays[k], pade)
@@ -208,12 +208,12 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
         states.append(state)
         rows += derivative
         delayed_inputs.append(output)
-        steps.append(pade_step(state, u[k], change[k], delays[k], step))
+        steps.append(pade_step(state, u[k], slope[k], delays[k], h))
 
     full = ca.vertcat(x, *states)
     delayed = ca.vertcat(*delayed_inputs)
     later = [ca.vertcat(*values) for values in zip(*steps, strict=True)]
-    delay_step = ca.Function("delay_step", [ca.vertcat(*states), u, change, p, step], later)
+    delay_step = ca.Function("delay_step", [ca.vertcat(*states), u, slope, p, h], later)
     return replace(
         exact,
         states=tuple(names),

@@ -105,7 +105,7 @@ def test_the_states_have_the_response_and_rest_where_the_input_does(order):
 
 def stepped(order):
     """The exact step of the states, as a function of numbers."""
-    x, rest = ca.SX.sym("x", order), [ca.SX.sym(name) for name in ("mean", "change", "T", "h")]
+    x, rest = ca.SX.sym("x", order), [ca.SX.sym(name) for name in ("u", "slope", "T", "h")]
     results = pade_step(x, *rest)
     slopes = ca.jacobian(ca.vertcat(*results), rest[2])
     return ca.Function("step", [x, *rest], [*results, slopes])
@@ -113,27 +113,25 @@ def stepped(order):
 
 @pytest.mark.parametrize("order", [1, 2, 3, 4])
 @pytest.mark.parametrize("delay", [0.004, 0.1, 3.0])
-@pytest.mark.parametrize("change", [0.0, 0.7])
-def test_a_step_is_that_of_a_fine_integration(order, delay, change):
-    """Mean and change are the first two moments of the delayed input over the step."""
-    x, h, mean = np.linspace(0.5, -1, order), 0.1, 0.4
+@pytest.mark.parametrize("slope", [0.0, 7.0])
+def test_a_step_is_that_of_a_fine_integration(order, delay, slope):
+    """The line has the first two moments of the delayed input over the step."""
+    x, h, u = np.linspace(0.5, -1, order), 0.1, 0.4
 
     def rates(t, state):
-        u = mean + change * (t / h - 0.5)
-        late, rows = pade_rows(list(state[:order]), u, delay, order)
+        late, rows = pade_rows(list(state[:order]), u + slope * t, delay, order)
         return [*rows, late / h, 12 * (t / h - 0.5) * late / h]
 
     fine = solve_ivp(rates, (0, h), [*x, 0, 0], method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
-    *exact, _ = stepped(order)(x, mean, change, delay, h)
-    assert_allclose(ca.vertcat(*exact).full().ravel(), fine, rtol=0, atol=1e-9)
+    end, begin, rise, _ = stepped(order)(x, u, slope, delay, h)
+    exact = ca.vertcat(end, begin + rise * h / 2, rise * h)
+    assert_allclose(exact.full().ravel(), fine, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("order", [1, 2, 5])
 def test_without_a_delay_the_input_passes_and_its_derivative_is_finite(order):
     step = stepped(order)
-    end, mean, change, slopes = step(np.ones(order), 0.4, 0.7, 0.0, 0.1)
-    assert_allclose(end.full().ravel(), pade_steady(0.75, order))
-    assert_allclose([float(mean), float(change)], [0.4, 0.7])
-    almost = step(np.ones(order), 0.4, 0.7, 1e-9, 0.1)
-    wanted = [(b - a).full() / 1e-9 for a, b in zip((end, mean, change), almost[:3], strict=True)]
-    assert_allclose(slopes.full(), np.vstack(wanted), rtol=1e-4, atol=1e-4)
+    *values, slopes = (value.full() for value in step(np.ones(order), 0.4, 7.0, 0.0, 0.1))
+    assert_allclose(np.vstack(values).ravel(), [*pade_steady(1.1, order), 0.4, 7.0])
+    *almost, _ = (value.full() for value in step(np.ones(order), 0.4, 7.0, 1e-9, 0.1))
+    assert_allclose(slopes, (np.vstack(almost) - np.vstack(values)) / 1e-9, rtol=1e-4, atol=1e-3)
