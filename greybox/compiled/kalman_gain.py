@@ -109,31 +109,27 @@ class KalmanGain:
         q = placed.q.copy()
         q[self.places] = 0
         F, C = self.part.segments.mean_transition(trajectory.states, q, placed.data)
-        covariance = self.part.covariance.covariance(trajectory.products)
-        return [self._steady_state(F, C, covariance, q, variance) for variance in process]
-
-    def _steady_state(
-        self, F: Array, C: Array, covariance: Array, q: Array, variance: Array
-    ) -> Array | None:
         noise = self.part.noise_model
-        K = np.zeros((len(F), len(C)))
-        if noise is None:
-            # In units of the measurement noise, for which the equation of the filter is written.
-            root = np.linalg.inv(np.linalg.cholesky(covariance))
-            corrected = np.isin(np.arange(len(F)), self.states)
-            gain = steady_state_gain(F, root @ C, np.where(corrected, variance, 0.0)) @ root
-            K[self.states, self.outputs] = unknowns = gain[self.states, self.outputs]
-        else:
-            intensities, deviations = (
-                np.sqrt(variance[noise.driven] / noise.step),
-                np.sqrt(np.diag(covariance)),
-            )
-            unknowns, q = np.concatenate([intensities, deviations]), q.copy()
-            q[self.unknowns] = unknowns
-            K = noise.at(q).gain
+        covariance = self.part.covariance.covariance(trajectory.products)
+        # In units of the measurement noise, for which the equation of the filter is written.
+        root = np.linalg.inv(np.linalg.cholesky(covariance))
+        corrected = np.isin(np.arange(len(F)), self.states)
 
-        stable = spectral_radius(self._reached(F @ (np.eye(len(F)) - K @ C))) < self.limit
-        return unknowns if stable else None
+        filters: list[Array | None] = []
+        for variance in process:
+            K = np.zeros((len(F), len(C)))
+            if noise is None:
+                gain = steady_state_gain(F, root @ C, np.where(corrected, variance, 0.0)) @ root
+                K[self.states, self.outputs] = unknowns = gain[self.states, self.outputs]
+            else:
+                intensities = np.sqrt(variance[noise.driven] / noise.step)
+                unknowns = np.concatenate([intensities, np.sqrt(np.diag(covariance))])
+                q[self.unknowns] = unknowns
+                K = noise.at(q).gain
+            stable = spectral_radius(self._reached(F @ (np.eye(len(F)) - K @ C))) < self.limit
+            filters.append(unknowns if stable else None)
+
+        return filters
 
     def placed(self, trajectory: Trajectory, z: Array, values: Array) -> Array:
         """Return the point z (p,) with the values (u,) of unknowns that one variable each sets."""

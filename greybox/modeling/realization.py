@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.modeling.model import Model
 from greybox.modeling.one_thread import one_thread_at_a_time
-from greybox.modeling.pade_delay import MOST_EXACT, observer_form, pade_rows, pade_step
+from greybox.modeling.pade_delay import MOST_EXACT, pade_rows, pade_step
 from greybox.modeling.rational import Rational, as_rational
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import (
@@ -153,7 +153,7 @@ def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
     scale = _time_scale(denominator, p, model)
     powers = scale ** np.arange(n + 1)
     x, u = ca.SX.sym("x", n), ca.SX.sym("u", 1)
-    y, rows = observer_form(
+    y, rows = _observer_form(
         [x[k] for k in range(n)],
         u,
         [c / power for c, power in zip(numerator, powers.tolist(), strict=True)],
@@ -172,6 +172,23 @@ def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
         output=ca.Function("output", [x, u, p], [y]),
         delay=ca.Function("delay", [p], [ca.SX(rational.delay)]),
     )
+
+
+def _observer_form(
+    x: Sequence[Any], u: Any, numerator: Sequence[Any], denominator: Sequence[Any]
+) -> tuple[Any, list[Any]]:
+    """Return the output of a rational function of s, and the derivatives of its states x (n,).
+
+    The coefficients (n + 1,) have the highest power first. The states of the observer canonical
+    form are always observable. Source: Kailath 1980, Linear Systems, section 2.1.
+    """
+    a = [c / denominator[0] for c in denominator]
+    # Without the direct feedthrough, the rest is strictly proper.
+    feedthrough = numerator[0] / denominator[0]
+    b = [c / denominator[0] - feedthrough * a[k] for k, c in enumerate(numerator)]
+    following = [*x[1:], 0]
+    rows = [following[k] - a[k + 1] * x[0] + b[k + 1] * u for k in range(len(x))]
+    return (x[0] if x else 0) + feedthrough * u, rows
 
 
 def _time_scale(a: list[Any], p: ca.SX, model: Model) -> float:

@@ -49,7 +49,7 @@ def solver_for(
     """
     if not any(part.has_states for part in nlp.parts):
         return ResponseSolver(nlp, options, batched=search == BATCHED)
-    if nlp.by_ipopt:
+    if nlp.method.by_ipopt:
         return TranscribedProgram(nlp, GaussNewton(nlp), options)
     return GaussNewton(nlp, settings=with_options(nlp.strategies, options))
 
