@@ -185,11 +185,8 @@ class SegmentedPart(Part):
         """Return whether all residuals are white; rows without a time have no order."""
         if not self.model.has_time:
             return False
-        residuals = self.data.unpadded(self.residuals(trajectory))
-        stretches = [
-            np.where(np.isfinite(stretch.outputs), values, np.nan)
-            for stretch, values in zip(self.data.stretches, residuals, strict=True)
-        ]
+        present = np.isfinite(self.data.measured)
+        stretches = self.data.unpadded(np.where(present, self.residuals(trajectory), np.nan))
         tests = (whiteness([rows[k] for rows in stretches]) for k in range(len(self.outputs)))
 
         # One of a hundred records with white residuals is not recognized.

@@ -91,17 +91,16 @@ def pade_step(x: Any, u: Any, slope: Any, delay: Any, h: Any) -> tuple[Any, Any,
     A[:, 0] -= _monic(order)[1:]
     rest = ca.DM(pade_steady(1.0, order))
 
-    # exp(A h / delay), each mode with its conjugate.
+    # exp(A h / delay), mode by mode; those of conjugate poles have the same expressions.
     transition = ca.SX.zeros(order, order)
     periods = h / ca.fmax(delay, h / DECAYED)
     poles, vectors = np.linalg.eig(A)
     modes = zip(poles.astype(complex), vectors.T, np.linalg.inv(vectors), strict=True)
     for pole, right, left in modes:
-        if pole.imag >= 0:
-            mode: Any = np.outer(right, left) * (2 if pole.imag else 1)
-            angle = pole.imag * periods
-            wave = ca.cos(angle) * ca.DM(mode.real) - ca.sin(angle) * ca.DM(mode.imag)
-            transition += ca.exp(pole.real * periods) * wave
+        mode: Any = np.outer(right, left)
+        angle, sign = abs(pole.imag) * periods, float(np.sign(pole.imag))
+        wave = ca.cos(angle) * ca.DM(mode.real) - ca.sin(angle) * ca.DM(sign * mode.imag)
+        transition += ca.exp(pole.real * periods) * wave
 
     # Without a transient, the states follow a ramp at a constant distance.
     lag = delay / h * ca.DM(np.linalg.inv(A))

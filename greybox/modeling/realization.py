@@ -1,6 +1,7 @@
 """One form for every model in the time domain: an ODE driven by delayed inputs."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -122,44 +123,39 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
 
 def _with_delay(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
     whole = _realized(model, p, pade)
-    if pade is None:
-        return whole
-    try:
-        cascade = _with_pade_states(_realized(model, p, None), pade)
     # A delay inside a loop has no states apart from those of the loop.
-    except ValueError:
-        return whole
-    # A product of two delays has two approximations, which are not that of their sum.
-    return cascade if len(cascade.states) == len(whole.states) else whole
+    with suppress(ValueError):
+        cascade = _with_pade_states(_realized(model, p, None), pade)
+        # A product of two delays has two approximations, which are not that of their sum.
+        if len(cascade.states) == len(whole.states):
+            return cascade
+    return whole
 
 
 def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
     s = Rational([1.0, 0.0], pade=pade)
     formula = traced(f"{model.label}.response", model.response, s, parameter_names(model, p))
     rational = as_rational(formula)
-    numerator = [ca.SX(c) for c in rational.numerator]
-    denominator = [ca.SX(c) for c in rational.denominator]
-    n = len(denominator) - 1
-    if len(numerator) > n + 1:
+    n = len(rational.denominator) - 1
+    improper = len(rational.numerator) - 1
+    if improper > n:
         raise ValueError(
-            f"{model.label} is improper (its numerator has degree {len(numerator) - 1}, its "
+            f"{model.label} is improper (its numerator has degree {improper}, its "
             f"denominator {n}), which no ODE can represent: fit the integral of its output, or add "
             "the lag of the measurement."
         )
 
-    numerator = [ca.SX(0)] * (n + 1 - len(numerator)) + numerator
     # With time in units of the poles, all states have one size; in seconds, the coefficients of a
     # fast system of order n would differ by the n-th power of its poles.
-    scale = _time_scale(denominator, p, model)
-    powers = scale ** np.arange(n + 1)
+    scale = _time_scale(rational.denominator, p, model)
+    unit = rational.denominator[0] * scale ** np.arange(n + 1)
+    a = ca.vertcat(*rational.denominator) / unit
+    b = ca.vertcat(ca.SX.zeros(n - improper), *rational.numerator) / unit
+    # The observer canonical form, whose states are always observable. Source: Kailath 1980, Linear
+    # Systems, section 2.1.
     x, u = ca.SX.sym("x", n), ca.SX.sym("u", 1)
-    y, rows = _observer_form(
-        [x[k] for k in range(n)],
-        u,
-        [c / power for c, power in zip(numerator, powers.tolist(), strict=True)],
-        [c / power for c, power in zip(denominator, powers.tolist(), strict=True)],
-    )
-    f = scale * ca.vertcat(ca.SX(0, 1), *rows)
+    y = (x[0] if n else 0) + b[0] * u
+    f = scale * (ca.vertcat(x, 0)[1:, 0] - a[1:, 0] * y + b[1:, 0] * u)
     for expression in (f, y):
         require_no_nan(f"{model.label}.response", ca.SX(expression))
 
@@ -172,23 +168,6 @@ def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
         output=ca.Function("output", [x, u, p], [y]),
         delay=ca.Function("delay", [p], [ca.SX(rational.delay)]),
     )
-
-
-def _observer_form(
-    x: Sequence[Any], u: Any, numerator: Sequence[Any], denominator: Sequence[Any]
-) -> tuple[Any, list[Any]]:
-    """Return the output of a rational function of s, and the derivatives of its states x (n,).
-
-    The coefficients (n + 1,) have the highest power first. The states of the observer canonical
-    form are always observable. Source: Kailath 1980, Linear Systems, section 2.1.
-    """
-    a = [c / denominator[0] for c in denominator]
-    # Without the direct feedthrough, the rest is strictly proper.
-    feedthrough = numerator[0] / denominator[0]
-    b = [c / denominator[0] - feedthrough * a[k] for k, c in enumerate(numerator)]
-    following = [*x[1:], 0]
-    rows = [following[k] - a[k + 1] * x[0] + b[k + 1] * u for k in range(len(x))]
-    return (x[0] if x else 0) + feedthrough * u, rows
 
 
 def _time_scale(a: list[Any], p: ca.SX, model: Model) -> float:
