@@ -4,6 +4,8 @@
 ``001-NAME.h5``   the fit of a member, as `greybox.save` writes it.
 ``lock``          locked by the process that writes.
 
+What is damaged is set aside by the next process that writes, and made again (`mend`).
+
 A single fit with ``--out`` and a bootstrap keep their runs in such a folder, too, as those of one
 member. SQLite commits are atomic: `kill -9` leaves all runs up to the last commit. Runs and answers
 are JSON texts with a checksum, so nothing in a folder from a stranger is executed.
@@ -13,10 +15,13 @@ import json
 import re
 import sqlite3
 import time
+import warnings
 import zlib
+from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,6 +29,7 @@ import numpy as np
 
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
+from greybox.files.sealed_files import is_sealed
 from greybox.files.text_table import counted, one_line, printable
 from greybox.solve.interruption import Response, responding
 from greybox.solve.kept_runs import KeptRuns, KeptRunsError
@@ -58,13 +64,37 @@ PATIENCE = 2.0
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Create the folder if necessary, and keep other processes from writing to it.
+    """Create the folder if necessary, mend it, and keep other processes from writing to it.
 
     Raises
     ------
     OSError
         If the folder cannot be written, or another process writes to it.
     """
+    with _alone(folder):
+        for name, damage in mend(folder).items():
+            message = f"{folder}, {printable(name)}: {damage}; what is missing is made again."
+            warnings.warn(message, UserWarning, stacklevel=4)
+        yield
+
+
+def check(folder: Path) -> dict[str, str]:
+    """Set aside what is damaged in a study, and return it by member.
+
+    The same batch makes it again.
+
+    Raises
+    ------
+    OSError
+        If there is no study, it cannot be written, or another process writes to it.
+    """
+    _require_study(folder)
+    with _alone(folder):
+        return mend(folder)
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
     from filelock import FileLock, Timeout  # noqa: PLC0415  (6 ms of the import of greybox)
 
     try:
@@ -173,6 +203,11 @@ def is_study(folder: Path) -> bool:
     return path.is_file() and path.stat().st_size > 0
 
 
+def _require_study(folder: Path) -> None:
+    if not is_study(folder):
+        raise FileNotFoundError(f"{folder} is not a study: it has no file {DATABASE}.")
+
+
 def read_members(folder: Path) -> list[StudyMember]:
     """Return the members of a study in their order.
 
@@ -183,8 +218,7 @@ def read_members(folder: Path) -> list[StudyMember]:
     ValueError
         If its database is damaged, or was written by a later version.
     """
-    if not is_study(folder):
-        raise FileNotFoundError(f"{folder} is not a study: it has no file {DATABASE}.")
+    _require_study(folder)
     with _database(folder) as database:
         counts = dict(
             database.execute("SELECT member, COUNT(*) FROM runs GROUP BY member").fetchall()
@@ -195,7 +229,7 @@ def read_members(folder: Path) -> list[StudyMember]:
                 folder,
                 int(number),
                 printable(str(name)),
-                {} if answer is None else _decoded(folder, answer, checksum),
+                {} if answer is None else _decoded(folder, answer, checksum, name),
                 counts.get(number, 0),
             )
             for number, name, answer, checksum in rows
@@ -216,7 +250,7 @@ def write_answer(folder: Path, name: str, answer: Mapping[str, Any]) -> None:
     with _database(folder) as database:
         database.execute(
             "UPDATE members SET answer = ?, checksum = ? WHERE name = ?",
-            (text, zlib.crc32(text.encode()), name),
+            (text, _checksum(text, name), name),
         )
 
 
@@ -265,7 +299,9 @@ class StoredRuns(KeptRuns):
                 "another study."
             )
         return _Runs(
-            self._folder, {int(number): (text, checksum) for number, text, checksum in rows}
+            self._folder,
+            self._name,
+            {int(number): (text, checksum) for number, text, checksum in rows},
         )
 
     def add(self, number: int, start: Array, outcome: Outcome) -> None:
@@ -297,13 +333,17 @@ class StoredRuns(KeptRuns):
             return
         # Serialize before the transaction, which locks the database.
         texts = [(number, _run_text(start, outcome)) for number, start, outcome in self._unwritten]
-        rows = [(self._name, number, text, zlib.crc32(text.encode())) for number, text in texts]
+        rows = [
+            (self._name, number, text, _checksum(text, self._name, number))
+            for number, text in texts
+        ]
         try:
             with _database(self._folder, create=True) as database:
                 database.execute("INSERT OR IGNORE INTO members (name) VALUES (?)", (self._name,))
                 database.execute(
-                    "UPDATE members SET fingerprint = ? WHERE name = ?",
-                    (self.fingerprint, self._name),
+                    "UPDATE members SET fingerprint = ?1, checksum = "
+                    "CASE WHEN answer IS NULL THEN ?2 ELSE checksum END WHERE name = ?3",
+                    (self.fingerprint, _checksum(self.fingerprint, self._name), self._name),
                 )
                 database.executemany(
                     f"INSERT OR REPLACE INTO runs VALUES ({MEMBER}, ?, ?, ?)", rows
@@ -365,11 +405,12 @@ class _Runs(Mapping[int, tuple[Array, Outcome]]):
     """Runs by number, decoded when they are used: as texts a hundred thousand take 50 MB."""
 
     folder: Path
+    name: str
     texts: Mapping[int, tuple[str, int]]
 
     def __getitem__(self, number: int) -> tuple[Array, Outcome]:
         try:
-            return _stored_run(_decoded(self.folder, *self.texts[number]))
+            return _stored_run(_decoded(self.folder, *self.texts[number], self.name, number))
         except (ValueError, TypeError, AttributeError) as error:
             raise KeptRunsError(_damaged(self.folder)) from error
 
@@ -406,8 +447,8 @@ def _stored_run(fields: dict[str, Any]) -> tuple[Array, Outcome]:
 STAGES = (SCREENED, IMPROVED, POLISHED)
 
 
-def _decoded(folder: Path, text: str, checksum: int) -> dict[str, Any]:
-    """Return the object in a stored text.
+def _decoded(folder: Path, text: str, checksum: int, *place: str | int) -> dict[str, Any]:
+    """Return the object in a text that is stored at this place.
 
     Raises
     ------
@@ -416,7 +457,7 @@ def _decoded(folder: Path, text: str, checksum: int) -> dict[str, Any]:
     """
     # The checksum finds damage by accident; what a stranger wrote is checked where it is used.
     try:
-        values = json.loads(text) if zlib.crc32(text.encode()) == checksum else None
+        values = json.loads(text) if _is_whole(text, checksum, *place) else None
     except (TypeError, AttributeError, RecursionError):
         values = None
     if not isinstance(values, dict):
@@ -424,36 +465,54 @@ def _decoded(folder: Path, text: str, checksum: int) -> dict[str, Any]:
     return values
 
 
+def _checksum(text: str, *place: str | int) -> int:
+    """Return the checksum of a text and of the member, and the number, to which it belongs."""
+    return zlib.crc32("\n".join([text, *map(str, place)]).encode())
+
+
+def _is_whole(text: Any, checksum: Any, *place: str | int) -> bool:
+    # Before version 1.1 the checksum did not cover the place.
+    return isinstance(text, str) and checksum in (_checksum(text, *place), _checksum(text))
+
+
 @contextmanager
 def _database(folder: Path, *, create: bool = False) -> Iterator[sqlite3.Connection]:
     """Open the database of a study for one transaction."""
     path = folder / DATABASE
-    mode = "rwc" if create else "rw"
     try:
-        with (
-            closing(
-                sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True)
-            ) as connection,
-            connection,
-        ):
-            # A database from a stranger could call functions from its schema.
-            connection.execute("PRAGMA trusted_schema = OFF")
+        with _opened(path, "rwc" if create else "rw") as connection, connection:
             _require_layout(connection, path, create=create)
             yield connection
-    except sqlite3.OperationalError as error:
-        if error.sqlite_errorcode == sqlite3.SQLITE_ERROR:  # such as a table that does not exist
+    except sqlite3.Error as error:
+        if _is_damage(error):
             raise ValueError(_damaged(folder)) from error
         raise OSError(
             f"{path} cannot be written ({error}): free space or choose another folder."
         ) from error
-    except (sqlite3.Error, UnicodeDecodeError) as error:
-        raise ValueError(_damaged(folder)) from error
+
+
+@contextmanager
+def _opened(path: Path, mode: str = "rw") -> Iterator[sqlite3.Connection]:
+    with closing(
+        sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True)
+    ) as connection:
+        # A database from a stranger could call functions from its schema.
+        connection.execute("PRAGMA trusted_schema = OFF")
+        # Damaged letters are found by the checksum of their text, not by SQLite.
+        connection.text_factory = partial(str, encoding="utf-8", errors="replace")
+        yield connection
+
+
+def _is_damage(error: sqlite3.Error) -> bool:
+    """Return whether the contents are at fault, and not the disk or another process."""
+    # SQLITE_ERROR is, for example, a table that does not exist.
+    is_operation = isinstance(error, sqlite3.OperationalError)
+    return not is_operation or error.sqlite_errorcode == sqlite3.SQLITE_ERROR
 
 
 def _require_layout(connection: sqlite3.Connection, path: Path, *, create: bool) -> None:
     """Make the tables of a new database; refuse another program's, or one of a later version."""
-    application = connection.execute("PRAGMA application_id").fetchone()[0]
-    layout = connection.execute("PRAGMA user_version").fetchone()[0]
+    application, layout = _numbers(connection)
     if create and application == layout == 0:
         connection.execute("BEGIN")
         for statement in TABLES:
@@ -467,5 +526,113 @@ def _require_layout(connection: sqlite3.Connection, path: Path, *, create: bool)
         )
 
 
+def _numbers(connection: sqlite3.Connection) -> tuple[int, int]:
+    """Return the numbers of the program and of the layout of a database."""
+    names = ("application_id", "user_version")
+    application, layout = (connection.execute(f"PRAGMA {name}").fetchone()[0] for name in names)
+    return application, layout
+
+
 def _damaged(folder: Path) -> str:
-    return f"{folder / DATABASE} is damaged or not a study: restore it, or delete it to begin anew."
+    return (
+        f"{folder / DATABASE} is damaged or not a study: restore it, or run the batch again, which "
+        "makes again what cannot be read."
+    )
+
+
+# --- damage
+
+
+def mend(folder: Path) -> dict[str, str]:
+    """Remove what is damaged in a study that is locked, and return it by member.
+
+    A database that SQLite finds damaged is kept beside a new one with everything that can be read.
+    In it, runs and answers with wrong checksums are deleted, and answers whose fit is not whole.
+    """
+    damage: dict[str, list[str]] = defaultdict(list)
+    if not is_study(folder):
+        return {}
+    path = folder / DATABASE
+    if not _is_sound(path):
+        damaged = path.with_suffix(".damaged")
+        path.replace(damaged)
+        # SQLite would apply the journal of the damaged database to the new one.
+        path.with_name(f"{DATABASE}-journal").unlink(missing_ok=True)
+        _salvage(damaged, folder)
+        damage[DATABASE] = [f"damaged and kept as {damaged.name}"]
+
+    with _database(folder) as database:
+        for name, count in _without_damaged_runs(database).items():
+            damage[name].append(f"removed {counted(count, 'damaged run')}")
+        for name in _without_damaged_answers(database):
+            damage[name].append("removed a damaged answer")
+    lost = [m for m in read_members(folder) if m.status == "done" and not is_sealed(m.file, "fit")]
+    with _database(folder) as database:
+        for member in lost:
+            damage[member.name].append(f"{member.file.name} is damaged or missing")
+            database.execute(FORGET, (member.number,))
+    return {name: ", ".join(texts) for name, texts in damage.items()}
+
+
+FORGET = "UPDATE members SET answer = NULL, checksum = NULL WHERE id = ?"
+
+
+def _without_damaged_runs(database: sqlite3.Connection) -> Counter[str]:
+    """Delete damaged runs, and return how many by name of their member."""
+    names = dict(database.execute("SELECT id, name FROM members"))
+    rows = database.execute("SELECT rowid, member, number, run, checksum FROM runs")
+    damaged = [
+        (row, names.get(member))
+        for row, member, number, text, checksum in rows
+        if member not in names or not _is_whole(text, checksum, names[member], number)
+    ]
+    database.executemany("DELETE FROM runs WHERE rowid = ?", [(row,) for row, _ in damaged])
+    return Counter(name for _, name in damaged if name is not None)
+
+
+def _without_damaged_answers(database: sqlite3.Connection) -> Iterator[str]:
+    """Delete damaged answers, and runs whose problem is unknown; yield the names of the members."""
+    rows = database.execute("SELECT id, name, fingerprint, answer, checksum FROM members")
+    for number, name, fingerprint, answer, checksum in rows.fetchall():
+        text = fingerprint if answer is None else answer
+        # Before its first runs a member has no checksum.
+        if checksum is not None and not _is_whole(text, checksum, name):
+            database.execute(FORGET, (number,))
+            if answer is None:
+                database.execute("DELETE FROM runs WHERE member = ?", (number,))
+            yield name
+
+
+def _is_sound(path: Path) -> bool:
+    """Return whether SQLite can read all of a database, and a study has the numbers of one."""
+    try:
+        with _opened(path) as database:
+            whole = database.execute("PRAGMA integrity_check(1)").fetchall() == [("ok",)]
+            query = "SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY rootpage"
+            is_study = [sql for (sql,) in database.execute(query)] == [*TABLES[:2]]
+            return whole and (not is_study or _numbers(database) == (APPLICATION, LAYOUT))
+    except sqlite3.Error as error:
+        return not _is_damage(error)
+
+
+def _salvage(damaged: Path, folder: Path) -> None:
+    """Copy all rows of a damaged database that can be read into that of the folder."""
+    most = damaged.stat().st_size // 32  # bytes that a row has at least
+    with _database(folder, create=True) as database, _opened(damaged) as source:
+        for table, columns in (("members", "?, ?, ?, ?, ?"), ("runs", "?, ?, ?, ?")):
+            rows = _readable(source, table, 0, most)
+            database.executemany(f"INSERT OR IGNORE INTO {table} VALUES ({columns})", rows)
+
+
+def _readable(source: sqlite3.Connection, table: str, low: int, high: int) -> list[Any]:
+    """Return the rows of a table between two numbers, without the parts that are damaged."""
+    query = f"SELECT * FROM {table} NOT INDEXED WHERE rowid BETWEEN ? AND ?"
+    try:
+        return source.execute(query, (low, high)).fetchall()
+    except sqlite3.DatabaseError:
+        # Fewer are on a page, and would take as long as the others together.
+        if high - low < 8:
+            return []
+        middle = (low + high) // 2
+        parts = (low, middle), (middle + 1, high)
+        return [row for part in parts for row in _readable(source, table, *part)]
