@@ -17,7 +17,7 @@ import sqlite3
 import time
 import warnings
 import zlib
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
@@ -42,6 +42,7 @@ FACTORS = ("model", "data", "criterion", "delay", "seed", "fixed", "at")
 
 DATABASE = "study.sqlite"
 LOCK = "lock"
+NO_STUDY = f"{{}} is not a study: it has no file {DATABASE}."
 APPLICATION = 0x67_72_65_79  # "grey": SQLite files name the program that wrote them
 LAYOUT = 1
 TABLES = (
@@ -52,6 +53,37 @@ TABLES = (
     f"PRAGMA application_id = {APPLICATION}",
     f"PRAGMA user_version = {LAYOUT}",
 )
+OURS = (
+    "SELECT 1 FROM pragma_application_id, pragma_user_version "
+    f"WHERE application_id = {APPLICATION} AND user_version = {LAYOUT}"
+)
+
+# Rows with wrong checksums, by what is said of them, and what is done about them. The first
+# checksum is the present one, the second, of the text alone, that before version 1.1. A member has
+# one from its first run on: of its fingerprint until there is an answer.
+DAMAGED_RUNS = (
+    "runs LEFT JOIN members ON id = member WHERE name IS NULL OR ifnull(runs.checksum, -1) NOT IN "
+    "(crc32(CAST(ifnull(run, '') || char(10) || name || char(10) || number AS BLOB)), "
+    "crc32(CAST(ifnull(run, '') AS BLOB)))"
+)
+DAMAGED_ANSWERS = (
+    "members WHERE checksum NOT IN (crc32(CAST(coalesce(answer, fingerprint, '') || char(10) || "
+    "name AS BLOB)), crc32(CAST(coalesce(answer, fingerprint, '') AS BLOB)))"
+)
+DAMAGES = {
+    "damaged run": (
+        DAMAGED_RUNS,
+        f"DELETE FROM runs WHERE rowid IN (SELECT runs.rowid FROM {DAMAGED_RUNS})",
+    ),
+    "damaged key of its runs": (
+        f"{DAMAGED_ANSWERS} AND answer IS NULL",
+        f"DELETE FROM runs WHERE member IN (SELECT id FROM {DAMAGED_ANSWERS} AND answer IS NULL)",
+    ),
+    "damaged answer": (
+        f"{DAMAGED_ANSWERS} AND answer IS NOT NULL",
+        f"UPDATE members SET answer = NULL WHERE id IN (SELECT id FROM {DAMAGED_ANSWERS})",
+    ),
+}
 
 MEMBER = "(SELECT id FROM members WHERE name = ?)"
 
@@ -63,38 +95,16 @@ PATIENCE = 2.0
 
 
 @contextmanager
-def locked(folder: Path) -> Iterator[None]:
-    """Create the folder if necessary, mend it, and keep other processes from writing to it.
+def locked(folder: Path) -> Iterator[dict[str, str]]:
+    """Create the folder if necessary, keep other processes from writing, and mend it.
+
+    Yields what was damaged, see `mend`, after a warning for each member.
 
     Raises
     ------
     OSError
         If the folder cannot be written, or another process writes to it.
     """
-    with _alone(folder):
-        for name, damage in mend(folder).items():
-            message = f"{folder}, {printable(name)}: {damage}; what is missing is made again."
-            warnings.warn(message, UserWarning, stacklevel=4)
-        yield
-
-
-def check(folder: Path) -> dict[str, str]:
-    """Set aside what is damaged in a study, and return it by member.
-
-    The same batch makes it again.
-
-    Raises
-    ------
-    OSError
-        If there is no study, it cannot be written, or another process writes to it.
-    """
-    _require_study(folder)
-    with _alone(folder):
-        return mend(folder)
-
-
-@contextmanager
-def _alone(folder: Path) -> Iterator[None]:
     from filelock import FileLock, Timeout  # noqa: PLC0415  (6 ms of the import of greybox)
 
     try:
@@ -111,7 +121,11 @@ def _alone(folder: Path) -> Iterator[None]:
             f"{folder} cannot be written ({reason}): choose another folder."
         ) from error
     try:
-        yield
+        damage = mend(folder)
+        for name, text in damage.items():
+            message = f"{folder}, {printable(name)}: {text}; what is missing is made again."
+            warnings.warn(message, UserWarning, stacklevel=4)
+        yield damage
     finally:
         lock.release()
 
@@ -203,11 +217,6 @@ def is_study(folder: Path) -> bool:
     return path.is_file() and path.stat().st_size > 0
 
 
-def _require_study(folder: Path) -> None:
-    if not is_study(folder):
-        raise FileNotFoundError(f"{folder} is not a study: it has no file {DATABASE}.")
-
-
 def read_members(folder: Path) -> list[StudyMember]:
     """Return the members of a study in their order.
 
@@ -218,7 +227,8 @@ def read_members(folder: Path) -> list[StudyMember]:
     ValueError
         If its database is damaged, or was written by a later version.
     """
-    _require_study(folder)
+    if not is_study(folder):
+        raise FileNotFoundError(NO_STUDY.format(folder))
     with _database(folder) as database:
         counts = dict(
             database.execute("SELECT member, COUNT(*) FROM runs GROUP BY member").fetchall()
@@ -457,7 +467,9 @@ def _decoded(folder: Path, text: str, checksum: int, *place: str | int) -> dict[
     """
     # The checksum finds damage by accident; what a stranger wrote is checked where it is used.
     try:
-        values = json.loads(text) if _is_whole(text, checksum, *place) else None
+        # Before version 1.1 the checksum did not cover the place.
+        is_whole = checksum in (_checksum(text, *place), _checksum(text))
+        values = json.loads(text) if is_whole else None
     except (TypeError, AttributeError, RecursionError):
         values = None
     if not isinstance(values, dict):
@@ -466,13 +478,8 @@ def _decoded(folder: Path, text: str, checksum: int, *place: str | int) -> dict[
 
 
 def _checksum(text: str, *place: str | int) -> int:
-    """Return the checksum of a text and of the member, and the number, to which it belongs."""
+    """Return the checksum of a text, and of the member and the number to which it belongs."""
     return zlib.crc32("\n".join([text, *map(str, place)]).encode())
-
-
-def _is_whole(text: Any, checksum: Any, *place: str | int) -> bool:
-    # Before version 1.1 the checksum did not cover the place.
-    return isinstance(text, str) and checksum in (_checksum(text, *place), _checksum(text))
 
 
 @contextmanager
@@ -512,25 +519,24 @@ def _is_damage(error: sqlite3.Error) -> bool:
 
 def _require_layout(connection: sqlite3.Connection, path: Path, *, create: bool) -> None:
     """Make the tables of a new database; refuse another program's, or one of a later version."""
-    application, layout = _numbers(connection)
-    if create and application == layout == 0:
+    tables = _tables(connection)
+    if create and not tables:
         connection.execute("BEGIN")
         for statement in TABLES:
             connection.execute(statement)
-        return
-    if application != APPLICATION:
-        raise ValueError(_damaged(path.parent))
-    if layout > LAYOUT:
+    elif tables != TABLES[:2]:
+        layout = connection.execute("PRAGMA user_version").fetchone()[0]
         raise ValueError(
             f"{path} has layout {layout}, and this version reads layout {LAYOUT}: update greybox."
+            if layout > LAYOUT
+            else _damaged(path.parent)
         )
 
 
-def _numbers(connection: sqlite3.Connection) -> tuple[int, int]:
-    """Return the numbers of the program and of the layout of a database."""
-    names = ("application_id", "user_version")
-    application, layout = (connection.execute(f"PRAGMA {name}").fetchone()[0] for name in names)
-    return application, layout
+def _tables(connection: sqlite3.Connection) -> tuple[str, ...]:
+    """Return the statements that made the tables of a database."""
+    query = "SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY rootpage"
+    return tuple(sql for (sql,) in connection.execute(query))
 
 
 def _damaged(folder: Path) -> str:
@@ -562,55 +568,44 @@ def mend(folder: Path) -> dict[str, str]:
         damage[DATABASE] = [f"damaged and kept as {damaged.name}"]
 
     with _database(folder) as database:
-        for name, count in _without_damaged_runs(database).items():
-            damage[name].append(f"removed {counted(count, 'damaged run')}")
-        for name in _without_damaged_answers(database):
-            damage[name].append("removed a damaged answer")
+        database.create_function("crc32", 1, zlib.crc32)
+        for what, (rows, cure) in DAMAGES.items():
+            query = f"SELECT ifnull(name, ''), COUNT(*) FROM {rows} GROUP BY name"
+            for name, count in database.execute(query).fetchall():
+                damage[name].append(f"removed {counted(count, what)}")
+            database.execute(cure)
+        # The checksum of an answer that is gone.
+        database.execute("UPDATE members SET checksum = NULL WHERE answer IS NULL")
     lost = [m for m in read_members(folder) if m.status == "done" and not is_sealed(m.file, "fit")]
     with _database(folder) as database:
         for member in lost:
             damage[member.name].append(f"{member.file.name} is damaged or missing")
-            database.execute(FORGET, (member.number,))
+            database.execute("UPDATE members SET answer = NULL WHERE id = ?", (member.number,))
     return {name: ", ".join(texts) for name, texts in damage.items()}
 
 
-FORGET = "UPDATE members SET answer = NULL, checksum = NULL WHERE id = ?"
+def check(folder: Path) -> dict[str, str]:
+    """Remove what is damaged in a study, and return it by member; the same batch makes it again.
 
-
-def _without_damaged_runs(database: sqlite3.Connection) -> Counter[str]:
-    """Delete damaged runs, and return how many by name of their member."""
-    names = dict(database.execute("SELECT id, name FROM members"))
-    rows = database.execute("SELECT rowid, member, number, run, checksum FROM runs")
-    damaged = [
-        (row, names.get(member))
-        for row, member, number, text, checksum in rows
-        if member not in names or not _is_whole(text, checksum, names[member], number)
-    ]
-    database.executemany("DELETE FROM runs WHERE rowid = ?", [(row,) for row, _ in damaged])
-    return Counter(name for _, name in damaged if name is not None)
-
-
-def _without_damaged_answers(database: sqlite3.Connection) -> Iterator[str]:
-    """Delete damaged answers, and runs whose problem is unknown; yield the names of the members."""
-    rows = database.execute("SELECT id, name, fingerprint, answer, checksum FROM members")
-    for number, name, fingerprint, answer, checksum in rows.fetchall():
-        text = fingerprint if answer is None else answer
-        # Before its first runs a member has no checksum.
-        if checksum is not None and not _is_whole(text, checksum, name):
-            database.execute(FORGET, (number,))
-            if answer is None:
-                database.execute("DELETE FROM runs WHERE member = ?", (number,))
-            yield name
+    Raises
+    ------
+    OSError
+        If there is no study, it cannot be written, or another process writes to it.
+    """
+    if not is_study(folder):
+        raise FileNotFoundError(NO_STUDY.format(folder))
+    with warnings.catch_warnings(action="ignore"), locked(folder) as damage:
+        return damage
 
 
 def _is_sound(path: Path) -> bool:
-    """Return whether SQLite can read all of a database, and a study has the numbers of one."""
+    """Return whether SQLite can read all of a database, and all tables of a study are there."""
     try:
         with _opened(path) as database:
             whole = database.execute("PRAGMA integrity_check(1)").fetchall() == [("ok",)]
-            query = "SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY rootpage"
-            is_study = [sql for (sql,) in database.execute(query)] == [*TABLES[:2]]
-            return whole and (not is_study or _numbers(database) == (APPLICATION, LAYOUT))
+            # Others belong to another program, or to a later version: they are refused, not mended.
+            ours = database.execute(OURS).fetchall()
+            return whole and (_tables(database) == TABLES[:2] or not ours)
     except sqlite3.Error as error:
         return not _is_damage(error)
 
@@ -622,6 +617,7 @@ def _salvage(damaged: Path, folder: Path) -> None:
         for table, columns in (("members", "?, ?, ?, ?, ?"), ("runs", "?, ?, ?, ?")):
             rows = _readable(source, table, 0, most)
             database.executemany(f"INSERT OR IGNORE INTO {table} VALUES ({columns})", rows)
+        database.execute("DELETE FROM members WHERE typeof(name) != 'text'")
 
 
 def _readable(source: sqlite3.Connection, table: str, low: int, high: int) -> list[Any]:

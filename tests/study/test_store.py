@@ -126,8 +126,7 @@ def test_a_changed_run_is_refused(tmp_path, statement):
         ("UPDATE members SET answer = '[]'", "is damaged"),
         ("UPDATE members SET checksum = 5", "is damaged"),
         ("DROP TABLE members", "is damaged"),
-        ("PRAGMA application_id = 5", "is damaged or not a study"),
-        ("PRAGMA user_version = 9", "has layout 9, and this version reads layout 1"),
+        ("ALTER TABLE runs RENAME TO music", "is damaged or not a study"),
     ],
 )
 def test_a_changed_study_is_refused(tmp_path, statement, message):
@@ -136,6 +135,18 @@ def test_a_changed_study_is_refused(tmp_path, statement, message):
     change(tmp_path, statement)
     with pytest.raises(ValueError, match=message):
         read_members(tmp_path)
+
+
+def test_a_study_of_a_later_version_is_refused_and_not_mended(tmp_path):
+    stored(tmp_path, PLAIN)
+    change(tmp_path, "PRAGMA user_version = 9")
+    assert read_members(tmp_path)[0].runs == 1  # the tables are the same: the number is damaged
+    change(tmp_path, "ALTER TABLE runs ADD COLUMN worker")
+    whole = (tmp_path / DATABASE).read_bytes()
+    for read in (read_members, check):
+        with pytest.raises(ValueError, match="has layout 9, and this version reads layout 1"):
+            read(tmp_path)
+    assert (tmp_path / DATABASE).read_bytes() == whole
 
 
 def test_a_cut_or_overwritten_database_is_refused(tmp_path):
@@ -154,7 +165,7 @@ def test_what_is_damaged_is_removed_and_the_rest_kept(tmp_path):
     change(tmp_path, "UPDATE runs SET run = replace(run, 'Solve', 'Solvd') WHERE number = 2")
     change(tmp_path, "UPDATE runs SET number = 7 WHERE number = 1")
     change(tmp_path, "UPDATE members SET answer = replace(answer, 'none', 'nine')")
-    assert check(tmp_path) == {"fit": "removed 2 damaged runs, removed a damaged answer"}
+    assert check(tmp_path) == {"fit": "removed 2 damaged runs, removed 1 damaged answer"}
     assert check(tmp_path) == {}
     known = StoredRuns(tmp_path, "fit").known("a problem")
     assert sorted(known) == [0]
