@@ -57,7 +57,7 @@ def solver_for(
 def multistart(
     nlp: CompiledProblem,
     solver: LocalSolver,
-    starts: Sequence[Array],
+    starts: Array | Sequence[Array],
     *,
     progress: ProgressReport | None = None,
     movable: bool = True,
@@ -79,7 +79,7 @@ def multistart(
     (`greybox.solve.executors`). Runs that were `kept` are not made again.
     """
     began = time.perf_counter()
-    points: Sequence[Array] | FiniteStarts = starts
+    points: Array | Sequence[Array] | FiniteStarts = starts
     if movable and nlp.strategies.moved_starts:
         points = FiniteStarts(nlp, solver, starts)
     memory = Memory() if kept is None else Memory(kept, runner_fingerprint(solver))
@@ -213,7 +213,9 @@ class FiniteStarts:
     A start is moved when it is asked for, so that the first run does not wait for the last start.
     """
 
-    def __init__(self, nlp: CompiledProblem, solver: LocalSolver, starts: Sequence[Array]) -> None:
+    def __init__(
+        self, nlp: CompiledProblem, solver: LocalSolver, starts: Array | Sequence[Array]
+    ) -> None:
         self._nlp, self._solver, self._starts = nlp, solver, starts
 
     @cached_property

@@ -17,7 +17,6 @@ import sqlite3
 import time
 import warnings
 import zlib
-from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
@@ -42,7 +41,6 @@ FACTORS = ("model", "data", "criterion", "delay", "seed", "fixed", "at")
 
 DATABASE = "study.sqlite"
 LOCK = "lock"
-NO_STUDY = f"{{}} is not a study: it has no file {DATABASE}."
 APPLICATION = 0x67_72_65_79  # "grey": SQLite files name the program that wrote them
 LAYOUT = 1
 TABLES = (
@@ -95,10 +93,10 @@ PATIENCE = 2.0
 
 
 @contextmanager
-def locked(folder: Path) -> Iterator[dict[str, str]]:
+def locked(folder: Path) -> Iterator[None]:
     """Create the folder if necessary, keep other processes from writing, and mend it.
 
-    Yields what was damaged, see `mend`, after a warning for each member.
+    What was damaged is a warning, see `mend`.
 
     Raises
     ------
@@ -121,11 +119,9 @@ def locked(folder: Path) -> Iterator[dict[str, str]]:
             f"{folder} cannot be written ({reason}): choose another folder."
         ) from error
     try:
-        damage = mend(folder)
-        for name, text in damage.items():
-            message = f"{folder}, {printable(name)}: {text}; what is missing is made again."
-            warnings.warn(message, UserWarning, stacklevel=4)
-        yield damage
+        for text in mend(folder):
+            warnings.warn(f"{folder}: {text}; what is missing is made again.", stacklevel=4)
+        yield
     finally:
         lock.release()
 
@@ -228,21 +224,21 @@ def read_members(folder: Path) -> list[StudyMember]:
         If its database is damaged, or was written by a later version.
     """
     if not is_study(folder):
-        raise FileNotFoundError(NO_STUDY.format(folder))
+        raise FileNotFoundError(f"{folder} is not a study: it has no file {DATABASE}.")
     with _database(folder) as database:
-        counts = dict(
-            database.execute("SELECT member, COUNT(*) FROM runs GROUP BY member").fetchall()
+        rows = database.execute(
+            "SELECT id, name, answer, checksum, (SELECT COUNT(*) FROM runs WHERE member = id) "
+            "FROM members ORDER BY id"
         )
-        rows = database.execute("SELECT id, name, answer, checksum FROM members ORDER BY id")
         return [
             StudyMember(
                 folder,
                 int(number),
                 printable(str(name)),
                 {} if answer is None else _decoded(folder, answer, checksum, name),
-                counts.get(number, 0),
+                count,
             )
-            for number, name, answer, checksum in rows
+            for number, name, answer, checksum, count in rows
         ]
 
 
@@ -254,13 +250,13 @@ def add_members(folder: Path, names: Sequence[str]) -> dict[str, StudyMember]:
     return {member.name: member for member in read_members(folder)}
 
 
-def write_answer(folder: Path, name: str, answer: Mapping[str, Any]) -> None:
-    """Write the answer of a member, which is then done."""
-    text = json.dumps(answer, allow_nan=False)
+def write_answer(folder: Path, name: str, answer: Mapping[str, Any] | None) -> None:
+    """Write the answer of a member, which is then done; None removes it."""
+    text = None if answer is None else json.dumps(answer, allow_nan=False)
     with _database(folder) as database:
         database.execute(
             "UPDATE members SET answer = ?, checksum = ? WHERE name = ?",
-            (text, _checksum(text, name), name),
+            (text, text and _checksum(text, name), name),
         )
 
 
@@ -294,25 +290,26 @@ class StoredRuns(KeptRuns):
         self.fingerprint = fingerprint
         if not is_study(self._folder):
             return {}
+        query = (
+            "SELECT number, run, runs.checksum, fingerprint FROM runs, members "
+            "WHERE member = id AND name = ?"
+        )
         try:
             with _database(self._folder) as database:
-                query = "SELECT fingerprint FROM members WHERE name = ?"
-                fingerprints = database.execute(query, (self._name,)).fetchall()
-                query = f"SELECT number, run, checksum FROM runs WHERE member = {MEMBER}"
                 rows = database.execute(query, (self._name,)).fetchall()
-        except ValueError as error:
-            raise KeptRunsError(str(error)) from error
-        if rows and fingerprints != [(fingerprint,)]:
+            runs = {
+                int(number): _stored_run(_decoded(self._folder, text, checksum, self._name, number))
+                for number, text, checksum, _ in rows
+            }
+        except (ValueError, TypeError, AttributeError) as error:
+            raise KeptRunsError(_damaged(self._folder)) from error
+        if any(row[-1] != fingerprint for row in rows):
             raise KeptRunsError(
                 f"the runs in {self._folder} belong to another problem, to other options, or to "
                 "another version of greybox or CasADi: repeat what the study began with, or begin "
                 "another study."
             )
-        return _Runs(
-            self._folder,
-            self._name,
-            {int(number): (text, checksum) for number, text, checksum in rows},
-        )
+        return runs
 
     def add(self, number: int, start: Array, outcome: Outcome) -> None:
         """Keep a run."""
@@ -367,8 +364,11 @@ class StoredRuns(KeptRuns):
     @property
     def count(self) -> int:
         """Number of runs on disk."""
-        members = read_members(self._folder) if is_study(self._folder) else []
-        return sum(member.stored_runs for member in members if member.name == self._name)
+        if not is_study(self._folder):
+            return 0
+        with _database(self._folder) as database:
+            query = f"SELECT COUNT(*) FROM runs WHERE member = {MEMBER}"
+            return database.execute(query, (self._name,)).fetchone()[0]
 
     def remove(self) -> None:
         """Remove all runs."""
@@ -408,27 +408,6 @@ def runs_beside(path: Path) -> Iterator[StoredRuns]:
 def folder_beside(path: Path) -> Path:
     """Return the folder of the runs of a fit that is saved to this file."""
     return path.with_name(f"{path.name}.runs")
-
-
-@dataclass(frozen=True, eq=False)
-class _Runs(Mapping[int, tuple[Array, Outcome]]):
-    """Runs by number, decoded when they are used: as texts a hundred thousand take 50 MB."""
-
-    folder: Path
-    name: str
-    texts: Mapping[int, tuple[str, int]]
-
-    def __getitem__(self, number: int) -> tuple[Array, Outcome]:
-        try:
-            return _stored_run(_decoded(self.folder, *self.texts[number], self.name, number))
-        except (ValueError, TypeError, AttributeError) as error:
-            raise KeptRunsError(_damaged(self.folder)) from error
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(self.texts)
-
-    def __len__(self) -> int:
-        return len(self.texts)
 
 
 def _run_text(start: Array, outcome: Outcome) -> str:
@@ -513,8 +492,10 @@ def _opened(path: Path, mode: str = "rw") -> Iterator[sqlite3.Connection]:
 def _is_damage(error: sqlite3.Error) -> bool:
     """Return whether the contents are at fault, and not the disk or another process."""
     # SQLITE_ERROR is, for example, a table that does not exist.
-    is_operation = isinstance(error, sqlite3.OperationalError)
-    return not is_operation or error.sqlite_errorcode == sqlite3.SQLITE_ERROR
+    return (
+        not isinstance(error, sqlite3.OperationalError)
+        or error.sqlite_errorcode == sqlite3.SQLITE_ERROR
+    )
 
 
 def _require_layout(connection: sqlite3.Connection, path: Path, *, create: bool) -> None:
@@ -549,15 +530,15 @@ def _damaged(folder: Path) -> str:
 # --- damage
 
 
-def mend(folder: Path) -> dict[str, str]:
-    """Remove what is damaged in a study that is locked, and return it by member.
+def mend(folder: Path) -> list[str]:
+    """Remove what is damaged in a study that is locked, and return it as texts.
 
     A database that SQLite finds damaged is kept beside a new one with everything that can be read.
     In it, runs and answers with wrong checksums are deleted, and answers whose fit is not whole.
     """
-    damage: dict[str, list[str]] = defaultdict(list)
+    damage: list[str] = []
     if not is_study(folder):
-        return {}
+        return damage
     path = folder / DATABASE
     if not _is_sound(path):
         damaged = path.with_suffix(".damaged")
@@ -565,37 +546,21 @@ def mend(folder: Path) -> dict[str, str]:
         # SQLite would apply the journal of the damaged database to the new one.
         path.with_name(f"{DATABASE}-journal").unlink(missing_ok=True)
         _salvage(damaged, folder)
-        damage[DATABASE] = [f"damaged and kept as {damaged.name}"]
+        damage.append(f"the database was damaged and is kept as {damaged.name}")
 
     with _database(folder) as database:
         database.create_function("crc32", 1, zlib.crc32)
         for what, (rows, cure) in DAMAGES.items():
-            query = f"SELECT ifnull(name, ''), COUNT(*) FROM {rows} GROUP BY name"
-            for name, count in database.execute(query).fetchall():
-                damage[name].append(f"removed {counted(count, what)}")
+            counts = database.execute(f"SELECT name, COUNT(*) FROM {rows} GROUP BY name").fetchall()
+            damage += [f"{name}: removed {counted(count, what)}" for name, count in counts]
             database.execute(cure)
         # The checksum of an answer that is gone.
         database.execute("UPDATE members SET checksum = NULL WHERE answer IS NULL")
-    lost = [m for m in read_members(folder) if m.status == "done" and not is_sealed(m.file, "fit")]
-    with _database(folder) as database:
-        for member in lost:
-            damage[member.name].append(f"{member.file.name} is damaged or missing")
-            database.execute("UPDATE members SET answer = NULL WHERE id = ?", (member.number,))
-    return {name: ", ".join(texts) for name, texts in damage.items()}
-
-
-def check(folder: Path) -> dict[str, str]:
-    """Remove what is damaged in a study, and return it by member; the same batch makes it again.
-
-    Raises
-    ------
-    OSError
-        If there is no study, it cannot be written, or another process writes to it.
-    """
-    if not is_study(folder):
-        raise FileNotFoundError(NO_STUDY.format(folder))
-    with warnings.catch_warnings(action="ignore"), locked(folder) as damage:
-        return damage
+    for member in read_members(folder):
+        if member.status == "done" and not is_sealed(member.file, "fit"):
+            damage.append(f"{member.name}: {member.file.name} is damaged or missing")
+            write_answer(folder, member.name, None)
+    return [*map(printable, damage)]
 
 
 def _is_sound(path: Path) -> bool:
@@ -612,23 +577,27 @@ def _is_sound(path: Path) -> bool:
 
 def _salvage(damaged: Path, folder: Path) -> None:
     """Copy all rows of a damaged database that can be read into that of the folder."""
+    add_members(folder, [])  # its tables
     most = damaged.stat().st_size // 32  # bytes that a row has at least
-    with _database(folder, create=True) as database, _opened(damaged) as source:
-        for table, columns in (("members", "?, ?, ?, ?, ?"), ("runs", "?, ?, ?, ?")):
-            rows = _readable(source, table, 0, most)
-            database.executemany(f"INSERT OR IGNORE INTO {table} VALUES ({columns})", rows)
+    # Without a readable header, nothing in it can be read.
+    with suppress(sqlite3.DatabaseError), _opened(folder / DATABASE) as database, database:
+        database.execute("ATTACH DATABASE ? AS damaged", (str(damaged),))
+        for table in ("members", "runs"):
+            _copy(database, table, 0, most)
         database.execute("DELETE FROM members WHERE typeof(name) != 'text'")
 
 
-def _readable(source: sqlite3.Connection, table: str, low: int, high: int) -> list[Any]:
-    """Return the rows of a table between two numbers, without the parts that are damaged."""
-    query = f"SELECT * FROM {table} NOT INDEXED WHERE rowid BETWEEN ? AND ?"
+def _copy(database: sqlite3.Connection, table: str, low: int, high: int) -> None:
+    """Copy the rows of a table between two numbers, without the parts that are damaged."""
     try:
-        return source.execute(query, (low, high)).fetchall()
+        database.execute(
+            f"INSERT OR IGNORE INTO {table} SELECT * FROM damaged.{table} NOT INDEXED "
+            "WHERE rowid BETWEEN ? AND ?",
+            (low, high),
+        )
     except sqlite3.DatabaseError:
         # Fewer are on a page, and would take as long as the others together.
-        if high - low < 8:
-            return []
-        middle = (low + high) // 2
-        parts = (low, middle), (middle + 1, high)
-        return [row for part in parts for row in _readable(source, table, *part)]
+        if high - low > 8:
+            middle = (low + high) // 2
+            _copy(database, table, low, middle)
+            _copy(database, table, middle + 1, high)

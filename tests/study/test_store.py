@@ -17,7 +17,6 @@ from greybox.study.store import (
     UNWRITTEN,
     StoredRuns,
     add_members,
-    check,
     folder_beside,
     locked,
     read_members,
@@ -143,7 +142,7 @@ def test_a_study_of_a_later_version_is_refused_and_not_mended(tmp_path):
     assert read_members(tmp_path)[0].runs == 1  # the tables are the same: the number is damaged
     change(tmp_path, "ALTER TABLE runs ADD COLUMN worker")
     whole = (tmp_path / DATABASE).read_bytes()
-    for read in (read_members, check):
+    for read in (read_members, mended):
         with pytest.raises(ValueError, match="has layout 9, and this version reads layout 1"):
             read(tmp_path)
     assert (tmp_path / DATABASE).read_bytes() == whole
@@ -165,8 +164,10 @@ def test_what_is_damaged_is_removed_and_the_rest_kept(tmp_path):
     change(tmp_path, "UPDATE runs SET run = replace(run, 'Solve', 'Solvd') WHERE number = 2")
     change(tmp_path, "UPDATE runs SET number = 7 WHERE number = 1")
     change(tmp_path, "UPDATE members SET answer = replace(answer, 'none', 'nine')")
-    assert check(tmp_path) == {"fit": "removed 2 damaged runs, removed 1 damaged answer"}
-    assert check(tmp_path) == {}
+    runs, answer = mended(tmp_path)
+    assert runs.startswith("fit: removed 2 damaged runs;")
+    assert answer.startswith("fit: removed 1 damaged answer;")
+    assert not mended(tmp_path)
     known = StoredRuns(tmp_path, "fit").known("a problem")
     assert sorted(known) == [0]
     require_same(known[0][1], PLAIN)
@@ -176,7 +177,7 @@ def test_what_is_damaged_is_removed_and_the_rest_kept(tmp_path):
 def test_a_changed_key_of_the_problem_costs_the_runs_of_its_member(tmp_path):
     stored(tmp_path, PLAIN)
     change(tmp_path, "UPDATE members SET fingerprint = 'a problen'")
-    assert list(check(tmp_path)) == ["fit"]
+    assert len(mended(tmp_path)) == 1
     assert not StoredRuns(tmp_path, "fit").known("a problem")
 
 
@@ -203,20 +204,27 @@ def test_wherever_bytes_change_what_can_be_read_is_right(tmp_path, seed):
             for number, (start, outcome) in known.items():
                 assert_array_equal(start, START + number)
                 require_same(outcome, outcomes[number])
-    assert check(tmp_path) == {}
+    assert not mended(tmp_path)
     stored(tmp_path, *outcomes)
     assert len(StoredRuns(tmp_path, "fit").known("a problem")) == 30
 
 
-def test_other_files_are_refused_as_before(tmp_path):
-    with pytest.raises(FileNotFoundError, match="is not a study"):
-        check(tmp_path)
+def test_the_database_of_another_program_is_left_alone(tmp_path):
     with sqlite3.connect(tmp_path / DATABASE) as database:
         database.execute("CREATE TABLE music (title TEXT)")
     whole = (tmp_path / DATABASE).read_bytes()
-    with pytest.raises(ValueError, match="not a study"):
-        check(tmp_path)
+    with pytest.raises(ValueError, match="not a study"), locked(tmp_path):
+        pass
     assert (tmp_path / DATABASE).read_bytes() == whole
+
+
+def mended(folder):
+    """What is said to be damaged."""
+    with warnings.catch_warnings(record=True) as raised:
+        warnings.simplefilter("always")
+        with locked(folder):
+            pass
+    return [str(warning.message).removeprefix(f"{folder}: ") for warning in raised]
 
 
 def change(folder, statement):
