@@ -19,8 +19,9 @@ FOLDERS = re.findall(r"^\| `(\w+)` \|", TABLE, re.MULTILINE)
 SOURCES = sorted(p for top in ("greybox", "models", "problems") for p in (ROOT / top).rglob("*.py"))
 HOUSE = [path for path in SOURCES if path.relative_to(ROOT).parts[1] in FOLDERS]
 
-# A stored result names an included model, and the command line is above models and problems.
-PLUG_INS = {"greybox.modeling.model_reference"}
+# A stored result names an included model, a study names included models and problems, and the
+# command line is above both.
+PLUG_INS = {"greybox.modeling.model_reference", "greybox.study.catalog"}
 
 
 @cache

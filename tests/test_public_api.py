@@ -44,7 +44,7 @@ NAMESPACES = {
     "solve": "LatinHypercube Listed Sobol Starts Strategies WorkerPool",
     "spectral": "FiniteFrequency Quality check finite_frequency periodic_response response_matrix "
     "spectral_response transient_spectrum",
-    "study": "Bootstrap Member Study StudyMember batch bootstrap read_study",
+    "study": "Bootstrap Member Study StudyMember batch bootstrap grid read_study",
     "validation": "Comparison Differences NestedTest StepwiseSelection compare differences nested_test "
     "stepwise",
 }

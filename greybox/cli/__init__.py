@@ -15,9 +15,7 @@
 | `options` | how options are stated and read; those that several commands share |
 | `workers` | where runs are made |
 | `output` | what a command gives: answer, exit status, files, figures |
-| `stated_problem` | the problem that the options of `greybox fit` describe |
-| `catalog` | included models and problems, and those in a user's own file |
-| `data_file` | the file that `--data` names |
+| `problem_options` | the options of `greybox fit` that state a problem |
 | `read_log`, `measurement_options` | a log, and how its tests are measured |
 | `saved_fits` | reads and writes results |
 | `study_file` | the members of a batch |

@@ -1,18 +1,22 @@
 """The command `greybox batch`: many fits, stored in a folder as they are made."""
 
 import argparse
+from collections.abc import Sequence
 from typing import Any
 
+from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, attributes
 from greybox.cli.study_file import find_study, read_study_file
 from greybox.cli.workers import require_folder, stated_executor
+from greybox.files.text_table import counted, text_table
 from greybox.solve.executors import ExecutorLostError
-from greybox.study.batch import BatchInterrupted, batch
+from greybox.study.batch import BatchInterrupted, Member, batch
 from greybox.study.study import Study
 
 EXAMPLES = (
     "study.toml --out results --workers 2",
     "study.toml --out results --starts 400",
+    "study.toml --dry-run",
     "paper --out paper",
 )
 OPTIONS = """
@@ -20,12 +24,14 @@ study STUDY
     study.toml, study.py with a function members(), or included: paper
 --out DIR
     store every run and the answers in this folder; after any interruption the same command
-    continues the study (required)
+    continues the study (required, except for a dry run)
 --starts N
     number of starts of every member (default: the study's, or that of greybox fit); a larger
     number uses the stored runs again
 --seconds S
     time limit of the study
+--dry-run
+    print the members and their numbers of starts, and fit nothing
 --workers
 --scheduler
 """
@@ -34,8 +40,13 @@ RESUME = "the same command continues"
 
 def run(options: argparse.Namespace) -> Answer:
     """Run the batch, or continue it."""
-    require_folder(options.out)
+    if not options.dry_run:
+        require_folder(options.out)
     members = read_study_file(find_study(options.study), options.starts)
+    if options.dry_run:
+        return _listed(members)
+    if options.out is None:
+        raise UsageError("the following arguments are required: --out; see greybox batch --help.")
     try:
         with stated_executor(options) as executor:
             study = batch(members, options.out, executor=executor, seconds=options.seconds)
@@ -60,6 +71,13 @@ def run(options: argparse.Namespace) -> Answer:
         )
 
     return answer, str(study)
+
+
+def _listed(members: Sequence[Member]) -> Answer:
+    """Return the names of members and their numbers of starts."""
+    starts = {member.name: member.start_count for member in members}
+    total = f"{counted(len(starts), 'member')}, {counted(sum(starts.values()), 'start')}"
+    return {"starts": starts}, text_table(["member", "starts"], starts.items()), total
 
 
 def as_json(study: Study) -> dict[str, Any]:

@@ -7,14 +7,12 @@ import io
 import re
 import sys
 import traceback
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from greybox.cli.options import UsageError, as_options
 from greybox.cli.output import BAD_INPUT, FAILED, INTERRUPTED, USABLE, write_answer
-from greybox.cli.terminal import write
 from greybox.modeling.model_reference import UnknownModelError
 from greybox.solve.interruption import Response, ended_status, listening, responding, take_interrupt
 
@@ -22,8 +20,7 @@ from greybox.solve.interruption import Response, ended_status, listening, respon
 def execute(options: argparse.Namespace, arguments: Sequence[str]) -> int:
     """Run the command of the parsed `options`, write its answer, and return the exit status."""
     # Ctrl-C during the output must not leave half a JSON object.
-    with listening(), warnings.catch_warnings():
-        warnings.showwarning = lambda message, *_: write(f"greybox: {message}", sys.stderr)
+    with listening():
         try:
             result, text, status = _answer(options, arguments)
         except KeyboardInterrupt:

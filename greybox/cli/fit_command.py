@@ -8,8 +8,8 @@ from functools import partial
 
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, require_figure, save_figure
+from greybox.cli.problem_options import PROBLEM_OPTIONS
 from greybox.cli.saved_fits import require_fit_file
-from greybox.cli.stated_problem import PROBLEM_OPTIONS, stated_problem
 from greybox.cli.workers import stated_executor
 from greybox.estimate.fit import Interrupted, SolverChoice, fit_keeping
 from greybox.estimate.result import Fit
@@ -27,6 +27,7 @@ from greybox.solve.interruption import (
 )
 from greybox.solve.kept_runs import KeptRunsError
 from greybox.solve.multistart import BATCHED, SEARCHES
+from greybox.study.stated_problem import stated_problem
 from greybox.study.store import StoredRuns, folder_beside, runs_beside
 
 EXAMPLES = (
@@ -84,7 +85,7 @@ def run(options: argparse.Namespace) -> Answer:
 def _stated_fit(options: argparse.Namespace) -> Callable[..., Fit]:
     """Return a function that fits the problem, given a store of runs and an executor."""
     # A problem file suggests starts and seed; the command line has the last word.
-    problem, settings = stated_problem(options)
+    problem, settings = stated_problem(vars(options))
     for name in ("starts", "seed"):
         if getattr(options, name) is not None:
             settings[name] = getattr(options, name)

@@ -3,12 +3,12 @@
 import argparse
 from pathlib import Path
 
-from greybox.cli.catalog import find_model
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, attributes
 from greybox.cli.saved_fits import saved_fit
 from greybox.estimate.structural_identifiability import structural_identifiability
 from greybox.files.safe_files import HDF5
+from greybox.study.catalog import find_model
 
 EXAMPLES = (
     "yaw:YawRate",

@@ -7,7 +7,6 @@ from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.catalog import find_model
 from greybox.cli.measurement_options import MEASUREMENT_OPTIONS, stated_choices
 from greybox.cli.options import UsageError, option_words
 from greybox.cli.orders_command import selection_json
@@ -19,6 +18,7 @@ from greybox.identification.families import FAMILIES, Structure
 from greybox.identification.identify import STARTS, Identification, identify
 from greybox.identification.measurement import Settings
 from greybox.logs.readers import read
+from greybox.study.catalog import find_model
 
 EXAMPLES = (
     "flight.BIN",

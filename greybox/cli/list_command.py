@@ -4,10 +4,10 @@ import argparse
 from types import ModuleType
 from typing import Any
 
-from greybox.cli.catalog import find_model, find_problem, models_of, shipped, shipped_module
 from greybox.cli.output import Answer, attributes
 from greybox.files.text_table import number, text_table
 from greybox.modeling.model import Model, equation
+from greybox.study.catalog import find_model, find_problem, models_of, shipped, shipped_module
 
 EXAMPLES = (
     "",

@@ -3,13 +3,13 @@
 import argparse
 from typing import Any
 
-from greybox.cli.catalog import find_controller, shipped_module
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, require_figure, save_figure
 from greybox.cli.saved_fits import stated_fit
 from greybox.experiment.controller import Controller
 from greybox.experiment.margins import margins
 from greybox.logs.readers import read
+from greybox.study.catalog import find_controller, shipped_module
 
 EXAMPLES = (
     "pitch.h5 --log flight.BIN --axis pitch",

@@ -4,12 +4,12 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from greybox.cli.data_file import read_data
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, require_writable
 from greybox.cli.saved_fits import saved_fit
 from greybox.data.record import Record
 from greybox.estimate.result import Fit
+from greybox.study.data_file import read_data
 from greybox.study.study import Study, read_study
 from greybox.validation.compare import compare
 from greybox.validation.comparison import Comparison

@@ -3,11 +3,11 @@
 import argparse
 from pathlib import Path
 
-from greybox.cli.catalog import find_problem
 from greybox.cli.output import require_writable
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.estimate.result import Fit
 from greybox.files.safe_files import HDF5
+from greybox.study.catalog import find_problem
 
 
 def saved_fit(path: Path, options: argparse.Namespace) -> Fit:

@@ -4,9 +4,10 @@ import argparse
 
 from greybox.cli.options import by_name
 from greybox.cli.output import Answer, attributes
+from greybox.cli.problem_options import PROBLEM_OPTIONS
 from greybox.cli.saved_fits import require_fit_file, save_fit
-from greybox.cli.stated_problem import PROBLEM_OPTIONS, stated_problem
 from greybox.estimate.summary import summary
+from greybox.study.stated_problem import stated_problem
 from greybox.validation.stepwise import stepwise
 
 EXAMPLES = (
@@ -31,7 +32,7 @@ def run(options: argparse.Namespace) -> Answer:
     # A coefficient vanishes at zero; an exponent or a factor has another value without its term.
     words = [word if "=" in word else f"{word}=0" for word in options.candidates]
     candidates = by_name(words, "--candidates", "NAME=VALUE")
-    problem, _ = stated_problem(options)
+    problem, _ = stated_problem(vars(options))
     selection = stepwise(problem, candidates, starts=options.starts)
     notes = save_fit(selection.fit, options.out)
     answer = attributes(selection, "terms", "candidates", "verdict", "trials", "alike")

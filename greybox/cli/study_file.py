@@ -1,29 +1,17 @@
 """Study files: the members of a batch, in TOML or in Python."""
 
 import importlib
-import itertools
-import re
 import tomllib
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.main import parser_of
 from greybox.cli.options import UsageError
-from greybox.cli.stated_problem import stated_problem
 from greybox.files.safe_files import require_file
-from greybox.files.text_table import alternatives
 from greybox.modeling.model_file import module_from_file
 from greybox.study.batch import Member, require_distinct
+from greybox.study.grid import members_of
 
-# Keys of a [[member]]: with a list, those of the grid make one member for each value.
-GRID = ("problem", "criterion", "delay", "fix", "seed", "search")
-SINGLE = (
-    *("name", "model", "through", "data", "input", "output", "at", "free", "bounds", "start"),
-    *("starts_box", "prior", "columns", "method", "starts"),
-)
-SETTINGS = ("starts", "seed")  # of the whole file
 INCLUDED = ("paper",)  # studies by name, each in a file of greybox.problems
 
 
@@ -51,11 +39,11 @@ def find_study(text: str) -> Path:
 def read_study_file(path: Path, starts: int | None = None) -> list[Member]:
     """Return the members of a study file; `starts`, if given, replaces those of every member.
 
-    In TOML every ``[[member]]`` has a ``problem`` (an included one, or a file beside the study
-    file, as of ``greybox fit``) or a ``model`` with ``data``, and ``criterion, delay, fix, free,
-    bounds, start, starts_box, prior, at, input, output, columns, method, starts, seed, search,
-    name``, as the options of ``greybox fit``. Lists of ``problem, criterion, delay, fix, seed,
-    search`` make a grid. In Python ``members()`` returns a list of `greybox.study.Member`.
+    In TOML the file has a ``problem`` (an included one, or a file beside the study file, as of
+    ``greybox fit``) or a ``model`` with ``data``, and other options of ``greybox fit`` as keys. A
+    list of values multiplies, as in `greybox.study.grid`. Every ``[[member]]`` is a grid of its
+    own, for which the keys above it apply too. In Python ``members()`` returns a list of
+    `greybox.study.Member`.
 
     Raises
     ------
@@ -103,96 +91,15 @@ def _stated_in_toml(path: Path) -> list[Member]:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UsageError(f"{path} is not read: {str(error).rstrip('.')}.") from None
 
-    entries = content.pop("member", None)
-    for name in content:
-        if name not in SETTINGS:
-            raise UsageError(
-                f"{path} states {name!r}, which is not known; there are member, "
-                f"{alternatives(name, SETTINGS)}"
-            )
-
-    is_list = isinstance(entries, list) and all(isinstance(entry, dict) for entry in entries)
-    if not entries or not is_list:
-        raise UsageError(
-            f"{path} has no members: write [[member]] and below it problem = 'rotors', say."
-        )
-
-    return [member for entry in entries for member in _members({**content, **entry}, path)]
-
-
-def _members(entry: Mapping[str, Any], path: Path) -> list[Member]:
-    """Return the members of one entry, named by the problem and by the values that differ."""
-    keys = (*GRID, *SINGLE)
-    for name in entry:
-        if name not in keys:
-            raise UsageError(
-                f"a member in {path} has {name!r}, which is not known; use "
-                f"{alternatives(name, keys)}"
-            )
-
-    grid = {name: entry[name] for name in GRID if isinstance(entry.get(name), list)}
-    # Members have unique names: each contains the values in which it differs from the others.
-    varied = [name for name, values in grid.items() if len(values) > 1 and name != "problem"]
-    members = []
-    for values in itertools.product(*grid.values()):
-        keys = {**entry, **dict(zip(grid, values, strict=True))}
-        member = _member(keys, path)
-        differences = ", ".join(_difference(name, keys[name]) for name in varied)
-        name = f"{member.name}: {differences}" if differences else member.name
-        members.append(replace(member, name=name))
-
-    return members
-
-
-def _member(entry: Mapping[str, Any], path: Path) -> Member:
-    """Return a member, whose keys are read as the options of ``greybox fit``."""
-    words = []
-    # Written as words for the parser of `greybox fit`, values obey the same rules and have the same
-    # messages.
-    for key, value in entry.items():
-        if key == "name":
-            continue
-        values = [_beside(word, path.parent) for word in _words(key, value)]
-        if values:
-            words += values if key == "problem" else [f"--{key.replace('_', '-')}", *values]
-
+    entries = content.pop("member", [{}])
+    if not isinstance(entries, list) or not all(isinstance(entry, dict) for entry in entries):
+        raise UsageError(f"member in {path} is {entries!r:.60}: write [[member]] on its own line.")
     try:
-        options = parser_of(["fit"]).parse_args(["fit", *words])
-    except UsageError as error:
-        raise UsageError(f"a member in {path} is not understood: {error}") from None
-
-    problem, settings = stated_problem(options)
-    return Member(
-        problem,
-        settings.get("starts") if options.starts is None else options.starts,
-        settings.get("seed") if options.seed is None else options.seed,
-        settings.get("method"),
-        search=options.search,
-        name=str(entry.get("name", problem.name)),
-    )
-
-
-def _words(key: str, value: Any) -> list[str]:
-    """Return the words that an option has for a value of TOML."""
-    if isinstance(value, list):
-        return [word for item in value for word in _words(key, item)]
-    if not isinstance(value, dict):
-        return [str(value)]
-    # An interval is a list of two numbers in TOML and LOW:HIGH on the command line.
-    between = "+-" if key == "prior" else ":"
-    ends = {n: v if isinstance(v, list) else [v] for n, v in value.items()}
-    return [f"{name}={between.join(map(str, numbers))}" for name, numbers in ends.items()]
-
-
-def _difference(key: str, value: Any) -> str:
-    # Names of members are read in a table: short, and without the key where the value is telling.
-    if key == "fix":
-        return " ".join(f"{name}={number:g}" for name, number in value.items()) or "nothing fixed"
-    return f"seed {value}" if key == "seed" else str(value)
-
-
-def _beside(word: str, folder: Path) -> str:
-    """Return the name of a file as a path from the study file, and any other word as it is."""
-    # A study must not depend on the folder in which the command runs.
-    is_file = re.match(r".+\.py(?:$|:)", word) or (folder / word).is_file()
-    return str(folder / word) if is_file else word
+        # What a member states stands first in its name.
+        return [
+            member
+            for entry in entries
+            for member in members_of(entry | {**content, **entry}, path.parent)
+        ]
+    except ValueError as error:
+        raise UsageError(f"{path}: {error}") from None

@@ -2,7 +2,6 @@
 
 import argparse
 
-from greybox.cli.catalog import shipped_module
 from greybox.cli.margins_command import (
     CONTROLLER_OPTIONS,
     refuse_controllers,
@@ -13,6 +12,7 @@ from greybox.cli.saved_fits import saved_fit
 from greybox.experiment.gain_file import write_gains
 from greybox.experiment.safe_gains import safe_gains
 from greybox.logs.readers import read
+from greybox.study.catalog import shipped_module
 
 EXAMPLES = (
     "pitch.h5 --controller controller:AttitudeController --signals q=theta_dot "

@@ -242,11 +242,13 @@ def _is_text(dtype: Any) -> bool:
 def _text(attributes: Any, name: str) -> str:
     """Return a text attribute, or an empty text."""
     try:
-        value = np.ravel(attributes.get(name, ""))[0]
+        value = attributes.get(name, "")
+        if isinstance(value, np.ndarray) and value.size == 1:
+            value = value.item()
         if isinstance(value, bytes):
-            value = value.decode("utf-8", "replace")
+            return value.decode("utf-8", "replace")
         return value if isinstance(value, str) else ""
-    except (*PROBLEMS, IndexError):
+    except PROBLEMS:
         return ""
 
 
@@ -293,8 +295,15 @@ def keep_struct(group: str, contents: Mapping[str, Any], collector: Collector) -
 def _simulink(contents: Mapping[str, Any]) -> dict[str, Any]:
     """Return the signals of a "structure with time" by their labels."""
     signals = contents.get("signals") if "time" in contents else None
+    structs = (
+        [signals]
+        if isinstance(signals, Mapping)
+        else signals
+        if isinstance(signals, list | np.ndarray)
+        else []
+    )
     columns = {}
-    for i, signal in enumerate(np.array(signals, object).ravel()):
+    for i, signal in enumerate(structs):
         if isinstance(signal, Mapping) and isinstance(signal.get("values"), np.ndarray):
             label = signal.get("label", "")
             columns[label if isinstance(label, str) and label else f"signal{i + 1}"] = signal[

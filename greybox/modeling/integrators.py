@@ -119,8 +119,7 @@ class Rosenbrock(Integrator):
 def step_function(system: Dynamics, integrator: Integrator, substeps: int) -> ca.Function:
     """Return (x, mean, change, p, step) -> x one sample later.
 
-    `mean` and `change` (m,) are those of the inputs over the step. Explicit schemes see inputs that
-    are delayed by states as lines, too, see `pade_step`; implicit ones integrate these states.
+    `mean` and `change` (m,) are those of the inputs over the step.
     """
     kind: Any = ca.MX if integrator.implicit else ca.SX
     x = kind.sym("x", len(system.states))
@@ -129,15 +128,10 @@ def step_function(system: Dynamics, integrator: Integrator, substeps: int) -> ca
     mean = kind.sym("mean", len(system.inputs))
     change = kind.sym("change", len(system.inputs))
 
-    undelayed = None if integrator.implicit else system.undelayed
-    driven = undelayed or system
-    result, late = ca.vertsplit(x, [0, len(driven.states), len(system.states)])
+    result: Any = x
     for k in range(substeps if system.states else 0):
         # The input at the beginning of the substep; `change` is that over the whole step.
-        u, slope = mean + change * (k / substeps - 0.5), change / h
-        if undelayed:
-            late, u, slope = system.delay_step(late, u, slope, p, h / substeps)
-        result = integrator.advance(driven, result, u, slope, p, h / substeps)
+        u = mean + change * (k / substeps - 0.5)
+        result = integrator.advance(system, result, u, change / h, p, h / substeps)
 
-    end = ca.vertcat(result, late)
-    return ca.Function("step", [x, mean, change, p, h], [end], {"cse": True})
+    return ca.Function("step", [x, mean, change, p, h], [result], {"cse": True})

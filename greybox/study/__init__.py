@@ -5,6 +5,10 @@ Begin with `batch`.
 | file | contents |
 | --- | --- |
 | `batch` | fit many problems; a batch that was killed resumes |
+| `grid` | members for all combinations of models, data and settings |
+| `stated_problem` | the problem that options describe by name |
+| `catalog` | included models and problems, and those in a user's own file |
+| `data_file` | a data file: a response, a spectrum or a record |
 | `study` | members and answers of a study, also while it runs |
 | `ranking` | which structure describes the data sets best |
 | `latex` | tables for a paper |
@@ -20,6 +24,7 @@ from greybox.study.batch import Member as Member
 from greybox.study.batch import batch as batch
 from greybox.study.bootstrap import Bootstrap as Bootstrap
 from greybox.study.bootstrap import bootstrap as bootstrap
+from greybox.study.grid import grid as grid
 from greybox.study.store import StudyMember as StudyMember
 from greybox.study.study import Study as Study
 from greybox.study.study import read_study as read_study

@@ -14,12 +14,13 @@ from tqdm import tqdm
 
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.compiled.transcription.method import Transcription
+from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fit import SolverChoice, fingerprint, fit_keeping
 from greybox.estimate.storage import save
 from greybox.estimate.summary import summary
 from greybox.files.text_table import counted, printable
 from greybox.formulation.problem import Problem
-from greybox.formulation.starts import Starts
+from greybox.formulation.starts import Starts, as_starts
 from greybox.formulation.sum import Sum
 from greybox.solve.executors import ExecutorLostError, require_executor
 from greybox.solve.interruption import (
@@ -31,7 +32,9 @@ from greybox.solve.interruption import (
     responding,
 )
 from greybox.solve.kept_runs import KeptRunsError
+from greybox.solve.local_solver import LocalSolver
 from greybox.solve.multistart import BATCHED
+from greybox.solve.response_solver import ResponseSolver
 from greybox.study.store import StoredRuns, StudyMember, add_members, locked, write_answer
 from greybox.study.study import Study, read_study
 
@@ -67,6 +70,7 @@ class Member:
                 f"problem is {self.problem!r:.80}: give a Problem(model, data) or a sum of them."
             )
         self.by  # noqa: B018  (checks the options)
+        as_starts(2 if self.starts is None else self.starts, self.seed)  # checks both
         if not self.name:
             object.__setattr__(self, "name", self.problem.name)
         if self.name != printable(self.name):
@@ -78,6 +82,16 @@ class Member:
     def by(self) -> SolverChoice:
         """The choice of the solver."""
         return SolverChoice(self.method, self.search, self.solver_options)
+
+    @property
+    def start_count(self) -> int:
+        """Number of starts; without one, the default number."""
+        responses = all(isinstance(part.data, FrequencyResponse) for part in self.problem.parts)
+        default = ResponseSolver.starts if responses else LocalSolver.starts
+        starts = default if self.starts is None else self.starts
+        if isinstance(starts, Sequence):
+            return len(starts)
+        return starts if isinstance(starts, int) else int(getattr(starts, "number", 1))
 
 
 class BatchInterrupted(KeyboardInterrupt):

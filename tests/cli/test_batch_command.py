@@ -126,18 +126,18 @@ def test_members_without_an_answer_are_named(study, capsys):
     ("text", "said"),
     [
         ("[[member]", "study.toml is not read: "),
-        ("", "has no members: write [[member]]"),
-        ("start = 3\n[[member]]\nproblem = 'rotors'", "states 'start', which is not known"),
-        ("[[member]]\nproblems = 'rotors'", "has 'problems', which is not known"),
+        ("", "give either a problem or model=... with data=..."),
+        ("star = 3\n[[member]]\nproblem = 'rotors'", "'star' is not known; use"),
+        ("[[member]]\nproblems = 'rotors'", "'problems' is not known; use"),
         (
             "[[member]]\nproblem = 'rotorz'",
             "there is no included problem 'rotorz'; did you mean 'rotors'?",
         ),
         ("[[member]]\nproblem = 'rotors'\ncriterion = 3", "3"),
         ("[[member]]\nproblem = 'rotors'\nseed = [0, 'a']", "'a'"),
-        ("[[member]]\nproblem = 'rotors'\nstarts = 'a'", "'a'"),
+        ("[[member]]\nproblem = 'rotors'\nstarts = 'a'", "goes with a number of starts"),
         ("[[member]]\nproblem = 'rotors'\nfix = 3", "3"),
-        ("[[member]]\nproblem = 'rotors'\nfix = {T = 'a'}", "T=a"),
+        ("[[member]]\nproblem = 'rotors'\nfix = {T_delay = 'a'}", "'a'"),
         (
             "[[member]]\nproblem = 'rotors'\n[[member]]\nproblem = 'rotors'",
             "2 members have the name 'rotors'",
@@ -156,7 +156,7 @@ def test_what_is_wrong_in_a_study_file_is_said_before_anything_is_written(
 
 def test_usage(study, tmp_path, capsys):
     for words, message in [
-        (["batch"], "the following arguments are required: STUDY, --out"),
+        (["batch"], "the following arguments are required: STUDY"),
         (["batch", study], "the following arguments are required: --out"),
         (["batch", "none.toml", "--out", "out"], "there is no file none.toml"),
         (["batch", study, "--out", study], "is a file: give a folder"),

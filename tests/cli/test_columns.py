@@ -141,7 +141,7 @@ def test_a_study_states_bounds_too(capsys, own, tmp_path):
     assert status == 0
     assert json.loads(out)["members"][0]["answer"]["at_bound"] == ["K"]
     (tmp_path / "wrong.toml").write_text(f'[[member]]\nproblem = "{name}"\nbounds = {{K = 2}}\n')
-    assert "write NAME=LOW:HIGH" in refused(capsys, "batch", "wrong.toml", "--out", "other")
+    assert "K: bounds 2 must be a pair" in refused(capsys, "batch", "wrong.toml", "--out", "other")
 
 
 def test_a_study_states_starts_boxes_and_methods_as_the_options_do(own, tmp_path):

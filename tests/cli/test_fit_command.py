@@ -14,10 +14,10 @@ import pytest
 from command_line import OWN, QUICK, RECORD, refused, run
 
 import greybox as gb
-from greybox.cli.catalog import find_problem
 from greybox.cli.fit_command import _stated_fit
 from greybox.estimate.fit import Interrupted
 from greybox.solve.executors import ExecutorLostError
+from greybox.study.catalog import find_problem
 from greybox.study.store import StoredRuns, read_members
 
 

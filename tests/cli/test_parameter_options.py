@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.cli.options import UsageError, declare
-from greybox.cli.stated_problem import PROBLEM_OPTIONS, with_parameter_options
+from greybox.cli.options import declare
+from greybox.cli.problem_options import PROBLEM_OPTIONS
+from greybox.study.stated_problem import with_parameter_options
 
 
 class Lag(gb.TransferFunction):
@@ -30,7 +31,7 @@ def problem(name, **options):
 def stated(made, *words):
     parser = ArgumentParser()
     declare(parser, PROBLEM_OPTIONS)
-    return with_parameter_options(made, parser.parse_args(words))
+    return with_parameter_options(made, vars(parser.parse_args(words)))
 
 
 def test_every_option_reaches_the_parts_that_have_the_parameter():
@@ -59,7 +60,7 @@ def test_names_that_are_not_there_and_an_earlier_fit_as_prior_are_told():
     known = problem("a", prior=fit)
     assert stated(known, "--fix", "c=2").fixed_values == {"c": 2.0}
     with pytest.raises(
-        UsageError,
-        match="--prior is for single parameters, and the prior of a is an earlier fit: leave it",
+        ValueError,
+        match=r"prior=\.\.\. is for single parameters, and the prior of a is an earlier fit: leave it",
     ):
         stated(known, "--prior", "K=3+-0.1")

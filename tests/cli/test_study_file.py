@@ -1,6 +1,7 @@
 """What a study file states reaches its members, and what it does not say rightly is told."""
 
 import re
+import shutil
 import sys
 
 import numpy as np
@@ -89,15 +90,15 @@ def test_every_key_reaches_the_member(folder):
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("bounds = {T = [1]}", "T=1"),
-        ("bounds = {T = [true, 2]}", "T=True:2"),
-        ("prior = {T = 1.0}", "T=1.0"),
+        ("bounds = {T = [1]}", "T: bounds (1,) must be a pair"),
+        ("bounds = {T = ['low', 2]}", "'low'"),
+        ("prior = {T = 1.0}", "prior of T 1.0 must be a pair"),
         ("starts_box = 3", "3"),
-        ("start = {T = true}", "T=True"),
-        ("method = 'magic'", "magic"),
+        ("start = {T = 'low'}", "'low'"),
+        ("method = 'magic'", "there is no method 'magic'"),
         ("seed = true", "True"),
         ("starts = 'many'", "many"),
-        ("data2 = 'own.csv'", "has 'data2', which is not known; use"),
+        ("data2 = 'own.csv'", "'data2' is not known; use"),
     ],
 )
 def test_an_invalid_value_is_named(folder, line, message):
@@ -129,3 +130,107 @@ def test_files_of_other_kinds_and_without_members_are_told(folder):
         find_study("papers")
     assert find_study("study.toml").name == "study.toml"
     assert find_study("paper").name == "_paper_study.py"
+
+
+GRID = """
+model = ["lag_of_study.py:Lag", "lag_of_study.py:Slow"]
+data = "flights/*.csv"
+held = "flights/f2.csv"
+starts = 3
+"""
+
+
+@pytest.fixture
+def flights(folder):
+    (folder / "flights").mkdir()
+    for k in range(3):
+        shutil.copy(folder / "own.csv", folder / "flights" / f"f{k}.csv")
+    slow = "\n\nclass Slow(Lag):\n    T = gb.Parameter(1.0, bounds=(0.1, 3))\n"
+    (folder / "lag_of_study.py").write_text(MODEL + slow)
+    return folder
+
+
+def test_structures_on_the_files_of_a_folder_are_a_file_of_five_lines(flights):
+    made = members(flights, GRID)
+    assert [m.name for m in made] == ["f0: Lag", "f0: Slow", "f1: Lag", "f1: Slow"]
+    assert [type(m.problem.model).__name__ for m in made] == ["Lag", "Slow"] * 2
+    assert made[0].problem.data is made[1].problem.data  # read once
+    assert {m.starts for m in made} == {3}
+
+
+@pytest.mark.parametrize(
+    ("lines", "names", "parts"),
+    [
+        (
+            'data = ["flights/f0.csv", ["flights/f0.csv", "flights/f1.csv"]]',
+            ["f0", "f0+f1"],
+            [1, 2],
+        ),
+        ('joint = "flights/*.csv"', ["f0+f1+f2"], [3]),
+        ('joint = ["flights/f0.csv", "flights/f[12].csv"]', ["f0+f1+f2"], [3]),
+        (
+            'data = "own.csv"\nband = [[1, 3], [1, 10]]',
+            ["own: band [1, 3]", "own: band [1, 10]"],
+            [1, 1],
+        ),
+        ('data = "own.csv"\nfree = [[], ["c"]]', ["own: free []", "own: free ['c']"], [1, 1]),
+        ('data = "own.csv"\nstarts = [2, 4]', ["own: starts 2", "own: starts 4"], [1, 1]),
+        (
+            'data = ["own.csv", "flights/f0.csv"]\nname = "mine"',
+            ["mine: own", "mine: flights/f0"],
+            [1, 1],
+        ),
+    ],
+)
+def test_lists_multiply_and_lists_within_them_are_joint(flights, lines, names, parts):
+    made = members(flights, f'model = "lag_of_study.py:Lag"\n{lines}\n')
+    assert [m.name for m in made] == names
+    assert [len(m.problem.parts) for m in made] == parts
+
+
+def test_a_band_is_of_the_data(flights):
+    for member, count in zip(
+        members(
+            flights, 'model = "lag_of_study.py:Lag"\ndata = "own.csv"\nband = [[1, 3], [2, 9]]'
+        ),
+        (2, 1),
+        strict=True,
+    ):
+        assert len(member.problem.data) == count
+
+
+def test_several_grids_share_the_keys_above_them(flights):
+    text = """
+    starts = 4
+    [[member]]
+    model = "lag_of_study.py:Lag"
+    data = "flights/f[01].csv"
+    [[member]]
+    model = "lag_of_study.py:Slow"
+    data = "flights/f[01].csv"
+    name = "slow"
+    starts = 2
+    [[member]]
+    problem = "pitch_hover"
+    """
+    made = members(flights, text)
+    assert [m.name for m in made] == ["f0", "f1", "slow: f0", "slow: f1", "pitch_hover"]
+    assert [m.starts for m in made] == [4, 4, 2, 2, 4]
+
+
+@pytest.mark.parametrize(
+    ("lines", "message"),
+    [
+        ('data = "flights/*.txt"', "'flights/*.txt' matches no file in"),
+        ("data = []", "data"),
+        ('data = "own.csv"\nseed = []', "members is empty"),
+        ('data = "own.csv"\nband = [20, 30]', "member 'own': "),
+        ('data = "own.csv"\nmethod = "collocation"', "member 'own': method=... is for records"),
+        ('data = "none.csv"', "'none.csv' matches no file in"),
+        ('data = "own.csv"\nprepare = {signals = {u = "A.b"}}', "A"),
+    ],
+)
+def test_a_mistake_in_a_grid_names_key_value_and_cure(flights, lines, message):
+    with pytest.raises((UsageError, ValueError), match=re.escape(message)) as refused:
+        members(flights, f'model = "lag_of_study.py:Lag"\n{lines}\n')
+    assert "--" not in str(refused.value)

@@ -9,7 +9,6 @@ import pytest
 from readme_blocks import INCLUDED, NUMBER, written
 
 import greybox as gb
-from greybox.cli.catalog import shipped
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.formulation.starts import as_starts
 from greybox.models.tilt import LinearTilt
@@ -23,6 +22,7 @@ from greybox.problems import (
     rotors_and_pitch,
     yaw_hover,
 )
+from greybox.study.catalog import shipped
 
 MODULES = {
     name: importlib.import_module(f"greybox.problems.{name}") for name in shipped("problems")

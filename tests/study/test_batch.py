@@ -2,7 +2,6 @@
 
 import shutil
 import signal
-import sqlite3
 import subprocess
 import sys
 import time
@@ -96,28 +95,6 @@ def test_what_is_done_is_not_made_again(tmp_path, made, finished):
     assert made == []
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.h5")} == files
     assert str(again).splitlines()[1:] == str(first).splitlines()[1:]
-
-
-@pytest.mark.parametrize(
-    ("damage", "missing"), [("answer and run", [3]), ("fit", []), ("database", [*range(12)])]
-)
-def test_what_is_damaged_is_made_again_and_nothing_else(tmp_path, made, finished, damage, missing):
-    first = members()[:1]
-    whole = gb.study.read_study(finished)["response"].fit
-    shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
-    database = tmp_path / "study.sqlite"
-    if damage == "answer and run":
-        with sqlite3.connect(database) as connection:
-            connection.execute("UPDATE members SET answer = answer || ' ' WHERE id = 1")
-            connection.execute("UPDATE runs SET run = '' WHERE member = 1 AND number = 3")
-    elif damage == "fit":
-        (tmp_path / "001-response.h5").write_bytes(b"")
-    else:
-        database.write_bytes(b"\xff" * 5000)
-    with pytest.warns(UserWarning, match="what is missing is made again"):
-        study = gb.batch(first, tmp_path, progress=False)
-    assert made == missing
-    require_same(study["response"].fit, whole)
 
 
 def test_more_starts_keep_the_old_ones(tmp_path, made, finished):

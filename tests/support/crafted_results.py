@@ -9,7 +9,8 @@ import zlib
 
 import h5py
 import numpy as np
-from sealing import seal
+
+from greybox.files.sealed_files import seal
 
 SECRET = "first line of a file that nobody was to see\n"
 

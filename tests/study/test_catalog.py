@@ -2,8 +2,8 @@
 
 import pytest
 
-from greybox.cli.catalog import find_model, find_problem, models_of, shipped, shipped_module
 from greybox.modeling.model import Model
+from greybox.study.catalog import find_model, find_problem, models_of, shipped, shipped_module
 
 
 @pytest.mark.parametrize("name", shipped("models"))

@@ -1,4 +1,4 @@
-"""The file given with --data."""
+"""Data files."""
 
 import json
 from importlib.resources import files
@@ -10,9 +10,9 @@ from benchmark_module import benchmark
 from command_line import refused, run
 
 import greybox as gb
-from greybox.cli.data_file import read_data
 from greybox.models.drag import Drag
 from greybox.models.tilt import Tilt
+from greybox.study.data_file import read_data
 
 FLIGHT = files("greybox.problems") / "data" / "sitl_drag_hover.csv"
 DRAG = ("fit", "--model", "drag:Drag", "--data")

@@ -1,10 +1,10 @@
-"""A file given with --data: a frequency response, the spectrum of a manoeuvre, or a record."""
+"""A data file: a frequency response, the spectrum of a manoeuvre, or a record."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from greybox.cli.options import UsageError
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.response_columns import OMEGA, RECTANGULAR
@@ -18,6 +18,7 @@ from greybox.files.safe_files import require_file
 from greybox.files.text_table import alternatives, counted
 from greybox.formulation.signal_units import as_the_only_pair
 from greybox.logs.named_columns import in_si
+from greybox.logs.prepare import prepare as prepared
 from greybox.logs.readers import read
 from greybox.modeling.model import Model
 
@@ -31,11 +32,13 @@ def read_data(
     output: str = "",
     columns: Mapping[str, str] | None = None,
     rate: float | None = None,
+    prepare: Mapping[str, Any] | None = None,
 ) -> FrequencyResponse | Record | TransientSpectrum:
     """Return a response, the spectrum of a manoeuvre, or the only record with the model's signals.
 
-    `columns` come from `--columns`. They are those of a response if they contain its frequency or
-    magnitude. The `rate` in Hz comes from `--rate`, for a table without a time.
+    `columns` name the columns of a table, with units: ``{"theta": "pitch:deg"}``. They are those of
+    a response if they contain its frequency or magnitude. The `rate` in Hz is that of a table
+    without a time. `prepare` has the arguments of `gb.prepare`, for a log.
 
     Raises
     ------
@@ -44,10 +47,22 @@ def read_data(
     """
     path = Path(path)
     require_file(path)
+    if prepare:
+        return prepared(read(path, columns=columns or None, rate=rate), **prepare)
     # A spectrum states its kind in the file. Names of columns alone may mean several things.
-    if not columns and claims_spectrum(path):
+    is_spectrum = not columns and claims_spectrum(path)
+    is_response = not is_spectrum and _is_response(path, columns or {})
+    if rate and (is_spectrum or is_response):
+        raise ValueError(f"rate={rate:g} is for a table of signals, and {path} is something else.")
+    name, value = ("input", input) if input else ("output", output)
+    if value and not is_response:
+        raise ValueError(
+            f"{name}={value} is for a frequency response, and {path} is something else: leave it "
+            "out."
+        )
+    if is_spectrum:
         return read_spectrum(path)
-    if {"frequency", "magnitude"} & columns.keys() if columns else _is_response(path):
+    if is_response:
         if f"{output}_{input}_alpha" not in (_header(path) or ()):
             _require_signal("input", input, model.input_names)
             _require_signal("output", output, model.output_names)
@@ -71,8 +86,8 @@ def read_data(
 
 def _require_signal(kind: str, name: str, names: Sequence[str]) -> None:
     if name and name not in names:
-        raise UsageError(
-            f"--{kind} {name} is not an {kind} of the model, and the file has no such pair; the "
+        raise ValueError(
+            f"{kind}={name} is not an {kind} of the model, and the file has no such pair; the "
             f"model has {alternatives(name, names)}"
         )
 
@@ -85,7 +100,9 @@ def _header(path: Path) -> tuple[str, ...] | None:
     return None if b"\0" in head else read_delimited(path, head).header
 
 
-def _is_response(path: Path) -> bool:
+def _is_response(path: Path, columns: Mapping[str, str]) -> bool:
+    if columns:
+        return bool({"frequency", "magnitude"} & columns.keys())
     names = _header(path)
     if names is None:
         return False
@@ -115,8 +132,8 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
         available = "; ".join(f"{key}: {', '.join(r.signals)}" for key, r in log.items())
         columns = " ".join(f"{name}=COLUMN" for name in names)
         cure = (
-            f"name its columns, with units, --columns time=COLUMN:ms {columns}; for a frequency "
-            "response --columns frequency=COLUMN:Hz magnitude=COLUMN:dB phase=COLUMN:deg"
+            f"name its columns, with units, columns=time=COLUMN:ms {columns}; for a frequency "
+            "response columns=frequency=COLUMN:Hz magnitude=COLUMN:dB phase=COLUMN:deg"
         )
         count = counted(len(records), "message") if records else "no message"
         raise ValueError(
@@ -136,3 +153,17 @@ def _preparation(path: Path, names: Sequence[str]) -> str:
         f"prepare the record with gb.prepare(gb.read({str(path)!r}), {{{fields}}}) in a file my.py "
         "whose function problem() returns gb.Problem(model, record)"
     )
+
+
+def reading_once() -> Callable[..., Any]:
+    """Return a function like `read_data` that reads a file once for all models of its signals."""
+    # A study of twelve models has each file in memory once.
+    data: dict[str, Any] = {}
+
+    def read(path: str, model: Model, **choices: Any) -> Any:
+        key = repr((path, model.input_names, model.output_names, choices))
+        if key not in data:
+            data[key] = read_data(path, model, **choices)
+        return data[key]
+
+    return read

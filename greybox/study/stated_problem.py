@@ -1,15 +1,14 @@
-"""The problem that the options of `greybox fit` describe."""
+"""The problem that options describe by name: those of `greybox fit`, or the keys of a study file.
 
-import argparse
+Begin with `stated_problem`.
+"""
+
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
-from greybox.cli.catalog import find_model, find_problem, shipped
-from greybox.cli.data_file import read_data
-from greybox.cli.options import UsageError
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.compiled.transcription.collocation import Collocation
 from greybox.compiled.transcription.multiple_shooting import MultipleShooting
@@ -27,7 +26,19 @@ from greybox.identification.identify import filter_model
 from greybox.logs.known_filters import from_text
 from greybox.modeling.model import Model
 from greybox.modeling.transfer_function import TransferFunction
+from greybox.study.catalog import find_model, find_problem, shipped
+from greybox.study.data_file import read_data
 
+OF_FILES = ("input", "output", "columns", "rate", "prepare")
+# Options with values by name of a parameter, and the fields of a problem that they change.
+OF_PARAMETERS = {
+    "fix": "fixed",
+    "bounds": "bounds",
+    "start": "start",
+    "starts_box": "starts",
+    "prior": "prior",
+}
+OF_DATA = ("data", "through", "at", *OF_FILES)
 METHODS = {
     "multiple-shooting": MultipleShooting,
     "single-shooting": SingleShooting,
@@ -43,127 +54,121 @@ KINDS = {
 CRITERIA_BY_NAME: dict[str, Criterion | TimeCriterion] = {
     criterion.name: criterion for _, criteria in KINDS.values() for criterion in criteria
 }
-PROBLEM_OPTIONS = f"""
-problem [PROBLEM]
-    an included problem, or my.py, or my.py:name
---model MODEL
-    instead of PROBLEM: tilt:Tilt, 'polynomial:Polynomial(4, 1)' or my.py:Class
---data FILE...
-    with --model: a frequency response (columns omega_rad_s, alpha, beta [, coherence, variance,
-    dof]), the spectrum of a manoeuvre (greybox response --manoeuvre), or a record (columns time
-    and, in SI units, the inputs and outputs of the model; without a time, rows for a static model);
-    several are fitted together; for a flight log write a problem file
---through FILTER...
-    with --model: filters between the output and its log: 'filters:LowPass(20, 0.71)', or by their
-    names in the response, gyro-filter, gyro-notch ...
---input NAME
-    input of a frequency response, if the model or the file has several
---output NAME
-    output of a frequency response, if the model or the file has several
---at NAME=VALUE...
-    with --model: operating point at which an ODE is linearized
---columns NAME=COLUMN[:UNIT]...
-    with --data: the columns of a table with other names. For a response frequency=f:Hz
-    magnitude=mag:dB phase=ph:deg coherence=coh, or alpha and beta; for a record time=t:ms and the
-    signals of the model, theta=pitch:deg
---rate
---fix
---free
---bounds
---start
---starts-box NAME=LOW:HIGH...
-    range of drawn starts, in place of the bounds
---prior NAME=VALUE+-SIGMA...
-    normal prior with its standard deviation; the criterion must be a likelihood
---delay DELAY
-    exact or pade:n (default: the problem's)
---criterion CRITERION
-    {", ".join(CRITERIA_BY_NAME)} (default: the problem's)
---method {{{",".join(METHODS)}}}
-    how records are transcribed and solved (default: the problem's)
-"""
 
 
-def stated_problem(options: argparse.Namespace) -> tuple[AnyProblem, dict[str, Any]]:
-    """Return the problem of the options, and its settings: starts and seed, if it has them.
+def stated_problem(
+    stated: Mapping[str, Any], read: Callable[..., Any] = read_data
+) -> tuple[AnyProblem, dict[str, Any]]:
+    """Return the problem of options by name, and its settings: starts, seed and method, if any.
+
+    Problems, models, criteria, methods and data are names, as for `greybox fit`, or values. `read`
+    reads the data files.
 
     Raises
     ------
-    UsageError, ValueError, FileNotFoundError
+    ValueError, TypeError, FileNotFoundError
         For options that exclude each other, and for unknown names and files.
     """
-    if bool(options.problem) == bool(options.model):
-        raise UsageError(
-            "give either a PROBLEM or --model with --data; `greybox list` shows the included "
+    options = {name: value for name, value in stated.items() if value not in (None, "", [], {})}
+    problem: Any = options.get("problem")
+    if ("problem" in options) == ("model" in options):
+        raise ValueError(
+            "give either a problem or model=... with data=...; `greybox list` shows the included "
             "problems."
         )
 
     settings: dict[str, Any] = {}
-    if options.problem:
-        # A problem has its data: these options would be ignored without a word.
-        for name in ("data", "columns", "rate", "through", "input", "output", "at"):
-            if getattr(options, name):
-                raise UsageError(f"--{name} goes with --model, not with a PROBLEM.")
-        _require_problem(options.problem)
-        problem, settings = find_problem(options.problem)
+    if "model" in options:
+        problem = _problem_of_model(options, read)
     else:
-        problem = _problem_of_model(options)
+        # A problem has its data: these options would be ignored without a word.
+        for name in OF_DATA:
+            if name in options:
+                raise ValueError(f"{name}=... goes with model=..., not with a problem.")
+        if isinstance(problem, str):
+            _require_problem(problem)
+            problem, settings = find_problem(problem)
 
     # Options of the whole problem first; those of single parameters need its final names.
-    if options.delay:
-        problem = problem.with_(delay=options.delay)
-    if options.criterion:
-        problem = _with_criterion(problem, options.criterion)
-    if options.method:
+    problem = in_band(problem, options.get("band"))
+    if "delay" in options:
+        problem = problem.with_(delay=options["delay"])
+    if "criterion" in options:
+        problem = _with_criterion(problem, options["criterion"])
+    if "method" in options:
+        settings["method"] = _method(options["method"])
         if not any(isinstance(part.data, Record) for part in problem.parts):
-            raise UsageError(f"--method is for records and {problem.name} has none: leave it out.")
-        settings["method"] = METHODS[options.method]()
+            raise ValueError(
+                f"method=... is for records and {problem.name} has none: leave it out."
+            )
 
     return with_parameter_options(problem, options), settings
 
 
-def _problem_of_model(options: argparse.Namespace) -> AnyProblem:
-    if not options.data:
-        raise UsageError("--model needs --data FILE, a frequency response or a record.")
-    model = find_model(options.model)
-    names = options.input, options.output
-    data = [read_data(path, model, *names, options.columns, options.rate) for path in options.data]
+def _method(method: Any) -> Any:
+    if not isinstance(method, str):
+        return method
+    if method not in METHODS:
+        raise ValueError(
+            f"there is no method {method!r}; there are {alternatives(method, METHODS)}"
+        )
+    return METHODS[method]()
+
+
+def _problem_of_model(options: Mapping[str, Any], read: Callable[..., Any]) -> AnyProblem:
+    if "data" not in options:
+        raise ValueError("model=... needs data=..., a frequency response or a record.")
+    model = options["model"]
+    model = find_model(model) if isinstance(model, str) else model
+    choices = {name: options[name] for name in OF_FILES if name in options}
+    data = [read(x, model, **choices) if isinstance(x, str | Path) else x for x in options["data"]]
     # All responses of one plant have passed the filters that the first one names.
-    for word in options.through:
+    for word in options.get("through", ()):
         for known_filter in filters_of(word, data[0]):
             model = through(model, known_filter)
 
-    for path, values in zip(options.data, data, strict=True):
-        for name in ("input", "output", "at"):
-            if getattr(options, name) and not isinstance(values, FrequencyResponse):
-                raise UsageError(
-                    f"--{name} is for a frequency response, and {path} is something else: leave "
-                    "it out."
-                )
-        if options.rate and not isinstance(values, Record):
-            raise UsageError(f"--rate is for a table of signals, and {path} is something else.")
-
     # Several files are one joint fit: all parameters are shared.
-    parts = tuple(Problem(model, values, at=options.at) for values in data)
+    parts = tuple(Problem(model, values, at=options.get("at", {})) for values in data)
     return parts[0] if len(parts) == 1 else Sum(parts)
+
+
+def in_band(problem: AnyProblem, band: Any) -> AnyProblem:
+    """Return a problem whose frequency responses are those of a band, in rad/s; None is no band.
+
+    Raises
+    ------
+    ValueError
+        If a part has no frequency in it.
+    """
+    if band is None:
+        return problem
+    low, high = band
+
+    def within(part: Problem) -> Problem:
+        data = part.data
+        if not isinstance(data, FrequencyResponse):
+            raise ValueError(f"band=... is for frequency responses, and {part.name} is none.")
+        return part.with_(data=data.where((data.omega >= low) & (data.omega <= high)))
+
+    return problem.with_parts([within(part) for part in problem.parts])
 
 
 def filters_of(
     word: str, data: FrequencyResponse | Record | TransientSpectrum
 ) -> list[TransferFunction]:
-    """Return the filters that a word of --through names: a model, or filters in the response."""
+    """Return the filters that a word of `through` names: a model, or filters in the response."""
     # Names in a response have hyphens, gyro-filter; files and classes cannot have them.
     if not re.fullmatch(r"\w+(-\w+)+", word):
         model = find_model(word)
         if not isinstance(model, TransferFunction):
-            raise UsageError(f"--through {word} is an ODE: give the filter as a transfer function.")
+            raise ValueError(f"through={word} is an ODE: give the filter as a transfer function.")
         return [model]
 
     about = data.about if isinstance(data, FrequencyResponse) else {}
     if word not in about:
         filters = ", ".join(name for name in about if name.endswith(FILTER_NAMES))
-        raise UsageError(
-            f"--through {word} is not a filter of the data: they have {filters or 'none'}."
+        raise ValueError(
+            f"through={word} is not a filter of the data: they have {filters or 'none'}."
         )
 
     return [filter_model(known_filter) for known_filter in from_text(about[word])]
@@ -174,12 +179,12 @@ def through(model: Model, known_filter: TransferFunction) -> Model:
 
     Raises
     ------
-    UsageError
+    ValueError
         If the model is not a transfer function.
     """
     if not isinstance(model, TransferFunction):
-        raise UsageError(
-            f"--through needs a transfer function, and {model.label} is an ODE: write a model of "
+        raise ValueError(
+            f"through=... needs a transfer function, and {model.label} is an ODE: write a model of "
             "your own with the filter in it."
         )
     return model.through(known_filter)
@@ -188,22 +193,24 @@ def through(model: Model, known_filter: TransferFunction) -> Model:
 def _require_problem(name: str) -> None:
     """Explain what to write if the name belongs to a data file or to a model."""
     if not name.endswith(".py") and Path(name).is_file():
-        raise UsageError(
-            f"{name} is a data file, not a problem: give it a model, --model tilt:Tilt --data "
+        raise ValueError(
+            f"{name} is a data file, not a problem: give it a model, model=tilt:Tilt data="
             f"{name}, or a problem file, my.py with a function problem()."
         )
 
     place = name.partition(":")[0]
     if place in shipped("models") and place not in shipped("problems"):
         cure = name if ":" in name else f"{name}:CLASS"
-        raise UsageError(f"{name} names a model, not a problem: write --model {cure} --data FILE.")
+        raise ValueError(f"{name} names a model, not a problem: write model={cure} data=FILE.")
 
 
-def _with_criterion(problem: AnyProblem, name: str) -> AnyProblem:
-    """Give a criterion to the parts with its kind of data."""
+def _with_criterion(problem: AnyProblem, name: Any) -> AnyProblem:
+    """Give a criterion, or the one of a name, to the parts with its kind of data."""
+    if not isinstance(name, str):
+        return problem.with_(criterion=name)
     if name not in CRITERIA_BY_NAME:
         names = alternatives(name, CRITERIA_BY_NAME)
-        raise UsageError(f"there is no criterion {name!r}; there are {names}")
+        raise ValueError(f"there is no criterion {name!r}; there are {names}")
 
     criterion = CRITERIA_BY_NAME[name]
     served = {noun: kind for noun, (kind, criteria) in KINDS.items() if criterion in criteria}
@@ -215,8 +222,8 @@ def _with_criterion(problem: AnyProblem, name: str) -> AnyProblem:
             if any(isinstance(part.data, kind) for part in problem.parts)
             for suitable in criteria
         ]
-        raise UsageError(
-            f"--criterion {name} is for {' and '.join(served)} and {problem.name} has none: use "
+        raise ValueError(
+            f"criterion={name} is for {' and '.join(served)} and {problem.name} has none: use "
             f"{', '.join(dict.fromkeys(suitable))}, or leave it out."
         )
 
@@ -239,16 +246,17 @@ def _like(criterion: Criterion | TimeCriterion, previous: Any) -> Criterion | Ti
     return replace(criterion, **shared)
 
 
-def with_parameter_options(problem: AnyProblem, options: argparse.Namespace) -> AnyProblem:
+def with_parameter_options(problem: AnyProblem, options: Mapping[str, Any]) -> AnyProblem:
     """Return the problem with the options applied to every part that has the parameters."""
-    changes: dict[str, Mapping[str, Any]] = {
-        "fixed": options.fix,
-        "bounds": options.bounds,
-        "start": options.start,
-        "free": dict.fromkeys(options.free),
-        "starts": options.starts_box,
-        "prior": options.prior,
-    }
+    changes: dict[str, dict[str, Any]] = {}
+    for name, field in OF_PARAMETERS.items():
+        values = options.get(name, {})
+        if not isinstance(values, Mapping):
+            raise ValueError(f"{name}={values!r:.40} is not understood: give values by name.")
+        # An interval is a list of two numbers in TOML.
+        pairs = values.items()
+        changes[field] = {n: tuple(x) if isinstance(x, list) else x for n, x in pairs}
+    changes["free"] = dict.fromkeys(options.get("free", ()))
     # Checked against the whole problem: every part has only some of the parameters.
     for name in (name for names in changes.values() for name in names):
         if name not in problem.parameters:
@@ -269,8 +277,8 @@ def _restated(part: Problem, changes: Mapping[str, Mapping[str, Any]]) -> Proble
         for what, values in changes.items()
     }
     if changed["prior"] and not isinstance(part.prior, Mapping):
-        raise UsageError(
-            f"--prior is for single parameters, and the prior of {part.name} is an earlier fit: "
+        raise ValueError(
+            f"prior=... is for single parameters, and the prior of {part.name} is an earlier fit: "
             "leave it out."
         )
 

@@ -9,10 +9,9 @@ from command_line import QUICK, RECORD, refused, run
 from declared_models import Lag, measured
 
 import greybox as gb
-from greybox.cli.options import UsageError
-from greybox.cli.stated_problem import _with_criterion, filters_of, through
 from greybox.models.filters import LowPass
 from greybox.models.tilt import LinearTilt, Tilt
+from greybox.study.stated_problem import _with_criterion, filters_of, through
 
 FLIGHT = files("greybox.problems") / "data" / "sitl_drag_hover.csv"
 DRAG = ("fit", "--model", "drag:Drag", "--data")
@@ -141,10 +140,12 @@ def test_biases_of_records_are_fixed_by_their_names(capsys):
 
 
 def test_words_of_a_response_are_refused_for_a_record(capsys):
-    for more in (("--input", "theta"), ("--output", "v"), ("--at", "v=1")):
-        assert f"{more[0]} is for a frequency response, and {FLIGHT} is " in refused(
+    for more in (("--input", "theta"), ("--output", "v")):
+        assert f"{more[0]} {more[1]} is for a frequency response, and {FLIGHT} is " in refused(
             capsys, *DRAG, FLIGHT, *more
         )
+    sentence = refused(capsys, *DRAG, FLIGHT, "--at", "v=1")
+    assert "operating point of a frequency response and this is a record" in sentence
     sentence = refused(capsys, "fit", "sitl_drag", "--criterion", "relative-error")
     assert (
         "--criterion relative-error is for frequency responses and sitl_drag has none" in sentence
@@ -172,8 +173,10 @@ def test_unknown_settings_are_refused(own, capsys):
 
 
 def test_an_ode_is_behind_no_filter():
-    with pytest.raises(UsageError, match="--through needs a transfer function, and LinearTilt is"):
+    with pytest.raises(
+        ValueError, match=r"through=\.\.\. needs a transfer function, and LinearTilt is"
+    ):
         through(LinearTilt(), Tilt())
-    with pytest.raises(UsageError, match="--through tilt:LinearTilt is an ODE"):
+    with pytest.raises(ValueError, match="through=tilt:LinearTilt is an ODE"):
         filters_of("tilt:LinearTilt", measured(Lag(), [1.0, 2.0]))
     assert through(Tilt(), LowPass(20, 0.71)).output == Tilt().output

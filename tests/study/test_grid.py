@@ -1,0 +1,61 @@
+"""Grids of members, in Python."""
+
+import numpy as np
+import pytest
+
+import greybox as gb
+from greybox.models.rate import DampedAngle
+from greybox.models.tilt import Tilt
+from greybox.problems import pitch_hover
+
+FIRST = pitch_hover.data()
+SECOND = gb.FrequencyResponse(FIRST.omega, 2 * FIRST.response, FIRST.input, FIRST.output)
+
+
+def test_every_argument_multiplies_and_names_say_what_differs():
+    members = gb.study.grid(
+        [Tilt(), DampedAngle()],
+        FIRST,
+        criterion=[gb.RelativeError(), gb.MagnitudePhase()],
+        seed=[0, 1],
+        fix={"T_delay": 0.004},
+        starts=5,
+    )
+    assert len(members) == 2 * 2 * 2
+    assert members[0].name == "pitch hover: Tilt, relative-error, seed 0"
+    assert members[-1].name == "pitch hover: DampedAngle, magnitude-phase, seed 1"
+    assert len({member.name for member in members}) == 8
+    for member in members:
+        assert member.problem.fixed_values == {"T_delay": 0.004}
+        assert (member.starts, member.start_count) == (5, 5)
+    assert [m.seed for m in members[:2]] == [0, 1]
+    assert members[2].problem.criterion == gb.MagnitudePhase()
+
+
+def test_data_are_values_files_or_joint_fits(tmp_path):
+    for k, response in enumerate((FIRST, SECOND)):
+        gb.data.write_response(response, tmp_path / f"f{k}.csv")
+    files = gb.study.grid(Tilt(), str(tmp_path / "*.csv"), joint=str(tmp_path / "*.csv"))
+    assert [m.name for m in files] == ["f0", "f1", "f0+f1"]
+    values = gb.study.grid(Tilt(), [FIRST, SECOND, (FIRST, SECOND)])
+    assert [len(m.problem.parts) for m in values] == [1, 1, 2]
+    for member, file in zip(values, files, strict=True):
+        for part, read in zip(member.problem.parts, file.problem.parts, strict=True):
+            np.testing.assert_allclose(read.data.response, part.data.response)
+    assert len({m.name for m in values}) == 3
+    problems = gb.study.grid(problem=[pitch_hover.problem()], band=[(1, 9), (2, 30)])
+    assert [m.name.split(": ")[1] for m in problems] == ["band (1, 9)", "band (2, 30)"]
+    assert max(problems[0].problem.data.omega) <= 9
+
+
+def test_what_a_grid_cannot_mean_is_a_sentence():
+    with pytest.raises(ValueError, match=r"'seeds' is not known; use .*mean 'seed'"):
+        gb.study.grid(Tilt(), FIRST, seeds=[0])
+    with pytest.raises(ValueError, match="needs data"):
+        gb.study.grid(Tilt())
+    assert gb.study.grid(Tilt(), FIRST, seed=[]) == []
+
+
+def test_the_default_number_of_starts():
+    assert gb.study.Member(pitch_hover.problem()).start_count == 200
+    assert gb.study.Member(pitch_hover.problem(), [{}, {}]).start_count == 2
