@@ -11,7 +11,7 @@ from greybox.estimate.printed import closeness
 from greybox.files.text_table import counted, listed, percent, some
 from greybox.solve.runs import SCREENED
 
-Grade = Literal["good", "doubt", "failed"]
+Grade = Literal["good", "doubt", "poor", "failed"]
 
 
 @dataclass(frozen=True)
@@ -20,9 +20,9 @@ class Verdict:
 
     Attributes
     ----------
-    grade : "good", "doubt" or "failed"
-        In doubt if there is a warning, if a parameter is not well determined, or if only one start
-        reached the minimum.
+    grade : "good", "doubt", "poor" or "failed"
+        Poor if the model does not explain the data. In doubt if there is a warning, if the error of
+        a parameter is beyond its guideline, or if only one start reached the minimum.
     sentences : tuple of str
         Whether the model explains the data, where that can be decided; then its minimum, its
         residuals, its parameters. For a failed fit, the reasons of the failure.
@@ -47,7 +47,10 @@ def verdict(fit: Any) -> Verdict:
     # before.
     minimum, found_again = _minimum(fit)
     determined, well = _determined(fit)
-    grade = "good" if found_again and well and not fit.warnings else "doubt"
+    grade: Grade = "good" if found_again and well and not fit.warnings else "doubt"
+    # No start agrees on the minimum of a model that explains nothing, wherever they end.
+    if fit.agreeing == 0 or (fit.misfit is not None and not fit.misfit.explains):
+        grade = "poor"
     texts = [text for _, text in closeness(fit)]
     close = f"How closely the model follows the data: {'; '.join(texts)}."
     explained = () if fit.misfit is None else (f"The model {fit.misfit.verdict}.",)
@@ -109,7 +112,9 @@ def _determined(fit: Any) -> tuple[str, bool]:
         return (
             f"Of {counted(len(fit.free), 'free parameter')}, {well} are well determined: "
             f"{'; '.join(texts)}.",
-            False,
+            # Insensitivity is the error if all others were known: it limits no use of an estimate
+            # whose error, which is larger, is within the guideline.
+            not at_bound and bool(np.all(judged.error <= ERROR_GUIDELINE)),
         )
 
     # NaN belongs to parameters at a bound, which were named above.

@@ -7,6 +7,7 @@
 | `entry` | one result |
 | `fit_section` | everything about one fit |
 | `comparison_section` | several results side by side |
+| `study_section` | a study in a few figures |
 | `figure` | the figures of `greybox.plotting` as elements of the page |
 | `tables` | tables of estimates |
 | `provenance` | where data and result come from |

@@ -19,7 +19,8 @@ from greybox.validation.compare import compare
 from greybox.validation.comparison import HELD_OUT, Comparison
 
 OVERLAID = 6  # fits in one figure: there are six colors
-GRADES = {"good": "good", "doubt": "in doubt", "failed": "failed"}
+GRADES = {"good": "good", "doubt": "in doubt", "poor": "poor", "failed": "failed"}
+WIDE = 12  # columns of estimates above which structures have tables of their own
 
 
 def comparison_section(entries: Sequence[Entry], comparison: Comparison | None) -> list[Element]:
@@ -74,9 +75,14 @@ def _estimates(entries: Sequence[Entry]) -> Iterator[Element]:
     estimated = [e for e in entries if e.answer.get("converged") and e.answer["standard_error"]]
     names = dict.fromkeys(name for entry in estimated for name in entry.answer["standard_error"])
     if names:
-        rows = [[Cell(e.label), *_estimate_cells(e.answer, names)] for e in estimated]
         yield tag("h3", "Estimates with standard errors")
-        yield table(["result", *names], rows)
+    groups: dict[tuple[str, ...], list[Entry]] = {}
+    for entry in estimated:
+        own = entry.answer["standard_error"] if len(names) > WIDE else names
+        groups.setdefault(tuple(own), []).append(entry)
+    for columns, group in groups.items():
+        rows = [[Cell(e.label), *_estimate_cells(e.answer, columns)] for e in group]
+        yield table(["result", *columns], rows)
 
 
 def _estimate_cells(answer: Mapping[str, Any], names: Iterable[str]) -> Iterator[Cell]:

@@ -61,6 +61,8 @@
     return ticks;
   };
 
+  const named = (names) => names.map((text, k) => ({ at: k + 1, text }));
+
   const span = (ranges) => {
     let low = Infinity;
     let high = -Infinity;
@@ -115,7 +117,8 @@
           series.at = series.x.map(this.toX);
           series.sorted = series.at.every((value, k) => k === 0 || value >= series.at[k - 1]);
           for (const column of ["y", "low", "high"]) {
-            series[`${column}At`] = series[column] && series[column].map((value) => (value === null ? null : panel.to(value)));
+            const to = series.is_across && column !== "y" ? this.toX : panel.to;
+            series[`${column}At`] = series[column] && series[column].map((value) => (value === null ? null : to(value)));
           }
         }
       }
@@ -125,13 +128,18 @@
       return this.figure.panels.flatMap((panel) => panel.series);
     }
 
+    // Points are read, not places along the axis: in a plane, and where rows have names.
+    get byPoint() {
+      return this.figure.is_plane || this.figure.panels.some((panel) => panel.ticks.length);
+    }
+
     visible(panel) {
       return panel.series.filter((series) => !this.hidden.has(series.name));
     }
 
     reset() {
       const { limits } = this.figure;
-      this.view = limits ? limits.map(this.toX) : span(this.series.filter((series) => series.kind !== "rule").flatMap((series) => series.at));
+      this.view = limits ? limits.map(this.toX) : span(this.series.filter((series) => series.kind !== "rule").flatMap((series) => (series.is_across ? [...series.at, ...series.lowAt, ...series.highAt] : series.at)));
       this.whole = [...this.view];
       for (const panel of this.figure.panels) panel.view = null;
       this.reading = null;
@@ -203,9 +211,11 @@
       if (!this.width) return;
       const { figure, width } = this;
       const narrow = width < NARROW;
-      const left = narrow ? 50 : 66;
+      const longest = (names) => Math.max(0, ...names.map((name) => name.length));
+      const names = longest(figure.panels.flatMap((panel) => panel.ticks));
+      const left = names ? Math.min(0.45 * width, 14 + 6.6 * names) : narrow ? 50 : 66;
       const right = 10;
-      const bottom = 40;
+      const bottom = figure.ticks.length ? 24 + 6.6 * Math.min(longest(figure.ticks), 30) : 40;
       const usual = narrow ? 150 : 190;
       this.left = left;
       this.right = width - right;
@@ -264,6 +274,7 @@
     }
 
     horizontalTicks(narrow) {
+      if (this.figure.ticks.length) return named(this.figure.ticks);
       const count = (this.right - this.left) / (narrow ? 48 : 64);
       return this.figure.is_logarithmic ? logarithmicTicks(...this.seen, count) : linearTicks(...this.seen, count, [], this.figure.is_whole ? 1 : 0);
     }
@@ -282,17 +293,20 @@
         const x = this.px(tick.at);
         grid += `M${x.toFixed(1)},${panel.top}v${height}`;
         const half = 3.6 * tick.text.length;
-        if (isLast && tick.text && x - half > free && x + half < right + 12) {
+        if (isLast && this.figure.ticks.length) {
+          const at = `${x + 4} ${panel.bottom + 8}`;
+          group.append(svg("text", { x: x + 4, y: panel.bottom + 8, "text-anchor": "end", transform: `rotate(-90 ${at})` }, tick.text.slice(0, 30)));
+        } else if (isLast && tick.text && x - half > free && x + half < right + 12) {
           free = x + half + 4;
           group.append(svg("text", { x, y: panel.bottom + 15, "text-anchor": "middle" }, tick.text));
         }
       }
       const count = height / (narrow ? 30 : 34);
-      const rows = panel.is_logarithmic ? logarithmicTicks(...panel.shown, count) : linearTicks(...panel.shown, count, panel.steps);
+      const rows = panel.ticks.length ? named(panel.ticks) : panel.is_logarithmic ? logarithmicTicks(...panel.shown, count) : linearTicks(...panel.shown, count, panel.steps);
       for (const tick of rows) {
         const y = this.py(panel, tick.at);
         grid += `M${left},${y.toFixed(1)}h${width}`;
-        if (tick.text) group.append(svg("text", { x: left - 6, y: y + 3.5, "text-anchor": "end" }, tick.text));
+        if (tick.text) group.append(svg("text", { x: left - 6, y: y + 3.5, "text-anchor": "end" }, tick.text.length * 6.6 > left ? `${tick.text.slice(0, Math.floor(left / 6.6) - 3)}…` : tick.text));
       }
       group.prepend(svg("path", { d: grid, class: "grid" }));
       const inside = svg("g", { "clip-path": `url(#${clip})` });
@@ -327,7 +341,7 @@
     // The rows in sight, and one to either side.
     rows(series) {
       const count = series.at.length;
-      if (!series.sorted || this.figure.is_plane) return [0, count];
+      if (!series.sorted || this.byPoint) return [0, count];
       return [Math.max(0, below(series.at, this.seen[0]) - 1), Math.min(count, below(series.at, this.seen[1]) + 2)];
     }
 
@@ -366,6 +380,10 @@
       let d = "";
       for (let k = from; k < to; k += 1) {
         if (series.lowAt[k] === null || series.highAt[k] === null) continue;
+        if (series.is_across) {
+          d += `M${this.px(series.lowAt[k]).toFixed(1)},${this.py(panel, series.yAt[k]).toFixed(1)}H${this.px(series.highAt[k]).toFixed(1)}`;
+          continue;
+        }
         d += `M${this.px(series.at[k]).toFixed(1)},${this.py(panel, series.lowAt[k]).toFixed(1)}V${this.py(panel, series.highAt[k]).toFixed(1)}`;
       }
       return d;
@@ -383,7 +401,7 @@
           if (x >= this.seen[0] && x <= this.seen[1] && series.yAt[k] !== null) stops.push({ panel, series, k, x });
         });
       }
-      return this.figure.is_plane ? stops : stops.sort((a, b) => a.x - b.x).filter((stop, k, list) => k === 0 || stop.x !== list[k - 1].x);
+      return this.byPoint ? stops : stops.sort((a, b) => a.x - b.x).filter((stop, k, list) => k === 0 || stop.x !== list[k - 1].x);
     }
 
     read(x, y) {
@@ -392,10 +410,10 @@
       let distance = Infinity;
       for (const stop of stops) {
         const aside = Math.abs(this.px(stop.x) - x);
-        const away = this.figure.is_plane ? Math.hypot(aside, this.py(stop.panel, stop.series.yAt[stop.k]) - y) : aside;
+        const away = this.byPoint ? Math.hypot(aside, this.py(stop.panel, stop.series.yAt[stop.k]) - y) : aside;
         if (away < distance) [best, distance] = [stop, away];
       }
-      if (this.figure.is_plane) this.reading = distance < 2 * SNAP ? best : null;
+      if (this.byPoint) this.reading = distance < 2 * SNAP ? best : null;
       else if (best && distance < SNAP) this.reading = best;
       else this.reading = { x: this.seen[0] + ((x - this.left) / (this.right - this.left)) * (this.seen[1] - this.seen[0]) };
       this.mark();
@@ -404,7 +422,7 @@
     step(by) {
       const stops = this.stops();
       if (!stops.length) return;
-      let k = this.reading ? stops.findIndex((stop) => (this.figure.is_plane ? stop.series === this.reading.series && stop.k === this.reading.k : stop.x >= this.reading.x - 1e-12)) : by > 0 ? -1 : stops.length;
+      let k = this.reading ? stops.findIndex((stop) => (this.byPoint ? stop.series === this.reading.series && stop.k === this.reading.k : stop.x >= this.reading.x - 1e-12)) : by > 0 ? -1 : stops.length;
       if (k < 0 && this.reading) k = stops.length;
       this.reading = stops[Math.max(0, Math.min(stops.length - 1, k + by))];
       this.mark();
@@ -438,15 +456,15 @@
       this.overlay.replaceChildren();
       this.readout.replaceChildren();
       if (!reading) return;
-      const found = figure.is_plane ? [{ panel: reading.panel, series: reading.series, k: reading.k, y: reading.series.yAt[reading.k] }] : this.values(reading.x);
-      if (!figure.is_plane) this.overlay.append(svg("path", { d: `M${this.px(reading.x).toFixed(1)},${figure.panels[0].top}V${figure.panels.at(-1).bottom}`, class: "cursor" }));
+      const found = this.byPoint ? [{ panel: reading.panel, series: reading.series, k: reading.k, y: reading.series.yAt[reading.k] }] : this.values(reading.x);
+      if (!this.byPoint) this.overlay.append(svg("path", { d: `M${this.px(reading.x).toFixed(1)},${figure.panels[0].top}V${figure.panels.at(-1).bottom}`, class: "cursor" }));
       for (const { panel, y } of found) {
         if (y === undefined) continue;
         const [cx, cy] = [this.px(reading.x), this.py(panel, y)];
         if (cy >= panel.top && cy <= panel.bottom) this.overlay.append(svg("circle", { cx, cy, r: 5, class: "cursor" }));
       }
       const [name, unit] = quantity(figure.label);
-      if (!figure.is_plane) this.readout.append(html("b", {}, `${name} = ${shown(this.fromX(reading.x))} ${unit}`.trim()));
+      if (!this.byPoint) this.readout.append(html("b", {}, `${name} = ${shown(this.fromX(reading.x))} ${unit}`.trim()));
       let last = null;
       for (const one of found) {
         if (one.panel !== last && figure.panels.length > 1) this.readout.append(html("i", {}, quantity(one.panel.label)[0]));
@@ -607,6 +625,18 @@
 
   // --- tables
 
+  // Rows that contain all words of the text, of tables that are too long to look through.
+  function filterable(table) {
+    const rows = [...table.tBodies[0].rows];
+    if (rows.length < 10) return;
+    const input = html("input", { type: "search", class: "filter", placeholder: "Filter rows", "aria-label": "Filter rows" });
+    input.addEventListener("input", () => {
+      const words = input.value.toLowerCase().split(/\s+/);
+      for (const row of rows) row.hidden = !words.every((word) => row.textContent.toLowerCase().includes(word));
+    });
+    table.parentElement.before(input);
+  }
+
   function sortable(table) {
     const [body] = table.tBodies;
     [...table.tHead.rows[0].cells].forEach((cell, column) => {
@@ -645,11 +675,14 @@
 
   const drawn = [...document.querySelectorAll(".plot")].map((holder) => new Plot(holder));
   document.querySelectorAll("table.sortable").forEach(sortable);
+  document.querySelectorAll("table.sortable").forEach(filterable);
   themes(document.getElementById("theme"));
 
   let closed = [];
   window.addEventListener("beforeprint", () => {
-    closed = [...document.querySelectorAll("details:not([open])")];
+    // Of more than a few results only what a reader has opened: a study would take a hundred pages.
+    const few = document.querySelectorAll("main > section > details").length <= 3;
+    closed = few ? [...document.querySelectorAll("details:not([open])")] : [];
     for (const details of closed) details.open = true;
     for (const plot of drawn) plot.fit();
   });

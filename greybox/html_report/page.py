@@ -13,9 +13,12 @@ from greybox.html_report.comparison_section import comparison_section, overview
 from greybox.html_report.elements import Child, html, tag
 from greybox.html_report.entry import Entry
 from greybox.html_report.fit_section import fit_section
+from greybox.html_report.study_section import study_section
+from greybox.study.study import Study
 from greybox.validation.comparison import Comparison
 
 OPEN = 3  # results up to which all details are open
+MANY = 12  # results above which tables are printed across the paper
 
 HERE = Path(__file__).parent
 
@@ -42,7 +45,12 @@ PAGE = """\
 """
 
 
-def page(entries: Sequence[Entry], comparison: Comparison | None, title: str) -> str:
+def page(
+    entries: Sequence[Entry],
+    comparison: Comparison | None,
+    title: str,
+    studies: Sequence[Study] = (),
+) -> str:
     """Return the page of these results as HTML."""
     fits = [entry.fit for entry in entries if entry.fit is not None]
     # A single result needs no comparison, and its sections are those of the page.
@@ -58,10 +66,14 @@ def page(entries: Sequence[Entry], comparison: Comparison | None, title: str) ->
         )
         content.insert(0, tag("p", text))
 
-    sections = [
+    sections = [_section("Summary", study_section(study)) for study in studies]
+    sections.append(_section("Comparison", content))
+    if len(entries) > MANY:
+        sections[-1].set("class", "many")
+    sections += [
         _details(entry, is_open=len(entries) <= OPEN) for entry in entries if entry.fit is not None
     ]
-    return _document(title, [_section("Comparison", content), *sections])
+    return _document(title, sections)
 
 
 def _details(entry: Entry, *, is_open: bool) -> Element:

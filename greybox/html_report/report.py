@@ -10,6 +10,7 @@ from greybox.files.safe_files import write_text
 from greybox.files.text_table import counted
 from greybox.html_report.entry import Entry
 from greybox.html_report.page import page
+from greybox.html_report.study_section import folded
 from greybox.study.study import Study
 from greybox.validation.comparison import Comparison
 from greybox.validation.same_data import labels_of
@@ -71,20 +72,17 @@ def report(
         default = entries[0].answer.get("problem", entries[0].label)
     # A file of a stranger may contain any numbers, and warnings about them help nobody.
     with np.errstate(all="ignore"):
-        text = page(entries, comparison, title or default)
+        studies = [result for result in results if isinstance(result, Study)]
+        text = page(entries, comparison, title or default, studies)
     write_text(Path(path), text)
 
 
 def members_of(study: Study) -> list[Entry]:
     """Return the members of a study, with the fits of the first that have an answer."""
     # Only the first ones are loaded: a page about a hundred fits would take minutes and megabytes.
-    done = [member for member in study.members if member.status == "done"]
+    members = folded(study)
+    detailed = [member for _, member in members if member.status == "done"][:DETAILED]
     return [
-        Entry(
-            member.name,
-            member.fit if member in done[:DETAILED] else None,
-            member.answer,
-            "" if member in done else member.error or "unfinished",
-        )
-        for member in study.members
+        Entry(name, member.fit if member in detailed else None, member.answer, member.reason)
+        for name, member in members
     ]

@@ -8,12 +8,12 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from greybox.files.arrays import Array
-from greybox.files.text_table import number, with_error
+from greybox.files.text_table import number
 from greybox.plotting.figure import CROSS, Figure, Panel, Series
 from greybox.plotting.matplotlib_figure import draw
 from greybox.study.ranking import EVIDENCE
 from greybox.study.store import StudyMember
-from greybox.study.study import Study
+from greybox.study.study import Study, shown
 from greybox.validation.comparison import Comparison, p_text
 
 NAMED = 40  # members up to which each has its name
@@ -91,10 +91,11 @@ def _line(model: str, x: Array, y: Array, error: Array, color: int) -> Series:
     scatter = float(np.sum(((y - intercept - slope * x) / error) ** 2)) / dof
     slope_error = math.sqrt(covariance[0, 0] * max(scatter, 1.0))
     p_value = 2 * float(t.sf(abs(slope) / slope_error, dof))
-    text = " ± ".join(with_error(slope, slope_error))
     ends = np.array([x.min(), x.max()])
     line = intercept + slope * ends
-    return Series(f"{model}: slope {text}, {p_text(p_value)}", "line", ends, line, color)
+    return Series(
+        f"{model}: slope {shown(slope, slope_error)}, {p_text(p_value)}", "line", ends, line, color
+    )
 
 
 def estimates(study: Study, quantity: str, ax: Axes | None = None) -> Axes:
@@ -126,7 +127,7 @@ def estimates_figure(study: Study, quantity: str) -> Figure:
     for k, (model, group) in enumerate(_by_model(values)):
         x, error = np.array([value[1:] for value in group]).T
         look = {"low": x - error, "high": x + error, "is_across": True}
-        notes = [f"{m.name}: {' ± '.join(with_error(*pair))}" for m, *pair in group]
+        notes = [f"{m.name}: {shown(*pair)}" for m, *pair in group]
         y = np.array([rows[member] for member, _, _ in group])
         series.append(Series(model, "points", x, y, k, k, notes=notes, **look))
     names = [member.name for member in rows][::-1] if len(rows) <= NAMED else [""]
@@ -170,7 +171,10 @@ def structures_figure(results: Study | Comparison) -> Figure:
     height = max(0.6, len(rows) / 10)
     limits = (0.5, len(rows) + 0.5), (0.5, len(columns) + 0.5)
     panel = Panel("", series, height, limits=limits[0], ticks=rows[::-1])
-    return Figure("Structures", "", [panel], limits=limits[1], ticks=columns)
+    title = "Evidence" if isinstance(results, Comparison) else "Starts that agree"
+    return Figure(
+        f"{title} by structure and data set", "", [panel], limits=limits[1], ticks=columns
+    )
 
 
 def _evidence(comparison: Comparison) -> dict[tuple[str, str], float]:

@@ -1,6 +1,5 @@
 """Tables for a paper: LaTeX with the package booktabs."""
 
-import math
 import re
 from collections.abc import Sequence
 
@@ -46,7 +45,7 @@ def latex_number(value: float | None, error: float | None = None) -> str:
     """Return a value with its standard error, each with the digits that it deserves."""
     if value is None:
         return "--"
-    texts = with_error(value, math.nan if error is None else error)
+    texts = with_error(value, error or 0.0)
     powers = [re.sub(r"e([+-]\d+)", _power, text) for text in texts]
     return f"${powers[0]}$" if texts[1] == "-" else rf"${powers[0]} \pm {powers[1]}$"
 

@@ -164,15 +164,17 @@ class Study:
         return text_table(["failed", "members", "reason and cure"], rows, (1, 2)) if rows else ""
 
     def __repr__(self) -> str:
-        return one_line(self, str(self.folder), self._state())
+        return one_line(self, str(self.folder), self.state)
 
-    def _state(self) -> str:
+    @property
+    def state(self) -> str:
+        """How many members are done, failed and unfinished."""
         statuses: tuple[Status, ...] = ("done", "failed", "unfinished")
         counts = [f"{self.count(status)} {status}" for status in statuses if self.count(status)]
         return f"{counted(len(self.members), 'member')}: {', '.join(counts) or 'none'}"
 
     def __str__(self) -> str:
-        blocks = [f"Study {printable(str(self.folder))}, {self._state()}", _overview(self.members)]
+        blocks = [f"Study {printable(str(self.folder))}, {self.state}", _overview(self.members)]
         blocks += [_estimates(members) for members in _alike(self.done)]
         return "\n\n".join([*blocks, *filter(None, [self.failures])])
 
@@ -199,7 +201,7 @@ def _require_readable(member: StudyMember) -> None:
         _overview([member])
         _rows(member)
         if member.status == "done":
-            list(_cells(member, _shown))
+            list(_cells(member, shown))
             _require_labels(member.answer)
     except (LookupError, TypeError, ValueError, AttributeError):
         raise ValueError(
@@ -263,7 +265,7 @@ def _alike(members: Sequence[StudyMember]) -> list[list[StudyMember]]:
 
 def _estimates(members: Sequence[StudyMember]) -> str:
     header = ["member", *members[0].answer["standard_error"]]
-    return text_table(header, [[m.name, *_cells(m, _shown)] for m in members])
+    return text_table(header, [[m.name, *_cells(m, shown)] for m in members])
 
 
 def _latex(members: Sequence[StudyMember]) -> str:
@@ -297,10 +299,11 @@ def _cells(member: StudyMember, form: Callable[[float | None, float | None], str
     answer = member.answer
     values = {**answer["derived"], **answer["estimate"]}
     for name, error in answer["standard_error"].items():
-        yield form(values[name], error or None)
+        yield form(values[name], error)
 
 
-def _shown(value: float | None, error: float | None) -> str:
-    if value is None or error is None:
+def shown(value: float | None, error: float | None) -> str:
+    """Return a value with its standard error, if it has one."""
+    if value is None or not error:
         return "-" if value is None else number(value)
     return " ± ".join(with_error(value, error))

@@ -145,7 +145,7 @@ def quantity(name, at_bound):
         ),
         (
             {
-                "identifiability": SimpleNamespace(beyond=("c",)),
+                "identifiability": SimpleNamespace(beyond=("c",), error=np.array([0.3])),
                 "quantities": (quantity("a", True),),
             },
             "Of 3 free parameters, 1 are well determined: a ended at a bound; c is beyond the guidelines (20 % error, "
@@ -153,7 +153,10 @@ def quantity(name, at_bound):
             False,
         ),
         (
-            {"identifiability": SimpleNamespace(beyond=tuple("abcd")), "free": tuple("abcdef")},
+            {
+                "identifiability": SimpleNamespace(beyond=tuple("abcd"), error=np.full(6, 0.3)),
+                "free": tuple("abcdef"),
+            },
             "Of 6 free parameters, 2 are well determined: a, b, c and d are beyond the guidelines (20 % error, 10 % "
             "insensitivity).",
             False,
@@ -182,3 +185,12 @@ def test_a_warning_leaves_a_fit_in_doubt():
     assert told(converged=False, best_effort=None, status="x").sentences == (
         "There is no estimate: x.",
     )
+
+
+def test_grades_differ_by_what_is_wrong():
+    # An insensitivity beyond its guideline alone leaves a fit good.
+    insensitive = SimpleNamespace(beyond=("b",), error=np.full(3, 0.1))
+    assert told(identifiability=insensitive).grade == "good"
+    assert told(misfit=SimpleNamespace(explains=False, verdict="")).grade == "poor"
+    assert told(misfit=SimpleNamespace(explains=True, verdict="")).grade == "good"
+    assert told(agreeing=0).grade == "poor"

@@ -219,22 +219,52 @@ def test_a_failed_fit_shows_where_its_best_run_ended(fit, tmp_path):
     assert "× failed" in text
 
 
-def member(name, checksum, rule, cost, status="done"):
-    answer = {"checksum": checksum, "rule": rule, "cost": cost}
-    said = {"error": "no log" if status == "failed" else "", "file": f"of/{name}"}
-    return SimpleNamespace(name=name, status=status, answer=answer, fit=f"fit of {name}", **said)
-
-
-def test_the_members_of_a_study_stand_with_their_answers_or_why_there_are_none():
-    members = [member(f"pitch{k}", "one", "ML", 20.0 - k) for k in range(14)]
-    members += [
-        member("lost", "one", "ML", None, "failed"),
-        member("later", "one", "ML", None, "unfinished"),
+def test_a_study_is_summed_up_and_its_table_is_filtered(show, small_study, tmp_path):
+    page = tmp_path / "study.html"
+    gb.report(small_study, page)
+    shown = show(page)
+    text = shown.locator("main > section").first.inner_text()
+    assert "11 members: 10 done, 1 failed" in text
+    assert "Lag (2 free) is supported" in text
+    assert "reason and cure" in text
+    evidence = shown.locator("figure").first
+    assert evidence.locator("text", has_text="LagLead").count() == 1
+    assert evidence.locator("path.marks, path.line").count() >= 3
+    # The same fit from another seed is folded.
+    names = [
+        row.inner_text() for row in shown.locator("table >> nth=0 >> tbody td:first-child").all()
     ]
-    study = SimpleNamespace(members=members)
-    made = members_of(study)
+    assert "fast, Lag and 1 alike" in names
+    assert "fast again" not in names
+    rows = shown.locator("table >> nth=0 >> tbody tr:visible")
+    assert rows.count() == 10
+    shown.get_by_label("Filter rows").first.fill("slow laglead")
+    assert rows.count() == 1
+    # A row is read by its point, and its bar lies across.
+    costs = shown.locator(".area").nth(2)
+    costs.focus()
+    shown.keyboard.press("Home")
+    assert "hover, Gain: " in costs.locator(".readout").inner_text()
+
+
+def test_only_the_first_members_of_a_study_are_read():
+    def member(number, status="done"):
+        answer = {"cost": 20.0 - number} if status == "done" else {}
+        reason = "" if status == "done" else "no log"
+        factors = {"model": "ML", "seed": "0"}
+        return SimpleNamespace(
+            name=f"pitch{number}",
+            number=number,
+            status=status,
+            answer=answer,
+            factors=factors,
+            reason=reason,
+            fit=f"fit of pitch{number}",
+        )
+
+    members = [*map(member, range(14)), member(14, "failed"), member(15, "unfinished")]
+    made = members_of(SimpleNamespace(members=members))
     assert [each.label for each in made] == [each.name for each in members]
     fits = [f"fit of pitch{k}" for k in range(12)]
-    assert [each.fit for each in made[:14]] == [*fits, None, None]
-    assert [each.error for each in made] == [""] * 14 + ["no log", "unfinished"]
-    assert made[14].fit is made[15].fit is None
+    assert [each.fit for each in made] == [*fits, None, None, None, None]
+    assert [each.error for each in made] == [""] * 14 + ["no log"] * 2
