@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element
 from greybox.estimate import printed
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
 from greybox.estimate.result import Fit
-from greybox.files.text_table import number, percent, with_error
+from greybox.files.text_table import is_number, number, percent, with_error
 from greybox.html_report.elements import Child, tag
 
 
@@ -36,35 +36,20 @@ def table(header: Sequence[str], rows: Sequence[Sequence[Cell]]) -> Element:
 
 def parameter_table(fit: Fit) -> Element:
     """Return the table of all quantities; for a failed fit, the last values of its best run."""
-    if not fit.converged:
-        header, rows, _ = printed.parameter_table(fit)
-        return table(header, [[Cell(text) for text in row] for row in rows])
-
-    intervals = fit.interval(0.95)
-    errors, insensitivities = _shares(fit)
-    # Every number with its text: the script sorts a column by the numbers.
-    rows = []
-    for q in fit.quantities:
-        value, error = with_error(q.value, q.standard_error)
-        low, high = intervals.get(q.name, (math.nan, math.nan))
-        is_free = q.kind == "free"
-        rows.append(
-            [
-                Cell(q.name),
-                Cell(value, q.value),
-                Cell("–") if error == "-" else Cell(error, q.standard_error),
+    header, rows, _ = printed.parameter_table(fit)
+    cells = [[Cell(x, float(x)) if is_number(x) else Cell(x) for x in row] for row in rows]
+    if fit.converged:
+        header = [*header[:3], "95 % interval", "CR, %", "insensitivity, %", *header[3:]]
+        intervals = fit.interval(0.95)
+        errors, insensitivities = _shares(fit)
+        for row, (name, *_) in zip(cells, rows, strict=True):
+            low, high = intervals.get(name, (math.nan, math.nan))
+            row[3:3] = [
                 Cell(_interval(low, high), low),
-                Cell(q.unit),
-                _share(errors.get(q.name, math.nan), ERROR_GUIDELINE),
-                _share(insensitivities.get(q.name, math.nan), INSENSITIVITY_GUIDELINE),
-                Cell(_minus(f"{q.bounds[0]:g} to {q.bounds[1]:g}") if is_free else ""),
-                Cell("at bound", mark="doubt") if q.at_bound else Cell(q.kind),
-                Cell(q.about),
+                _share(errors.get(name, math.nan), ERROR_GUIDELINE),
+                _share(insensitivities.get(name, math.nan), INSENSITIVITY_GUIDELINE),
             ]
-        )
-
-    header = ["parameter", "estimate", "± error", "95 % interval", "unit", "CR, %"]
-    return table([*header, "insensitivity, %", "bounds", "kind", "meaning"], rows)
+    return table(header, cells)
 
 
 def number_cell(value: float | None, digits: int = 5) -> Cell:

@@ -75,12 +75,11 @@ def test_parameters_stand_with_errors_intervals_and_shares(fit):
         ends = [float(end.replace("−", "-")) for end in row[3].split(" to ")]
         assert ends == pytest.approx([low, high], abs=0.03 * (high - low))
         assert len(row[3]) < 20  # no more digits than the error has
-        assert row[4] == q.unit
-        assert [float(cell.removesuffix(" !")) for cell in row[5:7]] == pytest.approx(
+        assert [float(cell.removesuffix(" !")) for cell in row[4:6]] == pytest.approx(
             [share, alone], rel=0.06
         )
-        assert row[7:] == [f"{q.bounds[0]:g} to {q.bounds[1]:g}".replace("-", "−"), q.kind, q.about]
-    assert texts(parameter_table(bound))[1][8] == "at bound"
+        assert row[6:] == [q.unit, f"[{q.bounds[0]:g}, {q.bounds[1]:g}]", "", q.about]
+    assert texts(parameter_table(bound))[1][8] == "AT BOUND"
 
 
 def test_provenance_says_where_everything_came_from(fit):
