@@ -57,8 +57,8 @@ def require_determined(information: Array, names: Sequence[str], test: str, cure
 def shares(informations: Array, wanted: Array) -> Array:
     """Return the shares (n,) of the flight time that reach the wanted errors soonest.
 
-    The variance of an estimate is convex in the shares, so the problem is: minimize s such that
-    every variance is at most s times the wanted one (Fedorov 1972, Theory of Optimal Experiments;
+    The variance of an estimate is convex in the times, so the problem is: minimize their sum such
+    that every variance is at most the wanted one (Fedorov 1972, Theory of Optimal Experiments;
     Goodwin and Payne 1977, Dynamic System Identification, chapter 6).
 
     Parameters
@@ -82,32 +82,25 @@ def shares(informations: Array, wanted: Array) -> Array:
         slope = -np.einsum("ij,njk,ki->in", inverse, informations, inverse)
         return np.asarray(np.diag(inverse)[matters], dtype=float), slope[matters]
 
-    # The variances over their value at equal shares are of size one, as SLSQP expects.
+    # Times whose sum is least. The unit of time, in which equal shares of one suffice, and the
+    # variances are of size one, as SLSQP expects.
     begin = np.full(count, 1 / count)
-    unit = float(np.max(with_slope(begin)[0]))
+    unit = np.max(with_slope(begin)[0])
     outcome = minimize(
-        lambda z: z[-1],
-        np.append(begin, 1.0),
-        jac=lambda z: np.append(np.zeros(count), 1.0),
-        bounds=[*([(0.0, 1.0)] * count), (0.0, None)],
-        constraints=[
-            {
-                "type": "ineq",
-                "fun": lambda z: z[-1] - with_slope(z[:-1])[0] / unit,
-                "jac": lambda z: np.column_stack(
-                    [-with_slope(z[:-1])[1] / unit, np.ones(int(matters.sum()))]
-                ),
-            },
-            {
-                "type": "eq",
-                "fun": lambda z: z[:-1].sum() - 1,
-                "jac": lambda z: np.append(np.ones(count), 0.0),
-            },
-        ],
+        np.sum,
+        begin,
+        jac=np.ones_like,
+        bounds=[(0.0, None)] * count,
+        constraints={
+            "type": "ineq",
+            "fun": lambda t: 1 - with_slope(t)[0] / unit,
+            "jac": lambda t: -with_slope(t)[1] / unit,
+        },
         method="SLSQP",
         options={"maxiter": 300, "ftol": 1e-9},
     )
-    share = np.where(outcome.x[:-1] < SMALLEST_SHARE, 0.0, outcome.x[:-1])
+    share = outcome.x / outcome.x.sum()
+    share[share < SMALLEST_SHARE] = 0
     return share / share.sum()
 
 
