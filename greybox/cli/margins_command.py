@@ -1,19 +1,21 @@
-"""The command `greybox margins`: stability margins of a saved fit in the loop of a controller."""
+"""The command `greybox margins`: stability margins of saved fits in the loop of a controller."""
 
 import argparse
 from typing import Any
 
 from greybox.cli.options import UsageError
-from greybox.cli.output import Answer, require_figure, save_figure
-from greybox.cli.saved_fits import stated_fit
+from greybox.cli.output import Answer, require_figure, require_writable, save_figure
+from greybox.cli.saved_fits import saved_fit
 from greybox.experiment.controller import Controller
-from greybox.experiment.margins import margins
+from greybox.experiment.margins import margin_table, margins
 from greybox.logs.readers import read
 from greybox.study.catalog import find_controller, shipped_module
+from greybox.study.study import read_study
 
 EXAMPLES = (
     "pitch.h5 --log flight.BIN --axis pitch",
     "pitch.h5 --controller controller:AttitudeController --signals q=theta_dot",
+    "hover.h5 forward.h5 --controller my.py:RateLoop --report margins.html",
     "rate.h5 --controller my.py:RateLoop --set K_P=0.12 K_I=0.1 --rate 400 --broken-at u q",
 )
 # The options that state the controllers of a loop.
@@ -28,9 +30,9 @@ CONTROLLER_OPTIONS = """
     a signal of a controller and its name in the plant, e.g. q=theta_dot
 """
 OPTIONS = f"""
-result RESULT
-    a fit that greybox fit --out wrote
---problem
+results RESULT...
+    a fit that greybox fit --out wrote, or the folder of a study; several, such as operating
+    points, are shown in one table
 --model
 {CONTROLLER_OPTIONS}
 --log LOG
@@ -46,22 +48,32 @@ result RESULT
 --level
 --plot FILE
     draw the loop, broken at the first signal, into this png, pdf or svg file
+--report FILE
+    write a page about the fits with their margins, as greybox report does
 --force
 """
 
 
 def run(options: argparse.Namespace) -> Answer:
-    """Read the fit, close the loop, and return the margins wherever it is broken."""
-    fit, _ = stated_fit(options)
+    """Read the fits, close their loops, and return the margins wherever these are broken."""
+    fits: dict[str, Any] = {}
+    for path in options.results:
+        if path.is_dir():
+            fits |= {member.name: member.fit for member in read_study(path).done}
+        else:
+            fits[str(path)] = saved_fit(path, options)
     require_figure(options.plot, options.force)
+    require_writable(options.report, options.force, (".html", ".htm"), "page")
     tracking = tuple(options.tracking) if options.tracking else None
     wrong, measured = "", ()
     # A log has the controller that flew, with its gains and its rate.
     if options.log:
         refuse_controllers(options)
+        if len(fits) != 1:
+            raise UsageError("--log is of one flight: give a single RESULT with it.")
         flown = shipped_module("models", "firmware").loop_of_log(
             read(options.log),
-            fit,
+            *fits.values(),
             options.axis,
             signals=options.signals,
             broken_at=options.broken_at or (),
@@ -75,25 +87,36 @@ def run(options: argparse.Namespace) -> Answer:
             wrong = "the controllers of the log do not reproduce its control."
     else:
         controllers = stated_controllers(options)
-        loops = [
-            margins(
-                fit,
-                controllers,
-                broken_at=signal,
-                tracking=tracking,
-                at=options.at,
-                level=options.level,
+        labeled = [
+            (
+                label,
+                margins(
+                    fit,
+                    controllers,
+                    broken_at=place,
+                    tracking=tracking,
+                    at=options.at,
+                    level=options.level,
+                ),
             )
-            for signal in options.broken_at or [""]
+            for label, fit in fits.items()
+            for place in options.broken_at or [""]
         ]
+        loops = [loop for _, loop in labeled]
         answer: dict[str, Any] = {"loops": [loop.to_dict() for loop in loops]}
-        text = list(map(str, loops))
+        text = [margin_table(labeled)] if len(fits) > 1 else [*map(str, loops)]
 
     # A loop may be safe where it is broken at one signal, and not at another.
     unsafe = " ".join(loop.verdict for loop in loops if not loop.is_safe)
     if unsafe or wrong:
         answer["error"] = unsafe or wrong
-    return answer, "\n\n".join([*text, *save_figure(options.plot, "loop", loops[0], *measured)])
+    text += save_figure(options.plot, "loop", loops[0], *measured)
+    if options.report:
+        from greybox.html_report.report import report  # noqa: PLC0415  (slow import)
+
+        report([*fits.values()], options.report, margins=loops)
+        text.append(f"wrote {options.report}")
+    return answer, "\n\n".join(text)
 
 
 def refuse_controllers(options: argparse.Namespace) -> None:

@@ -33,6 +33,7 @@ from greybox.experiment.expected_errors import ExpectedErrors as ExpectedErrors
 from greybox.experiment.expected_errors import expected_errors as expected_errors
 from greybox.experiment.gain_file import write_gains as write_gains
 from greybox.experiment.margins import Margins as Margins
+from greybox.experiment.margins import margin_table as margin_table
 from greybox.experiment.margins import margins as margins
 from greybox.experiment.margins import measured_margins as measured_margins
 from greybox.experiment.measured_loop import broken_loop as broken_loop

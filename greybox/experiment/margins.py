@@ -58,6 +58,7 @@ UNITS = {
 LEAST = ("modulus margin", "disturbance rejection peak")
 
 ORDER = "closest_observation"  # of quantiles: interpolation between infinite values is undefined
+MAIN = ("phase margin", "gain margin", "delay margin", "crossover")  # of a table of many loops
 _INTEGRALS = {"rad": 0, "deg": 0, "rad/s": 1, "deg/s": 1}  # from a response to an attitude
 
 
@@ -343,6 +344,17 @@ def margins(
     fitted = plant.parts[part] if isinstance(plant, Fit) else None
     band = np.sort(fitted.data.omega)[[0, -1]] if isinstance(fitted, FittedResponse) else None
     return _with_rows(answer, groups, band)
+
+
+def margin_table(answers: Sequence[tuple[str, Margins]]) -> str:
+    """Return a table of the main margins of loops with labels, such as operating points."""
+    rows = []
+    for label, answer in answers:
+        numbers = {margin.name: _with_interval(margin) for margin in answer.margins}
+        risk = number(100 * answer.instability, 2) if answer.is_stable else "100"
+        rows.append((label, answer.signal, *(numbers.get(name, "-") for name in MAIN), risk))
+    header = ("", "broken at", *(f"{name}, {UNITS[name]}" for name in MAIN), "unstable, %")
+    return text_table(header, rows, left=(0, 1))
 
 
 def _with_rows(answer: Margins, groups: Mapping[str, LoopNumbers], band: Array | None) -> Margins:

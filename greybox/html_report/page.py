@@ -8,12 +8,15 @@ from importlib.metadata import version
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
+from greybox.experiment.margins import Margins
 from greybox.files.text_table import counted
 from greybox.html_report.comparison_section import comparison_section, overview
 from greybox.html_report.elements import Child, html, tag
 from greybox.html_report.entry import Entry
+from greybox.html_report.figure import figure_grid
 from greybox.html_report.fit_section import fit_section
 from greybox.html_report.study_section import study_section
+from greybox.plotting.loops import loop_figures
 from greybox.study.study import Study
 from greybox.validation.comparison import Comparison
 
@@ -50,13 +53,16 @@ def page(
     comparison: Comparison | None,
     title: str,
     studies: Sequence[Study] = (),
+    margins: Sequence[Margins] = (),
 ) -> str:
-    """Return the page of these results as HTML."""
+    """Return the page of these results, and of the margins of their loops, as HTML."""
+    loops = [(tag("pre", str(loop)), figure_grid(loop_figures(loop))) for loop in margins]
+    appended = [_section("Stability margins", loops)] if loops else []
     fits = [entry.fit for entry in entries if entry.fit is not None]
     # A single result needs no comparison, and its sections are those of the page.
     if len(entries) == 1 and fits and comparison is None:
         sections = [_section(name, content) for name, content in fit_section(entries[0])]
-        return _document(title, sections)
+        return _document(title, [*sections, *appended])
 
     content = [overview(entries), *comparison_section(entries, comparison)]
     if any(entry.fit is None and not entry.error for entry in entries):
@@ -73,7 +79,7 @@ def page(
     sections += [
         _details(entry, is_open=len(entries) <= OPEN) for entry in entries if entry.fit is not None
     ]
-    return _document(title, sections)
+    return _document(title, [*sections, *appended])
 
 
 def _details(entry: Entry, *, is_open: bool) -> Element:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from greybox.estimate.result import Fit
+from greybox.experiment.margins import Margins
 from greybox.files.safe_files import write_text
 from greybox.files.text_table import counted
 from greybox.html_report.entry import Entry
@@ -23,6 +24,7 @@ def report(
     path: str | Path,
     *,
     comparison: Comparison | None = None,
+    margins: Sequence[Margins] = (),
     title: str = "",
 ) -> None:
     """Write a page about fits: one HTML file for a browser, for print, or for a colleague.
@@ -38,6 +40,8 @@ def report(
     comparison : Comparison, optional
         With held-out results: ``gb.compare(a, b, records=flight)``. By default up to six fits are
         compared on their own data.
+    margins : sequence of Margins
+        Of loops of these fits, shown with their figures.
     title : str
         By default the name of the fit.
 
@@ -73,7 +77,7 @@ def report(
     # A file of a stranger may contain any numbers, and warnings about them help nobody.
     with np.errstate(all="ignore"):
         studies = [result for result in results if isinstance(result, Study)]
-        text = page(entries, comparison, title or default, studies)
+        text = page(entries, comparison, title or default, studies, margins)
     write_text(Path(path), text)
 
 

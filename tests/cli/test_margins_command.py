@@ -64,6 +64,20 @@ def test_the_loop_is_drawn(capsys, pitch, tmp_path):
     assert "loop.png" in out
 
 
+def test_several_fits_are_shown_in_a_table_and_on_a_page(capsys, pitch, tmp_path):
+    page = tmp_path / "page.html"
+    other = tmp_path / "forward.h5"
+    other.write_bytes(pitch.read_bytes())
+    _, out, _ = run(capsys, "margins", pitch, other, *LOOP, "--report", page)
+    header, _, *rows = out.splitlines()[:4]
+    assert "phase margin, deg" in header
+    assert [row.split()[0] for row in rows] == [str(pitch), str(other)]
+    text = page.read_text(encoding="utf-8")
+    assert "Stability margins" in text
+    assert text.count("<strong>Nichols diagram") == 2
+    assert "a single RESULT" in refused(capsys, "margins", pitch, other, "--log", sitl_pitch.LOG)
+
+
 def test_a_loop_that_is_not_stable_fails(capsys, pitch):
     status, out, _ = run(capsys, "margins", pitch, *LOOP, "--set", "K_P=5")
     assert status == 1
