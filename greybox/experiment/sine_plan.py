@@ -207,8 +207,13 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     density = noise_density(noise, model, values, omega, (input, output), rate)
     weight = (size * np.abs(gains[input])) ** 2 / density  # 2 / E|P̂ - P|² of a second
     # In units of the wanted errors, the matrices are well scaled and the targets are one.
-    scale = np.array([wanted.get(name, np.nan) for name in nlp.free])
-    scale = np.where(np.isfinite(scale), scale, _sizes(sensitivity, weight))
+    size_alone = np.sqrt(weight @ np.abs(sensitivity) ** 2)  # the inverse error of each alone
+    scale = np.array(
+        [
+            wanted.get(name, 1 / s if s else 1.0)
+            for name, s in zip(nlp.free, size_alone, strict=True)
+        ]
+    )
     scaled = sensitivity * scale
     information = weight[:, None, None] * np.real(np.conj(scaled)[:, :, None] * scaled[:, None, :])
     target = np.array([1.0 if name in wanted else np.inf for name in nlp.free])
@@ -312,13 +317,6 @@ def _sensitivities(
     part = nlp.parts[0]
     assert isinstance(part, ResponsePart)
     return nlp, part.sensitivity(x)[:, : len(nlp.free)]
-
-
-def _sizes(sensitivity: ComplexArray, weight: Array) -> Array:
-    """Return sizes (p,) of parameters without a wanted error, comparable with wanted errors."""
-    # The error of each parameter alone, after a second at all frequencies.
-    norm = np.sqrt((weight[:, None] * np.abs(sensitivity) ** 2).sum(axis=0))
-    return 1 / np.where(norm > 0, norm, 1.0)
 
 
 def noise_density(
