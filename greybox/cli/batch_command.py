@@ -77,7 +77,8 @@ def _listed(members: Sequence[Member]) -> Answer:
     """Return the names of members and their numbers of starts."""
     starts = {member.name: member.start_count for member in members}
     total = f"{counted(len(starts), 'member')}, {counted(sum(starts.values()), 'start')}"
-    return {"starts": starts}, text_table(["member", "starts"], starts.items()), total
+    rows = [[name, str(count)] for name, count in starts.items()]
+    return {"starts": starts}, text_table(["member", "starts"], rows), total
 
 
 def as_json(study: Study) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 Begin with `batch`.
 """
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
@@ -187,13 +188,11 @@ def require_distinct(members: Sequence[Member]) -> None:
     """Raise ValueError if there are no members, or if two have the same name."""
     if not members:
         raise ValueError("members is empty: give at least one problem.")
-    names = [member.name for member in members]
-    for name in names:
-        if names.count(name) > 1:
-            raise ValueError(
-                f"{counted(names.count(name), 'member')} have the name {name!r}: give different "
-                "names."
-            )
+    [(name, count)] = Counter(member.name for member in members).most_common(1)
+    if count > 1:
+        raise ValueError(
+            f"{counted(count, 'member')} have the name {name!r}: give different names."
+        )
 
 
 def _fit_member(

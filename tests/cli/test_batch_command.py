@@ -95,6 +95,15 @@ def test_a_study_is_run_compared_and_resumed(study, tmp_path, capsys):
     )
 
 
+def test_a_dry_run_lists_the_members_and_writes_nothing(study, tmp_path, capsys):
+    status, listed, _ = answer(capsys, "batch", study, "--dry-run")
+    assert status == 0
+    assert listed["starts"]["mine:small: magnitude-phase, seed 1"] == 4
+    assert main(["batch", str(study), "--dry-run"]) == 0
+    assert capsys.readouterr().out.endswith("7 members, 28 starts\n")
+    assert {path.name for path in tmp_path.iterdir()} == {"files"}
+
+
 def test_a_study_in_python(tmp_path, capsys):
     path = tmp_path / "study_of_two_seeds.py"
     path.write_text(
