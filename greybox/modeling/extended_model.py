@@ -34,13 +34,3 @@ class ExtendedModel(StateSpace):
     def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
         """Derived quantities of the model."""
         return self.model.derived
-
-    @property
-    def trim(self) -> Any:  # type: ignore[override]
-        """The trim of the model, if it has one, with the additional states at rest."""
-        return None if self.model.trim is None else self._trim
-
-    def _trim(self, at: Any, p: Any) -> Mapping[str, Any]:
-        assert self.model.trim is not None
-        rest = dict.fromkeys(self.states[len(self.model.states) :], 0.0)
-        return {**rest, **self.model.trim(at, p)}

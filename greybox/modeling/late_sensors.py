@@ -66,6 +66,11 @@ class LateSensors(ExtendedModel):
         """Return what the sensors show."""
         return [measured for measured, _ in self._sensors(x, u, p).values()]
 
+    @property
+    def trim(self) -> Any:  # type: ignore[override]
+        """The trim of the model, if it has one, with sensors at rest."""
+        return None if self.model.trim is None else self._trim
+
     def _trim(self, at: Any, p: Any) -> Mapping[str, Any]:
         # At rest, every sensor shows the true output.
         assert self.model.trim is not None

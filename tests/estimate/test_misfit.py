@@ -189,3 +189,14 @@ def test_misfit_is_stored_with_the_fit(tmp_path):
     fit = fitted(Late)
     gb.save(fit, tmp_path / "fit.h5")
     assert gb.load(tmp_path / "fit.h5").misfit == fit.misfit
+
+
+def test_an_output_that_turbulence_moves_has_its_criterion():
+    random = np.random.default_rng(1)
+    gust = lfilter([1.0], [1, -0.9], random.normal(size=SAMPLES))
+    x = lfilter([0.0, 1.0], np.poly(np.exp(STEP * np.roots([1, 2.0, 25.0]))), gust)
+    flight = problem()
+    flight = flight.with_(data=flight.data.with_signals(x=flight.data["x"] + x))
+    fit = gb.fit(flight, starts=1, progress=False, profiles=False)
+    (text,) = (text for text in fit.warnings if "almost none" in text)
+    assert "in turbulence, use PredictionError(disturbance={'v': 'colored'})" in text

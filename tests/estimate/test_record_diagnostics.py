@@ -509,6 +509,7 @@ def test_an_output_is_not_explained_below_a_tenth_and_half_of_what_its_noise_all
         part = SimpleNamespace(
             model=SimpleNamespace(criterion=criterion),
             is_static=more.pop("static", False),
+            problem=SimpleNamespace(model=None),
             data=data,
             system=system,
         )

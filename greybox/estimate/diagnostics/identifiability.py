@@ -120,8 +120,9 @@ def at_bounds(nlp: CompiledProblem, best: Minimum, accuracy: Accuracy) -> Iterat
     absent = _absent_noise(nlp, accuracy)
     if absent:
         yield (
-            f"these data show no process noise of the size {listed(sorted(absent))}, which ended "
-            "at zero: OutputError, or process_noise without it, says as much with fewer unknowns."
+            f"{listed(sorted(absent))} ended at zero, where the likelihood is stationary: give a "
+            "start above zero. If it ends there again, these data show no process noise of that "
+            "size, and OutputError, or process_noise without it, says as much with fewer unknowns."
         )
 
     for name in accuracy.at_bound:

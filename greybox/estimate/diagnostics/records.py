@@ -18,6 +18,7 @@ from greybox.estimate.missing_terms import dynamic_equations
 from greybox.files.arrays import Array
 from greybox.files.text_table import counted, some
 from greybox.modeling.colored_disturbance import undisturbed
+from greybox.modeling.state_space import StateSpace
 from greybox.statistics.metrics import cross_correlation, whiteness
 from greybox.statistics.noise_ratio import noise_ratio
 
@@ -120,6 +121,8 @@ def unexplained_outputs(
             yield f"{output} noisy", record, f"{text}, {cure}"
         elif percent < noise.attainable_fit_percent / 2:
             cure = "try other starts, narrower start boxes, or another model structure"
+            if isinstance(part.problem.model, StateSpace) and not part.is_static:
+                cure = f"in turbulence, use {gust_criterion(part)}; else {cure}"
             yield (
                 output,
                 record,
