@@ -27,7 +27,7 @@ from pathlib import Path
 import numpy as np
 
 import greybox as gb
-from greybox.files.sealed_files import BLOCK, seal
+from greybox.files.sealed_files import BLOCK
 
 ROOT = Path(__file__).parents[1]
 SECONDS, MEMORY = 2.0, 500e6  # for one file; bytes
@@ -218,7 +218,7 @@ def fuzz(numbers: range, names: list[str], seed: int = 0, keep: Path | None = No
     Return counts, failures, and (s, bytes, which) of all.
     """
     sys.path.insert(0, str(ROOT / "tests" / "support"))
-    crafted = importlib.import_module("crafted_results")
+    crafted, sealing = map(importlib.import_module, ("crafted_results", "sealing"))
     counts, failures, costs = Counter(), [], []
 
     def note(kind, which, path):
@@ -237,7 +237,7 @@ def fuzz(numbers: range, names: list[str], seed: int = 0, keep: Path | None = No
         for number in numbers:
             path = Path(folder) / "damaged.h5"
             path.write_bytes(mutated(np.random.default_rng((seed, number)), raw))
-            seal(path, "fit")
+            sealing.seal(path, "fit")
             if keep:
                 keep.write_bytes(path.read_bytes())
             note("mutants", f"number {number}", path)

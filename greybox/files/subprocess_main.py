@@ -242,13 +242,11 @@ def _is_text(dtype: Any) -> bool:
 def _text(attributes: Any, name: str) -> str:
     """Return a text attribute, or an empty text."""
     try:
-        value = attributes.get(name, "")
-        if isinstance(value, np.ndarray) and value.size == 1:
-            value = value.item()
+        value = np.ravel(attributes.get(name, ""))[0]
         if isinstance(value, bytes):
-            return value.decode("utf-8", "replace")
+            value = value.decode("utf-8", "replace")
         return value if isinstance(value, str) else ""
-    except PROBLEMS:
+    except (*PROBLEMS, IndexError):
         return ""
 
 
@@ -295,15 +293,8 @@ def keep_struct(group: str, contents: Mapping[str, Any], collector: Collector) -
 def _simulink(contents: Mapping[str, Any]) -> dict[str, Any]:
     """Return the signals of a "structure with time" by their labels."""
     signals = contents.get("signals") if "time" in contents else None
-    structs = (
-        [signals]
-        if isinstance(signals, Mapping)
-        else signals
-        if isinstance(signals, list | np.ndarray)
-        else []
-    )
     columns = {}
-    for i, signal in enumerate(structs):
+    for i, signal in enumerate(np.array(signals, object).ravel()):
         if isinstance(signal, Mapping) and isinstance(signal.get("values"), np.ndarray):
             label = signal.get("label", "")
             columns[label if isinstance(label, str) and label else f"signal{i + 1}"] = signal[

@@ -23,9 +23,7 @@ class UnusableSegmentError(ValueError):
     """A stretch of a signal cannot be demodulated; the message gives the reason."""
 
 
-def whole_periods(
-    time: Array, omega: float, settle: float, periods: int | None
-) -> tuple[BoolArray, int]:
+def whole_periods(time: Array, omega: float, settle: float) -> tuple[BoolArray, int]:
     """Return the rows of the last whole periods after `settle`, and how many periods they are.
 
     Raises
@@ -44,14 +42,12 @@ def whole_periods(
             f"a period of {period:.3g} s has fewer than four samples of {step:.3g} s"
         )
 
-    available = math.floor((time[-1] - time[0] + step - settle) / period + 1e-6)
-    count = max(available, 1) if periods is None else periods
-    if not 1 <= count <= available:
+    count = math.floor((time[-1] - time[0] + step - settle) / period + 1e-6)
+    if count < 1:
         raise UnusableSegmentError(
-            f"{time[-1] - time[0]:.3g} s are too short for {settle:g} s of settling and {count} "
-            f"periods of {period:.3g} s"
+            f"{time[-1] - time[0]:.3g} s are too short for {settle:g} s of settling and a period "
+            f"of {period:.3g} s"
         )
-
     # The last periods, in which transients have decayed most.
     # Half a step more, so that rounding takes no sample twice.
     rows = time > time[-1] + step / 2 - count * period

@@ -12,11 +12,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
-from greybox.files.arrays import Array, ComplexArray, IntArray
+from greybox.files.arrays import Array, ComplexArray
 from greybox.spectral.estimated_points import (
     EPS,
     HZ,
@@ -42,28 +41,24 @@ def periodic_response(
     output: str = "theta",
     *,
     instrument: str | None = None,
-    omega: ArrayLike | None = None,
     name: str = "",
 ) -> FrequencyResponse:
     """Estimate a frequency response from whole periods of a signal in steady state.
 
     The periods are transformed one by one, so there is no leakage. The variance comes from their
     scatter, assumed independent (Pintelon and Schoukens, System Identification, 2nd ed., chapter
-    2). An incomplete period is left out at the beginning. Arguments not listed here are those of
-    `spectral_response`.
+    2). An incomplete period is left out at the beginning. The frequencies are the excited lines
+    without those of low coherence. Arguments not listed here are those of `spectral_response`.
 
     Parameters
     ----------
     period : float, s
         A whole number of samples.
-    omega : (n,) array, rad/s, optional
-        Multiples of 2π / period; by default, the excited ones without those of low coherence.
 
     Raises
     ------
     ValueError
-        If the period is not a whole number of samples, there are fewer than three periods, or
-        `omega` holds other frequencies.
+        If the period is not a whole number of samples, or there are fewer than three periods.
     """
     signals = (input, output, instrument or input)
     stretches, spectra = period_spectra(records, period, signals)
@@ -72,19 +67,12 @@ def periodic_response(
             f"the records hold fewer than three periods of {period:g} s: record longer."
         )
 
-    fundamental = HZ / period
-    if omega is None:
-        # The instrument has no noise of the loop, so that its lines stand out best.
-        amplitude = np.sqrt(np.sum(np.abs(spectra[:, 2]) ** 2, axis=0))
-        multiple = 1 + np.flatnonzero(amplitude > EXCITED * amplitude.max())
-    else:
-        frequencies = np.atleast_1d(np.asarray(omega, dtype=float))
-        multiple = _multiples(frequencies, fundamental, spectra.shape[2])
-
-    points = _estimates(*np.moveaxis(spectra[:, :, multiple - 1], 1, 0))
-    grid = np.asarray(multiple, dtype=np.float64) * np.float64(fundamental)
-    response = response_at(grid, points, (input, output, name), stretches)
-    return response if omega is not None else without_incoherent(response)
+    # The instrument has no noise of the loop, so that its lines stand out best.
+    amplitude = np.sqrt(np.sum(np.abs(spectra[:, 2]) ** 2, axis=0))
+    lines = np.flatnonzero(amplitude > EXCITED * amplitude.max())
+    points = _estimates(*np.moveaxis(spectra[:, :, lines], 1, 0))
+    omega = (1 + lines) * (HZ / period)
+    return without_incoherent(response_at(omega, points, (input, output, name), stretches))
 
 
 def period_spectra(
@@ -132,19 +120,6 @@ def whole_periods(stretch: UniformStretch, period: float) -> UniformStretch:
     return stretch._replace(
         values=stretch.values[:, remainder:], step=period / count, origin=origin
     )
-
-
-def _multiples(omega: Array, fundamental: float, lines: int) -> IntArray:
-    """Return the frequencies as whole multiples of the fundamental."""
-    multiple = omega / fundamental
-    whole = np.rint(multiple)
-    odd = (np.abs(multiple - whole) > 1e-6) | (whole < 1) | (whole > lines)
-    if odd.any():
-        raise ValueError(
-            f"omega = {omega[odd][0]:g} rad/s is not a multiple of 2π / period = {fundamental:g} "
-            "rad/s below half of the sampling rate: leave it out."
-        )
-    return whole.astype(int)
 
 
 def _estimates(u: ComplexArray, y: ComplexArray, r: ComplexArray) -> list[EstimatedPoint]:

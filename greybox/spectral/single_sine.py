@@ -64,7 +64,6 @@ class _Settings(NamedTuple):
     time: Array
     signals: Array
     settle: float
-    periods: int | None
 
 
 def finite_frequency(
@@ -75,7 +74,6 @@ def finite_frequency(
     output: str = "theta",
     setpoint: str = "",
     settle: float = 2.0,
-    periods: int | None = None,
 ) -> FiniteFrequency:
     """Estimate the response at the frequencies of single-sine tests, (3.15)-(3.16).
 
@@ -103,8 +101,6 @@ def finite_frequency(
         Signal names. With a setpoint, its amplitude is reported and its true frequency is used.
     settle : float, s
         Least time to leave out at the start of each test.
-    periods : int, optional
-        Number of periods, counted from the end; by default all.
 
     Returns
     -------
@@ -130,7 +126,7 @@ def finite_frequency(
 
     # Only samples that all signals have: a ratio needs both sides at the same time.
     present = np.isfinite(signals).all(axis=0)
-    settings = _Settings(record.time[present], signals[:, present], settle, periods)
+    settings = _Settings(record.time[present], signals[:, present], settle)
     points = []
     measured = []
     left_out = []
@@ -170,7 +166,7 @@ def _point(settings: _Settings, segment: Segment) -> tuple[FrequencyPoint, Harmo
     omega = segment.omega
     notes = []
 
-    rows, q = whole_periods(time, omega, settings.settle, settings.periods)
+    rows, q = whole_periods(time, omega, settings.settle)
 
     # The announced frequency may be rounded; the setpoint in the log is exact.
     if len(signals) == 3 and q > 1:
@@ -178,7 +174,7 @@ def _point(settings: _Settings, segment: Segment) -> tuple[FrequencyPoint, Harmo
         if abs(error) * 2 * math.pi * q / omega > PHASE_DRIFT:
             omega += error
             notes.append(f"the setpoint runs at {omega:.5g} rad/s, which was used")
-            rows, q = whole_periods(time, omega, settings.settle, settings.periods)
+            rows, q = whole_periods(time, omega, settings.settle)
 
     t = time[rows]
     x = signals[:, rows]
@@ -284,9 +280,8 @@ def _response(
     values = np.array([p.response for p in points])
     # Least standard error over the response, for data without noise.
     rounding = 1e-12
-    variance = np.array(
-        [max(p.standard_error**2, (rounding * abs(p.response)) ** 2) for p in points]
-    )
+    errors = np.array([p.standard_error for p in points])
+    variance = np.maximum(errors, rounding * np.abs(values)) ** 2
     has_variance = bool(np.isfinite(variance).all())
     return FrequencyResponse(
         omega,

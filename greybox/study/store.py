@@ -4,6 +4,8 @@
 ``001-NAME.h5``   the fit of a member, as `greybox.save` writes it.
 ``lock``          locked by the process that writes.
 
+What is damaged is set aside by the next process that writes, and made again (`mend`).
+
 A single fit with ``--out`` and a bootstrap keep their runs in such a folder, too, as those of one
 member. SQLite commits are atomic: `kill -9` leaves all runs up to the last commit. Runs and answers
 are JSON texts with a checksum, so nothing in a folder from a stranger is executed.
@@ -13,10 +15,12 @@ import json
 import re
 import sqlite3
 import time
+import warnings
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,6 +28,7 @@ import numpy as np
 
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
+from greybox.files.sealed_files import is_sealed
 from greybox.files.text_table import counted, one_line, printable
 from greybox.solve.interruption import Response, responding
 from greybox.solve.kept_runs import KeptRuns, KeptRunsError
@@ -46,6 +51,37 @@ TABLES = (
     f"PRAGMA application_id = {APPLICATION}",
     f"PRAGMA user_version = {LAYOUT}",
 )
+OURS = (
+    "SELECT 1 FROM pragma_application_id, pragma_user_version "
+    f"WHERE application_id = {APPLICATION} AND user_version = {LAYOUT}"
+)
+
+# Rows with wrong checksums, by what is said of them, and what is done about them. The first
+# checksum is the present one, the second, of the text alone, that before version 1.1. A member has
+# one from its first run on: of its fingerprint until there is an answer.
+DAMAGED_RUNS = (
+    "runs LEFT JOIN members ON id = member WHERE name IS NULL OR ifnull(runs.checksum, -1) NOT IN "
+    "(crc32(CAST(ifnull(run, '') || char(10) || name || char(10) || number AS BLOB)), "
+    "crc32(CAST(ifnull(run, '') AS BLOB)))"
+)
+DAMAGED_ANSWERS = (
+    "members WHERE checksum NOT IN (crc32(CAST(coalesce(answer, fingerprint, '') || char(10) || "
+    "name AS BLOB)), crc32(CAST(coalesce(answer, fingerprint, '') AS BLOB)))"
+)
+DAMAGES = {
+    "damaged run": (
+        DAMAGED_RUNS,
+        f"DELETE FROM runs WHERE rowid IN (SELECT runs.rowid FROM {DAMAGED_RUNS})",
+    ),
+    "damaged key of its runs": (
+        f"{DAMAGED_ANSWERS} AND answer IS NULL",
+        f"DELETE FROM runs WHERE member IN (SELECT id FROM {DAMAGED_ANSWERS} AND answer IS NULL)",
+    ),
+    "damaged answer": (
+        f"{DAMAGED_ANSWERS} AND answer IS NOT NULL",
+        f"UPDATE members SET answer = NULL WHERE id IN (SELECT id FROM {DAMAGED_ANSWERS})",
+    ),
+}
 
 MEMBER = "(SELECT id FROM members WHERE name = ?)"
 
@@ -58,7 +94,9 @@ PATIENCE = 2.0
 
 @contextmanager
 def locked(folder: Path) -> Iterator[None]:
-    """Create the folder if necessary, and keep other processes from writing to it.
+    """Create the folder if necessary, keep other processes from writing, and mend it.
+
+    What was damaged is a warning, see `mend`.
 
     Raises
     ------
@@ -81,6 +119,8 @@ def locked(folder: Path) -> Iterator[None]:
             f"{folder} cannot be written ({reason}): choose another folder."
         ) from error
     try:
+        for text in mend(folder):
+            warnings.warn(f"{folder}: {text}; what is missing is made again.", stacklevel=4)
         yield
     finally:
         lock.release()
@@ -186,19 +226,19 @@ def read_members(folder: Path) -> list[StudyMember]:
     if not is_study(folder):
         raise FileNotFoundError(f"{folder} is not a study: it has no file {DATABASE}.")
     with _database(folder) as database:
-        counts = dict(
-            database.execute("SELECT member, COUNT(*) FROM runs GROUP BY member").fetchall()
+        rows = database.execute(
+            "SELECT id, name, answer, checksum, (SELECT COUNT(*) FROM runs WHERE member = id) "
+            "FROM members ORDER BY id"
         )
-        rows = database.execute("SELECT id, name, answer, checksum FROM members ORDER BY id")
         return [
             StudyMember(
                 folder,
                 int(number),
                 printable(str(name)),
-                {} if answer is None else _decoded(folder, answer, checksum),
-                counts.get(number, 0),
+                {} if answer is None else _decoded(folder, answer, checksum, name),
+                count,
             )
-            for number, name, answer, checksum in rows
+            for number, name, answer, checksum, count in rows
         ]
 
 
@@ -210,13 +250,13 @@ def add_members(folder: Path, names: Sequence[str]) -> dict[str, StudyMember]:
     return {member.name: member for member in read_members(folder)}
 
 
-def write_answer(folder: Path, name: str, answer: Mapping[str, Any]) -> None:
-    """Write the answer of a member, which is then done."""
-    text = json.dumps(answer, allow_nan=False)
+def write_answer(folder: Path, name: str, answer: Mapping[str, Any] | None) -> None:
+    """Write the answer of a member, which is then done; None removes it."""
+    text = None if answer is None else json.dumps(answer, allow_nan=False)
     with _database(folder) as database:
         database.execute(
             "UPDATE members SET answer = ?, checksum = ? WHERE name = ?",
-            (text, zlib.crc32(text.encode()), name),
+            (text, text and _checksum(text, name), name),
         )
 
 
@@ -250,23 +290,26 @@ class StoredRuns(KeptRuns):
         self.fingerprint = fingerprint
         if not is_study(self._folder):
             return {}
+        query = (
+            "SELECT number, run, runs.checksum, fingerprint FROM runs, members "
+            "WHERE member = id AND name = ?"
+        )
         try:
             with _database(self._folder) as database:
-                query = "SELECT fingerprint FROM members WHERE name = ?"
-                fingerprints = database.execute(query, (self._name,)).fetchall()
-                query = f"SELECT number, run, checksum FROM runs WHERE member = {MEMBER}"
                 rows = database.execute(query, (self._name,)).fetchall()
-        except ValueError as error:
-            raise KeptRunsError(str(error)) from error
-        if rows and fingerprints != [(fingerprint,)]:
+            runs = {
+                int(number): _stored_run(_decoded(self._folder, text, checksum, self._name, number))
+                for number, text, checksum, _ in rows
+            }
+        except (ValueError, TypeError, AttributeError) as error:
+            raise KeptRunsError(_damaged(self._folder)) from error
+        if any(row[-1] != fingerprint for row in rows):
             raise KeptRunsError(
                 f"the runs in {self._folder} belong to another problem, to other options, or to "
                 "another version of greybox or CasADi: repeat what the study began with, or begin "
                 "another study."
             )
-        return _Runs(
-            self._folder, {int(number): (text, checksum) for number, text, checksum in rows}
-        )
+        return runs
 
     def add(self, number: int, start: Array, outcome: Outcome) -> None:
         """Keep a run."""
@@ -297,13 +340,17 @@ class StoredRuns(KeptRuns):
             return
         # Serialize before the transaction, which locks the database.
         texts = [(number, _run_text(start, outcome)) for number, start, outcome in self._unwritten]
-        rows = [(self._name, number, text, zlib.crc32(text.encode())) for number, text in texts]
+        rows = [
+            (self._name, number, text, _checksum(text, self._name, number))
+            for number, text in texts
+        ]
         try:
             with _database(self._folder, create=True) as database:
                 database.execute("INSERT OR IGNORE INTO members (name) VALUES (?)", (self._name,))
                 database.execute(
-                    "UPDATE members SET fingerprint = ? WHERE name = ?",
-                    (self.fingerprint, self._name),
+                    "UPDATE members SET fingerprint = ?1, checksum = "
+                    "CASE WHEN answer IS NULL THEN ?2 ELSE checksum END WHERE name = ?3",
+                    (self.fingerprint, _checksum(self.fingerprint, self._name), self._name),
                 )
                 database.executemany(
                     f"INSERT OR REPLACE INTO runs VALUES ({MEMBER}, ?, ?, ?)", rows
@@ -317,8 +364,11 @@ class StoredRuns(KeptRuns):
     @property
     def count(self) -> int:
         """Number of runs on disk."""
-        members = read_members(self._folder) if is_study(self._folder) else []
-        return sum(member.stored_runs for member in members if member.name == self._name)
+        if not is_study(self._folder):
+            return 0
+        with _database(self._folder) as database:
+            query = f"SELECT COUNT(*) FROM runs WHERE member = {MEMBER}"
+            return database.execute(query, (self._name,)).fetchone()[0]
 
     def remove(self) -> None:
         """Remove all runs."""
@@ -360,26 +410,6 @@ def folder_beside(path: Path) -> Path:
     return path.with_name(f"{path.name}.runs")
 
 
-@dataclass(frozen=True, eq=False)
-class _Runs(Mapping[int, tuple[Array, Outcome]]):
-    """Runs by number, decoded when they are used: as texts a hundred thousand take 50 MB."""
-
-    folder: Path
-    texts: Mapping[int, tuple[str, int]]
-
-    def __getitem__(self, number: int) -> tuple[Array, Outcome]:
-        try:
-            return _stored_run(_decoded(self.folder, *self.texts[number]))
-        except (ValueError, TypeError, AttributeError) as error:
-            raise KeptRunsError(_damaged(self.folder)) from error
-
-    def __iter__(self) -> Iterator[int]:
-        return iter(self.texts)
-
-    def __len__(self) -> int:
-        return len(self.texts)
-
-
 def _run_text(start: Array, outcome: Outcome) -> str:
     """Return a run as JSON, in which Python writes floats exactly."""
     fields = {name: getattr(outcome, name) for name in Outcome.__slots__}
@@ -406,8 +436,8 @@ def _stored_run(fields: dict[str, Any]) -> tuple[Array, Outcome]:
 STAGES = (SCREENED, IMPROVED, POLISHED)
 
 
-def _decoded(folder: Path, text: str, checksum: int) -> dict[str, Any]:
-    """Return the object in a stored text.
+def _decoded(folder: Path, text: str, checksum: int, *place: str | int) -> dict[str, Any]:
+    """Return the object in a text that is stored at this place.
 
     Raises
     ------
@@ -416,7 +446,9 @@ def _decoded(folder: Path, text: str, checksum: int) -> dict[str, Any]:
     """
     # The checksum finds damage by accident; what a stranger wrote is checked where it is used.
     try:
-        values = json.loads(text) if zlib.crc32(text.encode()) == checksum else None
+        # Before version 1.1 the checksum did not cover the place.
+        is_whole = checksum in (_checksum(text, *place), _checksum(text))
+        values = json.loads(text) if is_whole else None
     except (TypeError, AttributeError, RecursionError):
         values = None
     if not isinstance(values, dict):
@@ -424,48 +456,148 @@ def _decoded(folder: Path, text: str, checksum: int) -> dict[str, Any]:
     return values
 
 
+def _checksum(text: str, *place: str | int) -> int:
+    """Return the checksum of a text, and of the member and the number to which it belongs."""
+    return zlib.crc32("\n".join([text, *map(str, place)]).encode())
+
+
 @contextmanager
 def _database(folder: Path, *, create: bool = False) -> Iterator[sqlite3.Connection]:
     """Open the database of a study for one transaction."""
     path = folder / DATABASE
-    mode = "rwc" if create else "rw"
     try:
-        with (
-            closing(
-                sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True)
-            ) as connection,
-            connection,
-        ):
-            # A database from a stranger could call functions from its schema.
-            connection.execute("PRAGMA trusted_schema = OFF")
+        with _opened(path, "rwc" if create else "rw") as connection, connection:
             _require_layout(connection, path, create=create)
             yield connection
-    except sqlite3.OperationalError as error:
-        if error.sqlite_errorcode == sqlite3.SQLITE_ERROR:  # such as a table that does not exist
+    except sqlite3.Error as error:
+        if _is_damage(error):
             raise ValueError(_damaged(folder)) from error
         raise OSError(
             f"{path} cannot be written ({error}): free space or choose another folder."
         ) from error
-    except (sqlite3.Error, UnicodeDecodeError) as error:
-        raise ValueError(_damaged(folder)) from error
+
+
+@contextmanager
+def _opened(path: Path, mode: str = "rw") -> Iterator[sqlite3.Connection]:
+    with closing(
+        sqlite3.connect(f"{path.absolute().as_uri()}?mode={mode}", uri=True)
+    ) as connection:
+        # A database from a stranger could call functions from its schema.
+        connection.execute("PRAGMA trusted_schema = OFF")
+        # Damaged letters are found by the checksum of their text, not by SQLite.
+        connection.text_factory = partial(str, encoding="utf-8", errors="replace")
+        yield connection
+
+
+def _is_damage(error: sqlite3.Error) -> bool:
+    """Return whether the contents are at fault, and not the disk or another process."""
+    # SQLITE_ERROR is, for example, a table that does not exist.
+    return (
+        not isinstance(error, sqlite3.OperationalError)
+        or error.sqlite_errorcode == sqlite3.SQLITE_ERROR
+    )
 
 
 def _require_layout(connection: sqlite3.Connection, path: Path, *, create: bool) -> None:
     """Make the tables of a new database; refuse another program's, or one of a later version."""
-    application = connection.execute("PRAGMA application_id").fetchone()[0]
-    layout = connection.execute("PRAGMA user_version").fetchone()[0]
-    if create and application == layout == 0:
+    tables = _tables(connection)
+    if create and not tables:
         connection.execute("BEGIN")
         for statement in TABLES:
             connection.execute(statement)
-        return
-    if application != APPLICATION:
-        raise ValueError(_damaged(path.parent))
-    if layout > LAYOUT:
+    elif tables != TABLES[:2]:
+        layout = connection.execute("PRAGMA user_version").fetchone()[0]
         raise ValueError(
             f"{path} has layout {layout}, and this version reads layout {LAYOUT}: update greybox."
+            if layout > LAYOUT
+            else _damaged(path.parent)
         )
 
 
+def _tables(connection: sqlite3.Connection) -> tuple[str, ...]:
+    """Return the statements that made the tables of a database."""
+    query = "SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY rootpage"
+    return tuple(sql for (sql,) in connection.execute(query))
+
+
 def _damaged(folder: Path) -> str:
-    return f"{folder / DATABASE} is damaged or not a study: restore it, or delete it to begin anew."
+    return (
+        f"{folder / DATABASE} is damaged or not a study: restore it, or run the batch again, which "
+        "makes again what cannot be read."
+    )
+
+
+# --- damage
+
+
+def mend(folder: Path) -> list[str]:
+    """Remove what is damaged in a study that is locked, and return it as texts.
+
+    A database that SQLite finds damaged is kept beside a new one with everything that can be read.
+    In it, runs and answers with wrong checksums are deleted, and answers whose fit is not whole.
+    """
+    damage: list[str] = []
+    if not is_study(folder):
+        return damage
+    path = folder / DATABASE
+    if not _is_sound(path):
+        damaged = path.with_suffix(".damaged")
+        path.replace(damaged)
+        # SQLite would apply the journal of the damaged database to the new one.
+        path.with_name(f"{DATABASE}-journal").unlink(missing_ok=True)
+        _salvage(damaged, folder)
+        damage.append(f"the database was damaged and is kept as {damaged.name}")
+
+    with _database(folder) as database:
+        database.create_function("crc32", 1, zlib.crc32)
+        for what, (rows, cure) in DAMAGES.items():
+            counts = database.execute(f"SELECT name, COUNT(*) FROM {rows} GROUP BY name").fetchall()
+            damage += [f"{name}: removed {counted(count, what)}" for name, count in counts]
+            database.execute(cure)
+        # The checksum of an answer that is gone.
+        database.execute("UPDATE members SET checksum = NULL WHERE answer IS NULL")
+    for member in read_members(folder):
+        if member.status == "done" and not is_sealed(member.file, "fit"):
+            damage.append(f"{member.name}: {member.file.name} is damaged or missing")
+            write_answer(folder, member.name, None)
+    return [*map(printable, damage)]
+
+
+def _is_sound(path: Path) -> bool:
+    """Return whether SQLite can read all of a database, and all tables of a study are there."""
+    try:
+        with _opened(path) as database:
+            whole = database.execute("PRAGMA integrity_check(1)").fetchall() == [("ok",)]
+            # Others belong to another program, or to a later version: they are refused, not mended.
+            ours = database.execute(OURS).fetchall()
+            return whole and (_tables(database) == TABLES[:2] or not ours)
+    except sqlite3.Error as error:
+        return not _is_damage(error)
+
+
+def _salvage(damaged: Path, folder: Path) -> None:
+    """Copy all rows of a damaged database that can be read into that of the folder."""
+    add_members(folder, [])  # its tables
+    most = damaged.stat().st_size // 32  # bytes that a row has at least
+    # Without a readable header, nothing in it can be read.
+    with suppress(sqlite3.DatabaseError), _opened(folder / DATABASE) as database, database:
+        database.execute("ATTACH DATABASE ? AS damaged", (str(damaged),))
+        for table in ("members", "runs"):
+            _copy(database, table, 0, most)
+        database.execute("DELETE FROM members WHERE typeof(name) != 'text'")
+
+
+def _copy(database: sqlite3.Connection, table: str, low: int, high: int) -> None:
+    """Copy the rows of a table between two numbers, without the parts that are damaged."""
+    try:
+        database.execute(
+            f"INSERT OR IGNORE INTO {table} SELECT * FROM damaged.{table} NOT INDEXED "
+            "WHERE rowid BETWEEN ? AND ?",
+            (low, high),
+        )
+    except sqlite3.DatabaseError:
+        # Fewer are on a page, and would take as long as the others together.
+        if high - low > 8:
+            middle = (low + high) // 2
+            _copy(database, table, low, middle)
+            _copy(database, table, middle + 1, high)

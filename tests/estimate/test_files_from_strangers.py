@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from benchmark_module import benchmark
 from crafted_results import craft
+from sealing import seal
 
 import greybox as gb
-from greybox.files.sealed_files import seal
 
 # One of each kind; the benchmark has them all.
 KINDS = [

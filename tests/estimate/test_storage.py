@@ -26,11 +26,12 @@ from declared_models import (
 )
 from hardening_spring import Spring, driven
 from numpy.testing import assert_array_equal, assert_equal
+from sealing import seal
 
 import greybox as gb
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
 from greybox.estimate.stored_values import read, write
-from greybox.files.sealed_files import open_sealed, seal, write_sealed
+from greybox.files.sealed_files import open_sealed, write_sealed
 from greybox.models.polynomial import Polynomial
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import LinearTilt, Tilt

@@ -40,14 +40,13 @@ def test_scatter_of_periods_covers():
     b, a = resonance()
     made = multisine(0.6, 6.0, 10.0, RATE, periods=9)
     clean = lfilter(b, a, made["u"])
-    omega = 2 * math.pi / 10 * np.array(made.settings["harmonics"]["u"])
     rng = np.random.default_rng(2)
     hits = []
     for _ in range(100):
         flown = record(u=made["u"], theta=clean + 0.2 * rng.standard_normal(clean.size)).between(
             20.0, 1e9
         )
-        got = periodic_response(flown, 10.0, omega=omega)
+        got = periodic_response(flown, 10.0)
         hits.append(covered(got, freqz(b, a, got.omega / RATE)[1]).mean())
     assert 0.935 <= np.mean(hits) <= 0.965
     np.testing.assert_allclose(got.dof, 12)
@@ -66,9 +65,8 @@ def test_an_estimate_is_that_of_its_matrices(joint):
         record(**{name: x.ravel() for name, x in signals.items()}),
         period,
         instrument="r",
-        omega=[2 * math.pi * line / period],
     )
-
+    got = got.where(np.isclose(got.omega, 2 * math.pi * line / period))
     wave = np.exp(-2j * math.pi * line / count * np.arange(count))
     x, z, y = (signals[name] @ wave for name in ("u", "r", "theta"))
     a = z.conj() / np.vdot(z, x)
@@ -99,14 +97,10 @@ def test_an_instrument_is_weak_if_it_explains_less_than_ten_times_the_noise(fact
         return (waves + 10 * np.cos(2 * math.pi * k / 20)).ravel()
 
     data = record(u=periods(u), theta=periods(2 * u + 0.01 * r.conj()), r=periods(r))
-    lines = 2 * math.pi * RATE / 20 * np.array([1, 3])
-    if weak:
-        got = periodic_response(data, 20 / RATE, instrument="r", omega=lines)
-        assert got.omega == pytest.approx(lines[:1])
-        assert "hardly moves u" in got.about["dropped"]
-    else:
-        got = periodic_response(data, 20 / RATE, instrument="r", omega=lines)
-        assert got.omega == pytest.approx(lines)
+    got = periodic_response(data, 20 / RATE, instrument="r")
+    assert got.omega == pytest.approx([2 * math.pi * RATE / 20])
+    # With this noise its coherence is 0.5, so that the line is left out either way.
+    assert ("hardly moves u" in got.about["dropped"]) == weak
 
 
 @pytest.mark.parametrize(
@@ -114,8 +108,6 @@ def test_an_instrument_is_weak_if_it_explains_less_than_ten_times_the_noise(fact
     [
         (lambda r: periodic_response(r, 3.001), "whole number"),
         (lambda r: periodic_response(r, 15.0), "fewer than three periods"),
-        (lambda r: periodic_response(r, 2.0, omega=[4.0]), "not a multiple"),
-        (lambda r: periodic_response(r, 2.0, omega=[math.pi * 50]), "half of the sampling"),
     ],
 )
 def test_mistakes_are_sentences(call, words):
@@ -125,7 +117,7 @@ def test_mistakes_are_sentences(call, words):
 
 
 def test_lines_that_the_output_does_not_answer_are_left_out():
-    """A notch of the plant at three of the lines leaves noise there, which is said; asked for, they are given."""
+    """A notch of the plant at three of the lines leaves noise there, which is said."""
     time = np.arange(6000) / 50
     lines = np.arange(2, 30)
     passed = lines[(lines < 10) | (lines > 12)]
@@ -141,7 +133,6 @@ def test_lines_that_the_output_does_not_answer_are_left_out():
         found.about["dropped"] == "3 of 28 points, of a coherence below 0.6, at 6.283 to 7.54 rad/s"
     )
     assert len(found) == 25
-    assert len(periodic_response(data, 10.0, "u", "y", omega=2 * np.pi / 10 * lines)) == 28
 
 
 @pytest.mark.parametrize(("samples", "left_out"), [(30, 0), (37, 7), (9, 9)])
@@ -172,28 +163,14 @@ def test_a_period_is_a_whole_number_of_samples_two_at_least():
     assert whole_periods(UniformStretch(values, 0.5, ""), 1.0).values.shape == (2, 40)
 
 
-def test_three_periods_are_the_fewest_and_frequencies_are_their_multiples():
+def test_three_periods_are_the_fewest():
     rng = np.random.default_rng(0)
     u = np.tile(rng.standard_normal(50), 3)
     y = 3 * u + 0.1 * rng.standard_normal(150)
-    found = periodic_response(
-        record(u=u, theta=y), 50 / RATE, omega=2 * math.pi * RATE / 50 * np.array([1, 7, 24.0])
-    )
-    assert len(found) == 3
+    found = periodic_response(record(u=u, theta=y), 50 / RATE)
     assert found.dof == pytest.approx(4)
-    fundamental = 2 * math.pi * RATE / 50
     with pytest.raises(ValueError, match="fewer than three periods of"):
         periodic_response(record(u=u[:149], theta=y[:149]), 50 / RATE)
-    for wrong in (0.0, -fundamental, 2.5 * fundamental, (3 + 2e-6) * fundamental):
-        with pytest.raises(
-            ValueError,
-            match=rf"omega = {wrong:g} rad/s is not a multiple of .* = {fundamental:g} rad",
-        ):
-            periodic_response(record(u=u, theta=y), 50 / RATE, omega=[2 * fundamental, wrong])
-    near = periodic_response(record(u=u, theta=y), 50 / RATE, omega=[(3 + 5e-7) * fundamental])
-    assert near.response == pytest.approx(
-        periodic_response(record(u=u, theta=y), 50 / RATE, omega=[3 * fundamental]).response
-    )
 
 
 def test_lines_are_excited_from_three_hundredths_of_the_largest_on():

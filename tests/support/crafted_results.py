@@ -9,8 +9,7 @@ import zlib
 
 import h5py
 import numpy as np
-
-from greybox.files.sealed_files import seal
+from sealing import seal
 
 SECRET = "first line of a file that nobody was to see\n"
 

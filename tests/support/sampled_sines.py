@@ -18,5 +18,5 @@ def irregular(seed, duration, rate=80):
 
 def amplitude(t, values, omega, settle=0.0):
     """The complex amplitude of a signal over its last whole periods."""
-    rows, _ = whole_periods(t, omega, settle, None)
+    rows, _ = whole_periods(t, omega, settle)
     return least_squares(t[rows], values[None, rows], omega, t[0], 1)[0][0, 0]
