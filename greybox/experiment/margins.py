@@ -354,7 +354,7 @@ def margin_table(answers: Sequence[tuple[str, Margins]]) -> str:
         risk = number(100 * answer.instability, 2) if answer.is_stable else "100"
         rows.append((label, answer.signal, *(numbers.get(name, "-") for name in MAIN), risk))
     header = ("", "broken at", *(f"{name}, {UNITS[name]}" for name in MAIN), "unstable, %")
-    return text_table(header, rows, left=(0, 1))
+    return text_table(header, rows)
 
 
 def _with_rows(answer: Margins, groups: Mapping[str, LoopNumbers], band: Array | None) -> Margins:

@@ -252,7 +252,7 @@ def _judged(
     omega = loop_frequencies(loops, FREQUENCIES)
     late = np.exp(-1j * omega * wanted["delay"])[:, None, None]
     plants = loops.plant_response(omega)
-    points, is_good = _measured_points(fit.parts[part], loops)
+    points, excess = _measured_points(fit.parts[part], loops)
 
     def judged(loop: SampledLoop) -> tuple[BoolArray, float, list[float]]:
         """Return which plants meet the requirements, bandwidth and crossovers of the first."""
@@ -284,18 +284,29 @@ def _judged(
             bandwidth[k] = rejection
             confidence[k] = np.mean(judged(replace(loops, controller=control))[0][1:])
             # Without a crossover it is below the lowest frequency, if anywhere.
-            bad = [w for w in places if not _is_between(points, is_good, w)]
+            bad = [w for w in places if not _is_between(points, excess <= 1, w)]
             confidence[k] = math.nan if bad else confidence[k]
             poor += [w for w in bad if w > 0]
 
-    cure = f"{min(poor) / SPACING:.2g} to {max(poor) * SPACING:.2g} rad/s." if poor else ""
-    begin = f"In the conditions of {fit.name!r}, fly a sweep or sines from "
-    return confidence, bandwidth, begin + cure if poor else ""
+    return confidence, bandwidth, _cure(fit.name, poor, points, excess) if poor else ""
 
 
-def _measured_points(part: FittedPart, loops: SampledLoop) -> tuple[Array, BoolArray]:
-    """Return the frequencies (n,) of a flight's response, and at which it was measured well."""
-    nothing = np.zeros(0), np.zeros(0, dtype=bool)
+def _cure(name: str, poor: Sequence[float], points: Array, excess: Array) -> str:
+    """Return which flight would measure the response at these poor crossovers, in rad/s."""
+    factor = np.interp(poor, points, excess).max() if points.size else 0.0
+    larger = f" with {factor:.2g} times the amplitude" if factor > 1 else ""
+    return (
+        f"In the conditions of {name!r}, fly a sweep or sines from {min(poor) / SPACING:.2g} to "
+        f"{max(poor) * SPACING:.2g} rad/s{larger}."
+    )
+
+
+def _measured_points(part: FittedPart, loops: SampledLoop) -> tuple[Array, Array]:
+    """Return the frequencies (n,) of a flight's response, and the amplitudes that it needs there.
+
+    These are multiples of those that flew; at most one where the response was measured well.
+    """
+    nothing = np.zeros(0), np.zeros(0)
     if isinstance(part, FittedResponse):
         data, fitted = part.data, part.response
     elif isinstance(part, FittedRecord):
@@ -308,13 +319,16 @@ def _measured_points(part: FittedPart, loops: SampledLoop) -> tuple[Array, BoolA
     else:
         return nothing
 
-    is_good = np.abs(data.response / fitted - 1) <= MISFIT
-    if data.coherence is not None:
-        is_good &= data.coherence >= COHERENCE
+    excess = np.abs(data.response / fitted - 1) / MISFIT
     if data.variance is not None:
-        is_good &= np.sqrt(data.variance / 2) <= RANDOM_ERROR * np.abs(data.response)
+        error = np.sqrt(data.variance / 2) / np.abs(data.response)
+        excess = np.maximum(excess, error / RANDOM_ERROR)
+    if data.coherence is not None:
+        # The share of noise in the output falls with the square of the amplitude.
+        noise = 1 / np.maximum(data.coherence, 1e-9) - 1
+        excess = np.maximum(excess, np.sqrt(noise / (1 / COHERENCE - 1)))
     order = np.argsort(data.omega)
-    return data.omega[order], is_good[order]
+    return data.omega[order], excess[order]
 
 
 def _is_between(points: Array, is_good: BoolArray, omega: float) -> bool:

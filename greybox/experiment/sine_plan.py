@@ -200,7 +200,9 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     gains = _gains(
         model, {**values, **fixed}, omega, (input, *limits), excitation, controller, rate
     )
-    size, limited_by = _largest_amplitudes(omega, gains, excitation, amplitude, limits)
+    bounds = [limit / np.abs(gains[name]) for name, limit in limits.items()]
+    amplitudes = np.array([np.full(len(omega), amplitude), *bounds])
+    size, limit = amplitudes.min(axis=0), amplitudes.argmin(axis=0)
 
     nlp, sensitivity = _sensitivities(model, values, omega, (input, output), free=free, fixed=fixed)
     require_known(wanted, nlp.free, "free parameter", model.label)
@@ -232,7 +234,7 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         omega=omega[chosen],
         amplitude=size[chosen],
         duration=duration,
-        limited_by=tuple(limited_by[k] for k in chosen),
+        limited_by=tuple((excitation, *limits)[k] for k in limit[chosen]),
         standard_error=dict(zip(nlp.free, errors.tolist(), strict=True)),
         wanted=dict(wanted),
         flight_time=card.flown(omega[chosen], duration)[1],
@@ -260,20 +262,6 @@ def _require_valid(
     for name, value in positive.items():
         if not value > 0:
             raise ValueError(f"the value of {name}, {value:g}, must be a positive number.")
-
-
-def _largest_amplitudes(
-    omega: Array,
-    gains: Mapping[str, ComplexArray],
-    excitation: str,
-    amplitude: float,
-    limits: Mapping[str, float],
-) -> tuple[Array, list[str]]:
-    """Return the largest amplitudes (n,) of the excitation, and the signals that limit them."""
-    names = [excitation, *limits]
-    bounds = [limit / np.abs(gains[name]) for name, limit in limits.items()]
-    amplitudes = np.array([np.full(len(omega), amplitude), *bounds])
-    return amplitudes.min(axis=0), [names[k] for k in amplitudes.argmin(axis=0)]
 
 
 def _gains(
