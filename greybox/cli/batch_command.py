@@ -5,19 +5,21 @@ from collections.abc import Sequence
 from typing import Any
 
 from greybox.cli.options import UsageError
-from greybox.cli.output import Answer, attributes
+from greybox.cli.output import Answer, attributes, save_figure
 from greybox.cli.study_file import find_study, read_study_file
 from greybox.cli.workers import require_folder, stated_executor
 from greybox.files.text_table import counted, text_table
 from greybox.solve.executors import ExecutorLostError
 from greybox.study.batch import BatchInterrupted, Member, batch
-from greybox.study.study import Study
+from greybox.study.progress import progress
+from greybox.study.study import Study, read_study
 
 EXAMPLES = (
     "study.toml --out results --workers 2",
     "study.toml --out results --starts 400",
     "study.toml --dry-run",
     "paper --out paper",
+    "--status results",
 )
 OPTIONS = """
 study STUDY
@@ -30,6 +32,10 @@ study STUDY
     number uses the stored runs again
 --seconds S
     time limit of the study
+--status
+    print how far the study in the folder STUDY is, also while it runs, and fit nothing
+--plot FILE
+    with --status: draw the costs so far
 --dry-run
     print the members and their numbers of starts, and fit nothing
 --workers
@@ -40,6 +46,10 @@ RESUME = "the same command continues"
 
 def run(options: argparse.Namespace) -> Answer:
     """Run the batch, or continue it."""
+    if options.status:
+        study = read_study(options.study)
+        drawn = save_figure(options.plot, "estimates", study, "cost")
+        return as_json(study), "\n".join([progress(study), *drawn])
     if not options.dry_run:
         require_folder(options.out)
     members = read_study_file(find_study(options.study), options.starts)

@@ -3,6 +3,7 @@
 Begin with `batch`.
 """
 
+import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
@@ -235,7 +236,7 @@ def _fit_member(
     if is_search_over():  # its runs are stored, and the next call resumes it
         return
 
-    marks = {"fingerprint": runs.fingerprint, "asked": _asked(member)}
+    marks = {"fingerprint": runs.fingerprint, "asked": _asked(member), "finished": time.time()}
     answer = {**(summary(result) if result else _stated(member.problem)), **marks}
     with responding(Response.FINISH):
         if result is not None:

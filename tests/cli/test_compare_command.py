@@ -37,3 +37,6 @@ def test_the_estimates_of_a_study_are_written_as_tables(capsys, tmp_path, small_
     assert rows.read_text(encoding="utf-8").splitlines() == small_study.to_csv().splitlines()
     assert "exists" in refused(capsys, *arguments)
     assert "for a study" in refused(capsys, "compare", "a.h5", "b.h5", "--csv", tmp_path / "c.csv")
+    status, out, _ = run(capsys, "batch", "--status", small_study.folder)
+    assert status == 0
+    assert "11 members: 10 done, 1 failed" in out

@@ -4,12 +4,16 @@ import csv
 import io
 import re
 import warnings
+from dataclasses import replace
 
 import pytest
 from small_study import Broken, data
 
 import greybox as gb
 from greybox.study.latex import latex_number, latex_symbol, latex_text
+from greybox.study.progress import progress
+from greybox.study.store import StudyMember
+from greybox.study.study import Study
 
 
 def test_every_member_and_parameter_has_a_row(small_study):
@@ -93,3 +97,22 @@ def test_a_model_that_is_not_finite_makes_no_warnings_of_numpy():
         warnings.simplefilter("error")
         fit = gb.fit(gb.Problem(Broken(), data("slow")), starts=1, progress=False)
     assert not fit.converged
+
+
+def test_the_progress_of_a_study_has_the_time_left_and_what_failed(small_study, monkeypatch):
+    def member(number, **answer):
+        return StudyMember(small_study.folder, number, f"m{number}", answer, 0)
+
+    done = [
+        replace(m, answer={**m.answer, "finished": 10.0 * k})
+        for k, m in enumerate(small_study.done, 1)
+    ]
+    broken = replace(small_study["broken"], answer={"error": small_study["broken"].error})
+    study = Study(small_study.folder, (*done, broken, *map(member, range(12))))
+    monkeypatch.setattr("time.time", lambda: 130.0)
+    text = progress(study)
+    assert "23 members: 10 done, 1 failed, 12 unfinished" in text
+    # Ten members at 10 s each, of which the last one ended at 100 s; twelve are left.
+    assert "about 2 min left, at 10 s a member; the last one ended 30 s ago" in text
+    assert "divides by zero" in text
+    assert "min left" not in progress(small_study)  # nothing is left

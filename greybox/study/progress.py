@@ -1,0 +1,26 @@
+"""How far a study is, also while it runs."""
+
+import time
+
+from greybox.files.text_table import counted, number, text_table
+from greybox.study.study import Study
+
+RECENT = 20  # members from which the time of those that are left is estimated
+SHOWN = 10  # members whose costs are listed
+
+
+def progress(study: Study) -> str:
+    """Return the counts, the time left, the last costs, and the failures so far."""
+    times = (float(member.answer.get("finished", 0.0)) for member in study.members)
+    ends = sorted(filter(None, times))[-RECENT:]
+    left = study.count("unfinished")
+    lines = [study.state]
+    if left and len(ends) > 1:
+        seconds = (ends[-1] - ends[0]) / (len(ends) - 1)
+        lines.append(
+            f"about {number(left * seconds / 60, 2)} min left, at {number(seconds, 2)} s a member; "
+            f"the last one ended {number(time.time() - ends[-1], 2)} s ago."
+        )
+    costs = [[m.name, number(m.answer["cost"], 6)] for m in study.done[-SHOWN:]]
+    lines.append(text_table([f"last {counted(len(costs), 'member')} done", "cost"], costs))
+    return "\n\n".join(filter(None, [*lines, study.failures]))
