@@ -1,12 +1,10 @@
 """Several results side by side: tables, comparison, and figures that overlay them."""
 
-import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 from xml.etree.ElementTree import Element
 
 from greybox.estimate.result import Fit
-from greybox.files.text_table import with_error
 from greybox.html_report.elements import tag
 from greybox.html_report.entry import Entry
 from greybox.html_report.figure import COLUMNS, figure_grid
@@ -15,6 +13,7 @@ from greybox.plotting.bode import bode_figure
 from greybox.plotting.figure import Figure
 from greybox.plotting.nyquist import nyquist_figures
 from greybox.plotting.time_history import history_figure
+from greybox.study.study import shown
 from greybox.validation.compare import compare
 from greybox.validation.comparison import HELD_OUT, Comparison
 
@@ -91,10 +90,7 @@ def _estimate_cells(answer: Mapping[str, Any], names: Iterable[str]) -> Iterator
         if values.get(name) is None:
             yield Cell("–" if name in values else "")
             continue
-        standard_error = answer["standard_error"][name]
-        spread = math.nan if standard_error is None else standard_error
-        value, error = with_error(values[name], spread)
-        yield Cell(value if error == "-" else f"{value} ± {error}", values[name])
+        yield Cell(shown(values[name], answer["standard_error"][name]), values[name])
 
 
 def _comparison(comparison: Comparison) -> Iterator[Element]:

@@ -37,9 +37,8 @@ def folded(study: Study) -> list[tuple[str, StudyMember]]:
     alike: dict[tuple[str, ...], list[StudyMember]] = {}
     for member in study.members:
         factors = [f"{n} {value}" for n, value in member.factors.items() if n != "seed"]
-        is_done = member.status == "done"
-        answer = number(member.answer["cost"], 6) if is_done else f"member {member.number}"
-        alike.setdefault((*factors, answer), []).append(member)
+        identity = member.answer["cost"] if member.status == "done" else member.number
+        alike.setdefault((*factors, number(identity, 6)), []).append(member)
     return [
         (f"{first.name} and {len(others)} alike" if others else first.name, first)
         for first, *others in alike.values()

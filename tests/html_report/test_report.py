@@ -251,7 +251,7 @@ def test_only_the_first_members_of_a_study_are_read():
     def member(number, status="done"):
         answer = {"cost": 20.0 - number} if status == "done" else {}
         reason = "" if status == "done" else "no log"
-        factors = {"model": "ML", "seed": "0"}
+        factors = {"status": status, "model": "ML", "seed": "0"}
         return SimpleNamespace(
             name=f"pitch{number}",
             number=number,
