@@ -55,10 +55,9 @@ def _rounded(values: Array) -> list[float | None]:
     return [_number(value, span) for value in values.tolist()]
 
 
-def _number(value: float, span: float = 0.0) -> float | None:
+def _number(value: float, span: float) -> float | None:
     if not math.isfinite(value):
         return None
     # Five digits of a clock time in seconds would be all alike: far from zero keep more of them.
     more = math.ceil(math.log10(abs(value) / span)) if 0 < span < abs(value) else 0
-    rounded = float(f"{value:.{DIGITS + more}g}")
-    return int(rounded) if rounded.is_integer() and abs(rounded) < 1e15 else rounded
+    return float(f"{value:.{DIGITS + more}g}")

@@ -9,7 +9,6 @@ from xml.etree.ElementTree import Element
 from greybox.estimate.profiles import Profiles
 from greybox.estimate.result import Fit
 from greybox.estimate.verdict import verdict
-from greybox.files.text_table import listed
 from greybox.html_report.elements import tag
 from greybox.html_report.entry import Entry
 from greybox.html_report.figure import COLUMNS, figure_grid
@@ -76,12 +75,6 @@ def remarks(fit: Fit) -> list[Element]:
         "most 20 %). Insensitivity is the same if all other parameters were known (at most 10 %). "
         "! marks larger values."
     ]
-    if fit.profiles is not None and fit.profiles.profiles:
-        names = listed([profile.name for profile in fit.profiles.profiles])
-        texts.append(
-            f"These intervals come from the standard errors, which mislead for {names}: "
-            "see Intervals."
-        )
     if judged.correlated:
         pairs = (f"{a} and {b} ({value:.2f})" for a, b, value in judged.correlated)
         texts.append(f"Correlated beyond 0.9: {', '.join(pairs)}.".replace("-", "−"))

@@ -21,7 +21,6 @@ from greybox.study.study import Study
 from greybox.validation.comparison import Comparison
 
 OPEN = 3  # results up to which all details are open
-MANY = 12  # results above which tables are printed across the paper
 
 HERE = Path(__file__).parent
 
@@ -74,7 +73,7 @@ def page(
 
     sections = [_section("Summary", study_section(study)) for study in studies]
     sections.append(_section("Comparison", content))
-    if len(entries) > MANY:
+    if len(entries) > 12:  # tables are printed across the paper
         sections[-1].set("class", "many")
     sections += [
         _details(entry, is_open=len(entries) <= OPEN) for entry in entries if entry.fit is not None

@@ -32,9 +32,9 @@ def report(
     Parameters
     ----------
     fits : Fit, Study or sequence of them
-        Several are shown side by side; of a study, the first twelve members with an answer in
-        detail. For a fit that was loaded without its model the page shows the contents of the
-        file, and says what it cannot draw.
+        Several are shown side by side; of a study, the first twelve members in detail. For a fit
+        that was loaded without its model the page shows the contents of the file, and says what it
+        cannot draw.
     path : str or Path
         An existing file is replaced once the new one is complete.
     comparison : Comparison, optional
@@ -82,11 +82,9 @@ def report(
 
 
 def members_of(study: Study) -> list[Entry]:
-    """Return the members of a study, with the fits of the first that have an answer."""
+    """Return the members of a study, the first ones with their fits."""
     # Only the first ones are loaded: a page about a hundred fits would take minutes and megabytes.
-    members = folded(study)
-    detailed = [member for _, member in members if member.status == "done"][:DETAILED]
     return [
-        Entry(name, member.fit if member in detailed else None, member.answer, member.reason)
-        for name, member in members
+        Entry(name, member.fit if k < DETAILED else None, member.answer, member.reason)
+        for k, (name, member) in enumerate(folded(study))
     ]

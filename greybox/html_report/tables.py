@@ -72,9 +72,8 @@ def _shares(fit: Fit) -> tuple[dict[str, float], dict[str, float]]:
 def _share(share: float, guideline: float) -> Cell:
     if math.isnan(share):
         return Cell("–")
-    text = "∞" if math.isinf(share) else percent(share)
-    value = min(share, 1e300)  # the page sorts by finite numbers alone
-    return Cell(f"{text} !", value, "doubt") if share > guideline else Cell(text, value)
+    text = percent(share)
+    return Cell(f"{text} !", share, "doubt") if share > guideline else Cell(text, share)
 
 
 def _interval(low: float, high: float) -> str:

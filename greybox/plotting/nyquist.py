@@ -7,9 +7,8 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.response_band import radius, require_level
 from greybox.estimate.result import Fit
-from greybox.files.text_table import counted
 from greybox.plotting.figure import Figure, Limits, Panel, Series
-from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw, flat_axes
+from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.responses import DrawnResponse, drawn_responses, ratio, title
 
 UNLIKE = 5.0  # ratio of magnitudes above which the data would vanish beside the curves
@@ -38,7 +37,7 @@ def nyquist(
     labels : sequence of str, optional
         One legend entry for each of `fits`, e.g. ``("published", "refitted")``.
     axes : Axes or array-like of Axes, optional
-        One for everything, or one for each input-output pair. By default a new figure is made.
+        One for each input-output pair. By default a new figure is made.
     legend : bool
         Draw a legend, below a new figure or inside the given axes.
     level : float or None
@@ -56,8 +55,7 @@ def nyquist(
     """
     if level is not None:
         require_level(level)
-    count = None if axes is None else flat_axes(axes).size
-    figures = nyquist_figures(fits, labels, level, count)
+    figures = nyquist_figures(fits, labels, level)
     columns = columns_of(len(figures))
     return draw(figures, axes, columns=columns, size=(5.2, 5.0), title=title(fits), legend=legend)
 
@@ -66,26 +64,12 @@ def nyquist_figures(
     fits: Sequence[Fit | FrequencyResponse],
     labels: Sequence[str] = (),
     level: float | None = 0.95,
-    count: int | None = None,
 ) -> list[Figure]:
-    """Return one figure for each input-output pair, or one for all if their `count` is 1.
-
-    Raises
-    ------
-    ValueError
-        If there are not `count` pairs.
-    """
+    """Return one figure for each input-output pair."""
     responses = drawn_responses(fits, labels, level)
     # Panels are in the order of the data, which is the one that a user knows.
     measured_first = sorted(responses, key=lambda drawn: not drawn.is_measured)
     pairs = dict.fromkeys(drawn.pair for drawn in measured_first)
-    if count == 1:
-        return [_figure(responses, level)]
-    if count not in (None, len(pairs)):
-        raise ValueError(
-            f"`axes` has {count} axes for {counted(len(pairs), 'input-output pair')}: "
-            "give one, or one for each pair."
-        )
     return [_figure([drawn for drawn in responses if drawn.pair == pair], level) for pair in pairs]
 
 
@@ -126,10 +110,7 @@ def _figure(responses: Sequence[DrawnResponse], level: float | None) -> Figure:
 
 
 def _note(response: FrequencyResponse, k: int) -> str:
-    # As people write complex numbers, with a space around the sign.
-    sign = "−" if response.beta[k] < 0 else "+"
-    value = f"{response.alpha[k]:.4g} {sign} {abs(response.beta[k]):.4g} j"
-    return f"{value} at {response.omega[k]:.4g} rad/s"
+    return f"{response.response[k]:.4g} at {response.omega[k]:.4g} rad/s"
 
 
 def _brief(omega: float) -> str:

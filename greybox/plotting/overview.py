@@ -29,9 +29,6 @@ def plot(fit: Fit) -> MatplotlibFigure:
     # The complex plane needs a square. Beside time histories there is no room for it.
     nyquist = [] if fit.records or fit.spectra else nyquist_figures((fit,))
     histories = [history_figure((fit,), k) for k in range(len(fit.records))]
-    # A single record needs no name: the title of the page names the fit.
-    if len(histories) == 1:
-        histories = [replace(histories[0], subject="Time history")]
     spectra = [spectrum_figure(fit, k) for k in range(len(fit.spectra))]
     diagrams = [*histories, *spectra, starts_figure(fit)]
 

@@ -134,9 +134,8 @@ def estimates_figure(study: Study, quantity: str) -> Figure:
     panel = Panel("", series, max(1.0, min(len(rows), NAMED) / 10), ticks=names)
     x = [value for _, value, _ in values]
     is_logarithmic = quantity == "cost" and min(x) > 0 and max(x) > 30 * min(x)
-    title = "Costs" if quantity == "cost" else "Estimates"
     label = _label(study, quantity)
-    return Figure(title, label, [panel], quantity, is_logarithmic=is_logarithmic)
+    return Figure("Members", label, [panel], quantity, is_logarithmic=is_logarithmic)
 
 
 def structures(results: Study | Comparison, ax: Axes | None = None) -> Axes:
@@ -202,10 +201,10 @@ def _values(study: Study, quantity: str) -> list[Value]:
     values = []
     for member in study.done:
         answer = member.answer
-        known = {"cost": answer["cost"], **answer["derived"], **answer["estimate"]}
-        value = {**answer.get("at", {}), **known}.get(quantity)
-        if value is not None:
-            values.append((member, value, answer["standard_error"].get(quantity) or 0.0))
+        known = {**answer, **answer.get("at", {}), **answer["derived"], **answer["estimate"]}
+        if known.get(quantity) is not None:
+            error = answer["standard_error"].get(quantity) or 0.0
+            values.append((member, known[quantity], error))
     if not values:
         raise ValueError(f"no member has the quantity {quantity!r:.60}.")
     return values

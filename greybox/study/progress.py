@@ -2,7 +2,7 @@
 
 import time
 
-from greybox.files.text_table import counted, number, text_table
+from greybox.files.text_table import number, text_table
 from greybox.study.study import Study
 
 RECENT = 20  # members from which the time of those that are left is estimated
@@ -22,5 +22,5 @@ def progress(study: Study) -> str:
             f"the last one ended {number(time.time() - ends[-1], 2)} s ago."
         )
     costs = [[m.name, number(m.answer["cost"], 6)] for m in study.done[-SHOWN:]]
-    lines.append(text_table([f"last {counted(len(costs), 'member')} done", "cost"], costs))
+    lines.append(text_table(["last members done", "cost"], costs))
     return "\n\n".join(filter(None, [*lines, study.failures]))

@@ -2,7 +2,6 @@
 
 import re
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from page_results import lag
 
 import greybox as gb
 from greybox.html_report.entry import Entry
-from greybox.html_report.fit_section import fit_section, remarks
+from greybox.html_report.fit_section import fit_section
 from greybox.html_report.page import page
 
 
@@ -105,7 +104,7 @@ def test_of_many_records_the_worst_are_drawn(fit):
     assert [element.tag for element in few["Time history"]] == ["div", "div"]
 
 
-def test_remarks_name_what_is_correlated_and_where_standard_errors_mislead(fit):
+def test_remarks_name_what_is_correlated(fit):
     texts = [element.text for element in dict(fit_section(Entry("lag", fit)))["Parameters"][1:]]
     assert texts[0].startswith("CR is the Cramér-Rao bound")
     judged = fit.identifiability
@@ -113,11 +112,6 @@ def test_remarks_name_what_is_correlated_and_where_standard_errors_mislead(fit):
     assert [text for text in texts if text.startswith("Correlated")] == (
         [f"Correlated beyond 0.9: {', '.join(pairs).replace('-', '−')}."] if pairs else []
     )
-    profiled = replace(
-        fit,
-        profiles=SimpleNamespace(profiles=[SimpleNamespace(name="b0"), SimpleNamespace(name="a0")]),
-    )
-    assert "mislead for b0 and a0: see Intervals" in remarks(profiled)[1].text
 
 
 def test_a_page_without_some_of_the_details_says_how_to_see_them(fit):

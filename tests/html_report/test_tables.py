@@ -237,14 +237,7 @@ def test_correlations_and_combinations_are_told_below_the_parameters():
         correlated=[("a", "b", -0.954), ("b", "c", 0.91)], combinations=("a b", "c / d")
     )
     unprofiled = SimpleNamespace(converged=True, profiles=None, identifiability=judged)
-    meaning, correlated, combined = (part.text for part in remarks(unprofiled))
+    _, correlated, combined = (part.text for part in remarks(unprofiled))
     assert correlated == "Correlated beyond 0.9: a and b (−0.95), b and c (0.91)."
     assert combined == "Determined in combination: a b; c / d."
-    profiled = SimpleNamespace(profiles=[SimpleNamespace(name="a"), SimpleNamespace(name="c")])
-    plain = SimpleNamespace(correlated=(), combinations=())
-    told = remarks(SimpleNamespace(converged=True, profiles=profiled, identifiability=plain))
-    assert [part.text for part in told] == [
-        meaning,
-        "These intervals come from the standard errors, which mislead for a and c: see Intervals.",
-    ]
     assert remarks(SimpleNamespace(converged=False)) == []

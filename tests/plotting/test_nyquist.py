@@ -57,7 +57,6 @@ def test_every_pair_has_a_panel():
     one = gb.FrequencyResponse([1.0, 2.0], [1, 1j], "u", "theta")
     other = gb.FrequencyResponse([1.0, 2.0], [2, 2j], "u", "phi")
     assert len(nyquist_figures([one, other])) == 2
-    assert len(nyquist_figures([one, other], count=1)) == 1
     assert len(nyquist_figures([one, replace(other, output="theta")])) == 1
 
 
@@ -102,9 +101,7 @@ def test_the_values_tell_each_point_and_far_curves_leave_the_data_readable():
     points = named(figure.panels[0], "lag", "points")
     assert points.x + 1j * points.y == pytest.approx(data.response)
     assert points.notes[0].endswith("at 1 rad/s")
-    real, sign, imaginary = points.notes[3].split()[:3]
-    assert sign == "−"
-    assert float(real) - 1j * float(imaginary) == pytest.approx(data.response[3], rel=1e-3)
+    assert complex(points.notes[3].split()[0]) == pytest.approx(data.response[3], rel=1e-3)
     assert (figure.limits, figure.is_plane) == (None, True)
 
     part = fit.responses[0]
