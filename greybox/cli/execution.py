@@ -7,12 +7,14 @@ import io
 import re
 import sys
 import traceback
+import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from greybox.cli.options import UsageError, as_options
 from greybox.cli.output import BAD_INPUT, FAILED, INTERRUPTED, USABLE, write_answer
+from greybox.cli.terminal import write
 from greybox.modeling.model_reference import UnknownModelError
 from greybox.solve.interruption import Response, ended_status, listening, responding, take_interrupt
 
@@ -20,7 +22,9 @@ from greybox.solve.interruption import Response, ended_status, listening, respon
 def execute(options: argparse.Namespace, arguments: Sequence[str]) -> int:
     """Run the command of the parsed `options`, write its answer, and return the exit status."""
     # Ctrl-C during the output must not leave half a JSON object.
-    with listening():
+    with listening(), warnings.catch_warnings():
+        warnings.simplefilter("always", UserWarning)
+        warnings.showwarning = lambda message, *_: write(f"greybox: {message}", sys.stderr)
         try:
             result, text, status = _answer(options, arguments)
         except KeyboardInterrupt:

@@ -89,11 +89,6 @@ class CompiledProblem:
         return self.method.strategies
 
     @property
-    def by_ipopt(self) -> bool:
-        """True when IPOPT solves the records as one sparse program."""
-        return self.method.by_ipopt
-
-    @property
     def program(self) -> ca.Function:
         """(z, smoothing) -> the cost of the frequency responses, and what must be >= 0."""
         return self.programs[-1].function

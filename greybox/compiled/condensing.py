@@ -86,9 +86,9 @@ def _predicted_decrease(
     """Return the merit decrease that the quadratic model predicts for the node step alone."""
     curved = float((step * (b.node_hessian @ step[:, :, None])[:, :, 0]).sum())
     change = float((b.node_gradient * step).sum()) + 0.5 * curved
-    if np.all(variance > 0):
-        gaps_after = variance * multiplier
-        change += 0.5 * float(((gaps_after**2 - gaps**2) / variance).sum())
+    relaxed = variance > 0
+    gaps_after = (variance * multiplier)[:, relaxed]
+    change += 0.5 * float(((gaps_after**2 - gaps[:, relaxed] ** 2) / variance[relaxed]).sum())
     return max(-change, 0.0)
 
 
@@ -98,11 +98,12 @@ def _node_curvature(b: Linearization, variance: Array, data: SampledData) -> Arr
     Where continuity is exact the first nodes of every stretch are free.
     """
     curvature = b.node_hessian.diagonal(axis1=1, axis2=2)
-    if not np.all(variance > 0):
-        return np.where(data.begins_stretch[:, None], curvature, 0.0)
+    relaxed = variance > 0
+    curvature = np.where(data.begins_stretch[:, None] | relaxed, curvature, 0.0)
+    stiffness = np.divide(1.0, variance, out=np.zeros_like(variance), where=relaxed)
     coupled = data.coupled[:, None]
-    penalty = np.where(coupled, (b.transition**2 / variance[:, None]).sum(axis=1), 0.0)
-    penalty[1:] += np.where(coupled[:-1], 1 / variance, 0.0)
+    penalty = np.where(coupled, (b.transition**2 * stiffness[:, None]).sum(axis=1), 0.0)
+    penalty[1:] += np.where(coupled[:-1], stiffness, 0.0)
     return curvature + penalty
 
 

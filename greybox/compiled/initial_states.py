@@ -6,8 +6,6 @@ level of a tank, an airspeed, a temperature). Then sizes over many decades are t
 that no output shows; the model must come closest to the measured outputs.
 """
 
-from dataclasses import dataclass
-
 import casadi as ca
 import numpy as np
 
@@ -22,16 +20,6 @@ SWEEPS = 2  # over the unmeasured states, each of which tries all sizes
 SIZES = (1.0, 0.1, 10.0, 0.01, 100.0, 1e-3, 1e3, 1e4, 1e5, -1.0, -0.1, -10.0, -100.0)
 
 
-@dataclass(frozen=True, eq=False)
-class Link:
-    """A state that an output shows: output = factor · state + offset."""
-
-    state: int
-    output: int
-    factor: float
-    offset: float
-
-
 class InitialStates:
     """The states of a model at some samples, for the outputs that are compared."""
 
@@ -41,6 +29,7 @@ class InitialStates:
         With `scanned`, sizes are tried where the model is not finite.
         """
         self._n = len(system.states)
+        self._driven = len((system.undelayed or system).states)
         self._scanned = scanned
         x, u, p = system.symbols
         y = system.output(x, u, p)[[system.outputs.index(name) for name in outputs]]
@@ -61,7 +50,7 @@ class InitialStates:
         states = np.zeros((self._n, inputs.shape[1]))
         measured_states = self.as_measured(states, measured)
         hidden = np.ones(self._n, dtype=bool)
-        hidden[[link.state for link in self._links]] = False
+        hidden[list(self._links)] = False
         is_known = hidden & np.isfinite(known)
         states[is_known] = measured_states[is_known] = known[is_known, None]
         # Noise around zero is a worse start than zero itself.
@@ -78,15 +67,18 @@ class InitialStates:
     def as_measured(self, states: Array, measured: Array) -> Array:
         """Return the states (n, s), those that outputs show as measured."""
         states = states.copy()
-        for link in self._links:
-            states[link.state] = (measured[link.output] - link.offset) / link.factor
+        for state, (output, factor, offset) in self._links.items():
+            states[state] = (measured[output] - offset) / factor
         return states
 
     def poles(self, states: Array, inputs: Array, p: Array) -> ComplexArray:
-        """Return the finite poles (s, n) of the linearizations at states (n, s)."""
+        """Return the finite poles (s, n) of the linearizations at states (n, s).
+
+        Those of delays, which no integrator follows, are left out.
+        """
         matrices = self._model(states, inputs, p)[2][: self._n**2].T.reshape(
             inputs.shape[1], self._n, self._n
-        )
+        )[:, : self._driven, : self._driven]
         return np.linalg.eigvals(matrices[np.isfinite(matrices).all(axis=(1, 2))]).astype(complex)
 
     def _sized(
@@ -135,9 +127,9 @@ class InitialStates:
             return finite, (((y - measured) / np.where(scale > 0, scale, 1.0)) ** 2).sum(axis=0)
 
 
-def _links(y: ca.SX, x: ca.SX, others: ca.SX) -> list[Link]:
-    """Return the states that outputs show directly, by the first output that does."""
-    links: dict[int, Link] = {}
+def _links(y: ca.SX, x: ca.SX, others: ca.SX) -> dict[int, tuple[int, float, float]]:
+    """Return the states that outputs show directly: the first output = factor · state + offset."""
+    links: dict[int, tuple[int, float, float]] = {}
     slopes = ca.jacobian(y, x)
     mixed = ca.which_depends(y, others, 1, True) if others.numel() else [False] * y.numel()
     for k in range(y.numel()):
@@ -152,9 +144,9 @@ def _links(y: ca.SX, x: ca.SX, others: ca.SX) -> list[Link]:
         factor = float(slopes[k, state[0]])
         offset = ca.simplify(ca.substitute(y[k], x, ca.SX.zeros(x.numel())))
         if factor and offset.is_constant():
-            links[state[0]] = Link(state[0], k, factor, float(offset))
+            links[state[0]] = k, factor, float(offset)
 
-    return list(links.values())
+    return links
 
 
 def at_samples(data: SampledData, every: int, *, spread: bool = False) -> tuple[Array, Array]:

@@ -94,19 +94,10 @@ class KalmanGain:
         rows = reached(A, self.states if noise is None else noise.driven)
         return A[np.ix_(rows, rows)]
 
-    def excerpt_cost(self, nodes: Array, placed: Placed) -> float:
-        """Return the approximate cost of a simulation, from the start of the longest stretch."""
-        part, length = self.part, self.part.data.segment_length
-        counts = part.data.segment_counts
-        longest = int(np.argmax(counts))
-        first = sum(counts[:longest])
-        # Enough samples to compare gains, and few enough to simulate a dozen candidates.
-        count = min(counts[longest], max(3000 // length, 1))
-
-        rows = part.segments.rows(placed.data)
-        excerpt = rows[first * length : (first + count) * length]
-        _, residuals = part.step.simulate(nodes[first], placed.q, excerpt)
-        return part.covariance.cost(residuals.T @ residuals * (len(rows) / len(excerpt)))
+    def simulated_cost(self, z: Array, nodes: Array) -> float:
+        """Return the cost of a simulation from the first nodes, for the covariance it shows."""
+        products = self.part.trajectory(z, nodes, simulated=True).products
+        return self.part.covariance.cost(products)
 
     def steady_state(self, trajectory: Trajectory, process: Sequence[Array]) -> list[Array | None]:
         """Return the unknowns (u,) of steady Kalman filters; None for an unstable predictor.
@@ -118,31 +109,27 @@ class KalmanGain:
         q = placed.q.copy()
         q[self.places] = 0
         F, C = self.part.segments.mean_transition(trajectory.states, q, placed.data)
-        covariance = self.part.covariance.covariance(trajectory.products)
-        return [self._steady_state(F, C, covariance, q, variance) for variance in process]
-
-    def _steady_state(
-        self, F: Array, C: Array, covariance: Array, q: Array, variance: Array
-    ) -> Array | None:
         noise = self.part.noise_model
-        K = np.zeros((len(F), len(C)))
-        if noise is None:
-            # In units of the measurement noise, for which the equation of the filter is written.
-            root = np.linalg.inv(np.linalg.cholesky(covariance))
-            corrected = np.isin(np.arange(len(F)), self.states)
-            gain = steady_state_gain(F, root @ C, np.where(corrected, variance, 0.0)) @ root
-            K[self.states, self.outputs] = unknowns = gain[self.states, self.outputs]
-        else:
-            intensities, deviations = (
-                np.sqrt(variance[noise.driven] / noise.step),
-                np.sqrt(np.diag(covariance)),
-            )
-            unknowns, q = np.concatenate([intensities, deviations]), q.copy()
-            q[self.unknowns] = unknowns
-            K = noise.at(q).gain
+        covariance = self.part.covariance.covariance(trajectory.products)
+        # In units of the measurement noise, for which the equation of the filter is written.
+        root = np.linalg.inv(np.linalg.cholesky(covariance))
+        corrected = np.isin(np.arange(len(F)), self.states)
 
-        stable = spectral_radius(self._reached(F @ (np.eye(len(F)) - K @ C))) < self.limit
-        return unknowns if stable else None
+        filters: list[Array | None] = []
+        for variance in process:
+            K = np.zeros((len(F), len(C)))
+            if noise is None:
+                gain = steady_state_gain(F, root @ C, np.where(corrected, variance, 0.0)) @ root
+                K[self.states, self.outputs] = unknowns = gain[self.states, self.outputs]
+            else:
+                intensities = np.sqrt(variance[noise.driven] / noise.step)
+                unknowns = np.concatenate([intensities, np.sqrt(np.diag(covariance))])
+                q[self.unknowns] = unknowns
+                K = noise.at(q).gain
+            stable = spectral_radius(self._reached(F @ (np.eye(len(F)) - K @ C))) < self.limit
+            filters.append(unknowns if stable else None)
+
+        return filters
 
     def placed(self, trajectory: Trajectory, z: Array, values: Array) -> Array:
         """Return the point z (p,) with the values (u,) of unknowns that one variable each sets."""

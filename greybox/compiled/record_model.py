@@ -10,7 +10,6 @@ import numpy as np
 
 from greybox.compiled.initial_states import InitialStates
 from greybox.compiled.sample_step import SampleStep, sample_step
-from greybox.compiled.strategies import Strategies
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.intersample import Intersample
 from greybox.data.record import Record
@@ -98,11 +97,6 @@ class RecordModel:
         local = ("problem", "record", "criterion", "kind")
         return {name: value for name, value in vars(self).items() if name not in local}
 
-    @property
-    def strategies(self) -> Strategies:
-        """The settings of the solver."""
-        return self.method.strategies
-
     def step(self, integrator: Integrator, substeps: int) -> SampleStep:
         """Compile one sample, or return it where that was done before."""
         # Excerpts and parts with other outputs need no new sample.
@@ -154,7 +148,10 @@ def record_model(
         begin=np.array([*begin.values()], dtype=float)[: len(kin.system.parameters)],
         record=problem.data,
         has_time=problem.data.has_time,
-        outside_names=_outside_names(problem),
+        outside_names=tuple(
+            problem.outside(name) if name in problem.declared else name
+            for name in _parameters(problem)
+        ),
         active=np.array(active, dtype=int),
         locate=ca.Function("locate", [z], [q, ca.densify(slope[active, :]), ca.densify(delay)]),
         initial=ca.Function("initial", [symbol], [initial, by_active]),
@@ -234,12 +231,6 @@ def _parameters(problem: Problem) -> tuple[str, ...]:
     outputs = problem.criterion.compared(problem.model, problem.data)
     gains = problem.criterion.gains(problem.model, outputs)
     return (*problem.declared, *(f"K_{state}_{output}" for state, output in gains))
-
-
-def _outside_names(problem: Problem) -> tuple[str, ...]:
-    return tuple(
-        problem.outside(name) if name in problem.declared else name for name in _parameters(problem)
-    )
 
 
 def _called(what: str, value: Any, local: Names) -> Any:

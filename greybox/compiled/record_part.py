@@ -67,8 +67,7 @@ class RecordPart(SegmentedPart):
         """Return the part on excerpts, evenly over the record, of about so many samples in all."""
         data = self.data.excerpts(samples)
         # The criterion stays behind when a part is sent to a worker.
-        covariance = self.covariance.along(data.measured)
-        return RecordPart(self.model, data, self.substeps, covariance=covariance, like=self)
+        return self._with(data, self.covariance.along(data.measured))
 
     def with_outputs(self, outputs: Sequence[Array]) -> "RecordPart":
         """Return the part with other measured outputs (k, n) of every stretch, NaN for gaps."""
@@ -77,7 +76,9 @@ class RecordPart(SegmentedPart):
         data = replace(self.data, stretches=stretches)
         # The spread, which only scales, stays that of the first outputs.
         counts = np.isfinite(data.measured).sum(axis=1)
-        covariance = replace(self.covariance, counts=counts)
+        return self._with(data, replace(self.covariance, counts=counts))
+
+    def _with(self, data: SampledData, covariance: ResidualCovariance) -> "RecordPart":
         return RecordPart(self.model, data, self.substeps, covariance=covariance, like=self)
 
     @one_thread_at_a_time

@@ -68,7 +68,9 @@ def compile_responses(
     parts = [part for part in problem.parts if isinstance(part.data, FrequencyResponse)]
     mapped = _mapped(parts)
     formulas = [] if mapped else [_formula(part) for part in parts]
-    models = [response.function() for response in mapped] or [_closed(f) for f in formulas]
+    models = [response.function() for response in mapped] or [
+        formula.closed() if isinstance(formula, Trimmed) else formula for formula in formulas
+    ]
     kind: Any = ca.SX if all(model.is_a("SXFunction") for model in models) else ca.MX
     # Limits take the kind of the responses, so that one function can hold both.
     limits = limits_of(problem, kind)
@@ -93,7 +95,9 @@ def compile_responses(
 
     def program(choose: ChooseCriterion) -> CostProgram:
         def cost(responses: Sequence[Complex], smoothing: Any) -> Any:
-            return _weighted(parts, _costs(parts, responses, smoothing, choose))
+            costs = _costs(parts, responses, smoothing, choose)
+            pairs = zip(solver_weights(parts), costs, strict=True)
+            return sum(weight * cost for weight, cost in pairs)
 
         if has_roots:
             return _program_at_roots(parts, trimmed, values_at, point, cost, limits)
@@ -149,10 +153,6 @@ def _formula(part: Problem) -> Trimmed | ca.Function:
             part.model, part.response.omega, part.amplitude, **response_options(part)
         )
     return response_formula(part.model, part.response.omega, **response_options(part))
-
-
-def _closed(formula: Trimmed | ca.Function) -> ca.Function:
-    return formula.closed() if isinstance(formula, Trimmed) else formula
 
 
 def response_options(part: Problem) -> dict[str, Any]:
@@ -265,13 +265,6 @@ def _costs(
 ) -> list[Any]:
     pairs = zip(parts, responses, strict=True)
     return [choose(part).cost(response, part.response, smoothing) for part, response in pairs]
-
-
-def _weighted(parts: Sequence[Problem], costs: Sequence[Any]) -> Any:
-    total: Any = 0.0
-    for weight, cost in zip(solver_weights(parts), costs, strict=True):
-        total = total + weight * cost
-    return total
 
 
 def solver_weights(parts: Sequence[Problem]) -> list[float]:

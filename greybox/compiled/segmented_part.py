@@ -185,11 +185,8 @@ class SegmentedPart(Part):
         """Return whether all residuals are white; rows without a time have no order."""
         if not self.model.has_time:
             return False
-        residuals = self.data.unpadded(self.residuals(trajectory))
-        stretches = [
-            np.where(np.isfinite(stretch.outputs), values, np.nan)
-            for stretch, values in zip(self.data.stretches, residuals, strict=True)
-        ]
+        present = np.isfinite(self.data.measured)
+        stretches = self.data.unpadded(np.where(present, self.residuals(trajectory), np.nan))
         tests = (whiteness([rows[k] for rows in stretches]) for k in range(len(self.outputs)))
 
         # One of a hundred records with white residuals is not recognized.
@@ -258,7 +255,10 @@ class SegmentedPart(Part):
         curvature = np.nan_to_num(np.mean(diagonals, axis=0))
         # A state that no output shows has no such scale: any will do.
         visible = np.maximum(curvature, 1e-200)
-        return np.where(curvature > 1e-200, spread**2 * samples / visible, 1.0)
+        variance = np.where(curvature > 1e-200, spread**2 * samples / visible, 1.0)
+        # The states of a delay follow from the input alone: with gaps they would be another input.
+        variance[len((self.system.undelayed or self.system).states) :] = 0
+        return variance
 
     def condense(
         self,

@@ -5,7 +5,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -241,12 +241,12 @@ def as_starts(
 
     # A text is a sequence, too: its letters are neither mappings nor rules.
     if isinstance(starts, Sequence) and starts:
-        if all(isinstance(item, Mapping) for item in starts):
-            return Listed(tuple(item for item in starts if isinstance(item, Mapping)))
-        if all(isinstance(item, (Mapping, Starts)) for item in starts):
-            return Chained(
-                tuple(item if isinstance(item, Starts) else Listed((item,)) for item in starts)
-            )
+        points: Sequence[Any] = starts
+        if all(isinstance(item, Mapping) for item in points):
+            return Listed(tuple(points))
+        if all(isinstance(item, Mapping | Starts) for item in points):
+            rules = (item if isinstance(item, Starts) else Listed((item,)) for item in points)
+            return Chained(tuple(rules))
 
     raise TypeError(
         f"starts is {starts!r:.80}: give a number, a rule such as LatinHypercube(200), or a list "

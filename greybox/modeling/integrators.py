@@ -119,7 +119,8 @@ class Rosenbrock(Integrator):
 def step_function(system: Dynamics, integrator: Integrator, substeps: int) -> ca.Function:
     """Return (x, mean, change, p, step) -> x one sample later.
 
-    `mean` and `change` (m,) are those of the inputs over the step.
+    `mean` and `change` (m,) are those of the inputs over the step. Explicit schemes see inputs that
+    are delayed by states as lines, too, see `pade_step`; implicit ones integrate these states.
     """
     kind: Any = ca.MX if integrator.implicit else ca.SX
     x = kind.sym("x", len(system.states))
@@ -128,10 +129,15 @@ def step_function(system: Dynamics, integrator: Integrator, substeps: int) -> ca
     mean = kind.sym("mean", len(system.inputs))
     change = kind.sym("change", len(system.inputs))
 
-    result: Any = x
+    undelayed = None if integrator.implicit else system.undelayed
+    driven = undelayed or system
+    result, late = ca.vertsplit(x, [0, len(driven.states), len(system.states)])
     for k in range(substeps if system.states else 0):
         # The input at the beginning of the substep; `change` is that over the whole step.
-        u = mean + change * (k / substeps - 0.5)
-        result = integrator.advance(system, result, u, change / h, p, h / substeps)
+        u, slope = mean + change * (k / substeps - 0.5), change / h
+        if undelayed:
+            late, u, slope = system.delay_step(late, u, slope, p, h / substeps)
+        result = integrator.advance(driven, result, u, slope, p, h / substeps)
 
-    return ca.Function("step", [x, mean, change, p, h], [result], {"cse": True})
+    end = ca.vertcat(result, late)
+    return ca.Function("step", [x, mean, change, p, h], [end], {"cse": True})

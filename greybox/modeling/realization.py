@@ -1,6 +1,7 @@
 """One form for every model in the time domain: an ODE driven by delayed inputs."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from greybox.modeling.model import Model
 from greybox.modeling.one_thread import one_thread_at_a_time
-from greybox.modeling.pade_delay import observer_form, pade_rows
+from greybox.modeling.pade_delay import MOST_EXACT, pade_rows, pade_step
 from greybox.modeling.rational import Rational, as_rational
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import (
@@ -38,6 +39,12 @@ class Dynamics:
         (x, u, p) -> (n,) and (k,).
     delay : casadi.Function
         (p) -> the delay of every input (m,), s; zero where it is approximated by states.
+    undelayed : Dynamics or None
+        Where delays are approximated by states that have an exact solution, the model that the
+        delayed inputs drive. Its states come first.
+    delay_step : casadi.Function
+        (states of delays, inputs (m,) at the beginning of a step, their slopes, p, step) -> states
+        of delays at its end, delayed inputs and their slopes, see `pade_step`.
     """
 
     states: tuple[str, ...]
@@ -47,6 +54,8 @@ class Dynamics:
     derivative: ca.Function
     output: ca.Function
     delay: ca.Function
+    undelayed: "Dynamics | None" = None
+    delay_step: ca.Function = ca.Function()  # noqa: RUF009  (empty, and never changed)
 
     @property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -89,7 +98,7 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
     """
     z, p = symbols(model)
     if isinstance(model, TransferFunction):
-        return _realized(model, p, pade)
+        return _with_delay(model, p, pade)
     assert isinstance(model, StateSpace)
     x, u = z[: len(model.states)], z[len(model.states) :]
     names = list(model.parameters)
@@ -112,33 +121,41 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
     )
 
 
+def _with_delay(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
+    whole = _realized(model, p, pade)
+    # A delay inside a loop has no states apart from those of the loop.
+    with suppress(ValueError):
+        cascade = _with_pade_states(_realized(model, p, None), pade)
+        # A product of two delays has two approximations, which are not that of their sum.
+        if len(cascade.states) == len(whole.states):
+            return cascade
+    return whole
+
+
 def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
     s = Rational([1.0, 0.0], pade=pade)
     formula = traced(f"{model.label}.response", model.response, s, parameter_names(model, p))
     rational = as_rational(formula)
-    numerator = [ca.SX(c) for c in rational.numerator]
-    denominator = [ca.SX(c) for c in rational.denominator]
-    n = len(denominator) - 1
-    if len(numerator) > n + 1:
+    n = len(rational.denominator) - 1
+    improper = len(rational.numerator) - 1
+    if improper > n:
         raise ValueError(
-            f"{model.label} is improper (its numerator has degree {len(numerator) - 1}, its "
+            f"{model.label} is improper (its numerator has degree {improper}, its "
             f"denominator {n}), which no ODE can represent: fit the integral of its output, or add "
             "the lag of the measurement."
         )
 
-    numerator = [ca.SX(0)] * (n + 1 - len(numerator)) + numerator
     # With time in units of the poles, all states have one size; in seconds, the coefficients of a
     # fast system of order n would differ by the n-th power of its poles.
-    scale = _time_scale(denominator, p, model)
-    powers = scale ** np.arange(n + 1)
+    scale = _time_scale(rational.denominator, p, model)
+    unit = rational.denominator[0] * scale ** np.arange(n + 1)
+    a = ca.vertcat(*rational.denominator) / unit
+    b = ca.vertcat(ca.SX.zeros(n - improper), *rational.numerator) / unit
+    # The observer canonical form, whose states are always observable. Source: Kailath 1980, Linear
+    # Systems, section 2.1.
     x, u = ca.SX.sym("x", n), ca.SX.sym("u", 1)
-    y, rows = observer_form(
-        [x[k] for k in range(n)],
-        u,
-        [c / power for c, power in zip(numerator, powers.tolist(), strict=True)],
-        [c / power for c, power in zip(denominator, powers.tolist(), strict=True)],
-    )
-    f = scale * ca.vertcat(ca.SX(0, 1), *rows)
+    y = (x[0] if n else 0) + b[0] * u
+    f = scale * (ca.vertcat(x, 0)[1:, 0] - a[1:, 0] * y + b[1:, 0] * u)
     for expression in (f, y):
         require_no_nan(f"{model.label}.response", ca.SX(expression))
 
@@ -170,15 +187,16 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
     if pade is None or not exact.delayed:
         return exact
     x, u, p = exact.symbols
+    slope, h = ca.SX.sym("slope", u.numel()), ca.SX.sym("step")
     delays: Any = ca.vertsplit(exact.delay(p))
     names = list(exact.states)
-    states = [x]
-    rows = []
-    delayed_inputs = []
+    states, rows, delayed_inputs = [], [], []
+    steps: list[tuple[Any, Any, Any]] = []
     for k, name in enumerate(exact.inputs):
         # An input without a delay needs no states.
         if delays[k].is_zero():
             delayed_inputs.append(u[k])
+            steps.append((ca.SX(0, 1), u[k], slope[k]))
             continue
         state = ca.SX.sym(f"delay_{name}", pade)
         output, derivative = pade_rows(ca.vertsplit(state), u[k], delays[k], pade)
@@ -186,9 +204,12 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
         states.append(state)
         rows += derivative
         delayed_inputs.append(output)
+        steps.append(pade_step(state, u[k], slope[k], delays[k], h))
 
-    full = ca.vertcat(*states)
+    full = ca.vertcat(x, *states)
     delayed = ca.vertcat(*delayed_inputs)
+    later = [ca.vertcat(*values) for values in zip(*steps, strict=True)]
+    delay_step = ca.Function("delay_step", [ca.vertcat(*states), u, slope, p, h], later)
     return replace(
         exact,
         states=tuple(names),
@@ -197,4 +218,6 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
         ),
         output=ca.Function("output", [full, u, p], [exact.output(x, delayed, p)]),
         delay=ca.Function("delay", [p], [ca.SX.zeros(u.numel())]),
+        undelayed=exact if pade <= MOST_EXACT else None,
+        delay_step=delay_step,
     )

@@ -18,10 +18,11 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from enum import Enum, auto
 from types import FrameType
+from typing import Any
 
 from greybox.solve.runs import INTERRUPTED, RUN_OVER, SEARCH_OVER
 
@@ -93,26 +94,32 @@ def current_limits() -> TimeLimits:
 
 
 @contextmanager
-def limited(limits: TimeLimits) -> Iterator[None]:
+def _during(name: str, value: Any) -> Iterator[None]:
+    previous = getattr(_state, name)
+    setattr(_state, name, value)
+    try:
+        yield
+    finally:
+        setattr(_state, name, previous)
+
+
+def limited(limits: TimeLimits) -> AbstractContextManager[None]:
     """Apply these limits within, in addition to those around them."""
     previous = _state.limits
-    _state.limits = TimeLimits(min(previous.start, limits.start), min(previous.end, limits.end))
-    try:
-        yield
-    finally:
-        _state.limits = previous
+    both = TimeLimits(min(previous.start, limits.start), min(previous.end, limits.end))
+    return _during("limits", both)
 
 
-@contextmanager
-def one_run(spent: float = 0.0, starts: int = 1) -> Iterator[None]:
+def one_run(spent: float = 0.0, starts: int = 1) -> AbstractContextManager[None]:
     """Apply the time limit of so many starts, of which `spent` seconds have passed."""
     # Within a run that has a limit, a longer one must not extend it.
-    previous = _state.run_ends
-    _state.run_ends = min(previous, time.time() + starts * _state.limits.start - spent)
-    try:
-        yield
-    finally:
-        _state.run_ends = previous
+    end = time.time() + starts * _state.limits.start - spent
+    return _during("run_ends", min(_state.run_ends, end))
+
+
+def responding(response: Response) -> AbstractContextManager[None]:
+    """Respond to Ctrl-C in this way within."""
+    return _during("response", response)
 
 
 def is_search_over() -> bool:
@@ -170,7 +177,7 @@ def listening() -> Iterator[None]:
         yield
         return
     _state.listening = True
-    _state.noted = False
+    _state.noted, _state.number = False, int(signal.SIGINT)
     for number in usual:
         signal.signal(number, _note)
     try:
@@ -185,17 +192,6 @@ def listening() -> Iterator[None]:
             signal.signal(number, handler)
         _state.listening = False
         _state.noted = False
-
-
-@contextmanager
-def responding(response: Response) -> Iterator[None]:
-    """Respond to Ctrl-C in this way within."""
-    previous = _state.response
-    _state.response = response
-    try:
-        yield
-    finally:
-        _state.response = previous
 
 
 def _note(number: int, _frame: FrameType | None) -> None:

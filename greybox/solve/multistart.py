@@ -49,7 +49,7 @@ def solver_for(
     """
     if not any(part.has_states for part in nlp.parts):
         return ResponseSolver(nlp, options, batched=search == BATCHED)
-    if nlp.by_ipopt:
+    if nlp.method.by_ipopt:
         return TranscribedProgram(nlp, GaussNewton(nlp), options)
     return GaussNewton(nlp, settings=with_options(nlp.strategies, options))
 
@@ -57,7 +57,7 @@ def solver_for(
 def multistart(
     nlp: CompiledProblem,
     solver: LocalSolver,
-    starts: Sequence[Array],
+    starts: Array | Sequence[Array],
     *,
     progress: ProgressReport | None = None,
     movable: bool = True,
@@ -79,7 +79,7 @@ def multistart(
     (`greybox.solve.executors`). Runs that were `kept` are not made again.
     """
     began = time.perf_counter()
-    points: Sequence[Array] | FiniteStarts = starts
+    points: Array | Sequence[Array] | FiniteStarts = starts
     if movable and nlp.strategies.moved_starts:
         points = FiniteStarts(nlp, solver, starts)
     memory = Memory() if kept is None else Memory(kept, runner_fingerprint(solver))
@@ -213,7 +213,9 @@ class FiniteStarts:
     A start is moved when it is asked for, so that the first run does not wait for the last start.
     """
 
-    def __init__(self, nlp: CompiledProblem, solver: LocalSolver, starts: Sequence[Array]) -> None:
+    def __init__(
+        self, nlp: CompiledProblem, solver: LocalSolver, starts: Array | Sequence[Array]
+    ) -> None:
         self._nlp, self._solver, self._starts = nlp, solver, starts
 
     @cached_property

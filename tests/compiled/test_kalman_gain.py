@@ -64,20 +64,6 @@ def test_a_predictor_follows_every_stretch_as_segments_that_join_do():
     assert_allclose(followed.products, joined.products, rtol=1e-10)
 
 
-@pytest.mark.parametrize(("n", "segment"), [(600, 20), (1100, 1100)])
-def test_the_cost_of_excerpts_that_are_the_whole_is_that_of_the_simulation(n, segment):
-    """In segments of a second, and in one of the whole flight."""
-    nlp = compile_problem(
-        gb.Problem(Spring(), spring_flight(n), WIND), gb.MultipleShooting(segment=segment)
-    )
-    (part,) = nlp.parts
-    values = SPRING | {"K_x_x": 0.3, "K_x_v": 0.05, "K_v_x": 0.5, "K_v_v": 0.6}
-    z = nlp.scaling.to_solver(np.array([values[name] for name in nlp.free]))
-    simulated = part.trajectory(z, part.initial_trajectory(z).nodes, simulated=True)
-    cost = kalman_gain(part).excerpt_cost(simulated.nodes, part.place(z))
-    assert cost == pytest.approx(part.covariance.cost(simulated.products), rel=1e-9)
-
-
 # --- fits
 
 

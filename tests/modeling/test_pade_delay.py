@@ -8,6 +8,7 @@ import pytest
 from evaluation import evaluate
 from numpy.testing import assert_allclose
 from pade_by_definition import pade
+from scipy.integrate import solve_ivp
 
 import greybox as gb
 from greybox.modeling.complex_arithmetic import Complex
@@ -16,6 +17,7 @@ from greybox.modeling.pade_delay import (
     pade_coefficients,
     pade_rows,
     pade_steady,
+    pade_step,
 )
 from greybox.modeling.rational import Rational
 
@@ -99,3 +101,37 @@ def test_the_states_have_the_response_and_rest_where_the_input_does(order):
     wanted = pade_rows(list(point), 0.4, T, order)
     assert float(delayed) == pytest.approx(wanted[0])
     assert rest.full().ravel() == pytest.approx(wanted[1])
+
+
+def stepped(order):
+    """The exact step of the states, as a function of numbers."""
+    x, rest = ca.SX.sym("x", order), [ca.SX.sym(name) for name in ("u", "slope", "T", "h")]
+    results = pade_step(x, *rest)
+    slopes = ca.jacobian(ca.vertcat(*results), rest[2])
+    return ca.Function("step", [x, *rest], [*results, slopes])
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+@pytest.mark.parametrize("delay", [0.004, 0.1, 3.0])
+@pytest.mark.parametrize("slope", [0.0, 7.0])
+def test_a_step_is_that_of_a_fine_integration(order, delay, slope):
+    """The line has the first two moments of the delayed input over the step."""
+    x, h, u = np.linspace(0.5, -1, order), 0.1, 0.4
+
+    def rates(t, state):
+        late, rows = pade_rows(list(state[:order]), u + slope * t, delay, order)
+        return [*rows, late / h, 12 * (t / h - 0.5) * late / h]
+
+    fine = solve_ivp(rates, (0, h), [*x, 0, 0], method="DOP853", rtol=1e-12, atol=1e-13).y[:, -1]
+    end, begin, rise, _ = stepped(order)(x, u, slope, delay, h)
+    exact = ca.vertcat(end, begin + rise * h / 2, rise * h)
+    assert_allclose(exact.full().ravel(), fine, rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("order", [1, 2, 5])
+def test_without_a_delay_the_input_passes_and_its_derivative_is_finite(order):
+    step = stepped(order)
+    *values, slopes = (value.full() for value in step(np.ones(order), 0.4, 7.0, 0.0, 0.1))
+    assert_allclose(np.vstack(values).ravel(), [*pade_steady(1.1, order), 0.4, 7.0])
+    *almost, _ = (value.full() for value in step(np.ones(order), 0.4, 7.0, 1e-9, 0.1))
+    assert_allclose(slopes, (np.vstack(almost) - np.vstack(values)) / 1e-9, rtol=1e-4, atol=1e-3)

@@ -6,10 +6,12 @@ import pytest
 from declared_models import LagLagDelay
 from evaluation import input_output_pairs, random_values, shipped_models
 from numpy.testing import assert_allclose
+from scipy.linalg import expm
 from scipy.signal import TransferFunction as ScipyTransferFunction
 from scipy.signal import lsim
 
 import greybox as gb
+from greybox.modeling.integrators import step_function
 from greybox.modeling.realization import dynamics
 from greybox.models.tilt import PAPER_G, LinearTilt, NonlinearTilt, Tilt
 
@@ -143,6 +145,32 @@ def test_delays_that_no_state_stands_for_stay_with_their_inputs():
     assert system.delayed
     assert_allclose(system.delay([3.0, 0.2]).full().ravel(), [0, 0.2])
     assert dynamics(Two(), 2).states == ("a", "b", "late_delay_0", "late_delay_1")
+
+
+def test_the_delay_of_an_input_is_a_cascade_and_that_of_a_loop_is_not():
+    for model in (Two(), LagLagDelay()):
+        assert dynamics(model, 2).undelayed.states == dynamics(model).states
+    loop, chain = (
+        gb.feedback(LeadLag() * Gain().renamed(K="K_2")),
+        Gain() * Gain().renamed(K="K_2", d="d_2"),
+    )
+    assert dynamics(loop, 2).undelayed is dynamics(chain, 2).undelayed is None
+    assert len(dynamics(chain, 2).states) == 4
+
+
+@pytest.mark.parametrize("delay", [0.0, 1e-4, 0.02, 1.0])
+def test_a_cascade_with_a_fast_delay_needs_no_short_steps(delay):
+    system, values, h = dynamics(LinearTilt(), 2), [*LinearTilt().values().values()], 0.01
+    values[system.parameters.index("T_delay")] = max(delay, 1e-9)
+    A, B, *_ = matrices(system, values)
+    n, (x, fine) = len(A), np.zeros((2, len(A)))
+    whole = expm(h * np.block([[A, B], [np.zeros((1, n + 1))]]))[:n]
+    step = step_function(system, gb.RungeKutta(), 2)
+    values[system.parameters.index("T_delay")] = delay
+    for u in np.random.default_rng(0).normal(size=50):
+        x, fine = step(x, u, 0.0, values, h).full().ravel(), whole @ [*fine, u]
+    plant = slice(len(system.undelayed.states))
+    assert_allclose(x[plant], fine[plant], atol=2e-6 * np.abs(fine[plant]).max())
 
 
 def test_a_direct_path_sees_the_late_input():

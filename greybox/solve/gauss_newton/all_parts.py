@@ -120,9 +120,14 @@ class AllParts:
         return sum(weight * float((np.abs(t.gaps) * m).sum()) for weight, t, m in zipped)
 
     def squared_gap_cost(self, iterate: Iterate, variances: Sequence[Array]) -> float:
-        """Return the quadratic penalty of the gaps, with variances (n,) for every state."""
+        """Return the quadratic penalty of the gaps, with variances (n,) for every state.
+
+        Gaps of a variance of zero, which the next step closes, do not count.
+        """
         zipped = zip(self.weights, iterate.trajectories, variances, strict=True)
-        return sum(weight * float((t.gaps**2 / v).sum()) / 2 for weight, t, v in zipped)
+        return sum(
+            weight * float((t.gaps[:, v > 0] ** 2 / v[v > 0]).sum()) / 2 for weight, t, v in zipped
+        )
 
     def residual_weights(self, iterate: Iterate) -> list[Array]:
         """Return square roots of the inverse residual covariances at an iterate."""

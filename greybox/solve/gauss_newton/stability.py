@@ -42,7 +42,7 @@ def best_gains(parts: AllParts, iterate: Iterate, variances: Sequence[Array]) ->
 
     def cost(z: Array) -> float:
         return sum(
-            part.weight * gain.excerpt_cost(trajectory.nodes, gain.part.place(z))
+            part.weight * gain.simulated_cost(z, trajectory.nodes)
             for gain, part, trajectory, _ in predictors
         )
 

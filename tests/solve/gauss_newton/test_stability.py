@@ -46,8 +46,8 @@ class Gain:
         z[self.place] = value
         return z
 
-    def excerpt_cost(self, nodes, placed):
-        return (np.log10(placed) - nodes) ** 2  # least at the decade that the nodes say
+    def simulated_cost(self, z, nodes):
+        return (np.log10(z[self.place]) - nodes) ** 2  # least at the decade that the nodes say
 
 
 def along(gain, *, simulated=False, nodes=0.0):
