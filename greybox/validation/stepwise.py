@@ -13,7 +13,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
 
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.estimate.fit import fit as fit_problem
@@ -124,8 +123,7 @@ def stepwise(
 ) -> StepwiseSelection:
     """Choose terms of a model from a list of candidates, by adding and removing them one at a time.
 
-    If several terms lower the cost equally, the one with the smallest correlation with the other
-    parameters is added; if these are equal too, the first in the list.
+    If several terms lower the cost equally, the first in the list is added.
 
     Parameters
     ----------
@@ -165,7 +163,7 @@ def stepwise(
         left_out = [name for name in absent if name not in current]
         # Bonferroni: the smallest of many p-values is small by chance.
         tried = [fits.trial(step, "add", n, current, size / len(left_out)) for n in left_out]
-        best = fits.best([t for t in tried if t.p_value < t.limit], current)
+        best = _best([t for t in tried if t.p_value < t.limit])
         trials += [replace(t, done=t is best) for t in tried]
         if best is None or current | {best.term} in seen:
             break
@@ -226,26 +224,6 @@ class _Fits:
             p_value, why_not = _tested({term: self.absent[term]}, *pair)
         return Trial(step, change, term, changed.cost, p_value, limit, why_not=why_not)
 
-    def best(self, trials: Sequence[Trial], terms: Terms) -> Trial | None:
-        """Return the addition with the smallest p-value; of equal costs the least correlated."""
-        if not trials:
-            return None
-        least = min(trials, key=lambda t: (t.p_value, t.cost))
-        # Costs of equivalent terms differ by rounding: 1e-6 is far above it, and far below what
-        # any test sees.
-        alike = [t for t in trials if math.isclose(t.cost, least.cost, rel_tol=1e-6)]
-
-        def independence(trial: Trial) -> float:
-            """Return 1 - |r| for the strongest correlation r of the term with another parameter."""
-            fit = self.cache[terms | {trial.term}]
-            k = fit.free.index(trial.term)
-            covariance = fit.covariance_of(fit.free)
-            r = np.abs(covariance[k]) / np.sqrt(covariance[k, k] * np.diag(covariance))
-            r[k] = 0.0
-            return float(f"{1 - np.nanmax(r):.2g}")  # what is equal leaves the choice to the order
-
-        return max(alike, key=independence)
-
     def alike(self, terms: Terms) -> dict[str, dict[str, float]]:
         """Return the terms that could replace each chosen one, and the increase in AIC."""
         rivals: dict[str, dict[str, float]] = {}
@@ -258,6 +236,15 @@ class _Fits:
                 if swapped.converged and above < EQUAL_AIC:
                     rivals.setdefault(term, {})[rival] = above
         return rivals
+
+
+def _best(trials: Sequence[Trial]) -> Trial | None:
+    """Return the addition with the smallest p-value; of equal costs the first in the list."""
+    least = min(trials, key=lambda t: (t.p_value, t.cost), default=None)
+    # Costs of equivalent terms differ by rounding: 1e-6 is far above it, and far below what any
+    # test sees.
+    alike = (t for t in trials if least and math.isclose(t.cost, least.cost, rel_tol=1e-6))
+    return next(alike, None)
 
 
 def _tested(removed: Mapping[str, float], small: Fit, large: Fit) -> tuple[float, str]:
