@@ -314,10 +314,12 @@ def _plants(
         require_no_operating_point(model, at)
         point = ca.Function("rest", [p], [ca.SX.zeros(x.numel()), ca.SX.zeros(u.numel())])
 
-    results = []
-    for row in values:
-        results.append([np.asarray(ca.DM(block)) for block in matrices(row, *point(row))])
-    A, B, C, D, delay = (np.array(block) for block in zip(*results, strict=True))
+    # One mapped call for all plants: a call for each takes a quarter of the time of margins.
+    count, columns = len(values), values.T
+    blocks = matrices.map(count)(columns, *point.map(count)(columns))
+    A, B, C, D, delay = (
+        block.full().reshape(block.shape[0], count, -1).swapaxes(0, 1) for block in blocks
+    )
     return A, B, C, D, delay[:, :, 0]
 
 

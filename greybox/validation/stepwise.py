@@ -13,7 +13,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.estimate.fit import fit as fit_problem
 from greybox.estimate.result import Fit
