@@ -98,7 +98,7 @@ class Margins:
     Attributes
     ----------
     plant, signal : str
-        The model, and where its loop is broken.
+        The name of the fit or of the model, and where its loop is broken.
     setpoint, response : str
         Of the closed loop.
     margins : tuple of Margin
@@ -321,7 +321,7 @@ def margins(
     is_fit = isinstance(plant, Fit)
     instability = 1 - float(np.mean(loop.is_stable[DRAWN])) if is_fit else math.nan
     answer = Margins(
-        model.label,
+        plant.name if isinstance(plant, Fit) else model.label,
         signal,
         setpoint,
         response,
