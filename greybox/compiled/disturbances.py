@@ -117,7 +117,7 @@ class DisturbedRecord:
         if n:
             weight = part.residual_weight(self._trajectory)
             rows = np.einsum("ab,slbv->slav", weight, J).reshape(len(J), -1, J.shape[-1])
-            known = np.ix_(part.data.begins_record, part.model.known_states)
+            known = part.known_states
             cross = -rows[:, :, :n].transpose(0, 2, 1) @ rows[:, :, n:]
             cross[known] = 0
             linearization = part.linearize(self._trajectory, weight)

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.compiled.riccati import SteadyFilter
-from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization
 from greybox.files.arrays import Array, BoolArray, IntArray
 
@@ -36,17 +35,17 @@ def filter_information(steady: SteadyFilter, weight: Array, count: int, active: 
 
 
 def without_known_states(
-    b: Linearization, known: BoolArray, initial_slope: Array, data: SampledData, records: IntArray
+    b: Linearization, known: BoolArray, initial_slope: Array, records: IntArray
 ) -> Linearization:
-    """Return the linearization, changed in place: known initial states follow the parameters.
+    """Return the linearization, changed in place: `known` states (s, n) follow the parameters.
 
     x = x' + (dx/dq) dq, where x' does not move. `initial_slope` is dx/dq, (n, q) or one for every
     record.
     """
-    slopes = np.where(known[:, None], initial_slope, 0.0)
-    for k in np.flatnonzero(data.begins_record):
-        record = records[k]
-        follow = slopes if slopes.ndim == 2 else slopes[record]
+    for k in np.flatnonzero(known.any(axis=1)):
+        record, is_known = records[k], known[k]
+        slope = initial_slope if initial_slope.ndim == 2 else initial_slope[record]
+        follow = np.where(is_known[:, None], slope, 0.0)
         mixed = follow.T @ b.cross_hessian[k]
         b.parameter_hessian[record] += mixed + mixed.T + follow.T @ b.node_hessian[k] @ follow
         b.parameter_gradient[record] += follow.T @ b.node_gradient[k]
@@ -54,10 +53,10 @@ def without_known_states(
         b.parameter_sensitivity[k] += b.transition[k] @ follow
 
         # The ridge of the elimination holds what nothing moves.
-        b.node_hessian[k, known, :] = 0
-        b.node_hessian[k, :, known] = 0
-        b.cross_hessian[k, known] = 0
-        b.node_gradient[k, known] = 0
-        b.transition[k, :, known] = 0
+        b.node_hessian[k, is_known, :] = 0
+        b.node_hessian[k, :, is_known] = 0
+        b.cross_hessian[k, is_known] = 0
+        b.node_gradient[k, is_known] = 0
+        b.transition[k, :, is_known] = 0
 
     return b

@@ -177,6 +177,11 @@ def _first_of_its_kind(
         _called(f"initial[{name!r}]", initial_values.get(name, math.nan), local)
         for name in system.states
     ]
+    if system.undelayed:
+        # Beside the rest at the first inputs, which every stretch has for itself.
+        bias = [-local[f"{i}_bias"] if i in criterion.biases else 0 for i in system.inputs]
+        rest = system.delay_rest(ca.vertcat(*bias))
+        states[len(system.undelayed.states) :] = ca.vertsplit(rest)
 
     return RecordModel(
         problem=problem,
@@ -248,6 +253,7 @@ def longest_delay(problem: Problem, system: Dynamics) -> Array:
 
     An unbounded delay counts with its start.
     """
+    system = system.undelayed or system
     if not system.delayed:
         return np.zeros(len(system.inputs))
     values: dict[str, float] = {}

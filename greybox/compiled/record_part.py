@@ -58,8 +58,8 @@ class RecordPart(SegmentedPart):
         self.gains = model.gains
         # Outputs depend only on the inputs of the same sample.
         self.is_static = not self.states and not self.system.delayed
-        known = int(data.begins_record.sum()) * int(model.known_states.sum())
-        self.unknown_initial_states = int(data.begins_stretch.sum()) * self.states - known
+        unknown = ~self.known_states[data.begins_stretch]
+        self.unknown_initial_states = int(unknown.sum())
 
     # --- parts made of this one
 

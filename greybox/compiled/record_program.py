@@ -40,14 +40,15 @@ class RecordProgram(Program):
         )
 
     def _known_states(self, q: ca.MX) -> ca.MX:
-        """Return the known states at the first sample of the record less their known values."""
+        """Return the known states at the first samples of stretches less their known values."""
         part = self._part
-        count = int(part.data.begins_record.sum())
-        rows = np.flatnonzero(part.model.known_states).tolist()
-        if not rows:
+        begins = part.data.begins_stretch
+        places = np.flatnonzero(part.known_states[begins]).tolist()
+        if not places:
             return ca.MX(0, 1)  # CasADi takes no rows of a single column as a row without columns
-        values, _ = part.model.initial(q)
-        return ca.vec(self._transcribed.initial[rows, :count] - ca.repmat(values[rows], 1, count))
+        values = ca.repmat(part.model.initial(q)[0], int(begins.sum()), 1)
+        values += part.delays_at_rest[begins].ravel()
+        return ca.vec(self._transcribed.initial)[places] - values[places]
 
     def initial_unknowns(self, trajectory: Trajectory) -> Array:
         """Return the unknowns for the states along a trajectory."""

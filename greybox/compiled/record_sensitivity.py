@@ -53,14 +53,13 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     data, segments, n = part.data, part.segments, part.states
     placed: Placed = trajectory.detail
     linearization = part.linearize(trajectory, weight)
-    by_nodes = part.condense(linearization, trajectory, np.zeros(n)).node_sensitivity.copy()
+    by_nodes = part.condense(linearization, trajectory, np.zeros(n)).node_sensitivity
     initial_directions = _initial_directions(part, linearization)
     curvature = linearization.node_hessian.diagonal(axis1=1, axis2=2)
     noticed = np.sqrt(np.maximum(curvature, 0.0).sum(axis=0))
     del linearization, curvature  # of a long record, a tenth of what fits into memory
-    known = part.model.known_states
-    if known.any():
-        by_nodes[np.ix_(data.begins_record, known)] = placed.initial_slope[known] @ placed.slope
+    known = part.known_states
+    by_nodes = np.where(known[:, :, None], placed.initial_slope @ placed.slope, by_nodes)
 
     s, length, k = data.segments, data.segment_length, len(part.outputs)
     m, p = initial_directions.shape[2], trajectory.z.size
@@ -103,7 +102,9 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
         by_initial=by_initial,
         shocks=partial(_shocks, data, initial_directions, by_initial, weight),
         reach=np.sqrt(squares),
-        initial={name: first[:, i] for i, name in enumerate(part.system.states) if not known[i]},
+        initial={
+            name: first[:, i] for i, name in enumerate(part.system.states) if not known[:, i].any()
+        },
     )
 
 
@@ -118,7 +119,7 @@ def _initial_directions(part: SegmentedPart, b: Linearization) -> Array:
     data, s, n = part.data, part.data.segments, part.states
     if not n:
         return np.zeros((s, 0, 0))
-    given = np.ix_(data.begins_record, part.model.known_states)
+    given = part.known_states
     # Any R of full rank does; a fixed one makes the result reproducible.
     R = np.random.default_rng(0).normal(size=(s, n, n))
     R[given] = 0

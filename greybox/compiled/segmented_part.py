@@ -17,7 +17,7 @@ from greybox.compiled.riccati import SteadyFilter
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization, Segments
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, BoolArray
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.metrics import whiteness
 
@@ -85,6 +85,8 @@ class SegmentedPart(Part):
         self.system = model.system
         self.outputs = model.outputs
         self.states = len(model.system.states)
+        # The states of delays, which come last, follow from the inputs alone.
+        self.driven = len((model.system.undelayed or model.system).states)
         self.substeps = substeps
         self.samples = data.samples  # padding of segments included
         self.numbers = int(covariance.counts.sum())
@@ -118,20 +120,29 @@ class SegmentedPart(Part):
     def _measured(self) -> Array:
         return self.segments.columns(self.data.measured_rows)
 
+    @cached_property
+    def known_states(self) -> BoolArray:
+        """Which states (s, n) are known at the beginning of a segment: stated ones, and delays."""
+        known = self.data.begins_record[:, None] & self.model.known_states
+        known[self.data.begins_stretch, self.driven :] = True
+        return known
+
+    @cached_property
+    def delays_at_rest(self) -> Array:
+        """Return the states (s, n) of delays that rest at the first input of a stretch, else 0."""
+        rest = np.zeros((self.segments.count, self.states))
+        if self.system.undelayed:
+            first = np.array([stretch.inputs[:, 0] for stretch in self.data.stretches])
+            delays = self.system.delay_rest(first.T).full().T
+            rest[self.data.begins_stretch, self.driven :] = delays
+        return rest
+
     def _with_known_states(self, nodes: Array, placed: Placed) -> Array:
         """Return the nodes with the known initial states in them."""
-        known = self.model.known_states
-        if not known.any():
-            return nodes
-        begin = self.data.begins_record
         initial = placed.initial
         if initial.ndim == 2:
-            initial = initial[self.segments.records[begin]]
-        # The nodes may belong to another trajectory.
-        nodes = nodes.copy()
-        nodes[np.ix_(begin, known)] = initial[..., known]
-
-        return nodes
+            initial = initial[self.segments.records]
+        return np.where(self.known_states, initial + self.delays_at_rest, nodes)
 
     # --- trajectories
 
@@ -237,11 +248,8 @@ class SegmentedPart(Part):
             count = self.compared_samples
             b = with_filter_covariance(b, placed.filter, weight, trajectory.products, count)
 
-        known = self.model.known_states
-        if not known.any():
-            return b
-        records = self.segments.records
-        return without_known_states(b, known, placed.initial_slope, self.data, records)
+        known, records = self.known_states, self.segments.records
+        return without_known_states(b, known, placed.initial_slope, records)
 
     @property
     def compared_samples(self) -> int:
@@ -256,8 +264,8 @@ class SegmentedPart(Part):
         # A state that no output shows has no such scale: any will do.
         visible = np.maximum(curvature, 1e-200)
         variance = np.where(curvature > 1e-200, spread**2 * samples / visible, 1.0)
-        # The states of a delay follow from the input alone: with gaps they would be another input.
-        variance[len((self.system.undelayed or self.system).states) :] = 0
+        # With gaps, the states of a delay would be another input.
+        variance[self.driven :] = 0
         return variance
 
     def condense(

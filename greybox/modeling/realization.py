@@ -10,7 +10,7 @@ import numpy as np
 
 from greybox.modeling.model import Model
 from greybox.modeling.one_thread import one_thread_at_a_time
-from greybox.modeling.pade_delay import MOST_EXACT, pade_rows, pade_step
+from greybox.modeling.pade_delay import MOST_EXACT, pade_rows, pade_steady, pade_step
 from greybox.modeling.rational import Rational, as_rational
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import (
@@ -45,6 +45,8 @@ class Dynamics:
     delay_step : casadi.Function
         (states of delays, inputs (m,) at the beginning of a step, their slopes, p, step) -> states
         of delays at its end, delayed inputs and their slopes, see `pade_step`.
+    delay_rest : casadi.Function
+        (inputs) -> the states of delays of inputs that have always been constant.
     """
 
     states: tuple[str, ...]
@@ -56,6 +58,7 @@ class Dynamics:
     delay: ca.Function
     undelayed: "Dynamics | None" = None
     delay_step: ca.Function = ca.Function()  # noqa: RUF009  (empty, and never changed)
+    delay_rest: ca.Function = ca.Function()  # noqa: RUF009
 
     @property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -190,7 +193,7 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
     slope, h = ca.SX.sym("slope", u.numel()), ca.SX.sym("step")
     delays: Any = ca.vertsplit(exact.delay(p))
     names = list(exact.states)
-    states, rows, delayed_inputs = [], [], []
+    states, rests, rows, delayed_inputs = [], [], [], []
     steps: list[tuple[Any, Any, Any]] = []
     for k, name in enumerate(exact.inputs):
         # An input without a delay needs no states.
@@ -202,6 +205,7 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
         output, derivative = pade_rows(ca.vertsplit(state), u[k], delays[k], pade)
         names += [f"{name}_delay_{i}" for i in range(pade)]
         states.append(state)
+        rests += pade_steady(u[k], pade)
         rows += derivative
         delayed_inputs.append(output)
         steps.append(pade_step(state, u[k], slope[k], delays[k], h))
@@ -220,4 +224,5 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
         delay=ca.Function("delay", [p], [ca.SX.zeros(u.numel())]),
         undelayed=exact if pade <= MOST_EXACT else None,
         delay_step=delay_step,
+        delay_rest=ca.Function("delay_rest", [u], [ca.vertcat(*rests)]),
     )

@@ -126,6 +126,20 @@ def test_a_delay_by_pade_states_is_nearly_the_same():
     assert_allclose(exact.estimate["d"], 0.115, atol=0.001)
 
 
+@pytest.mark.parametrize("delay", ["pade:1", "pade:3"])
+def test_a_short_delay_by_pade_states_costs_what_the_exact_one_costs(delay):
+    """Both compare the same samples, and take the input for constant before the first one."""
+    data = lag(0.01, False, noise=0.005)
+    exact, pade = (
+        fit(gb.Problem(Lag(), data, free=("d",), delay=name), [{"d": 0.02}])
+        for name in ("exact", delay)
+    )
+    # A sample more would change the cost by four.
+    assert_allclose(pade.cost, exact.cost, atol=0.3)
+    assert_allclose(list(pade.estimate.values()), list(exact.estimate.values()), rtol=2e-3)
+    assert pade.converged == 1
+
+
 # --- the likelihood
 
 
