@@ -58,8 +58,7 @@ class RecordPart(SegmentedPart):
         self.gains = model.gains
         # Outputs depend only on the inputs of the same sample.
         self.is_static = not self.states and not self.system.delayed
-        unknown = ~self.known_states[data.begins_stretch]
-        self.unknown_initial_states = int(unknown.sum())
+        self.unknown_initial_states = int((~self.known_states[data.begins_stretch]).sum())
 
     # --- parts made of this one
 

@@ -185,7 +185,8 @@ class Segments:
         first = 0
         for count in counts:
             samples = slice(first * self.length, (first + count) * self.length)
-            run, residuals = self._step.simulate(nodes[first], _of(q, first), rows[samples])
+            at = q if q.ndim == 1 else q[:, first]
+            run, residuals = self._step.simulate(nodes[first], at, rows[samples])
             states[samples] = run[:-1]
             ends[first : first + count] = run[self.length :: self.length]
             products[self.records[first]] += residuals.T @ residuals
@@ -382,11 +383,6 @@ class Segments:
         """Return slices of s segments whose derivatives fit into memory together."""
         size = max(BATCH // self.length, 1)
         return [slice(first, min(first + size, s)) for first in range(0, s, size)]
-
-
-def _of(q: Array, segment: int) -> Array:
-    """Return the parameters of one segment."""
-    return q if q.ndim == 1 else q[:, segment]
 
 
 def _finite(values: list[Array]) -> list[Array]:
