@@ -4,7 +4,8 @@ python benchmarks/process_noise.py [--repeats 200] [--output benchmarks/results/
 
 A spring (two outputs, noise on its velocity) and a lateral aircraft (five outputs, noise on three
 states) are simulated exactly, with white noise on derivatives and sensors, and fitted with
-`PredictionError(process_noise=...)` from the truth. Counted is how often the 95 % interval of every
+`PredictionError(process_noise=...)` from the truth; the spring also in gusts of 0.5 s, with
+`PredictionError(disturbance=...)`, and without it. Counted is how often the 95 % interval of every
 parameter holds the truth. Then the spring without process noise: how often the test of output error
 against filter error finds some, by one candidate and by two.
 """
@@ -65,6 +66,28 @@ def coverage(
     )
 
 
+def gusts(rule: gb.PredictionError, repeats: int) -> str:
+    """Coverage of the parameters of the spring in gusts of rms 1 and 0.5 s."""
+    colored = gb.PredictionError(disturbance={"v": "colored"}, inputs="held")
+    calm = disturbed(Spring(), TRUTH, doublets(1, 20, 1.0, 0), 0.05, {}, SENSORS, 0)
+    flown = gb.Problem(Spring(), calm, colored).model
+    truth, noise, hits, named = TRUTH | {"T_gust_v": 0.5}, {"gust_v": 2.0}, [], 0
+    for seed in range(repeats):
+        inputs = doublets(1, 1000, 1.0, seed)
+        record = disturbed(flown, truth, inputs, 0.05, noise, SENSORS, seed)
+        fit = fitted(Spring(), TRUTH, record, rule)
+        named += any("as in gusts" in text for text in fit.warnings)
+        interval = fit.interval()
+        hits.append([interval[n][0] <= value <= interval[n][1] for n, value in TRUTH.items()])
+    share = 100 * np.mean(hits, axis=0)
+    words = "  ".join(f"{n} {s:.1f}" for n, s in zip(TRUTH, share, strict=True))
+    what = "with" if rule.disturbance else "without"
+    return (
+        f"spring in gusts, {what} their state: {repeats} fits, pooled {share.mean():.1f} %, gusts "
+        f"named in {named}\n  {words}"
+    )
+
+
 def false_alarms(states: tuple[str, ...], repeats: int) -> str:
     values = []
     for seed in range(repeats):
@@ -96,6 +119,8 @@ def main() -> None:
         lambda: coverage(
             "lateral aircraft", Lateral(), LATERAL, WIND, AIRCRAFT, (500, 0.04, 0.1), n
         ),
+        lambda: gusts(gb.PredictionError(disturbance={"v": "colored"}, inputs="held"), n),
+        lambda: gusts(gb.PredictionError(inputs="held"), n),
         lambda: false_alarms(("v",), n),
         lambda: false_alarms(("x", "v"), n),
     ):
