@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 from command_line import run
-from scipy.signal import lsim
+from linear_simulation import lsim
 
 RATE, FINE, DELAY = 25, 10, 0.02
 
@@ -22,7 +22,7 @@ def test_a_dutch_roll_is_identified_by_the_family_of_fixed_wings(capsys, tmp_pat
     truth = {"N": -4.0, "z": 0.425, "omega_d": 2.51, "zeta_d": 0.22, "T_delay": DELAY}
     mode = [1, 2 * truth["zeta_d"] * truth["omega_d"], truth["omega_d"] ** 2]
     fine = np.arange(0, 60, 1 / RATE / FINE)
-    rate = lsim((truth["N"] * np.array([1, truth["z"]]), mode), 3 * chirp(fine - DELAY), fine)[1]
+    rate = lsim((truth["N"] * np.array([1, truth["z"]]), mode), 3 * chirp(fine - DELAY), fine)
     time = fine[::FINE]
     rate = rate[::FINE] + 0.15 * np.random.default_rng(0).standard_normal(time.size)
     table = np.column_stack([1000 * time, 3 * chirp(time), rate])

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import lsim
+from linear_simulation import lsim
 
 import greybox as gb
 from greybox.data.record import Record, Recording
@@ -212,12 +212,12 @@ def test_a_log_without_a_test_says_how_to_name_one():
 @pytest.fixture(scope="module")
 def filtered_rate_log():
     """A sweep of the control through K / ((T s + 1)(s + a)), logged behind the gyro's low-pass filter and its notch."""
-    from scipy.signal import bilinear, chirp, lfilter, lsim
+    from scipy.signal import bilinear, chirp, lfilter
 
     time = np.arange(0, 60, 0.0025)
     inside = (time > 2) & (time < 58)
     u = np.where(inside, 0.1 * chirp(time - 2, 0.15, 56, 12, method="logarithmic", phi=-90), 0)
-    rate = lsim(([90], [0.05, 1 + 0.05 * 0.7, 0.7]), u, time)[1]
+    rate = lsim(([90], [0.05, 1 + 0.05 * 0.7, 0.7]), u, time)
     notch, low_pass = 2 * np.pi * 60, 2 * np.pi * 20
     width = (
         notch * (16 / 9 - 1) / (4 / 3)
@@ -326,7 +326,7 @@ def plant_log(duration=60.0, gain=-4e-4, delay=0.03, seed=0):
     rate = np.log(12 / 0.4) / (duration - 4)
     since = np.clip(time - 2, 0, duration - 4)
     u = 300 * np.sin(0.4 / rate * np.expm1(rate * since)) * (since > 0) * (since < duration - 4)
-    y = lsim(([gain], [1, 2, 0]), np.interp(time - delay, time, u), time)[1]
+    y = lsim(([gain], [1, 2, 0]), np.interp(time - delay, time, u), time)
     y += 0.02 * np.std(y) * np.random.default_rng(seed).normal(size=time.size)
     return Recording({"log": Record(time, {"u": u, "y": y})}, "made")
 

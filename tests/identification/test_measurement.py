@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.signal import chirp, lsim
+from linear_simulation import lsim
+from scipy.signal import chirp
 
 import greybox as gb
 from greybox.data.record import Record, Recording
@@ -24,7 +25,7 @@ SWEEP = np.where(INSIDE, chirp(TIME - 5, 0.2, 50, 4, method="logarithmic", phi=-
 
 
 def flight(control, **more):
-    y = lsim(([2], [0.3, 1]), control, TIME)[1] + 1e-3 * np.random.default_rng(0).normal(
+    y = lsim(([2], [0.3, 1]), control, TIME) + 1e-3 * np.random.default_rng(0).normal(
         size=TIME.size
     )
     records = {
@@ -313,7 +314,7 @@ def test_fields_of_an_announcement_can_have_other_names():
 
 def test_an_input_that_moves_along_is_conditioned_on():
     other = 0.6 * SWEEP + np.random.default_rng(1).normal(size=TIME.size)
-    y = lsim(([2], [0.3, 1]), SWEEP, TIME)[1] + lsim(([3], [0.5, 1]), other, TIME)[1]
+    y = lsim(([2], [0.3, 1]), SWEEP, TIME) + lsim(([3], [0.5, 1]), other, TIME)
     log = Recording({"T": Record(TIME, {"u": SWEEP, "w": other, "y": y})}, "made")
     pair = {"input": "u", "output": "y", "whole": True}
     alone, conditioned = (measure(log, Settings(**pair, conditioned=c)) for c in ((), ("w",)))

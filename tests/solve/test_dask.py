@@ -12,10 +12,15 @@ from numpy.testing import assert_array_equal
 import greybox as gb
 from greybox.study.store import StoredRuns
 
-distributed = pytest.importorskip("distributed", reason="needs the extra dask")
 RESPONSE = gb.Problem(
     LagLagDelay(), measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=2)
 )
+
+
+@pytest.fixture
+def distributed():
+    """The package, whose import takes half a second: not where tests are only collected."""
+    return pytest.importorskip("distributed", reason="needs the extra dask")
 
 
 @contextmanager
@@ -40,7 +45,7 @@ WORKER = "worker --scheduler-file scheduler.json --nthreads 1 --no-dashboard --n
 
 @pytest.mark.filterwarnings("ignore")  # of a package that is not ours
 def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(
-    tmp_path, capsys, monkeypatch
+    tmp_path, capsys, monkeypatch, distributed
 ):
     scheduler = "scheduler --host 127.0.0.1 --port 0 --no-dashboard --scheduler-file scheduler.json"
     with (
@@ -105,6 +110,7 @@ def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(
         assert_array_equal(one.estimate, other.estimate)
 
 
+@pytest.mark.usefixtures("distributed")
 @pytest.mark.filterwarnings("ignore")
 def test_a_scheduler_that_is_not_there(capsys, monkeypatch):
     monkeypatch.setattr("greybox.cli.workers.CONNECTING", 0.2)
