@@ -90,8 +90,10 @@ def variance_components(
         inverse = np.linalg.inv(spectrum(variance) + LEAST * np.eye(k))
         parts = inverse @ expected
         misfit = np.eye(k) - inverse @ periodogram
-        gradient = np.einsum("b,cbij,bji->c", numbers, parts, misfit, optimize=True).real * variance
-        information = np.einsum("b,cbij,dbji->cd", numbers, parts, parts, optimize=True).real
+        # Traces of products as products of rows: einsum spends more time on finding its order.
+        rows = (numbers[:, None, None] * parts).reshape(len(parts), -1)
+        gradient = (rows @ misfit.swapaxes(1, 2).ravel()).real * variance
+        information = (rows @ parts.swapaxes(2, 3).reshape(len(parts), -1).T).real
         return gradient, information * variance * variance[:, None]
 
     score = whittle_score(spectrum(variance), periodogram, numbers)
