@@ -13,7 +13,8 @@ chirp is added to the control or to the setpoint.
 A model is right if its structure is that of the vehicle, if its response is within 5 % of the true
 one in the median over the band, or if its residuals are no larger than the noise. Printed: how many
 are right; how many of the wrong ones say that they do not explain the data; and for the true
-structures the share of 95 % intervals of coefficients and delay that hold the truth.
+structures the share of 95 % intervals of coefficients and delay that hold the truth, and the rms of
+the errors over the standard errors. Errors of one vehicle are correlated: few of them decide.
 """
 
 import argparse
@@ -160,6 +161,7 @@ class Outcome(NamedTuple):
     noise: float
     explains: bool
     held: tuple[bool, ...]
+    scores: tuple[float, ...]
     text: str
 
     @property
@@ -177,7 +179,7 @@ def outcome(of, random, closed_loop=False):
         found = gb.identify(log, input="u=log.u", output="y=log.y", whole=True, **options)
     if found.selection is None or found.fit is None:
         text = " ".join(found.refusals) or "no fit"
-        return Outcome(False, np.inf, np.inf, False, (), f"refused: {text}")
+        return Outcome(False, np.inf, np.inf, False, (), (), f"refused: {text}")
     chosen, fit = found.selection.chosen, found.fit
     part = fit.responses[0]
     true = of.response(part.data.omega)
@@ -185,16 +187,20 @@ def outcome(of, random, closed_loop=False):
     model = part.model["arguments"]
     is_true = tuple(int(v) for v in model[:3]) == of.orders
     intervals = fit.interval()
+    judged = {name: value for name, value in of.values.items() if is_true and name in intervals}
     held = tuple(
-        bool(intervals[name][0] <= value <= intervals[name][1])
-        for name, value in of.values.items()
-        if is_true and name in intervals
+        bool(intervals[name][0] <= value <= intervals[name][1]) for name, value in judged.items()
+    )
+    scores = tuple(
+        (fit.estimate[name] - value) / fit.standard_error[name]
+        for name, value in judged.items()
+        if fit.standard_error[name] > 0
     )
     text = (
         f"{of.orders} -> {chosen.label}: error {100 * error:.2g} %, residual/noise "
         f"{chosen.noise:.2f}"
     )
-    return Outcome(is_true, error, chosen.noise, found.selection.explains, held, text)
+    return Outcome(is_true, error, chosen.noise, found.selection.explains, held, scores, text)
 
 
 def main():
@@ -220,7 +226,7 @@ def main():
         lines.append(f"{k:3} {outcomes[-1].text}")
         print(lines[-1], flush=True)
     lines += summary(outcomes)
-    print(*lines[-4:], sep="\n")
+    print(*lines[-5:], sep="\n")
     if asked.out:
         asked.out.write_text("\n".join(lines) + "\n")
 
@@ -230,6 +236,8 @@ def summary(outcomes):
     right = [o for o in outcomes if o.is_right]
     wrong = [o for o in outcomes if not o.is_right]
     held = [value for o in outcomes for value in o.held]
+    scores = [value for o in outcomes for value in o.scores]
+    size = f"{np.sqrt(np.mean(np.square(scores))):.2f}" if scores else "none"
     share = f"{100 * np.mean(held):.1f} % of {len(held)}" if held else "none"
     return [
         f"right: {len(right)} of {len(outcomes)}; of the true structure "
@@ -238,6 +246,7 @@ def summary(outcomes):
         f"wrong ones that say so: {sum(not o.explains for o in wrong)} of {len(wrong)}",
         f"right ones that are called wrong: {sum(not o.explains for o in right)} of {len(right)}",
         f"intervals of the true structures that hold the truth: {share}",
+        f"errors over standard errors, rms: {size}",
     ]
 
 

@@ -38,6 +38,9 @@ log LOG
     with --manoeuvre: inputs that are held between samples
 --drop-warned
     omit the frequencies about which the check of the response warns, as identify does
+--refined
+    measure a sweep or noise twice, as identify does: the second time, the local polynomials
+    describe only what the best rational function leaves
 --out FILE
     save the response to this .csv file
 --plot FILE

@@ -55,7 +55,7 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
     # A table has names of its own, and with a period or the whole log there are no tests to choose.
     if stated.get("period") or stated.get("whole") or not _known_axes(recording):
         return _as_stated(recording, stated | {"axis": wanted}), tuple(choices)
-    tests = found_tests(recording, Settings("u", "y", **_without_signals(stated)))
+    tests = found_tests(recording, Settings(**stated | {"input": "u", "output": "y"}))
     usable = [test for test in tests if test.usable]
     if not usable:
         why = "; ".join(dict.fromkeys(text for test in tests for text in test.findings))
@@ -100,10 +100,6 @@ def _as_stated(recording: Recording, stated: dict[str, Any]) -> Settings:
             there = f"; it has {some([*signals], 12)}" if signals else ""
             raise ValueError(f"no {name} is known for this log: give {name}=NAME=SIGNAL{there}.")
     return Settings(**stated)
-
-
-def _without_signals(stated: dict[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in stated.items() if name not in ("input", "output")}
 
 
 def _known_axes(recording: Recording) -> list[str]:

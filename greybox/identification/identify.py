@@ -149,7 +149,7 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     if len(checksums) not in (0, len(recordings)):
         raise ValueError("a log is given twice: its errors would count as independent.")
     # The first log decides the signals of all: two sensors have two responses.
-    stated["drop_warned"] = not all_points
+    stated |= {"drop_warned": not all_points, "refined": True}
     settings, choices = choose(recordings[0], **stated)
     used = [settings, *(_settings_as(settings, r, stated) for r in recordings[1:])]
     measurements = tuple(_judged(measure(r, s)) for r, s in zip(recordings, used, strict=True))
@@ -173,7 +173,9 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
         ]
         selection = select(candidates)
     else:
-        selection = select_orders(responses, through=series, **of_parameters)
+        # The structures of the first response serve all, unless a filter is taken out of it.
+        linear = {} if series else measurements[0].linear
+        selection = select_orders(responses, through=series, linear=linear, **of_parameters)
     return replace(result, selection=selection, through=tuple(filters))
 
 

@@ -85,12 +85,7 @@ def measure_matrix(
     """
     injected = [f"{EXCITATION.format(k)}={signal}" for k, signal in enumerate(excitations, start=1)]
     signals = named_signals((*inputs, *outputs, *injected))
-    names = list(signals)
-    u, y, e = (
-        names[: len(inputs)],
-        names[len(inputs) : len(inputs) + len(outputs)],
-        names[len(inputs) + len(outputs) :],
-    )
+    u, y, e = (list(named_signals(texts)) for texts in (inputs, outputs, injected))
     record = prepare(recording, signals, rate)
     # A period of a fraction of a sample would leak from line to line.
     if rate is None and period * record.rate >= 2:

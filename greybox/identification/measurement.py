@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -17,6 +18,7 @@ from greybox.data.test_segment import Segment, segment_table
 from greybox.data.units import to_si
 from greybox.files.text_table import counted, number, one_line
 from greybox.identification.loop import controller_in
+from greybox.identification.orders import LinearFit, Orders, best_response, linear_fits
 from greybox.identification.systematic_errors import (
     motor_saturation,
     systematic_errors,
@@ -75,6 +77,9 @@ class Settings:
         name. Their effect on the output is removed, see `spectral_response`.
     drop_warned : bool
         Leave out the frequencies of which the check of the response warns.
+    refined : bool
+        Measure sweeps and noise twice: the second time, the local polynomials describe what the
+        best rational function leaves.
     """
 
     input: str
@@ -94,6 +99,7 @@ class Settings:
     points: int = 40
     conditioned: Sequence[str] = ()
     drop_warned: bool = False
+    refined: bool = False
 
     def __post_init__(self) -> None:
         """Raise ValueError for settings that are invalid for any log."""
@@ -193,6 +199,8 @@ class Measurement:
         The signal that shows a closed loop; empty without one.
     detail : str
         The response in words; sines as a table.
+    linear : mapping of Orders to LinearFit
+        The rational functions that were fitted to refine the response.
     """
 
     settings: Settings
@@ -206,6 +214,7 @@ class Measurement:
     filters: Mapping[str, tuple[KnownFilter, ...]] = field(default_factory=dict, repr=False)
     controller: str = ""
     detail: str = field(default="", repr=False)
+    linear: Mapping[Orders, LinearFit] = field(default_factory=dict, repr=False)
 
     def __repr__(self) -> str:
         return one_line(self, repr(self.response), repr(self.quality))
@@ -280,12 +289,14 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         quality = check(record, response, judged, input=u, output=y)
         return Quality((*quality.findings, *jitter(during)))
 
-    quality, response, detail, points = quality_of(None), None, "", None
+    quality, response, detail, linear = quality_of(None), None, "", {}
     # Between tests the vehicle is flown by hand, in closed loop and without an instrument.
     pieces = [record.between(s.start, s.end) for s in used] or [record]
     if quality.usable:
         try:
-            response, detail, points = _estimated(record, pieces, used if sines else (), settings)
+            response, detail, points, linear = _estimated(
+                record, pieces, used if sines else (), settings
+            )
             amplitudes = np.array([abs(point.u) for point in points.points]) if points else None
             errors = systematic_errors(recording, record, response, control, used, amplitudes)
             response = with_systematic_errors(response, errors)
@@ -312,7 +323,8 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         )
     choices = _choices(settings, used, controller, signals, response)
     return Measurement(
-        settings,
+        # Only a response that was refined needs the option when it is measured again.
+        replace(settings, refined=bool(linear)),
         tests,
         tuple(used),
         signals,
@@ -323,6 +335,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         named_filters(recording, axis_of(control)),
         controller,
         detail,
+        linear,
     )
 
 
@@ -417,7 +430,7 @@ def _rate(recording: Recording, settings: Settings, used: Sequence[Segment]) -> 
 
 def _estimated(
     record: Record, pieces: Sequence[Record], sines: Sequence[Segment], settings: Settings
-) -> tuple[FrequencyResponse, str, FiniteFrequency | None]:
+) -> tuple[FrequencyResponse, str, FiniteFrequency | None, dict[Orders, LinearFit]]:
     (u, _), (y, _) = settings.names
     if sines:
         if settings.conditioned:
@@ -436,9 +449,10 @@ def _estimated(
             if estimate.left_out
             else {}
         )
-        return replace(estimate.response, about=dropped), estimate.table, estimate
+        return replace(estimate.response, about=dropped), estimate.table, estimate, {}
 
     instrument = INSTRUMENT if INSTRUMENT in record.signals else None
+    linear = {}
     if settings.period:
         measured = periodic_response(
             pieces, settings.period, u, y, instrument=instrument, name=record.name
@@ -448,7 +462,8 @@ def _estimated(
                 (measured.omega >= settings.band[0]) & (measured.omega <= settings.band[1])
             )
     else:
-        measured = spectral_response(
+        estimate = partial(
+            spectral_response,
             pieces,
             u,
             y,
@@ -458,7 +473,16 @@ def _estimated(
             points=settings.points,
             name=record.name,
         )
-    return measured, str(measured), None
+        measured = estimate()
+        # At the lowest frequencies, a response changes much from line to line, and the error of the
+        # polynomials exceeds the noise. Of what a rational function leaves, it is far below.
+        # Three points have six numbers, more than the smallest rational function has unknowns.
+        if settings.refined and len(measured) >= 3:
+            linear = linear_fits([measured])
+            measured = estimate(near=partial(best_response, linear))
+            about = {"refined": "the polynomials describe what the best rational function leaves"}
+            measured = replace(measured, about={**measured.about, **about})
+    return measured, str(measured), None, linear
 
 
 def _on_points(points: FiniteFrequency | None) -> Iterator[Finding]:
@@ -616,6 +640,6 @@ def _choices(
     if settings.conditioned:
         choices.append(f"conditioned: the effect of {', '.join(settings.conditioned)} is removed.")
     if response is not None:
-        names = [n for n in ("dropped", "left out", "converted") if n in response.about]
+        names = [n for n in ("dropped", "left out", "converted", "refined") if n in response.about]
         choices += [f"{name}: {response.about[name]}." for name in names]
     return tuple(choices)

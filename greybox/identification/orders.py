@@ -11,6 +11,7 @@ from scipy.optimize import minimize_scalar
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.result import Fit
+from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted, number
 from greybox.identification.selection import (
     UNSTABLE,
@@ -68,10 +69,43 @@ class Orders:
 
 
 class LinearFit(NamedTuple):
-    """Weighted sum of squares at the best delay; coefficients for it and its neighbors."""
+    """BIC at the best delay; coefficients for it and its neighbors."""
 
-    squares: float
-    starts: tuple[Mapping[str, float], ...]
+    bic: float
+    starts: Sequence[Mapping[str, float]]
+
+
+def linear_fits(
+    responses: Sequence[FrequencyResponse],
+    through: Sequence[TransferFunction] = (),
+    structures: Sequence[Orders] = (),
+) -> dict[Orders, LinearFit]:
+    """Fit structures by linear least squares, by default those of `select_orders`."""
+    numbers = 2 * sum(map(len, responses))
+    grid = [o for o in structures or orders_of() if o.parameters + 1 < numbers]
+    if not grid:
+        raise ValueError(
+            f"no structure of the grid has fewer unknowns than {numbers} real numbers: lower n."
+        )
+    # The longest response only: they choose what is fitted by all.
+    plant = _before(max(responses, key=len), through)
+    fits = {orders: _linear_fit(plant, orders) for orders in grid}
+    # Errors beyond the given variances count as in `select`.
+    inflation = max(1.0, min(squares for squares, _ in fits.values()) / len(plant))
+    return {
+        orders: LinearFit(2 * squares / inflation + orders.parameters * math.log(numbers), starts)
+        for orders, (squares, starts) in fits.items()
+    }
+
+
+def best_response(fits: Mapping[Orders, LinearFit], omega: Array) -> ComplexArray:
+    """Return the response of the structure of least BIC at `omega` (n,) in rad/s."""
+    orders = min(fits, key=lambda o: fits[o].bic)
+    values = fits[orders].starts[0]
+    numerator, denominator = _polynomials(orders, values)
+    s = 1j * omega
+    ratio = np.polyval(numerator, s) / np.polyval(denominator, s)
+    return ratio * np.exp(-s * values["T_delay"])
 
 
 def select_orders(
@@ -82,6 +116,7 @@ def select_orders(
     *,
     delay: bool = True,
     through: Sequence[TransferFunction] = (),
+    linear: Mapping[Orders, LinearFit] | None = None,
     **stated: Any,
 ) -> Selection:
     """Fit rational transfer functions (2.13) of rising order, and choose the smallest supported.
@@ -104,6 +139,8 @@ def select_orders(
         Whether the structures have a delay.
     through : sequence of TransferFunction
         Filters in series with the plant.
+    linear : mapping of Orders to LinearFit, optional
+        The structures with their starts, instead of those of the grid.
     **stated
         `fixed`, `bounds` and `start` of parameters, as of `Problem`: ``b0`` and ``a0`` upwards, and
         ``T_delay``.
@@ -114,29 +151,16 @@ def select_orders(
         If no structure of the grid has fewer unknowns than the data have numbers.
     """
     responses = [data] if isinstance(data, FrequencyResponse) else list(data)
-    numbers = 2 * sum(map(len, responses))
-    grid = [o for o in _grid(n, m, integrators, delay) if o.parameters + 1 < numbers]
-    if not grid:
-        raise ValueError(
-            f"no structure of the grid has fewer unknowns than {numbers} real numbers: lower n."
-        )
-    names = [f"b{k}" for k in range(max(o.m for o in grid) + 1)]
-    names += [f"a{k}" for k in range(max(o.n for o in grid))]
+    linear = linear or linear_fits(responses, through, orders_of(n, m, integrators, delay=delay))
+    names = [f"b{k}" for k in range(max(o.m for o in linear) + 1)]
+    names += [f"a{k}" for k in range(max(o.n for o in linear))]
     require_parameters(stated, {*names, "T_delay"})
-    # Linear least squares use the longest response only: they choose what is fitted by all.
-    plant = _before(max(responses, key=len), through)
-    linear = {orders: _linear_fit(plant, orders) for orders in grid}
-    # Errors beyond the given variances count as in `select`.
-    inflation = max(1.0, min(fit.squares for fit in linear.values()) / len(plant))
-    bic = {
-        orders: 2 * fit.squares / inflation + orders.parameters * math.log(numbers)
-        for orders, fit in linear.items()
-    }
+    least = min(fit.bic for fit in linear.values())
     near = [
         orders
-        for orders in grid
-        if bic[orders] - min(bic.values()) <= FAR_BEHIND
-        and sum(bic[o] < bic[orders] for o in grid if o.parameters == orders.parameters)
+        for orders, (bic, _) in linear.items()
+        if bic - least <= FAR_BEHIND
+        and sum(linear[o].bic < bic for o in linear if o.parameters == orders.parameters)
         < OF_ONE_SIZE
     ]
 
@@ -150,7 +174,7 @@ def select_orders(
             without = replace(orders, delay=False)
             candidates[-1] = _candidate(responses, without, starts, through, stated)
             undelayed.append(str(without))
-    rest = len(grid) - len(near)
+    rest = len(linear) - len(near)
     notes = []
     if rest:
         notes.append(f"{counted(rest, 'other structure')}: BIC further above by least squares.")
@@ -164,9 +188,14 @@ def select_orders(
     return select(candidates, "\n".join(notes))
 
 
-def _grid(
-    n: Sequence[int], m: Sequence[int], integrators: Sequence[int], delay: bool
+def orders_of(
+    n: Sequence[int] = (),
+    m: Sequence[int] = (),
+    integrators: Sequence[int] = (),
+    *,
+    delay: bool = True,
 ) -> list[Orders]:
+    """Return the structures of a grid; see `select_orders`."""
     return [
         Orders(order, zeros, count, delay)
         for count in integrators or range(INTEGRATORS + 1)
@@ -186,11 +215,17 @@ def _before(response: FrequencyResponse, through: Sequence[TransferFunction]) ->
     )
 
 
-def _linear_fit(data: FrequencyResponse, orders: Orders) -> LinearFit:
-    """Fit the coefficients by linear least squares at many delays."""
+def _polynomials(orders: Orders, values: Mapping[str, float]) -> tuple[list[float], list[float]]:
+    """Return numerator and denominator, the highest power first."""
+    numerator = [values[f"b{k}"] for k in range(orders.m, -1, -1)]
+    return numerator, [1.0, *(values.get(f"a{k}", 0.0) for k in range(orders.n - 1, -1, -1))]
+
+
+def _linear_fit(data: FrequencyResponse, orders: Orders) -> tuple[float, list[dict[str, float]]]:
+    """Return the least weighted squares over the delay; coefficients there and beside it."""
     if not orders.delay:
         squares, coefficients = _at_delay(data, orders, 0.0)
-        return LinearFit(squares, (coefficients,))
+        return squares, [coefficients]
     turn = TURN / float(data.omega.max())
     longest = turn
     while True:
@@ -211,7 +246,7 @@ def _linear_fit(data: FrequencyResponse, orders: Orders) -> LinearFit:
     # The squares have several minima over the delay: the neighbors on the grid are starts too.
     near = [_at_delay(data, orders, float(refined.x)), *fits[around]]
     near.sort(key=lambda pair: pair[0])
-    return LinearFit(near[0][0], tuple(coefficients for _, coefficients in near))
+    return near[0][0], [coefficients for _, coefficients in near]
 
 
 def _at_delay(
@@ -232,7 +267,8 @@ def _at_delay(
         )
     except ValueError:  # as many unknowns as equations
         return math.inf, {}
-    error = rational.response(data.omega).response - response
+    s = 1j * data.omega
+    error = np.polyval(rational.numerator, s) / np.polyval(rational.denominator, s) - response
     delays = {"T_delay": float(delay)} if orders.delay else {}
     return float(np.sum(np.abs(error / size) ** 2)), rational.coefficients | delays
 
@@ -287,8 +323,7 @@ def _described(orders: Orders, fit: Fit) -> tuple[str, tuple[str, ...]]:
     """Return the factored transfer function, and remarks on its poles and zeros."""
     if not fit.converged:
         return "", ()
-    numerator = [fit.estimate[f"b{k}"] for k in range(orders.m, -1, -1)]
-    denominator = [1.0, *(fit.estimate.get(f"a{k}", 0.0) for k in range(orders.n - 1, -1, -1))]
+    numerator, denominator = _polynomials(orders, fit.estimate)
     zeros, poles = np.roots(numerator), np.roots(denominator)
     delay = f" exp(-{number(fit.estimate['T_delay'], 3)} s)" if orders.delay else ""
     unstable = [f"{UNSTABLE} {root_text(p)}" for p in upper_half(poles) if p.real > 0]

@@ -26,7 +26,7 @@ Noise
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -205,18 +205,25 @@ def lines_of(stretches: Sequence[UniformStretch]) -> Lines:
 
 
 def tiled_points(
-    lines: Lines, low: float, high: float, points: int
+    lines: Lines,
+    low: float,
+    high: float,
+    points: int,
+    near: Callable[[Array], ComplexArray] | None = None,
 ) -> tuple[Array, list[EstimatedPoint]]:
     """Return frequencies between `low` and `high`, and the estimates there.
 
     If the response is smooth, there are about `points`, log spaced; more where it is not, and fewer
-    where the lines do not resolve as many.
+    where the lines do not resolve as many. The bands do not depend on the response `near` the true
+    one: they resolve what both may differ in.
     """
     narrowest = _narrowest(lines, math.sqrt(low * high))
     edges = _edges(low, high, max(round(points / NODES), 1), narrowest)
     bands = [
         band for first, last in pairwise(edges) for band in _halved(lines, first, last, narrowest)
     ]
+    if near is not None:
+        bands = _beside(lines, bands, near)
     estimates = [point for band in bands for point in _estimates(lines, band, bands)]
     return np.concatenate([band.omega for band in bands] or [np.zeros(0)]), estimates
 
@@ -396,6 +403,28 @@ def gauss_nodes(lines: Lines, fitted: Fitted) -> Array:
     basis, _ = np.linalg.qr(amplitude[:, None] * np.vander(fitted.x, NODES, increasing=True))
     nodes = np.linalg.eigvalsh(basis.T @ (fitted.x[:, None] * basis)).astype(float)
     return fitted.center + fitted.half * nodes
+
+
+def _beside(
+    lines: Lines, bands: Sequence[Band], near: Callable[[Array], ComplexArray]
+) -> list[Band]:
+    """Return the bands with polynomials for what a response `near` the true one leaves.
+
+    The estimate is linear in the output. So the polynomials have the error A Q U - Q for a response
+    Q, which is known, and for P that of the small difference P - Q, as have their residuals.
+    """
+    u, y, *others = lines.values
+    output = near(lines.omega) * u
+    rest = lines._replace(values=np.array([u, y - output, *others]))
+    judged = (_judged(rest, band.fitted, band.omega)[0] for band in bands)
+    return [
+        b._replace(
+            correction=b.correction
+            + b.fitted.weights(b.omega) @ output[b.fitted.rows]
+            - near(b.omega)
+        )
+        for b in judged
+    ]
 
 
 def _judged(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Band, bool]:

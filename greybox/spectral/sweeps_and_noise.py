@@ -1,14 +1,14 @@
 """Frequency responses of sweeps and noise, by local polynomials over the excited band."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, ComplexArray
 from greybox.spectral.estimated_points import HZ, response_at, without_incoherent
 from greybox.spectral.local_polynomials import Lines, lines_of, points_at, tiled_points
 from greybox.spectral.uniform_stretches import uniform_stretches
@@ -40,6 +40,7 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     band: tuple[float, float] | None = None,
     points: int = 40,
     name: str = "",
+    near: Callable[[Array], ComplexArray] | None = None,
 ) -> FrequencyResponse:
     """Estimate a frequency response from sweeps or noise.
 
@@ -72,6 +73,11 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
         resonances.
     name : str
         Name of the response.
+    near : function of (n,) array, rad/s, optional
+        A response near the true one, such as that of a fitted model. The polynomials then describe
+        what it leaves, so that their error and that of the noise are smaller where the response
+        changes much from line to line: at the lowest frequencies, and at resonances. Not used at a
+        stated `omega`.
 
     Returns
     -------
@@ -97,7 +103,7 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     if omega is None:
         limits = (lowest, HIGHEST * HZ / max(s.step for s in stretches))
         ends = _excited_band(lines, *limits) if band is None else _within(band, *limits)
-        grid, estimated = tiled_points(lines, *ends, max(points, 2))
+        grid, estimated = tiled_points(lines, *ends, max(points, 2), near)
     else:
         grid = np.atleast_1d(np.asarray(omega, dtype=float))
         _check_periods(grid, lowest, longest)

@@ -8,6 +8,7 @@ from declared_models import measured
 
 import greybox as gb
 from greybox.identification import select_orders
+from greybox.identification.orders import Orders, best_response, linear_fits
 from greybox.models.filters import LowPass
 from greybox.models.polynomial import Polynomial
 
@@ -74,7 +75,10 @@ def test_two_responses_are_fitted_together_and_a_filter_is_taken_out(data):
     plant = gb.frequency_response(Plant(), None, omega).response
     noise = 1 + 0.02 * np.random.default_rng(2).normal(size=omega.size)
     response = gb.FrequencyResponse(omega, plant * filtered * noise)
-    found = select_orders([response, response.where(omega > 1)], n=(2, 3), through=[known])
+    responses = [response, response.where(omega > 1)]
+    linear = linear_fits(responses, [known], [Orders(2, 0, 1), Orders(3, 1, 1)])
+    np.testing.assert_allclose(best_response(linear, omega), plant, rtol=0.05)
+    found = select_orders(responses, through=[known], linear=linear)
     assert found.chosen.label == "n = 2, m = 0, 1 integrator, delay"
     assert abs(found.fit.estimate["a1"] - 5.0) < 3 * found.fit.standard_error["a1"]
 

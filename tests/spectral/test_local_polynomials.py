@@ -274,6 +274,22 @@ def test_a_cubic_that_vanishes_at_the_nodes_is_orthogonal_to_all_quadratics(join
 
 
 @pytest.mark.parametrize("joint", [False, True])
+def test_the_error_of_polynomials_is_that_of_what_a_near_response_leaves(joint):
+    """An integrator from its fourth line on, without noise, beside one whose gain is off by 2 %."""
+    lines = random_lines(joint)
+    lines.values[1] = lines.values[0] / (1j * lines.omega)
+    errors = []
+    for near in (None, lambda omega: 1.02 / (1j * omega)):
+        omega, points = local_polynomials.tiled_points(lines, 4.0, 38.0, 6, near)
+        response = np.array([point.response for point in points])
+        errors.append(np.abs(response * 1j * omega - 1))
+        stated = np.sqrt([point.variance for point in points]) * omega
+        assert np.all(errors[-1] <= 10 * stated)
+    assert errors[0].max() > 0.002
+    assert errors[1].max() < 0.1 * errors[0].max()
+
+
+@pytest.mark.parametrize("joint", [False, True])
 def test_a_pole_inside_a_band_is_estimated_with_the_polynomials(joint):
     """A lightly damped pole that no polynomial of a band follows, in lines without noise."""
     lines = random_lines(joint)
