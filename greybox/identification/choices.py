@@ -53,7 +53,7 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
 
     wanted = stated.pop("axis", "")
     # A table has names of its own, and with a period or the whole log there are no tests to choose.
-    if stated.get("period") or stated.get("whole") or not _known_axes(recording):
+    if stated.get("period") or stated.get("whole") or not _has_axis(recording):
         return _as_stated(recording, stated | {"axis": wanted}), tuple(choices)
     tests = found_tests(recording, Settings(**stated | {"input": "u", "output": "y"}))
     usable = [test for test in tests if test.usable]
@@ -102,21 +102,13 @@ def _as_stated(recording: Recording, stated: dict[str, Any]) -> Settings:
     return Settings(**stated)
 
 
-def _known_axes(recording: Recording) -> list[str]:
-    return [
-        axis
-        for axis, own in AXES.items()
-        if any(_has(recording, s) for s in (*own.controls, *own.setpoints))
-    ]
-
-
-def _has(recording: Recording, signal: str) -> bool:
-    return bool(present(recording, [signal]))
+def _has_axis(recording: Recording) -> bool:
+    return any(present(recording, (*own.controls, *own.setpoints)) for own in AXES.values())
 
 
 def _first(recording: Recording, signals: Sequence[str]) -> str:
     """Return the first of the signals that the log has; empty without one."""
-    return next((signal for signal in signals if _has(recording, signal)), "")
+    return next(iter(present(recording, signals)), "")
 
 
 def _body_axis(recording: Recording, tests: Sequence[Segment]) -> str:
@@ -139,7 +131,7 @@ def _body_axis(recording: Recording, tests: Sequence[Segment]) -> str:
 
 def motion(recording: Recording, signal: str, tests: Sequence[Segment]) -> float:
     """Return the largest standard deviation of a signal in a test; 0 if the log lacks it."""
-    if not _has(recording, signal):
+    if not present(recording, [signal]):
         return 0.0
     record, field = recording.locate(signal)
     # A heading jumps by a whole turn at north, which is no motion.
@@ -177,9 +169,7 @@ def _output(recording: Recording, axis: str, used: Sequence[Segment]) -> tuple[s
     kinds = ("angle", "rate")
     groups = zip(kinds, NAMES[axis], (own.angles, own.rates), strict=True) if own else ()
     for kind, name, signals in groups:
-        rates = {
-            signal: _rate(recording, signal, used) for signal in signals if _has(recording, signal)
-        }
+        rates = {signal: _rate(recording, signal, used) for signal in present(recording, signals)}
         if not rates or not max(rates.values()):
             continue
         # Signals within 5 % of the fastest are as good: the first of the list is used.

@@ -14,9 +14,6 @@ from greybox.identification.measurement import named_signals
 from greybox.logs.prepare import prepare
 from greybox.spectral.orthogonal_multisines import response_matrix
 
-# Name of the injected signal of the k-th input in the record.
-EXCITATION = "excitation {}"
-
 SETTLED = 2.0  # s, as long as sines settle by default
 
 
@@ -83,7 +80,7 @@ def measure_matrix(
     ValueError, KeyError
         For signals that are not there, and for what `greybox.spectral.response_matrix` refuses.
     """
-    injected = [f"{EXCITATION.format(k)}={signal}" for k, signal in enumerate(excitations, start=1)]
+    injected = [f"excitation {k}={signal}" for k, signal in enumerate(excitations, start=1)]
     signals = named_signals((*inputs, *outputs, *injected))
     u, y, e = (list(named_signals(texts)) for texts in (inputs, outputs, injected))
     record = prepare(recording, signals, rate)

@@ -76,16 +76,20 @@ def least_squares(
     trend = (t - t.mean()) / (t[-1] - t[0])
     waves = [sine_and_cosine(t, k * omega, origin) for k in range(1, count + 1)]
     columns = np.concatenate([[np.ones_like(t), trend], *waves])
-    # The columns are few and well scaled, so that normal equations are as accurate as QR.
-    c = np.linalg.lstsq(columns @ columns.T, columns @ x.T, rcond=None)[0]
+    c = _coefficients(columns, x)
     return (c[2::2] + 1j * c[3::2]).T, c[1], x - c.T @ columns
 
 
 def spectral_line(t: Array, x: Array, omega: float, origin: float) -> ComplexArray:
     """Return the complex amplitudes (rows,) at one frequency, fitted with a constant alone."""
     columns = np.vstack([np.ones_like(t), sine_and_cosine(t, omega, origin)])
-    c = np.linalg.lstsq(columns @ columns.T, columns @ x.T, rcond=None)[0]
+    c = _coefficients(columns, x)
     return c[1] + 1j * c[2]
+
+
+def _coefficients(columns: Array, x: Array) -> Array:
+    # The columns are few and well scaled, so that normal equations are as accurate as QR.
+    return np.linalg.lstsq(columns @ columns.T, columns @ x.T, rcond=None)[0]
 
 
 def sine_and_cosine(time: Array, omega: float, origin: float) -> Array:

@@ -106,7 +106,13 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
         grid, estimated = tiled_points(lines, *ends, max(points, 2), near)
     else:
         grid = np.atleast_1d(np.asarray(omega, dtype=float))
-        _check_periods(grid, lowest, longest)
+        too_low = grid[~(grid >= lowest * (1 - 1e-9))]
+        if too_low.size:
+            raise ValueError(
+                f"omega = {too_low[0]:g} rad/s has fewer than {LOWEST} periods in the longest "
+                f"stretch, {longest:.4g} s: leave out frequencies below {lowest:.4g} rad/s, record "
+                f"longer, or use {FOR_MANOEUVRES}."
+            )
         estimated = points_at(lines, grid)
 
     response = response_at(grid, estimated, (input, output, name), stretches)
@@ -125,16 +131,6 @@ def _within(band: tuple[float, float], lowest: float, highest: float) -> tuple[f
             f"{FOR_MANOEUVRES}."
         )
     return max(low, lowest), min(high, highest)
-
-
-def _check_periods(omega: Array, lowest: float, longest: float) -> None:
-    too_low = omega[~(omega >= lowest * (1 - 1e-9))]
-    if too_low.size:
-        raise ValueError(
-            f"omega = {too_low[0]:g} rad/s has fewer than {LOWEST} periods in the longest stretch, "
-            f"{longest:.4g} s: leave out frequencies below {lowest:.4g} rad/s, record longer, or "
-            f"use {FOR_MANOEUVRES}."
-        )
 
 
 def _excited_band(lines: Lines, lowest: float, highest: float) -> tuple[float, float]:

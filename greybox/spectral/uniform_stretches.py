@@ -68,20 +68,16 @@ def uniform_stretches(
                     )
                     stretches.append(stretch)
 
-    # A ratio of two constants would consist of rounding errors.
-    constant = [
-        name
-        for k, name in enumerate(signals)
-        if all(np.ptp(s.values[k]) <= CONSTANT for s in stretches)
-    ]
-    if stretches and constant:
-        raise ValueError(
-            f"{constant[0]} does not change in these records: choose a part that is excited."
-        )
     if not stretches:
         raise ValueError(
             f"there are no samples in which {', '.join(dict.fromkeys(signals))} are all present."
         )
+    # A ratio of two constants would consist of rounding errors.
+    for k, name in enumerate(signals):
+        if all(np.ptp(s.values[k]) <= CONSTANT for s in stretches):
+            raise ValueError(
+                f"{name} does not change in these records: choose a part that is excited."
+            )
     return stretches
 
 
