@@ -2,16 +2,19 @@
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, attributes, save_figure
 from greybox.cli.study_file import find_study, read_study_file
-from greybox.cli.workers import require_folder, stated_executor
+from greybox.cli.workers import stated_executor
+from greybox.files.safe_files import require_file
 from greybox.files.text_table import counted, text_table
 from greybox.solve.executors import ExecutorLostError
 from greybox.study.batch import BatchInterrupted, Member, batch
 from greybox.study.progress import progress
+from greybox.study.store import DATABASE, locked
 from greybox.study.study import Study, read_study
 
 EXAMPLES = (
@@ -19,6 +22,7 @@ EXAMPLES = (
     "study.toml --out results --starts 400",
     "study.toml --dry-run",
     "paper --out paper",
+    "--check results",
     "--status results",
 )
 OPTIONS = """
@@ -36,6 +40,9 @@ study STUDY
     print how far the study in the folder STUDY is, also while it runs, and fit nothing
 --plot FILE
     with --status: draw the costs so far
+--check
+    remove what is damaged in the folder STUDY, and show what is missing; its command makes that
+    again
 --dry-run
     print the members and their numbers of starts, and fit nothing
 --workers
@@ -50,8 +57,10 @@ def run(options: argparse.Namespace) -> Answer:
         study = read_study(options.study)
         drawn = save_figure(options.plot, "estimates", study, "cost")
         return as_json(study), "\n".join([progress(study), *drawn])
-    if not options.dry_run:
-        require_folder(options.out)
+    if options.check:
+        require_file(Path(options.study, DATABASE))
+        with locked(Path(options.study)):
+            return _answer(read_study(options.study))
     members = read_study_file(find_study(options.study), options.starts)
     if options.dry_run:
         return _listed(members)
@@ -63,19 +72,23 @@ def run(options: argparse.Namespace) -> Answer:
     except BatchInterrupted as stopped:
         answer = {**as_json(stopped.study), "error": f"interrupted; {RESUME}."}
         return answer, str(stopped.study)
-    except BlockingIOError:  # another process writes to the folder: the study has not failed
+    # Another process writes to the folder, or it is a file: the study has not failed.
+    except (BlockingIOError, FileExistsError):
         raise
     # Lost workers or a full disk end the command, not the study: its stored runs remain.
     except (ExecutorLostError, OSError) as error:
         return ({"error": f"{str(error).rstrip('.')}; {RESUME}."},)
+    return _answer(study)
 
+
+def _answer(study: Study) -> Answer:
+    """Return the answer of a study, an error if members are missing."""
     answer = as_json(study)
     missing = [member for member in study.members if member.status != "done"]
     if missing:
         # A script must notice that members are missing, although the others have answers.
         names = ", ".join(member.name for member in missing)
-        is_over = any(member.status == "unfinished" for member in missing)
-        hint = f"; the time limit ended the study, {RESUME}" if is_over else ""
+        hint = f"; {RESUME}" if study.count("unfinished") else ""
         answer["error"] = (
             f"{len(missing)} of {len(study.members)} members have no answer: {names}{hint}."
         )

@@ -4,7 +4,7 @@ import argparse
 
 from greybox.cli.output import Answer
 from greybox.cli.saved_fits import stated_fit
-from greybox.cli.workers import require_folder, stated_executor
+from greybox.cli.workers import stated_executor
 from greybox.solve.executors import ExecutorLostError
 from greybox.study.bootstrap import bootstrap
 
@@ -32,7 +32,6 @@ result RESULT
 def run(options: argparse.Namespace) -> Answer:
     """Read the fit and repeat it."""
     # Before the fit is read: a wrong folder should not cost the time of compiling.
-    require_folder(options.out)
     fit, problem = stated_fit(options)
     try:
         with stated_executor(options) as executor:

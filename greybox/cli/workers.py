@@ -5,7 +5,6 @@ import logging
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import contextmanager
-from pathlib import Path
 
 from greybox.cli.options import UsageError
 from greybox.solve.worker_pool import WorkerPool
@@ -51,15 +50,3 @@ def _client(address: str):
         raise UsageError(
             f"no Dask scheduler answers at {address!r} ({reason}): start one with `dask scheduler`."
         ) from None
-
-
-def require_folder(path: Path | None) -> None:
-    """Check that runs can be stored in a folder; None is no folder.
-
-    Raises
-    ------
-    UsageError
-        If it is a file.
-    """
-    if path is not None and path.exists() and not path.is_dir():
-        raise UsageError(f"{path} is a file: give a folder.")

@@ -536,9 +536,9 @@ def mend(folder: Path) -> list[str]:
     A database that SQLite finds damaged is kept beside a new one with everything that can be read.
     In it, runs and answers with wrong checksums are deleted, and answers whose fit is not whole.
     """
-    damage: list[str] = []
     if not is_study(folder):
-        return damage
+        return []
+    damage: list[str] = []
     path = folder / DATABASE
     if not _is_sound(path):
         damaged = path.with_suffix(".damaged")
@@ -551,7 +551,7 @@ def mend(folder: Path) -> list[str]:
     with _database(folder) as database:
         database.create_function("crc32", 1, zlib.crc32)
         for what, (rows, cure) in DAMAGES.items():
-            counts = database.execute(f"SELECT name, COUNT(*) FROM {rows} GROUP BY name").fetchall()
+            counts = database.execute(f"SELECT name, COUNT(*) FROM {rows} GROUP BY name")
             damage += [f"{name}: removed {counted(count, what)}" for name, count in counts]
             database.execute(cure)
         # The checksum of an answer that is gone.
@@ -567,10 +567,10 @@ def _is_sound(path: Path) -> bool:
     """Return whether SQLite can read all of a database, and all tables of a study are there."""
     try:
         with _opened(path) as database:
-            whole = database.execute("PRAGMA integrity_check(1)").fetchall() == [("ok",)]
+            whole = database.execute("PRAGMA integrity_check(1)").fetchone() == ("ok",)
             # Others belong to another program, or to a later version: they are refused, not mended.
-            ours = database.execute(OURS).fetchall()
-            return whole and (_tables(database) == TABLES[:2] or not ours)
+            is_other = not database.execute(OURS).fetchall()
+            return whole and (is_other or _tables(database) == TABLES[:2])
     except sqlite3.Error as error:
         return not _is_damage(error)
 

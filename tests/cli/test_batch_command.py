@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -168,7 +169,7 @@ def test_usage(study, tmp_path, capsys):
         (["batch"], "the following arguments are required: STUDY"),
         (["batch", study], "the following arguments are required: --out"),
         (["batch", "none.toml", "--out", "out"], "there is no file none.toml"),
-        (["batch", study, "--out", study], "is a file: give a folder"),
+        (["batch", study, "--out", study], "cannot be written (File exists)"),
         (["batch", tmp_path / "files" / "mine.py", "--out", "out"], "has no function members()"),
         (["compare", "none"], "none is not a study"),
     ]:
@@ -203,7 +204,7 @@ def test_a_study_that_its_time_limit_ends_goes_on(study, capsys):
     assert status == 1
     assert [member["status"] for member in result["members"]] == ["unfinished"] * 2
     assert result["error"].startswith("2 of 2 members have no answer: ")
-    assert result["error"].endswith("; the time limit ended the study, the same command continues.")
+    assert result["error"].endswith("; the same command continues.")
     assert "greybox: 2 of 2 members" in message
     status, result, _ = answer(capsys, "batch", study, "--out", "out", "--seconds", 1e6)
     assert status == 0
@@ -238,3 +239,20 @@ def test_a_batch_that_ends_says_how_it_goes_on(study, capsys, monkeypatch, error
     study.write_text('[[member]]\nproblem = "rotors"\n')
     got, found, _ = answer(capsys, "batch", study, "--out", "out")
     assert (got, found["error"]) == (status, said)
+
+
+def test_a_check_finds_what_is_damaged_and_resuming_makes_it_again(study, capsys):
+    study.write_text(TWO_SEEDS)
+    whole = answer(capsys, "batch", study, "--out", "out")[1]["members"]
+    assert answer(capsys, "batch", "--check", "out")[0] == 0
+    [first, _] = sorted(Path("out").glob("*.h5"))
+    first.write_bytes(first.read_bytes()[:-5])
+    status, result, message = answer(capsys, "batch", "--check", "out")
+    assert status == 1
+    assert [member["status"] for member in result["members"]] == ["unfinished", "done"]
+    assert f"{first.name} is damaged or missing" in message
+    assert "the same command continues" in message
+    status, result, _ = answer(capsys, "batch", study, "--out", "out")
+    assert status == 0
+    for member, wanted in zip(result["members"], whole, strict=True):
+        assert member["answer"]["estimate"] == wanted["answer"]["estimate"]

@@ -71,11 +71,6 @@ def test_what_was_interrupted_goes_on_where_it_was_kept(capsys, monkeypatch, fol
 
 
 def test_replicates_are_kept_in_a_folder_and_a_lost_executor_is_told(capsys, monkeypatch, tmp_path):
-    (tmp_path / "file").write_text("")
-    assert "file is a file: give a folder" in refused(
-        capsys, "bootstrap", "x.h5", "--out", tmp_path / "file"
-    )
-
     def lost(*arguments, **options):
         raise ExecutorLostError("the workers are gone.")
 
