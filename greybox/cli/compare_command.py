@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> Answer:
     if options.results[0].is_file():  # a study is a folder
         raise UsageError(f"there is one fit, {options.results[0]}: give at least two to compare.")
     # Members of a study may have different data, so that they are listed, not compared by tests.
-    study = read_study(options.results[0])
+    study = read_study(options.results[0], options.model)
     answer, lines = as_json(study), [str(study)]
     if options.by:
         comparison = study.ranking(options.by)

@@ -45,7 +45,8 @@ def run(options: argparse.Namespace) -> Answer:
     out = options.out or Path(f"{options.results[0].resolve().stem}.html")
     require_writable(out, options.force, (".html", ".htm"), "page")
     results = [
-        read_study(path) if path.is_dir() else saved_fit(path, options) for path in options.results
+        read_study(path, options.model) if path.is_dir() else saved_fit(path, options)
+        for path in options.results
     ]
     report(results, out, comparison=_held_out(options, results), title=options.title)
     # People mail such pages, and want to know their size.

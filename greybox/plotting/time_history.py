@@ -115,28 +115,20 @@ def history_figure(
         "Time, s" if data.has_time else "Row",
         panels,
         subject=records or "time history",
-        caption=_caption(drawn, columns),
+        caption=_caption(drawn),
         bands="95 % band without noise",
         is_wide=True,
     )
 
 
-def _caption(drawn: Sequence[History], columns: int) -> str:
-    sentences = []
-    if any(
-        f"{name}_error" in history.modeled.signals for history in drawn for name in history.outputs
-    ):
-        sentences.append(
-            "Bands: 95 % confidence from the errors of parameters and initial state, without "
-            "sensor noise."
-        )
-
-    count = len(drawn[0].data)
-    if count > 2 * columns:
-        size = -(-count // columns)
-        sentences.append(f"Of {count} samples, the smallest and largest of each {size} are drawn.")
-
-    return " ".join(sentences)
+def _caption(drawn: Sequence[History]) -> str:
+    pairs = ((history, name) for history in drawn for name in history.outputs)
+    if not any(f"{name}_error" in history.modeled.signals for history, name in pairs):
+        return ""
+    return (
+        "Bands: 95 % confidence from the errors of parameters and initial state, without sensor "
+        "noise."
+    )
 
 
 def _output_panels(drawn: Mapping[str, History], name: str, columns: int) -> list[Panel]:

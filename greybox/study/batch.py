@@ -166,6 +166,7 @@ def batch(
     listed = [member if isinstance(member, Member) else Member(member) for member in members]
     require_distinct(listed)
     require_executor(executor)
+    models = [*{type(part.model) for member in listed for part in member.problem.parts}]
     limits = TimeLimits.from_now(seconds, start_seconds)
     folder = Path(folder)
     with locked(folder), limited(limits):
@@ -181,8 +182,8 @@ def batch(
                     _fit_member(member, folder, stored[member.name], executor, bar)
                     bar.update()
         except KeyboardInterrupt as pressed:
-            raise BatchInterrupted(read_study(folder)) from pressed
-        return read_study(folder)
+            raise BatchInterrupted(read_study(folder, models)) from pressed
+        return read_study(folder, models)
 
 
 def require_distinct(members: Sequence[Member]) -> None:

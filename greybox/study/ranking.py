@@ -42,7 +42,7 @@ def ranking(
             notes += not_held_out([*best.values()], [*best], chosen)
             try:
                 tables[PREDICTION][name] = _errors(best, chosen, (window, lead))
-            except (ValueError, ArithmeticError) as error:  # other data sets may be predicted
+            except (ValueError, ArithmeticError, LookupError) as error:  # others may be predicted
                 notes.append(f"{name}: {error}")
 
     # A likelihood of records assumes white residuals, and then prefers too many parameters.

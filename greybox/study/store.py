@@ -140,6 +140,8 @@ class StudyMember:
         The numbers of the fit, as ``greybox fit --json`` prints them; empty without an answer.
     stored_runs : int
         Number of runs on disk.
+    models : sequence
+        Models of one's own, as in `greybox.load`.
     """
 
     folder: Path
@@ -147,6 +149,7 @@ class StudyMember:
     name: str
     answer: Mapping[str, Any]
     stored_runs: int
+    models: Sequence[Any] = ()
 
     @property
     def error(self) -> str:
@@ -200,7 +203,7 @@ class StudyMember:
             return None
         from greybox.estimate.storage import load  # noqa: PLC0415  (slow import)
 
-        return load(self.file)
+        return load(self.file, self.models)
 
     def __repr__(self) -> str:
         return one_line(self, self.name, self.status, counted(self.runs, "run"))

@@ -179,8 +179,8 @@ class Study:
         return "\n\n".join([*blocks, *filter(None, [self.failures])])
 
 
-def read_study(folder: str | Path) -> Study:
-    """Read a study, also while it runs.
+def read_study(folder: str | Path, models: Sequence[Any] = ()) -> Study:
+    """Read a study, also while it runs; `models` of one's own are given as in `greybox.load`.
 
     Raises
     ------
@@ -189,7 +189,7 @@ def read_study(folder: str | Path) -> Study:
     ValueError
         If the study is damaged.
     """
-    members = tuple(read_members(Path(folder)))
+    members = tuple(replace(member, models=models) for member in read_members(Path(folder)))
     for member in members:
         _require_readable(member)
     return Study(Path(folder), members)

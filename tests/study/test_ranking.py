@@ -26,6 +26,17 @@ def test_the_true_structure_is_supported_by_all_data_sets(small_study):
     assert "of 3 data sets: Lag in 3 (100 %)" in str(comparison)
 
 
+def test_models_of_ones_own_are_given_to_a_study_that_is_read(small_study):
+    read = gb.study.read_study(small_study.folder, models=[Lag])
+    fit = read["slow, Lag"].fit
+    assert fit.response([1.0]).response == pytest.approx(
+        small_study["slow, Lag"].fit.response([1.0]).response
+    )
+    without = gb.study.read_study(small_study.folder)["slow, Lag"].fit
+    with pytest.raises(LookupError, match="is needed and was not found"):
+        without.response([1.0])
+
+
 def test_another_factor_is_ranked(small_study):
     seeds = small_study.select(data="fast", model="Lag").ranking("seed")
     assert seeds.labels == ("0", "1")
