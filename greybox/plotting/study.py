@@ -26,8 +26,7 @@ BIC = {
     "more than 10": (np.inf, 1, CROSS),
 }
 AGREEING = {
-    "under a quarter of the starts agree": (0.25, 1, CROSS),
-    "up to three quarters": (0.75, 4, 1),
+    "at most half of the starts agree": (0.5, 1, CROSS),
     "more": (1.0, 2, 0),
 }
 
@@ -59,7 +58,7 @@ def trend(
     ValueError
         If no member has the quantity.
     """
-    return draw([trend_figure(study, quantity, over)], ax, size=(6.4, 3.4))[0]
+    return draw([trend_figure(study, quantity, over)], ax)[0]
 
 
 def trend_figure(study: Study, quantity: str, over: str | Mapping[str, float]) -> Figure:

@@ -250,7 +250,6 @@ def _stated(problem: AnyProblem) -> dict[str, Any]:
     """Return what tells a member that failed from others, as the summary of a fit has it."""
     parts = problem.parts
     return {
-        "problem": problem.name,
         "model": list(dict.fromkeys(part.model.label for part in parts)),
         "data": list(dict.fromkeys(part.data.name or part.name for part in parts)),
         "criterion": "; ".join(dict.fromkeys(part.criterion.name for part in parts)),

@@ -66,7 +66,7 @@ class Study:
         members = self.members
         for name, values in factors.items():
             self._require_factor(name)
-            chosen = set(map(str, values if isinstance(values, list | tuple | set) else [values]))
+            chosen = set(map(str, values if isinstance(values, list | tuple) else [values]))
             members = tuple(m for m in members if m.factors.get(name) in chosen)
         return replace(self, members=members)
 

@@ -58,7 +58,7 @@ def test_maps_of_structures_and_data_sets(small_study):
     assert best.x.tolist() == [1.0, 2.0, 3.0]
     assert sorted(len(series.x) for series in figure.panels[0].series) == [3, 3, 3]
     agreeing = by_name(structures_figure(small_study))
-    assert agreeing["under a quarter of the starts agree"].notes == ["Broken, slow: 0"]
+    assert agreeing["at most half of the starts agree"].notes == ["Broken, slow: 0"]
     assert len(agreeing["more"].x) == 9
 
 
