@@ -18,7 +18,7 @@
 | `problem_options` | the options of `greybox fit` that state a problem |
 | `read_log`, `measurement_options` | a log, and how its tests are measured |
 | `saved_fits` | reads and writes results |
-| `study_file` | the members of a batch |
+| `study_file`, `study_copies` | the members of a batch; the files that they are made of |
 | `starting_files` | what `greybox new` writes |
 | `terminal` | standard output that is closed or on a full disk |
 """

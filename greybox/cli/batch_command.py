@@ -7,6 +7,7 @@ from typing import Any
 
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, attributes, save_figure
+from greybox.cli.study_copies import copy_inputs, note_opened_files, stated_inputs
 from greybox.cli.study_file import find_study, read_study_file
 from greybox.cli.workers import stated_executor
 from greybox.files.safe_files import require_file
@@ -22,6 +23,7 @@ EXAMPLES = (
     "study.toml --out results --starts 400",
     "study.toml --dry-run",
     "paper --out paper",
+    "--resume results",
     "--check results",
     "--status results",
 )
@@ -29,8 +31,8 @@ OPTIONS = """
 study STUDY
     study.toml, study.py with a function members(), or included: paper
 --out DIR
-    store every run and the answers in this folder; after any interruption the same command
-    continues the study (required, except for a dry run)
+    store every run, the answers and the files of the study in this folder; after any
+    interruption the same command continues the study (required, except for a dry run)
 --starts N
     number of starts of every member (default: the study's, or that of greybox fit); a larger
     number uses the stored runs again
@@ -40,6 +42,8 @@ study STUDY
     print how far the study in the folder STUDY is, also while it runs, and fit nothing
 --plot FILE
     with --status: draw the costs so far
+--resume
+    continue the study in the folder STUDY, also on another machine, with the files that lie in it
 --check
     remove what is damaged in the folder STUDY, and show what is missing; its command makes that
     again
@@ -61,14 +65,19 @@ def run(options: argparse.Namespace) -> Answer:
         require_file(Path(options.study, DATABASE))
         with locked(Path(options.study)):
             return _answer(read_study(options.study))
-    members = read_study_file(find_study(options.study), options.starts)
+    folder = Path(options.study) if options.resume else options.out
+    stated = stated_inputs(folder) if options.resume else (options.study, None)
+    note_opened_files()
+    path, starts = find_study(stated[0]), options.starts or stated[1]
+    members = read_study_file(path, starts)
     if options.dry_run:
         return _listed(members)
-    if options.out is None:
+    if folder is None:
         raise UsageError("the following arguments are required: --out; see greybox batch --help.")
+    copy_inputs(path, folder, starts)
     try:
         with stated_executor(options) as executor:
-            study = batch(members, options.out, executor=executor, seconds=options.seconds)
+            study = batch(members, folder, executor=executor, seconds=options.seconds)
     except BatchInterrupted as stopped:
         answer = {**as_json(stopped.study), "error": f"interrupted; {RESUME}."}
         return answer, str(stopped.study)

@@ -18,11 +18,10 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum, auto
 from types import FrameType
-from typing import Any
 
 from greybox.solve.runs import INTERRUPTED, RUN_OVER, SEARCH_OVER
 
@@ -94,32 +93,26 @@ def current_limits() -> TimeLimits:
 
 
 @contextmanager
-def _during(name: str, value: Any) -> Iterator[None]:
-    previous = getattr(_state, name)
-    setattr(_state, name, value)
+def limited(limits: TimeLimits) -> Iterator[None]:
+    """Apply these limits within, in addition to those around them."""
+    previous = _state.limits
+    _state.limits = TimeLimits(min(previous.start, limits.start), min(previous.end, limits.end))
     try:
         yield
     finally:
-        setattr(_state, name, previous)
+        _state.limits = previous
 
 
-def limited(limits: TimeLimits) -> AbstractContextManager[None]:
-    """Apply these limits within, in addition to those around them."""
-    previous = _state.limits
-    both = TimeLimits(min(previous.start, limits.start), min(previous.end, limits.end))
-    return _during("limits", both)
-
-
-def one_run(spent: float = 0.0, starts: int = 1) -> AbstractContextManager[None]:
+@contextmanager
+def one_run(spent: float = 0.0, starts: int = 1) -> Iterator[None]:
     """Apply the time limit of so many starts, of which `spent` seconds have passed."""
     # Within a run that has a limit, a longer one must not extend it.
-    end = time.time() + starts * _state.limits.start - spent
-    return _during("run_ends", min(_state.run_ends, end))
-
-
-def responding(response: Response) -> AbstractContextManager[None]:
-    """Respond to Ctrl-C in this way within."""
-    return _during("response", response)
+    previous = _state.run_ends
+    _state.run_ends = min(previous, time.time() + starts * _state.limits.start - spent)
+    try:
+        yield
+    finally:
+        _state.run_ends = previous
 
 
 def is_search_over() -> bool:
@@ -192,6 +185,17 @@ def listening() -> Iterator[None]:
             signal.signal(number, handler)
         _state.listening = False
         _state.noted = False
+
+
+@contextmanager
+def responding(response: Response) -> Iterator[None]:
+    """Respond to Ctrl-C in this way within."""
+    previous = _state.response
+    _state.response = response
+    try:
+        yield
+    finally:
+        _state.response = previous
 
 
 def _note(number: int, _frame: FrameType | None) -> None:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import sys
 from pathlib import Path
@@ -169,7 +170,7 @@ def test_usage(study, tmp_path, capsys):
         (["batch"], "the following arguments are required: STUDY"),
         (["batch", study], "the following arguments are required: --out"),
         (["batch", "none.toml", "--out", "out"], "there is no file none.toml"),
-        (["batch", study, "--out", study], "cannot be written (File exists)"),
+        (["batch", study, "--out", study], "Not a directory"),
         (["batch", tmp_path / "files" / "mine.py", "--out", "out"], "has no function members()"),
         (["compare", "none"], "none is not a study"),
     ]:
@@ -256,3 +257,25 @@ def test_a_check_finds_what_is_damaged_and_resuming_makes_it_again(study, capsys
     assert status == 0
     for member, wanted in zip(result["members"], whole, strict=True):
         assert member["answer"]["estimate"] == wanted["answer"]["estimate"]
+
+
+def test_a_study_resumes_where_its_folder_is_moved(study, capsys, tmp_path):
+    here = study.parent
+    (here / "data").mkdir()
+    lines = [f"{w},{3 / (1 + w * w)},{-3 * w / (1 + w * w)}" for w in (0.5, 1.0, 2.0, 4.0, 8.0)]
+    table = "\n".join(["omega_rad_s,alpha,beta", *lines, ""])
+    (here / "data" / "bode.csv").write_text(table)
+    study.write_text(TWO_SEEDS + '[[member]]\nmodel = "mine.py:Lag"\ndata = "data/bode.csv"\n')
+    words = ("--out", "out", "--seconds", 1e-6, "--starts", 6)
+    status, result, _ = answer(capsys, "batch", study, *words)
+    assert status == 1
+    moved = tmp_path / "elsewhere" / "study"
+    shutil.copytree("out", moved)
+    for folder in (here, "out"):
+        shutil.rmtree(folder)
+    del sys.modules["mine"]
+
+    status, result, _ = answer(capsys, "batch", "--resume", moved)
+    assert status == 0
+    assert [(m["status"], m["runs"]) for m in result["members"]] == [("done", 6)] * 3
+    assert not any(str(here).encode() in path.read_bytes() for path in moved.rglob("*.*"))
