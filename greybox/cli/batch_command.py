@@ -24,7 +24,6 @@ EXAMPLES = (
     "study.toml --dry-run",
     "paper --out paper",
     "--resume results",
-    "--check results",
     "--status results",
 )
 OPTIONS = """

@@ -170,7 +170,7 @@ def listening() -> Iterator[None]:
         yield
         return
     _state.listening = True
-    _state.noted, _state.number = False, int(signal.SIGINT)
+    _state.noted, _state.number = False, signal.SIGINT
     for number in usual:
         signal.signal(number, _note)
     try:
