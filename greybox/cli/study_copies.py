@@ -50,7 +50,7 @@ def copy_inputs(study: Path, folder: Path, starts: int | None) -> None:
                 shutil.copyfile(source, temporary)
 
 
-def stated_inputs(folder: Path) -> tuple[str, int | None]:
+def stated_inputs(folder: Path):
     """Return the study file in a folder, and the starts.
 
     Raises
@@ -58,5 +58,5 @@ def stated_inputs(folder: Path) -> tuple[str, int | None]:
     ValueError, OSError
         If the folder has none.
     """
-    name, starts = json.loads((folder / STATED).read_text(encoding="utf-8"))
+    name, starts = json.loads((folder / STATED).read_text())
     return str((folder / STATED).with_name(name)), starts
