@@ -180,35 +180,29 @@ class SampledLoop:
         m = len(self.inputs)
         length = int(self.whole.max()) + 1  # past controls that some plant still waits for
         size = n + len(F) + m * length
-        every = np.arange(plants)
 
-        # The last column is the command.
-        past = np.zeros((plants, 2, m, size + 1))  # u[k-whole-1] and, where it is past, u[k-whole]
-        for i in range(m):
-            begin = n + len(F) + i * length
-            past[every, 0, i, begin + self.whole[:, i]] = 1
-            delayed = self.whole[:, i] > 0
-            past[every[delayed], 1, i, begin + self.whole[delayed, i] - 1] = 1
+        # The last column is the command. The newest past control of an input is its first one.
+        unit, controls = np.eye(size + 1), n + len(F)
+        newest = controls + length * np.arange(m)
+        earlier = unit[newest + self.whole]  # u[k-whole-1]
 
-        y = self.D @ past[:, 0]
+        y = self.D @ earlier
         y[:, :, :n] += self.C
         total = J[:, : len(sensors)] @ y
-        total[:, :, n : n + len(F)] += H
+        total[:, :, n:controls] += H
         total[:, :, -1] += J[:, added]
         u = total[:, rows]
-        arriving = past[:, 1] + (self.whole == 0)[:, :, None] * u
+        arriving = np.where(self.whole[:, :, None] > 0, unit[newest + self.whole - 1], u)
 
         following = np.zeros((plants, size, size + 1))
-        following[:, :n] = self.late @ arriving + self.early @ past[:, 0]
+        following[:, :n] = self.late @ arriving + self.early @ earlier
         following[:, :n, :n] += self.A
-        following[:, n : n + len(F)] = G[:, : len(sensors)] @ y
-        following[:, n : n + len(F), n : n + len(F)] += F
-        following[:, n : n + len(F), -1] += G[:, added]
-        for i in range(m):
-            begin = n + len(F) + i * length
-            following[:, begin] = u[:, i]
-            shifted = np.arange(begin + 1, begin + length)
-            following[:, shifted, shifted - 1] = 1
+        following[:, n:controls] = G[:, : len(sensors)] @ y
+        following[:, n:controls, n:controls] += F
+        following[:, n:controls, -1] += G[:, added]
+        # Every past control becomes the next older one.
+        following[:, controls:] = np.eye(size - controls, size + 1, controls - 1)
+        following[:, newest] = u
         read = np.concatenate([y, total], axis=1)[:, self.signals.index(signal)]
         return following[..., :-1], following[..., -1], read[:, :-1], read[:, -1]
 
@@ -277,13 +271,11 @@ def sampled_loop(
 
     # Before a control arrives the one before it acts: exp(A t) and its integral.
     transition, _ = held_response(A, B, period)
-    early, late = np.zeros_like(B), np.zeros_like(B)
-    for i in range(B.shape[2]):
-        column = B[:, :, i : i + 1]
-        _, first = held_response(A, column, part[:, i] * period)
-        decay, second = held_response(A, column, (1 - part[:, i]) * period)
-        early[:, :, i : i + 1] = decay @ first
-        late[:, :, i : i + 1] = second
+    columns = B.swapaxes(1, 2)[..., None]
+    alike = np.repeat(A[:, None], B.shape[2], axis=1)  # for each input, whose delay is its own
+    _, first = held_response(alike, columns, part * period)
+    decay, second = held_response(alike, columns, (1 - part) * period)
+    early, late = (block[..., 0].swapaxes(1, 2) for block in (decay @ first, second))
     return SampledLoop(
         system.inputs,
         sensors,

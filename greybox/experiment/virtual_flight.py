@@ -6,6 +6,7 @@ Begin with `virtual_flight`.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 from types import MappingProxyType
 
@@ -25,7 +26,6 @@ from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.step_size import relative_change, substep_growth
 
-Signals = dict[str, ca.SX]
 NOTHING: Mapping[str, float] = MappingProxyType({})
 
 # Relative change of a state, within a controller period, when the substeps are halved. A fifteenth
@@ -114,9 +114,13 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     controllers = connected(
         controller, system.inputs, {*system.outputs, *system.states}, model.label
     )
-    clock = controllers[0].rate if controllers else _open_loop_rate(excitation, rate)
+    test = _as_excitation(excitation, controllers[0].rate if controllers else rate)
+    clock = float(controllers[0].rate if controllers else test.rate)
     places = (*(c.outside(n) for c in controllers for n in c.setpoints), *system.inputs)
-    time, commands, units = _commands(excitation, clock, tuple(dict.fromkeys(places)), model.label)
+    require_known(test.signals, dict.fromkeys(places), "place for", model.label)
+    # A controller may run faster than the test signal is sampled.
+    time = np.arange(math.floor(test.time[-1] * clock + 1e-6) + 1) / clock
+    commands = {n: np.interp(time, test.time, v) for n, v in test.signals.items()}
 
     loop = _Loop(
         model.label,
@@ -145,13 +149,14 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
         "process_noise": dict(process_noise),
         "initial": dict(loop.initial),
         "seed": seed,
-        "schedule": getattr(excitation, "schedule", ()),
+        "schedule": test.schedule,
     }
-    all_units = {c.outside(n): unit for c in controllers for n, unit in c.units.items()} | units
+    units = {c.outside(n): unit for c in controllers for n, unit in c.units.items()}
+    units |= test.units
     return Record(
         time,
         log,
-        {n: all_units.get(n.removesuffix(ADDED), "") for n in log},
+        {n: units.get(n.removesuffix(ADDED), "") for n in log},
         name=name or f"virtual flight of {model.label}",
         metadata=metadata,
         hold={
@@ -176,37 +181,28 @@ class _Loop:
     forced: tuple[str, ...]
     initial: Mapping[str, float]
 
-    @property
-    def delays(self) -> list[tuple[int, float]]:
-        """Delay of every input in whole controller periods, and the remaining fraction of one."""
-        result = []
-        for name, delay in zip(
-            self.system.inputs, np.asarray(self.system.delay(self.p)).ravel(), strict=True
-        ):
+    @cached_property
+    def delays(self) -> tuple[list[int], list[float]]:
+        """Whole controller periods in the delay of every input, and the remaining fractions."""
+        delays = np.asarray(self.system.delay(self.p)).ravel()
+        for name, delay in zip(self.system.inputs, delays, strict=True):
             if not 0 <= delay < math.inf:
                 raise ValueError(
                     f"the delay of {name!r} is {delay:g} s: give a value of 0 or more."
                 )
-            # A delay of whole periods must not become one period less and a fraction by rounding.
-            periods = math.floor(delay * self.clock + 1e-9)
-            part = delay * self.clock - periods
-            result.append((periods, part if part > 1e-9 else 0.0))
-        return result
+        # A delay of whole periods must not become one period less and a fraction by rounding.
+        periods = np.floor(delays * self.clock + 1e-9).astype(int)
+        parts = delays * self.clock - periods
+        return periods.tolist(), np.where(parts > 1e-9, parts, 0.0).tolist()
 
     def start(self) -> Array:
         """Return the initial state of the first step: plant, controllers, past controls."""
         plant = [self.initial.get(n, 0.0) for n in self.system.states]
         past = [
-            [self.initial.get(n, 0.0)] * (periods + 1)
-            for n, (periods, _) in zip(self.system.inputs, self.delays, strict=True)
+            [self.initial.get(n, 0.0)] * (count + 1)
+            for n, count in zip(self.system.inputs, self.delays[0], strict=True)
         ]
-        return np.array(
-            [
-                *plant,
-                *(v for c in self.controllers for v in c.initial),
-                *(v for vs in past for v in vs),
-            ]
-        )
+        return np.concatenate([plant, *(c.initial for c in self.controllers), *past])
 
 
 def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], tuple[str, ...]]:
@@ -222,7 +218,12 @@ def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], tu
         local = log[len(names) + n :]
         wrong = ~(np.abs(flown) < 1e9)  # no state of a vehicle in SI units is that large
         reached = int(np.argmax(wrong.any(axis=0))) if wrong.any() else time.size
-        error = _largest(local[:, :reached], flown[len(names) :, :reached], states[:n, :reached])
+        with np.errstate(invalid="ignore"):
+            error = relative_change(
+                local[:, :reached], flown[len(names) :, :reached], states[:n, :reached]
+            )
+        # Infinite instead of NaN: such a flight needs more substeps, too.
+        error = math.inf if math.isnan(error) else error
         # A divergence is judged last: too few substeps make a stable flight diverge.
         if error > TOLERANCE and substeps < MOST_SUBSTEPS:
             substeps = min(MOST_SUBSTEPS, substeps * substep_growth(error, TOLERANCE, 4))
@@ -238,13 +239,6 @@ def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], tu
         return dict(zip(names, flown, strict=False)), (rough,) if error > TOLERANCE else ()
 
 
-def _largest(local: Array, begins: Array, ends: Array) -> float:
-    """Return the largest error of a period over the size of its state; infinite instead of NaN."""
-    with np.errstate(invalid="ignore"):
-        error = relative_change(local, begins, ends)
-    return math.inf if math.isnan(error) else error
-
-
 @one_thread_at_a_time
 def _step(loop: _Loop, substeps: int) -> tuple[ca.Function, list[str]]:
     """Compile one controller period, (all states, a column) -> (all states, log).
@@ -253,31 +247,29 @@ def _step(loop: _Loop, substeps: int) -> tuple[ca.Function, list[str]]:
     what twice as many substeps change in them.
     """
     system = loop.system
-    delays = loop.delays
+    periods, parts = loop.delays
     x, *_ = system.symbols
     memory = [ca.SX.sym("c", len(c.states)) for c in loop.controllers]
-    past = [
-        ca.SX.sym(name, periods + 1)
-        for name, (periods, _) in zip(system.inputs, delays, strict=True)
-    ]
+    past = [ca.SX.sym(n, count + 1) for n, count in zip(system.inputs, periods, strict=True)]
     added, errors, forces = (
         ca.SX.sym("e", len(names)) for names in (loop.excited, loop.measured, loop.forced)
     )
     excitation = {name: added[k] for k, name in enumerate(loop.excited)}
-    signals: Signals = {
-        n: excitation.get(n, ca.SX(loop.initial.get(n, 0.0))) for n in system.inputs
-    }
-    signals |= excitation
-    # `past` has the newest control first: what acts before the fraction of the delay has passed is
-    # one sample older.
-    early = [h[periods] for h, (periods, _) in zip(past, delays, strict=True)]
+    signals = {n: ca.SX(loop.initial.get(n, 0.0)) for n in system.inputs} | excitation
+
+    def waiting() -> list[ca.SX]:
+        """Return the commanded and the past controls of each input, the newest first."""
+        return [ca.vertcat(signals[n], h) for n, h in zip(system.inputs, past, strict=True)]
+
+    # What acts before the fraction of the delay has passed is one sample older.
+    early = [h[count] for h, count in zip(past, periods, strict=True)]
 
     # A control that is computed from this sample reaches the plant after it.
     outputs = [c.outside(n) for c in loop.controllers for n in c.outputs]
     now = [
-        late if not part and (periods or name not in outputs) else previous
-        for name, late, previous, (periods, part) in zip(
-            system.inputs, _late(past, signals, loop), early, delays, strict=True
+        queue[count] if not part and (count or name not in outputs) else previous
+        for name, queue, previous, count, part in zip(
+            system.inputs, waiting(), early, periods, parts, strict=True
         )
     ]
     y = {
@@ -286,8 +278,7 @@ def _step(loop: _Loop, substeps: int) -> tuple[ca.Function, list[str]]:
     }
     remembered = run_controllers(loop.controllers, memory, y, signals, excitation)
     signals |= {n + ADDED: excitation[n] for n in outputs if n in excitation}
-    late = _late(past, signals, loop)
-    parts = [part for _, part in delays]
+    late = [queue[count] for queue, count in zip(waiting(), periods, strict=True)]
     force = ca.SX.zeros(len(system.states))
     for k, n in enumerate(loop.forced):
         force[system.states.index(n)] = forces[k]
@@ -304,24 +295,12 @@ def _step(loop: _Loop, substeps: int) -> tuple[ca.Function, list[str]]:
             _integrated(loop, v, u, force, span, k) for v, k in ((coarse, count), (fine, 2 * count))
         )
 
-    shifted = [
-        ca.vertcat(signals[n], *ca.vertsplit(h)[:-1])
-        for n, h in zip(system.inputs, past, strict=True)
-    ]
     log = {**signals, **y}
     state = ca.vertcat(x, *memory, *past)
     column = ca.vertcat(added, errors, forces)
-    following = ca.vertcat(fine, *remembered, *shifted)
+    following = ca.vertcat(fine, *remembered, *(queue[:-1] for queue in waiting()))
     logged = ca.vertcat(*log.values(), x, ca.fabs(fine - coarse))
     return ca.Function("step", [state, column], [following, logged]), [*log]
-
-
-def _late(past: list[ca.SX], signals: Signals, loop: _Loop) -> list[ca.SX]:
-    """Return what reaches each input after the fraction of its delay."""
-    return [
-        h[periods - 1] if periods else signals[n]
-        for n, h, (periods, _) in zip(loop.system.inputs, past, loop.delays, strict=True)
-    ]
 
 
 def _integrated(loop: _Loop, x: ca.SX, u: ca.SX, force: ca.SX, span: float, count: int) -> ca.SX:
@@ -347,46 +326,32 @@ def _divergence(
     )
 
 
-def _open_loop_rate(excitation: Excitation | Mapping[str, ArrayLike], rate: float | None) -> float:
-    if isinstance(excitation, Excitation):
-        return float(excitation.rate)
+def _as_excitation(given: Excitation | Mapping[str, ArrayLike], rate: float | None) -> Excitation:
+    """Return arrays as an excitation of this rate, and an excitation as it is."""
+    if isinstance(given, Excitation):
+        return given
+    if not isinstance(given, Mapping):
+        raise TypeError(
+            f"the excitation is a {type(given).__name__}: give an Excitation, or {{name: array}}."
+        )
     if rate is None or not 0 < rate < math.inf:
         raise ValueError(
             f"rate is {rate!r}, and arrays alone have no sampling rate: give samples per second "
             "above 0, or an Excitation."
         )
-    return float(rate)
-
-
-def _commands(
-    excitation: Excitation | Mapping[str, ArrayLike],
-    clock: float,
-    places: Sequence[str],
-    label: str,
-) -> tuple[Array, dict[str, Array], dict[str, str]]:
-    """Return time, the excitation by name on the clock of the loop, and units."""
-    if isinstance(excitation, Excitation):
-        require_known(excitation.signals, places, "place for", label)
-        # A controller may run faster than the test signal is sampled.
-        time = np.arange(math.floor(excitation.time[-1] * clock + 1e-6) + 1) / clock
-        sampled = {n: np.interp(time, excitation.time, v) for n, v in excitation.signals.items()}
-        return time, sampled, dict(excitation.units)
-
-    if not isinstance(excitation, Mapping):
-        raise TypeError(
-            f"the excitation is a {type(excitation).__name__}: give an Excitation, or "
-            "{name: array}."
-        )
-    require_known(excitation, places, "place for", label)
-    arrays = {n: np.asarray(v, dtype=float) for n, v in excitation.items()}
+    # Copies: an excitation makes its arrays read-only.
+    arrays = {n: np.array(v, dtype=float) for n, v in given.items()}
     shapes = {v.shape for v in arrays.values()}
-    if len(shapes) != 1 or any(v.ndim != 1 or not np.isfinite(v).all() for v in arrays.values()):
+    if len(shapes) != 1 or any(
+        v.ndim != 1 or not (v.size and np.isfinite(v).all()) for v in arrays.values()
+    ):
         raise ValueError(
             "the arrays of the excitation have the shapes "
             f"{', '.join(map(str, shapes)) or 'none'}: give arrays of one length with finite "
             "numbers."
         )
-    return np.arange(next(iter(shapes))[0]) / clock, arrays, {}
+    time = np.arange(*shapes.pop()) / rate
+    return Excitation(time, arrays, dict.fromkeys(arrays, ""), rate, ())
 
 
 def _checked(

@@ -573,6 +573,7 @@ def test_a_plant_that_is_not_smooth_says_what_the_integration_misses():
             "give arrays of one length",
         ),
         ({"excitation": {"reference": 1.0}}, ValueError, "give arrays of one length"),
+        ({"excitation": {"reference": []}}, ValueError, "give arrays of one length"),
         (
             {"noise": {"w": 1.0}},
             ValueError,
