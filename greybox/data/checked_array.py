@@ -93,11 +93,11 @@ def seconds_from_first(values: Any) -> Any:
 
 def within_range(values: Array) -> Array:
     """Return the values (n,), read-only: larger ones as infinite, smaller ones as zero."""
-    if not out_of_range(values).any():
+    outside = out_of_range(values)
+    if not outside.any():
         return values
-    size = np.abs(values)
-    infinite = np.copysign(np.inf, values)
-    inside = np.where(size > LARGEST, infinite, np.where(size < SMALLEST, 0.0, values))
+    limit = np.where(np.abs(values) > 1, np.copysign(np.inf, values), 0.0)
+    inside = np.where(outside, limit, values)
     inside.setflags(write=False)
     return inside
 

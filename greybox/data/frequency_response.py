@@ -100,11 +100,6 @@ class FrequencyResponse:
         """Convert to read-only arrays, check every value, and write out control characters."""
         for name in ("input", "output", "name", "source", "units", "about"):
             object.__setattr__(self, name, all_printable(getattr(self, name)))
-        for name in COLUMNS:
-            if getattr(self, name) is not None:
-                kind = complex if name == "response" else float
-                convert = finite_array if name in COLUMNS[:2] else checked_array
-                object.__setattr__(self, name, convert(name, getattr(self, name), kind))
         self._check_columns()
         # After the variance, of which they are a part.
         if self.common_errors is not None:
@@ -112,17 +107,21 @@ class FrequencyResponse:
         object.__setattr__(self, "stretches", tuple(self.stretches))
 
     def _check_columns(self) -> None:
-        if self.omega.size == 0:
-            raise ValueError("the frequency response is empty: give at least one frequency.")
         for name in COLUMNS:
-            values = getattr(self, name)
-            if values is not None:
-                require_size(name, values, "omega", self.omega.size)
-            if values is not None and name not in COLUMNS[:2]:
+            if getattr(self, name) is None:
+                continue
+            kind = complex if name == "response" else float
+            convert = finite_array if name in COLUMNS[:2] else checked_array
+            values = convert(name, getattr(self, name), kind)
+            object.__setattr__(self, name, values)
+            require_size(name, values, "omega", self.omega.size)
+            if name not in COLUMNS[:2]:
                 high = 1.0 if name == "coherence" else np.finfo(float).max
                 limit = "above 0 and at most 1" if name == "coherence" else "above 0"
                 require(name, values, (values > 0) & (values <= high), f"it must be {limit}")
 
+        if self.omega.size == 0:
+            raise ValueError("the frequency response is empty: give at least one frequency.")
         cure = "frequencies must be finite and above 0 rad/s"
         require("omega", self.omega, self.omega > 0, cure)
         # Two points at one frequency would count as independent in a fit.

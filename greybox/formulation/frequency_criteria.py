@@ -23,6 +23,7 @@ from greybox.modeling.functions import exp, log, sqrt
 
 _DB_PER_NEPER = 20 / math.log(10)  # dB per unit of natural logarithm of a magnitude
 _DEGREES_PER_RADIAN = 180 / math.pi
+_PHASE_WEIGHT = 0.01745  # of squared degrees, beside squared dB
 
 
 class Criterion(AnyCriterion):
@@ -319,8 +320,6 @@ class MagnitudePhase(Criterion):
         "the coherence, else of one relative size"
     )
     uses: ClassVar[tuple[str, ...] | None] = ("coherence", "variance")
-    magnitude_weight: ClassVar[float] = 1.0
-    phase_weight: ClassVar[float] = 0.01745
 
     @property
     def locator(self) -> Criterion | None:
@@ -384,10 +383,7 @@ class MagnitudePhase(Criterion):
         """Return the roots of the weights of log magnitude and phase, units and 20/n included."""
         coherence = np.ones(len(data)) if data.coherence is None else data.coherence
         common = math.sqrt(20 / len(data)) * 1.58 * (1 - exp(-coherence))
-        return (
-            common * math.sqrt(self.magnitude_weight) * _DB_PER_NEPER,
-            common * math.sqrt(self.phase_weight) * _DEGREES_PER_RADIAN,
-        )
+        return common * _DB_PER_NEPER, common * math.sqrt(_PHASE_WEIGHT) * _DEGREES_PER_RADIAN
 
 
 @dataclass(frozen=True, eq=False)

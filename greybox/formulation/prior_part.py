@@ -30,8 +30,7 @@ def with_priors(problem: Problem | Sum[Problem]) -> Problem | Sum[Problem]:
     priors = stated_priors(problem)
     if not priors:
         return problem
-    parts = problem.as_added if isinstance(problem, Sum) else (problem,)
-    return Sum((*parts, _part(priors, problem.parameters)), problem.name)
+    return Sum((*problem.as_added, _part(priors, problem.parameters)), problem.name)
 
 
 def stated_priors(problem: Problem | Sum[Problem]) -> list[NormalPrior]:

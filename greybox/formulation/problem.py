@@ -20,7 +20,7 @@ from greybox.formulation.prior import Knowledge, NormalPrior, normal_priors
 from greybox.formulation.restated_parameter import held_at, restated
 from greybox.formulation.signal_units import check_response_units, check_units
 from greybox.formulation.spectrum_criteria import outputs_in_spectrum
-from greybox.formulation.sum import Sum
+from greybox.formulation.sum import Addable
 from greybox.formulation.time_criteria import OutputError, TimeCriterion
 from greybox.modeling.harmonic_balance import check_sine
 from greybox.modeling.model import Model, Names, pick_signals, require_known
@@ -33,7 +33,7 @@ from greybox.modeling.transfer_function import require_no_operating_point
 
 
 @dataclass(frozen=True, eq=False)
-class Problem:
+class Problem(Addable):
     """One model, one set of data, one criterion.
 
     Parameters
@@ -367,6 +367,11 @@ class Problem:
         """The problem itself, as the only part."""
         return (self,)
 
+    @property
+    def as_added(self) -> tuple["Problem", ...]:
+        """The problem itself."""
+        return (self,)
+
     def outside(self, name: str) -> str:
         """Return the name of a parameter in the answer."""
         return self.rename.get(name, name)
@@ -379,17 +384,6 @@ class Problem:
                 tie, Names(local, f"the problem {self.name!r}, at this tie,"), f"tied[{name!r}]"
             )
         return Names({name: local[name] for name in self.declared}, self.model.label)
-
-    def __add__(self, other: Any) -> "Sum[Problem]":
-        if isinstance(other, Sum):
-            return Sum((self, *other.as_added))
-        return Sum((self, other)) if isinstance(other, Problem) else NotImplemented
-
-    def __radd__(self, other: Any) -> "Problem | Sum[Problem]":
-        if isinstance(other, Sum):
-            return Sum((*other.as_added, self))
-        # The built-in sum() begins with 0.
-        return self if other == 0 else NotImplemented
 
     def with_parts(self, parts: "Sequence[Problem]") -> "Problem":
         """Return the only part, see `Sum.with_parts`."""

@@ -46,13 +46,16 @@ class Points(Sequence[Array]):
 
 
 class Starts(ABC):
-    """A rule for the starts of a search; `seed` is None if it draws no random numbers."""
+    """A rule for the starts of a search; `seed` is None if it draws no random numbers.
+
+    A subclass defines `draw`, or, for starts that are drawn as they are asked for, `numbered`.
+    """
 
     seed: int | None = None
 
-    @abstractmethod
     def draw(self, parameters: Mapping[str, Parameter]) -> Array:
         """Return the starts, (number, p), for the free parameters in their order."""
+        return np.concatenate([*self.numbered(parameters).blocks()])
 
     def numbered(self, parameters: Mapping[str, Parameter]) -> Points:
         """Return the starts of `draw` by number."""
@@ -100,10 +103,6 @@ class RandomStarts(Starts):
 
     def __str__(self) -> str:
         return f"{self.number} by {type(self).__name__}, seed {self.seed}"
-
-    def draw(self, parameters: Mapping[str, Parameter]) -> Array:
-        """Return the starts, (number, p)."""
-        return np.concatenate([*self.numbered(parameters).blocks()])
 
     def numbered(self, parameters: Mapping[str, Parameter]) -> Points:
         """Return the starts by number, drawn as they are asked for."""
@@ -201,10 +200,6 @@ class Chained(Starts):
 
     def __str__(self) -> str:
         return " + ".join(map(str, self.rules))
-
-    def draw(self, parameters: Mapping[str, Parameter]) -> Array:
-        """Return the points of every rule, (sum of numbers, p)."""
-        return np.concatenate([*self.numbered(parameters).blocks()])
 
     def numbered(self, parameters: Mapping[str, Parameter]) -> Points:
         """Return the points of every rule by number."""

@@ -1,7 +1,9 @@
 """Problems that are solved at once: costs add, parameters of one name are one unknown."""
 
-from collections.abc import Mapping, Sequence
+from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -18,8 +20,26 @@ from greybox.modeling.parameter import Parameter
 Part = TypeVar("Part", bound=Any)
 
 
+class Addable:
+    """What `+` and the built-in `sum` join to a `Sum`."""
+
+    @property
+    @abstractmethod
+    def as_added(self) -> tuple[Any, ...]:
+        """The parts as they were added, with their own criteria and unnumbered biases."""
+
+    def __add__(self, other: Any) -> "Sum[Any]":
+        if not isinstance(other, Addable):
+            return NotImplemented
+        return Sum((*self.as_added, *other.as_added))
+
+    def __radd__(self, other: Any) -> Any:
+        # The built-in sum() begins with 0.
+        return self if other == 0 else NotImplemented
+
+
 @dataclass(frozen=True, eq=False)
-class Sum(Generic[Part]):
+class Sum(Addable, Generic[Part]):
     """Several problems solved at once: costs add, parameters of one name are one unknown.
 
     Each record has its own sensor biases: if several records have ``x_bias``, it becomes
@@ -52,13 +72,11 @@ class Sum(Generic[Part]):
                 names = [*names[:2], "...", f"{names[-1]} ({len(names)} in all)"]
             object.__setattr__(self, "name", " + ".join(names))
 
-        merged = merged_parameters(self.parts)
+        self._check_ties()
 
-        self._check_ties(merged)
-        object.__setattr__(self, "_parameters", merged)
-
-    def _check_ties(self, merged: Mapping[str, Parameter]) -> None:
+    def _check_ties(self) -> None:
         """Require that a name tied in one part is tied alike, or absent, in all others."""
+        merged = self.parameters
         # Functions cannot be compared, so their values are.
         bounds = np.array([parameter.bounds for parameter in merged.values()])
         low, high = np.clip(bounds.T, -1e3, 1e3)  # bounds may be infinite
@@ -93,23 +111,15 @@ class Sum(Generic[Part]):
         """The parts as they were added, with their own criteria and unnumbered biases."""
         return self.__dict__["_as_added"]
 
-    @property
+    @cached_property
     def parameters(self) -> dict[str, Parameter]:
         """The merged parameters by outside name; tied ones are left out."""
-        return dict(self.__dict__["_parameters"])
+        return merged_parameters(self.parts)
 
     @property
     def held_estimates(self) -> dict[str, HeldEstimate]:
         """Earlier fits among the fixed values, by outside name."""
         return {name: held for part in self.parts for name, held in part.held_estimates.items()}
-
-    def __add__(self, other: Any) -> "Sum[Part]":
-        # A single problem joins a sum by its own `__radd__`, so that this file need not import it.
-        return Sum((*self.as_added, *other.as_added)) if isinstance(other, Sum) else NotImplemented
-
-    def __radd__(self, other: Any) -> "Sum[Part]":
-        # The built-in sum() begins with 0.
-        return self if other == 0 else NotImplemented
 
     def with_(self, **changes: Any) -> "Sum[Part]":
         """Return the same sum with fields of every part changed (`name` is that of the sum)."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.frequency_response import COLUMNS, FrequencyResponse
 from greybox.data.record import Record
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse
 from greybox.estimate.result import Fit
@@ -85,10 +85,7 @@ def _record(record: Record) -> dict[str, Any]:
 
 
 def _response(response: FrequencyResponse) -> dict[str, Any]:
-    columns = {
-        name: getattr(response, name)
-        for name in ("omega", "response", "coherence", "variance", "dof", "common_errors")
-    }
+    columns = {name: getattr(response, name) for name in (*COLUMNS, "common_errors")}
     texts = {name: getattr(response, name) for name in ("input", "output", "name", "source")}
     return {name: values for name, values in columns.items() if values is not None} | texts
 

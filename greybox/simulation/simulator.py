@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping
 from copy import copy
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -77,28 +78,27 @@ class WindowSimulations:
 
 @dataclass(frozen=True, eq=False)
 class _Run:
-    """A run with one number of substeps, and the data (width, columns) that drove it.
-
-    States (n, columns) and outputs (k, columns) are those of all samples.
-    """
+    """A run of segments from initial states (s, n), driven by data (width, columns)."""
 
     segments: Segments
+    initial: Array
+    q: Array
     data: Array
-    states: Array
-    outputs: Array
     estimates: StateEstimates | None = None
 
-    @classmethod
-    def of(
-        cls,
-        segments: Segments,
-        initial: Array,
-        q: Array,
-        data: Array,
-        estimates: StateEstimates | None = None,
-    ) -> "_Run":
-        states, _ = segments.simulate(initial, q, data)
-        return cls(segments, data, states, segments.outputs(states, q, data), estimates)
+    @cached_property
+    def states(self) -> Array:
+        """The states (n, columns) at all samples."""
+        return self.segments.simulate(self.initial, self.q, self.data)[0]
+
+    @cached_property
+    def outputs(self) -> Array:
+        """The outputs (k, columns) at all samples."""
+        return self.segments.outputs(self.states, self.q, self.data)
+
+    def sensitivities(self) -> Array:
+        """Return the derivatives of the outputs by first states and active values."""
+        return self.segments.output_sensitivities(self.states, self.q, self.data)
 
 
 class Simulator:
@@ -144,7 +144,7 @@ class Simulator:
         data = np.vstack([delayed, around, nothing_measured, np.full((1, count), stretch.step)])
 
         def run(step: SampleStep) -> _Run:
-            return _Run.of(Segments(step, 1, count, model.uncertain), initial[None], model.q, data)
+            return _Run(Segments(step, 1, count, model.uncertain), initial[None], model.q, data)
 
         result = self._accurate(stretch.step, run)
         signals = dict(zip(model.system.states, result.states, strict=True))
@@ -152,7 +152,7 @@ class Simulator:
         if model.covariance is None or diverged(signals).any():
             return signals, ()
 
-        slopes = result.segments.output_sensitivities(result.states, model.q, data)
+        slopes = result.sensitivities()
         n = len(model.system.states)
         by_value = slopes[..., n:]
         variance = np.zeros(slopes.shape[:-1])
@@ -197,18 +197,17 @@ class Simulator:
             columns = _columns(segments, data, present)
 
             def outputs(x: Array) -> Array:
-                return segments.by_segment(_Run.of(segments, x, model.q, columns).outputs)
+                return segments.by_segment(_Run(segments, x, model.q, columns).outputs)
 
             def sensitivities(x: Array) -> Array:
-                states, _ = segments.simulate(x, model.q, columns)
-                slopes = segments.output_sensitivities(states, model.q, columns)
+                slopes = _Run(segments, x, model.q, columns).sensitivities()
                 return np.where(informing, slopes, 0.0)
 
             noise = model.noise(self._outputs)
             estimates = estimate_states(outputs, sensitivities, past, guess, noise, spread)
             whole = Segments(step, w, length, active)
             columns_of_all = _columns(whole, data, present)
-            return _Run.of(whole, estimates.states, model.q, columns_of_all, estimates)
+            return _Run(whole, estimates.states, model.q, columns_of_all, estimates)
 
         result = self._accurate(windows.record.step, run)
         assert result.estimates is not None
@@ -219,7 +218,7 @@ class Simulator:
             outputs=segments.by_segment(result.outputs),
             states=segments.by_segment(result.states),
             in_lead=in_lead,
-            slopes=segments.output_sensitivities(result.states, model.q, result.data),
+            slopes=result.sensitivities(),
             segments=segments,
             data=data,
         )
@@ -241,10 +240,9 @@ class Simulator:
             # One step ahead, the corrections continue after the lead-in.
             segments, q = simulated.segments, self._model.q
             data = _columns(segments, simulated.data, np.isfinite(simulated.data["measured"]))
-            corrected = _Run.of(segments, estimates.states, q, data)
+            corrected = _Run(segments, estimates.states, q, data)
             outputs = segments.by_segment(corrected.outputs)
-            slopes = segments.output_sensitivities(corrected.states, q, data)
-            by_state = slopes[..., : by_state.shape[-1]]
+            by_state = corrected.sensitivities()[..., : by_state.shape[-1]]
         return one_step_errors(
             simulated.measured - outputs,
             by_state,

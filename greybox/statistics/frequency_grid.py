@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.files.arrays import Array, ComplexArray, IntArray
+from greybox.statistics.residual_autocorrelation import HIGHEST_ORDER
 
-HIGHEST_ORDER = 50  # of an autoregression: the longest lag of interest
 LOWEST = 256  # lowest frequencies, each of which is a band of its own
 COLUMNS = 65536  # frequencies at once in memory: 25 MB for three outputs and eight parameters
 

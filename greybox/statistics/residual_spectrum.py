@@ -30,21 +30,18 @@ from numpy.typing import NDArray
 from greybox.files.arrays import Array, ComplexArray
 from greybox.statistics.error_spectrum import ROUNDING, ErrorSpectrum
 from greybox.statistics.frequency_grid import (
-    COLUMNS,
-    HIGHEST_ORDER,
     FrequencyGrid,
     filtered,
     output_pairs,
     products,
 )
-from greybox.statistics.residual_autocorrelation import autocovariance, levinson
+from greybox.statistics.residual_autocorrelation import HIGHEST_ORDER, autocovariance, levinson
 from greybox.statistics.slow_parts import (
     SlowParts,
     aicc_penalty,
 )
 from greybox.statistics.variance_components import (
     LEAST,
-    VarianceComponents,
     variance_components,
     whittle_score,
 )
@@ -265,14 +262,10 @@ class ResidualSpectra:
         """Power (k, k, b) of the sensitivities, whose mean product with a spectrum is tr(B⁻¹ M)."""
         k = len(self.counts)
         power = np.zeros((k, k, len(self.grid.starts)), dtype=complex)
-        product = np.empty(len(self.grid.weight), dtype=complex)
         for transform in self.transforms():
             for i, j in output_pairs(k):
-                for start in range(0, len(product), COLUMNS):
-                    part = slice(start, start + COLUMNS)
-                    first, second = (self.root.T @ transform[row, :, part] for row in (i, j))
-                    product[part] = (first.conj() * second).sum(axis=0)
-                banded = self.grid.banded(product)
+                first, second = (self.root.T @ transform[row] for row in (i, j))
+                banded = self.grid.banded((first.conj() * second).sum(axis=0))
                 power[i, j] += banded
                 if i != j:
                     power[j, i] += banded.conj()
@@ -355,15 +348,6 @@ class ResidualSpectra:
         return replace(average, score=penalty + self.score_of(average.density))
 
     @cached_property
-    def variances(self) -> VarianceComponents:
-        """Variances of sensors and process noise, by the residuals."""
-        parts = self.noise_parts
-        assert parts is not None
-        return variance_components(
-            parts.of_residuals, self._of_residuals, self._numbers, sensors=len(self.counts)
-        )
-
-    @cached_property
     def _numbers(self) -> Array:
         """Independent numbers (b,) of every output in a band."""
         return self.counts.max() * self.grid.band_weight
@@ -374,8 +358,11 @@ class ResidualSpectra:
 
     def process_noise(self, parts: "_NoiseParts") -> AveragedSpectrum:
         """Return white sensor noise with process noise, by the variances of the residuals."""
-        variance = self.variances.variance
-        numbers = self.counts.max() * len(self.counts)
+        sensors = len(self.counts)
+        estimated = variance_components(
+            parts.of_residuals, self._of_residuals, self._numbers, sensors
+        )
+        variance = estimated.variance
         density = np.tensordot(variance, parts.density, 1)
         taken = np.array([self.taken_by(part) for part in parts.density]) * variance
         share = taken / max(float(taken.sum()), TINY)
@@ -384,8 +371,8 @@ class ResidualSpectra:
             density,
             _log_power(density),
             float(taken.sum()),
-            float(share @ self.variances.covariance @ share),
-            self.variances.score + aicc_penalty(len(variance), numbers),
+            float(share @ estimated.covariance @ share),
+            estimated.score + aicc_penalty(len(variance), self.counts.max() * sensors),
         )
 
     @cached_property

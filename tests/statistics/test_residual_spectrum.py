@@ -23,6 +23,7 @@ from greybox.statistics.residual_spectrum import (
     unmasked,
 )
 from greybox.statistics.slow_parts import SlowParts, aicc_penalty
+from greybox.statistics.variance_components import variance_components
 
 AR2 = np.array([1.0, -1.5, 0.7])
 
@@ -754,7 +755,9 @@ def resonant():
 def test_process_noise_is_judged_by_the_variances_of_its_parts():
     made = resonant()
     parts = made.noise_parts
-    found, variances = made.process_noise(parts), made.variances
+    found = made.process_noise(parts)
+    power, numbers = made.periodogram[1].transpose(2, 0, 1), made.counts.max() * made.grid.band_weight
+    variances = variance_components(parts.of_residuals, power, numbers, sensors=2)
     assert variances.variance.shape == (4,)
     assert_allclose(
         found.density,
