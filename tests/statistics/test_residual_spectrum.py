@@ -756,7 +756,10 @@ def test_process_noise_is_judged_by_the_variances_of_its_parts():
     made = resonant()
     parts = made.noise_parts
     found = made.process_noise(parts)
-    power, numbers = made.periodogram[1].transpose(2, 0, 1), made.counts.max() * made.grid.band_weight
+    power, numbers = (
+        made.periodogram[1].transpose(2, 0, 1),
+        made.counts.max() * made.grid.band_weight,
+    )
     variances = variance_components(parts.of_residuals, power, numbers, sensors=2)
     assert variances.variance.shape == (4,)
     assert_allclose(
