@@ -5,13 +5,16 @@ from typing import Any
 
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
 from greybox.compiled.transcription.method import Transcription
-from greybox.estimate.fitted_part import FittedPart, FittedRecord, FittedResponse
+from greybox.estimate.fitted_part import FittedRecord, FittedResponse
 from greybox.estimate.harmonic_numbers import with_enough_harmonics
 from greybox.estimate.result import Fit
 from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.formulation.time_criteria import TimeCriterion
+
+# Only classes of greybox are looked up: a file must not name code that is then run.
+KINDS: dict[str, Any] = {c.class_path: type(c) for c in (*CRITERIA, *TIME_CRITERIA)}
 
 
 def compiled_again(
@@ -58,21 +61,23 @@ def problem_of(fit: Fit) -> AnyProblem:
     problems = []
 
     for k, part in enumerate(fit.parts):
-        if part.is_prior:
-            raise ValueError(f"the fit {fit.name!r} has priors: give its problem=...")
-        if part.tied or part.constraints or uncertain:
-            obstacles = {
-                "ties": part.tied,
-                "constraints": part.constraints,
-                f"{', '.join(uncertain)} from an earlier fit": uncertain,
-            }
-            what = next(text for text, present in obstacles.items() if present)
-            raise ValueError(
-                f"the fit {fit.name!r} has {what}, which it stores only as text: give its "
-                "problem=..."
-            )
+        initial: Mapping[str, Any] = part.settings.get("initial", {})
+        obstacles = {
+            "priors": part.is_prior,
+            "ties": part.tied,
+            "constraints": part.constraints,
+            f"{', '.join(uncertain)} from an earlier fit": uncertain,
+            f"the criterion {part.criterion}": part.criterion_class not in KINDS,
+            "a function for an initial state": any(isinstance(v, str) for v in initial.values()),
+        }
+        for what, present in obstacles.items():
+            if present:
+                raise ValueError(
+                    f"the fit {fit.name!r} has {what}, which it does not store: give its "
+                    "problem=..."
+                )
         model = fit.model_of(k)
-        criterion: Any = _criterion(fit, part)
+        criterion = KINDS[part.criterion_class](**part.settings)
         declared = dict(model.parameters)
         at: dict[str, Any] = {}
         if isinstance(criterion, TimeCriterion):
@@ -109,26 +114,3 @@ def problem_of(fit: Fit) -> AnyProblem:
         )
 
     return problems[0] if len(problems) == 1 else Sum(tuple(problems), fit.name)
-
-
-def _criterion(fit: Fit, part: FittedPart) -> Any:
-    # Only classes of greybox are looked up: a file must not name code that is then run.
-    for kind in dict.fromkeys(type(criterion) for criterion in (*CRITERIA, *TIME_CRITERIA)):
-        if kind().class_path != part.criterion_class:
-            continue
-        criterion = kind(**part.settings)
-        functions = [
-            name
-            for name, value in part.settings.get("initial", {}).items()
-            if isinstance(value, str)
-        ]
-        if functions:
-            raise ValueError(
-                f"the fit {fit.name!r} has a function for the initial {functions[0]}, which it "
-                "stores only as text: give its problem=..."
-            )
-        return criterion
-    raise ValueError(
-        f"the fit {fit.name!r} has the criterion {part.criterion}, not one of greybox: give its "
-        "problem=..."
-    )

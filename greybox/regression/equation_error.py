@@ -30,8 +30,8 @@ from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.regression.linear_in_parameters import Equations, regressions
 from greybox.regression.regressors import Regressors, memory, regressors
-from greybox.regression.smoothing import require_uniform
 from greybox.regression.variable_projection import Projection, UsedEquation, project
+from greybox.spectral.uniform_stretches import check_uniform
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +159,8 @@ def equation_error(
         raise ValueError(f"{model.label} has no free parameter here: name some with free=(...).")
 
     system = dynamics(model)
-    require_uniform(record.time)
+    for piece in record.pieces:
+        check_uniform(piece.time, record)
     _require_motion(model, system, record)
     start = np.array([p.start for p in unknown.values()])
     equations = regressions(system, record.signals, constants, start)

@@ -147,6 +147,8 @@ class _Analysis:
         self.h = dict(zip(model.outputs, h, strict=True))
         self.delays = ca.SX(model.delay(p))
         self.states: dict[str, KnownState] = {}
+        # The derivatives of the simulated states.
+        self.simulated: dict[str, ca.SX] = {}
         self.left_out: list[str] = []
 
     @one_thread_at_a_time
@@ -160,15 +162,13 @@ class _Analysis:
         equations = tuple(equation for _, equation in candidates)
         rows = [row for row, _ in candidates]
         needed = set().union(*(self._behind(row) for row in rows))
-        states = [s for s in self.states.values() if s.how != "simulated" or s.name in needed]
+        simulated = {n: row for n, row in self.simulated.items() if n in needed}
+        states = [s for n, s in self.states.items() if n in simulated or n not in self.simulated]
         linear = self._linear(rows)
         nonlinear = tuple(
             n for n in self.free if n not in linear and any(n in e.parameters for e in equations)
         )
 
-        # x' = matrix x + drive for the simulated states
-        simulated = [s.name for s in states if s.how == "simulated"]
-        derivative = _column([self.f[name] for name in simulated])
         return Equations(
             states=tuple(states),  # the simulated ones come last
             equations=equations,
@@ -178,7 +178,10 @@ class _Analysis:
             linear=linear,
             nonlinear=nonlinear,
             rows=self._affine_function(_column(rows), _column([self.parameter[n] for n in linear])),
-            simulated=self._affine_function(derivative, self._states(simulated)),
+            # x' = matrix x + drive for the simulated states
+            simulated=self._affine_function(
+                _column([*simulated.values()]), self._states([*simulated])
+            ),
             delay=ca.Function("delay", [self.p], [ca.densify(self.delays)]),
             left_out=tuple(self.left_out),
         )
@@ -241,6 +244,7 @@ class _Analysis:
             used = [n for n in _needed(self.f[name], {**self.state, **self.input}) if n != name]
             source = " and ".join(used) or "rest"
             self.states[name] = KnownState(name, "simulated", source, None)
+            self.simulated[name] = self.f[name]
 
     def _states(self, names: Sequence[str]) -> ca.SX:
         return _column([self.state[n] for n in names])
@@ -256,7 +260,7 @@ class _Analysis:
         """Yield the right side and the description of every equation that can be used."""
         rows: list[tuple[str, Kind, ca.SX]] = []
         for name, row in self.f.items():
-            if name in self.states and self.states[name].how != "simulated":
+            if name in self.states.keys() - self.simulated.keys():
                 rows.append((name, "derivative", row))
             elif name not in self.states and self._parameters(row):
                 self.left_out.append(f"{name}' (the state {name} is not known)")
@@ -284,17 +288,14 @@ class _Analysis:
         new = {*_needed(row, self.state)}
         while new:
             needed |= new
-            rows = [self.f[n] for n in new if self._is_simulated(n)]
+            rows = [self.simulated[n] for n in new & self.simulated.keys()]
             new = {*_needed(_column(rows), self.state)} - needed
         return needed
 
     def _rows_behind(self, row: ca.SX) -> list[ca.SX]:
         """Return the row with the equations of the simulated states that it needs."""
-        simulated = sorted(n for n in self._behind(row) if self._is_simulated(n))
-        return [row, *(self.f[n] for n in simulated)]
-
-    def _is_simulated(self, name: str) -> bool:
-        return name in self.states and self.states[name].how == "simulated"
+        behind = self._behind(row)
+        return [row, *(f for name, f in self.simulated.items() if name in behind)]
 
     def _parameters(self, row: ca.SX) -> tuple[str, ...]:
         """Return the free parameters of a row, of its simulated states and its delays."""

@@ -206,8 +206,8 @@ def regressors(
     )
 
 
-def acting(time: Array, values: Array, held: bool) -> Array:
-    """Return an input (n,) as the derivative of a smooth curve through the driven state shows it.
+def acting(time: Array, values: Array) -> Array:
+    """Return a held input (n,) as the derivative of a smooth curve through the driven state has it.
 
     A state that integrates a held input is a straight line from sample to sample. A smooth curve
     through its samples has the slope S(t - h/2), where S is the smooth curve through the samples of
@@ -217,16 +217,10 @@ def acting(time: Array, values: Array, held: bool) -> Array:
     """
     from scipy.interpolate import CubicSpline  # noqa: PLC0415  (imports slowly)
 
-    if not held:
-        return values
-    result = np.full(values.size, np.nan)
-    for s in stretches(time, values):
-        if s.stop > s.start + 1:
-            step = (time[s.stop - 1] - time[s.start]) / (s.stop - 1 - s.start)
-            spline = CubicSpline(time[s], values[s])
-            middle = np.maximum(time[s] - step / 2, time[s.start])
-            result[s] = spline(middle) - step**2 / 24 * spline(middle, 2)
-    return result
+    step = (time[-1] - time[0]) / (time.size - 1)
+    spline = CubicSpline(time, values)
+    middle = np.maximum(time - step / 2, time[0])
+    return spline(middle) - step**2 / 24 * spline(middle, 2)
 
 
 def _splines(
@@ -239,10 +233,13 @@ def _splines(
     """
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415  (takes a quarter of a second)
 
-    values = acting(time, values, held)
-    order = 1 if held else 3
-    rows = [s for s in stretches(time, values) if s.stop > s.start + 3]
-    return [(s, make_interp_spline(time[s], values[s], k=order)) for s in rows]
+    splines = []
+    for rows in stretches(time, values):
+        t, u = time[rows], values[rows]
+        if t.size > 3:
+            course, order = (acting(t, u), 1) if held else (u, 3)
+            splines.append((rows, make_interp_spline(t, course, k=order)))
+    return splines
 
 
 def memory(equations: Equations, p: Array) -> float:

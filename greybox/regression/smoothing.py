@@ -22,7 +22,6 @@ import numpy as np
 
 from greybox.data.record import GAP
 from greybox.files.arrays import Array, IntArray
-from greybox.files.text_table import counted
 
 POWER = 8  # twice the order of the smoothing spline
 # Samples of a stretch: its 10 sines leave a few above any cutoff, from which the noise follows.
@@ -151,24 +150,6 @@ def _cut(time: Array, rows: IntArray, gap: float) -> list[IntArray]:
     """Cut rows where time advances by more than `gap` median steps."""
     step = float(np.median(np.diff(time)))
     return np.split(rows, np.flatnonzero(np.diff(time[rows]) > gap * step) + 1)
-
-
-def require_uniform(time: Array) -> None:
-    """Raise ValueError if a step other than a gap differs from the median step."""
-    if time.size < 2:
-        raise ValueError(
-            f"{counted(time.size, 'sample has', 'samples have')} no derivative: give more."
-        )
-    steps = np.diff(time)
-    step = float(np.median(steps))
-    # The relative error of a slope is that of the step.
-    odd = np.flatnonzero((np.abs(steps - step) > 0.02 * step) & (steps <= GAP * step))
-    if odd.size:
-        raise ValueError(
-            f"sampling is not uniform: the step at {time[odd[0]]:.6g} s is {steps[odd[0]]:.4g} s "
-            f"and otherwise {step:.4g} s; put the signals on one time base with gb.prepare(..., "
-            "rate=...)."
-        )
 
 
 def _sines(values: Array, step: float) -> tuple[Array, Array]:

@@ -57,7 +57,7 @@ def uniform_stretches(
             for rows in np.split(present, np.flatnonzero(np.diff(present) > 1) + 1):
                 if rows.size > 1:
                     time = piece.time[rows]
-                    _check_uniform(time, record)
+                    check_uniform(time, record)
                     origin = Stretch(record.checksum, float(time[0]), float(time[-1]))
                     stretch = UniformStretch(
                         values[:, rows],
@@ -81,11 +81,12 @@ def uniform_stretches(
     return stretches
 
 
-def _check_uniform(time: Array, record: Record) -> None:
+def check_uniform(time: Array, record: Record) -> None:
+    """Raise ValueError if times (n,) without gaps deviate from a uniform time base."""
     # Errors of single steps may add up to more than their size.
-    uniform = np.linspace(time[0], time[-1], time.size)
+    uniform, step = np.linspace(time[0], time[-1], time.size, retstep=True)
     deviation = np.abs(time - uniform)
-    if deviation.max() > JITTER * (uniform[1] - uniform[0]):
+    if deviation.max() > JITTER * step:
         raise ValueError(
             f"{record.name or 'the record'} is not uniformly sampled ({1e3 * deviation.max():.2g} "
             f"ms off at {time[deviation.argmax()]:.2f} s): resample it with gb.prepare(..., "

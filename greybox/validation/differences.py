@@ -4,6 +4,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from greybox.estimate.result import Fit, Quantity
 from greybox.files.text_table import counted, listed, one_line, text_table, with_error
 from greybox.modeling.model import require_known
@@ -152,12 +154,8 @@ def holm(p_values: Sequence[float]) -> list[float]:
     """Return the p-values for all tests together; NaN where there is none."""
     # Of ten parameters that are equal one would differ at 5 % in four of ten comparisons. Holm's
     # correction keeps one false alarm in twenty, and finds more than Bonferroni's.
-    adjusted = [math.nan] * len(p_values)
-    order = sorted(
-        (k for k, p in enumerate(p_values) if not math.isnan(p)), key=lambda k: p_values[k]
-    )
-    largest = 0.0
-    for rank, k in enumerate(order):
-        largest = max(largest, min(1.0, (len(order) - rank) * p_values[k]))
-        adjusted[k] = largest
-    return adjusted
+    adjusted = np.array(p_values)
+    order = np.argsort(adjusted)[: np.count_nonzero(np.isfinite(adjusted))]
+    for_all = np.arange(len(order), 0, -1) * adjusted[order]
+    adjusted[order] = np.minimum(np.maximum.accumulate(for_all), 1.0)
+    return adjusted.tolist()

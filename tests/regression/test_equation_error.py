@@ -508,7 +508,7 @@ def test_bad_input(sliding, change, options, sentence):
 
 def test_bad_records(sliding):
     uneven = sliding.time + 0.3 * 0.01 * np.sin(np.arange(len(sliding)))
-    with pytest.raises(ValueError, match="sampling is not uniform"):
+    with pytest.raises(ValueError, match="not uniformly sampled"):
         gb.regression.equation_error(Slider(), gb.Record(uneven, sliding.signals))
     with pytest.raises(ValueError, match="no stretch of 12 samples"):
         gb.regression.equation_error(Slider(), sliding.rows(np.arange(5)))

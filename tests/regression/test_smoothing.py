@@ -10,7 +10,6 @@ from greybox.regression.smoothing import (
     differentiate,
     low_pass,
     reach,
-    require_uniform,
     smooth,
     stretches,
     without_holes,
@@ -185,22 +184,6 @@ def test_the_last_samples_of_a_stretch_are_filled_as_the_first_are():
 def steps(*lengths):
     """Time from the steps between samples, each so many times 0.1 s."""
     return 0.1 * np.concatenate([[0.0], np.cumsum(lengths)])
-
-
-def test_a_step_may_be_two_percent_off_and_from_two_and_a_half_it_is_a_gap():
-    def of(odd):
-        require_uniform(steps(*[1.0] * 13, odd, *[1.0] * 14))
-
-    for within in (1.019, 0.981, 2.51):
-        of(within)
-    with pytest.raises(ValueError, match="1 sample has no derivative"):
-        require_uniform(TIME[:1])
-    for odd in (1.021, 0.979, 2.49):
-        with pytest.raises(
-            ValueError,
-            match=rf"the step at 1\.3 s is {0.1 * odd:.4g} s and otherwise 0\.1 s; put the",
-        ):
-            of(odd)
 
 
 def test_a_stretch_has_twelve_samples():
