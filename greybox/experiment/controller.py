@@ -98,30 +98,26 @@ class Controller(ABC):
         initial: Mapping[str, float] | None = None,
     ) -> None:
         label = type(self).__name__
+        values, initial = values or {}, initial or {}
+        rate = self.rate if rate is None else rate
         self.signals = MappingProxyType(dict(signals or {}))
-        require_known(values or {}, self.parameters, "parameter", label)
+        require_known(values, self.parameters, "parameter", label)
         require_known(self.signals, (*self.inputs, *self.setpoints, *self.outputs), "signal", label)
-        require_known(initial or {}, self.states, "state", label)
-        for name, value in {
-            **(values or {}),
-            **(initial or {}),
-            "rate": self.rate if rate is None else rate,
-        }.items():
+        require_known(initial, self.states, "state", label)
+        for name, value in {**values, **initial, "rate": rate}.items():
             if not isinstance(value, (int, float)) or not math.isfinite(value):
                 raise ValueError(
                     f"{name} = {value!r} is not a finite number: give a value for {label}."
                 )
-        if rate is not None:
-            self.rate = float(rate)
+        self.rate = float(rate)
         if not self.rate > 0:
             raise ValueError(
                 f"{label} cannot run {self.rate:g} times per second: give a rate above 0, in Hz."
             )
         self.values = Names(
-            {n: float({**(values or {})}.get(n, p.start)) for n, p in self.parameters.items()},
-            label,
+            {n: float(values.get(n, p.start)) for n, p in self.parameters.items()}, label
         )
-        self.initial = tuple(float((initial or {}).get(name, 0.0)) for name in self.states)
+        self.initial = tuple(float(initial.get(name, 0.0)) for name in self.states)
 
     @abstractmethod
     def update(self, x: Any, u: Any, p: Any) -> tuple[Sequence[Any], Sequence[Any]]:

@@ -311,26 +311,24 @@ def margins(
         raise TypeError("a plant has margins in a loop: give its controller.")
     require_level(level)
     loop = drawn_loops(plant, controller, values, at=at, part=part)
-    model = plant.model_of(part) if isinstance(plant, Fit) else plant
+    fit, model = (plant, plant.model_of(part)) if isinstance(plant, Fit) else (None, plant)
     controllers = [controller] if isinstance(controller, Controller) else controller
     signal = broken_at or loop.inputs[0]
     setpoint, response = tracking or _tracking(controllers)
     for name in (signal, *([setpoint, response] if setpoint else [])):
         require_signal(name, loop.signals)
 
-    is_fit = isinstance(plant, Fit)
-    instability = 1 - float(np.mean(loop.is_stable[DRAWN])) if is_fit else math.nan
     answer = Margins(
-        plant.name if isinstance(plant, Fit) else model.label,
+        fit.name if fit else model.label,
         signal,
         setpoint,
         response,
         (),
         bool(loop.is_stable[0]),
-        instability,
-        level if is_fit else math.nan,
+        1 - float(np.mean(loop.is_stable[DRAWN])) if fit else math.nan,
+        level if fit else math.nan,
         loop,
-        tuple(f"The fit warns: {warning}" for warning in plant.warnings) if is_fit else (),
+        tuple(f"The fit warns: {warning}" for warning in fit.warnings) if fit else (),
     )
     if not answer.is_stable:
         return answer
@@ -341,7 +339,7 @@ def margins(
         groups[f"{setpoint} to {response}"] = partial(
             closed_loop_numbers, setpoint=setpoint, response=response, integrals=integrals
         )
-    fitted = plant.parts[part] if isinstance(plant, Fit) else None
+    fitted = fit.parts[part] if fit else None
     band = np.sort(fitted.data.omega)[[0, -1]] if isinstance(fitted, FittedResponse) else None
     return _with_rows(answer, groups, band)
 
@@ -457,22 +455,21 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
     ends = [(1 - level) / 2, 0.5, (1 + level) / 2]
     rows, unmeasured = [], []
     for name, (values, places) in numbers.items():
-        unit = UNITS[name.rstrip(" 0123456789")]
-        row = Margin(name, unit, math.nan, math.nan, math.nan, math.nan, group="measured")
+        value = low = high = place = math.nan
         if values[0] and omega[0] < places[0] < omega[-1]:
-            value = float(values[0])
+            value = values[0]
             drawn_ends = np.quantile(values[1:], ends, method="closest_observation")
-            low, _, high = drawn_ends.tolist()
+            low, _, high = drawn_ends
             if name in LEAST:
-                high, value, low = (2 * value - drawn_ends).tolist()
+                high, value, low = 2 * value - drawn_ends
             # Straight lines between twice as distant points are four times as wrong.
             change = abs(fewer[name].value[0] - values[0]) / 3 if name in fewer else 0.0
-            error = float(change) if math.isfinite(change) else 0.0
-            place = float(places[0])
-            row = replace(row, value=value, omega=place, low=low - error, high=high + error)
+            error = change if math.isfinite(change) else 0.0
+            value, low, high, place = map(float, (value, low - error, high + error, places[0]))
         else:
             unmeasured.append(name)
-        rows.append(row)
+        unit = UNITS[name.rstrip(" 0123456789")]
+        rows.append(Margin(name, unit, value, low, high, place, group="measured"))
 
     notes = []
     if unmeasured:

@@ -194,17 +194,16 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         For invalid names and limits, for errors that cannot be reached in this band, and for a loop
         that diverges.
     """
-    _require_valid(band, noise, wanted, {**wanted, **limits})
+    _require_valid(band, wanted, {**wanted, **limits})
     # Twice as many candidates change the flight time of the tilt model by less than 1 %.
     omega = np.geomspace(*band, 40)
-    gains = _gains(
-        model, {**values, **fixed}, omega, (input, *limits), excitation, controller, rate
-    )
+    values = {**values, **fixed}
+    gains = _gains(model, values, omega, (input, *limits), excitation, controller, rate)
     bounds = [limit / np.abs(gains[name]) for name, limit in limits.items()]
     amplitudes = np.array([np.full(len(omega), amplitude), *bounds])
     size, limit = amplitudes.min(axis=0), amplitudes.argmin(axis=0)
 
-    nlp, sensitivity = _sensitivities(model, values, omega, (input, output), free=free, fixed=fixed)
+    nlp, sensitivity = _sensitivities(model, values, omega, (input, output), free, fixed)
     require_known(wanted, nlp.free, "free parameter", model.label)
     density = noise_density(noise, model, values, omega, (input, output), rate)
     weight = (size * np.abs(gains[input])) ** 2 / density  # 2 / E|P̂ - P|² of a second
@@ -247,14 +246,9 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
 
 def _require_valid(
     band: tuple[float, float],
-    noise: float | Record,
     wanted: Mapping[str, float],
     positive: Mapping[str, float],
 ) -> None:
-    if not isinstance(noise, Record) and not noise > 0:
-        raise ValueError(
-            f"noise={noise!r} must be a positive standard deviation, or a quiet flight."
-        )
     if not 0 < band[0] < band[1]:
         raise ValueError(f"band={band!r} must be two frequencies in rad/s, the lower one first.")
     if not wanted:
@@ -288,20 +282,16 @@ def _sensitivities(
     values: Mapping[str, float],
     omega: Array,
     signals: tuple[str, str],
-    *,
     free: Sequence[str],
     fixed: Mapping[str, float],
 ) -> tuple[CompiledProblem, ComplexArray]:
     """Return the compiled problem, and the derivatives (n, p) by its free parameters."""
-    exact = frequency_response(
-        model, {**values, **fixed}, omega, input=signals[0], output=signals[1]
-    )
+    exact = frequency_response(model, values, omega, input=signals[0], output=signals[1])
     # The problem only serves for sensitivities: any variance will do.
     data = FrequencyResponse(omega, exact.response, *signals, variance=np.abs(exact.response) ** 2)
-    at = {**values, **fixed}
     nlp = compile_problem(Problem(model, data, MaximumLikelihood(), free=free, fixed=fixed))
     parameters = nlp.problem.parameters
-    x = np.array([at.get(name, parameters[name].start) for name in nlp.names])
+    x = np.array([values.get(name, parameters[name].start) for name in nlp.names])
     part = nlp.parts[0]
     assert isinstance(part, ResponsePart)
     return nlp, part.sensitivity(x)[:, : len(nlp.free)]
@@ -317,6 +307,10 @@ def noise_density(
 ) -> Array:
     """Return the one-sided spectral density (n,) of the output noise, its unit squared per Hz."""
     if not isinstance(noise, Record):
+        if not noise > 0:
+            raise ValueError(
+                f"noise={noise!r} must be a positive standard deviation, or a quiet flight."
+            )
         return np.full(len(omega), 2 * float(noise) ** 2 / rate)
     from scipy.signal import detrend  # noqa: PLC0415  (takes a tenth of a second to import)
 
@@ -353,7 +347,7 @@ def _fewest(omega: Array, information: Array, target: Array, card: _Card) -> tup
     its time to settle, so the smallest share is dropped as long as that shortens the flight.
     """
     chosen = np.flatnonzero(shares(information, target))
-    best: tuple[float, IntArray, Array] | None = None
+    best = math.inf, chosen, np.zeros(0)
     while len(chosen):
         part = information[chosen]
         if np.linalg.cond(part.sum(axis=0)) > 1e14:
@@ -362,14 +356,13 @@ def _fewest(omega: Array, information: Array, target: Array, card: _Card) -> tup
         chosen, share = chosen[share > 0], share[share > 0]
         seconds = share * time_needed(np.tensordot(share, information[chosen], 1), target)
         duration, total = card.flown(omega[chosen], seconds)
-        if not np.isfinite(total) or (best is not None and total > 1.5 * best[0]):
+        if not np.isfinite(total) or total > 1.5 * best[0]:
             break
-        if best is None or total < best[0]:
+        if total < best[0]:
             best = total, chosen, duration
         # The sine with the smallest share costs its settling time and informs least.
         chosen = np.delete(chosen, np.argmin(share))
-    assert best is not None
-    return best[1], best[2]
+    return best[1:]
 
 
 def with_spare_sines(

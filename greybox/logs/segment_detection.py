@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -98,18 +99,13 @@ def _system_identification(data: Recording | Record) -> list[Segment]:
     if not isinstance(data, Recording) or "SIDS" not in data:
         return []
     settings = data["SIDS"]
+    runs = []
     # A run lasts until the next one begins, if nothing ends it before.
-    ends = [*settings.time[1:].tolist(), math.inf]
-    runs = [
-        {name: float(values[k]) for name, values in settings.signals.items()}
-        for k in range(len(ends))
-    ]
-
-    return [
-        _one_run(data, float(start) + SYSTEMID_DELAY, end, run)
-        for start, end, run in zip(settings.time, ends, runs, strict=True)
-        if all(0 < run.get(name, 0) < math.inf for name in ("Ax", "FSt", "FSp", "TR"))
-    ]
+    for k, (start, end) in enumerate(pairwise([*settings.time.tolist(), math.inf])):
+        run = {name: float(values[k]) for name, values in settings.signals.items()}
+        if all(0 < run.get(name, 0) < math.inf for name in ("Ax", "FSt", "FSp", "TR")):
+            runs.append(_one_run(data, start + SYSTEMID_DELAY, end, run))
+    return runs
 
 
 def _one_run(data: Recording, start: float, until: float, setting: Mapping[str, float]) -> Segment:
@@ -182,10 +178,10 @@ def _announced(
 
 def _tests(time: Array, columns: Mapping[str, Array]) -> list[IntArray]:
     """Return the rows of each test, which ends if a field changes or the message pauses."""
-    change = np.zeros(max(time.size - 1, 0), dtype=bool)
-    if time.size > 1:
-        steps = np.diff(time)
-        change = steps > max(PAUSE, 5 * float(np.median(steps)))
+    if time.size < 2:
+        return []
+    steps = np.diff(time)
+    change = steps > max(PAUSE, 5 * float(np.median(steps)))
     for values in columns.values():
         # NaN differs from itself, and would cut a test at every sample.
         change = change | (np.diff(np.nan_to_num(values)) != 0)

@@ -127,16 +127,13 @@ def _turning_points(values: Array, corners: IntArray, height: float) -> IntArray
             low = min(low, level)
             high = max(high, level)
             direction = (level - low >= height) - (high - level >= height)
-            extreme = index
-            top = level
-        elif (level - top) * direction > 0:
-            extreme = index
-            top = level
         elif (top - level) * direction >= height:
             turns.append(extreme)
             direction = -direction
-            extreme = index
-            top = level
+        elif (level - top) * direction <= 0:
+            continue
+        extreme = index
+        top = level
 
     return np.array([corners[0], *turns, extreme], dtype=np.intp)
 
@@ -281,23 +278,15 @@ def _sweep(
     changes = np.diff([part.mean() for part in parts])
     if np.any(changes > 0) and np.any(changes < 0):
         return None
-    start = _first_half_wave(
-        time, values, corners[first], corners[first + 1], crossings[first : first + 3]
-    )
-    stop = -_first_half_wave(
-        -time[::-1],
-        values[::-1],
-        time.size - 1 - corners[last + 1],
-        time.size - 1 - corners[last],
-        -crossings[last - 2 : last + 1][::-1],
-    )
-    ends = (
-        crossings[first : first + KNOWN_PERIODS + 1],
-        crossings[last - KNOWN_PERIODS : last + 1][::-1],
-    )
-    slow, fast = sorted(map(_end_frequency, ends), key=max)
+    begins = crossings[first : first + KNOWN_PERIODS + 1]
+    ends = crossings[last - KNOWN_PERIODS : last + 1][::-1]
+    slow, fast = sorted(map(_end_frequency, (begins, ends)), key=max)
     if max(fast) < SWEEP_RATIO * min(slow):
         return None
+    start = _first_half_wave(time, values, corners[first : first + 2], begins)
+    # In reversed time, the end is the start.
+    backward = time.size - 1 - corners[last : last + 2][::-1]
+    stop = -_first_half_wave(-time[::-1], values[::-1], backward, -ends)
     return replace(piece, start=start, end=stop, band=(min(slow), max(fast)))
 
 
@@ -320,13 +309,13 @@ def _follows(crossings: Array, swings: Array, k: int, way: int, step: float) -> 
     return bool(error < OFF_SWEEP * predicted + step and SWING[0] < ratio < SWING[1])
 
 
-def _first_half_wave(time: Array, values: Array, peak: int, other: int, crossings: Array) -> float:
-    """Return when the signal left the middle before its first turning point, `peak`.
+def _first_half_wave(time: Array, values: Array, corners: IntArray, crossings: Array) -> float:
+    """Return when the signal left the middle before its first turning point.
 
     The next half periods limit how long before the first of the `crossings` this may be. Otherwise
     it is this crossing.
     """
-    middle = (values[peak] + values[other]) / 2
+    peak, middle = corners[0], values[corners].mean()
     periods = np.diff(crossings)
     longest = (1 + OFF_SWEEP) * max(periods[0], periods[0] ** 2 / periods[1])
     from_ = int(np.searchsorted(time, crossings[0] - longest))

@@ -48,11 +48,6 @@ class Format(NamedTuple):
     recognizes: Callable[[bytes], bool]
 
 
-def _is_hdf5(head: bytes) -> bool:
-    # The signature is at byte 0, 512, 1024 or 2048; MATLAB 7.3 has it at 512.
-    return any(head[at : at + 8] == b"\x89HDF\r\n\x1a\n" for at in (0, 512, 1024, 2048))
-
-
 def _is_telemetry(head: bytes) -> bool:
     """Return whether a time of this century in µs comes first, then a MAVLink packet."""
     microseconds = int.from_bytes(head[:8], "big")
@@ -84,7 +79,8 @@ FORMATS = (
         "named_arrays",
         "HDF5 or MATLAB",
         (".h5", ".hdf5", ".hdf", ".mat"),
-        lambda h: _is_hdf5(h) or h.startswith(b"MATLAB 5.0 MAT-file"),
+        # MATLAB 7.3 has a text before the signature of HDF5.
+        lambda h: b"\x89HDF\r\n\x1a\n" in h or h.startswith(b"MATLAB 5.0 MAT-file"),
     ),
     Format("telemetry", "MAVLink telemetry", (".tlog",), _is_telemetry),
     Format(
@@ -171,8 +167,6 @@ def _format(path: Path) -> Format:
 
 def _head(path: Path) -> bytes:
     """Return the first bytes of a file that has some."""
-    if path.is_dir():
-        raise IsADirectoryError(f"{path} is a folder: give the log file in it.")
     require_file(path)
     try:
         with open(path, "rb") as file:

@@ -69,9 +69,7 @@ def _plausible(stamps: Array) -> Array:
     # A damaged stamp would stretch the record over years.
     first, last = _edge(stamps[:WINDOW], -1), _edge(stamps[-WINDOW:], 1)
     plausible = (stamps >= first - SLACK) & (stamps <= last + SLACK)
-    return (
-        np.where(plausible, stamps, np.nan) if plausible.any() and not plausible.all() else stamps
-    )
+    return np.where(plausible, stamps, np.nan) if plausible.any() else stamps
 
 
 def _edge(stamps: Array, side: int) -> float:

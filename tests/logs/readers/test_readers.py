@@ -36,7 +36,7 @@ def test_a_file_that_is_not_there(tmp_path):
 
 
 def test_a_folder(tmp_path):
-    with pytest.raises(OSError, match="is a folder: give the log file in it"):
+    with pytest.raises(OSError, match="is a folder: give a file in it"):
         read(tmp_path)
 
 
