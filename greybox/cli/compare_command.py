@@ -39,13 +39,11 @@ def run(options: argparse.Namespace) -> Answer:
     tables = {"to_csv": options.csv, "to_latex": options.latex}
     for path in tables.values():
         require_writable(path, options.force)
-    if len(options.results) > 1:
+    if len(options.results) > 1 or options.results[0].is_file():  # a study is a folder
         if any(tables.values()) or options.by:
             raise UsageError("--by, --csv and --latex are for a study: give one folder.")
         comparison = _comparison(options)
         return attributes(comparison, *SUMMARY), str(comparison)
-    if options.results[0].is_file():  # a study is a folder
-        raise UsageError(f"there is one fit, {options.results[0]}: give at least two to compare.")
     # Members of a study may have different data, so that they are listed, not compared by tests.
     study = read_study(options.results[0], options.model)
     answer, lines = as_json(study), [str(study)]

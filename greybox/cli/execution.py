@@ -2,7 +2,6 @@
 
 import argparse
 import contextlib
-import errno
 import io
 import re
 import sys
@@ -74,9 +73,6 @@ def _explain(error: Exception, arguments: Sequence[str]) -> tuple[str, int]:
     sentence = " ".join(str(message).split()) or type(error).__name__
     if isinstance(error, UnknownModelError):
         sentence = f"{error.missing}: give its file, --model my.py."
-    # Of a path that is checked before anything opens it, Python has only the system's words.
-    if isinstance(error, OSError) and error.errno == errno.ENAMETOOLONG:
-        sentence = f"the file name {error.filename!s:.40}... is too long: shorten it."
     if isinstance(error, UsageError):
         return sentence, BAD_INPUT
 

@@ -3,11 +3,11 @@
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, require_writable
 from greybox.cli.saved_fits import saved_fit
-from greybox.data.record import Record
 from greybox.estimate.result import Fit
 from greybox.study.data_file import read_data
 from greybox.study.study import Study, read_study
@@ -69,15 +69,10 @@ def _held_out(options: argparse.Namespace, results: Sequence[Fit | Study]) -> Co
     for study in results:
         if isinstance(study, Study):
             fits |= {entry.label: entry.fit for entry in members_of(study) if entry.fit}
-    if len(fits) < 2:
-        raise UsageError("--held-out compares fits by what they predict: give two or more results.")
     # All models must have the outputs that are compared, so the first one names the signals.
     model = next(iter(fits.values())).model_of()
-    data = [
+    records: list[Any] = [
         read_data(path, model, columns=options.columns, rate=options.rate)
         for path in options.held_out
     ]
-    records = [record for record in data if isinstance(record, Record)]
-    if len(records) < len(data):
-        raise UsageError("--held-out takes records, which are tables of signals.")
     return compare(*fits.values(), records=records, labels=list(fits))

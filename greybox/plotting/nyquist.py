@@ -136,15 +136,8 @@ def _regions(responses: Sequence[DrawnResponse], level: float | None) -> list[Se
         # NaN ends one outline, so that one series contains all of them.
         if len(outlines):
             vertices = np.insert(outlines, 0, np.nan, axis=1).ravel()
-            series = Series(
-                "",
-                "regions",
-                np.real(vertices),
-                np.imag(vertices),
-                drawn.color,
-                is_hollow=is_hollow,
-            )
-            regions.append(series)
+            x, y = np.real(vertices), np.imag(vertices)
+            regions.append(Series("", "regions", x, y, drawn.color, is_hollow=is_hollow))
 
     return regions
 

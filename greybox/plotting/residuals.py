@@ -48,12 +48,6 @@ def residuals(fit: Fit, record: int = 0, *, axes: GivenAxes | None = None) -> Ax
     """
     if not isinstance(fit, Fit):
         raise TypeError(f"cannot draw {fit!r:.80}: give a Fit.")
-    if not fit.records:
-        raise ValueError(
-            f"the fit {fit.name!r} has no record: gb.plotting.bode shows the errors of its "
-            "responses."
-        )
-
     part = chosen(fit.records, record, "record")
     if not fit.converged:
         raise ValueError(f"the fit {fit.name!r} has no estimate: {fit.status}.")
@@ -74,11 +68,11 @@ def residuals(fit: Fit, record: int = 0, *, axes: GivenAxes | None = None) -> Ax
 def residual_figures(part: FittedRecord) -> list[Figure]:
     """Return the histogram of the residuals of every output and, in time, their correlations."""
     figures = []
+    record = f", {part.data.name}" if part.data.name else ""
     for output in part.outputs:
-        figures.append(_histogram(part, output))
+        figures.append(_histogram(part, output, record))
         tests = _tests(part, output)
         if tests:
-            record = f", {part.data.name}" if part.data.name else ""
             p_values = (f"with {name or 'themselves'} {p_text(t.p_value)}" for name, t in tests)
             figures.append(
                 Figure(
@@ -119,7 +113,7 @@ def _pieces(record: Record, values: Array) -> list[Array]:
     return [values[rows] for rows in record.independent_pieces]
 
 
-def _histogram(part: FittedRecord, output: str) -> Figure:
+def _histogram(part: FittedRecord, output: str, record: str) -> Figure:
     factor, unit = shown_unit(part.data.units.get(output, ""))
     e = factor * part.residual(output)
     e = e[np.isfinite(e)]
@@ -135,7 +129,6 @@ def _histogram(part: FittedRecord, output: str) -> Figure:
         normal = np.exp(-0.5 * ((x - e.mean()) / spread) ** 2) / (spread * math.sqrt(2 * math.pi))
         series.append(Series("normal distribution", "line", x, normal, INK))
 
-    record = f", {part.data.name}" if part.data.name else ""
     return Figure(
         f"Distribution of the residuals of {in_greek(output)}{record}",
         f"Residual of {in_greek(output)}{f', {unit}' if unit else ''}",

@@ -40,7 +40,10 @@ def chosen(items: Sequence[Item], number: int, kind: str) -> Item:
         If it does not exist.
     """
     if not -len(items) <= number < len(items):
-        raise ValueError(f"there is no {kind} {number}: the fit has {len(items)}, counted from 0.")
+        raise ValueError(
+            f"there is no {kind} {number}: the fit has {len(items)}, counted from 0; gb.plot draws "
+            "all that it has."
+        )
     return items[number]
 
 

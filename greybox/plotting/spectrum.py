@@ -53,8 +53,6 @@ def spectrum_figure(item: Fit | TransientSpectrum, part: int = 0) -> Figure:
         outputs = tuple(data.outputs)
     elif not isinstance(item, Fit):
         raise TypeError(f"cannot draw {item!r:.80}: give a Fit or a TransientSpectrum.")
-    elif not item.spectra:
-        raise ValueError(f"the fit {item.name!r} has no manoeuvre: draw it with gb.plot.")
     else:
         fitted = chosen(item.spectra, part, "manoeuvre")
         data, outputs = fitted.data, fitted.outputs

@@ -168,12 +168,6 @@ def _history(item: Fit | Prediction, record: int) -> History:
         )
     if not isinstance(item, Fit):
         raise TypeError(f"cannot draw {item!r:.80}: give a Fit or a Prediction.")
-    if not item.records:
-        raise ValueError(
-            f"the fit {item.name!r} has no record: draw its responses with gb.plot or "
-            "gb.plotting.bode."
-        )
-
     part = chosen(item.records, record, "record")
     inputs = tuple(name for name in part.data.signals if name not in part.outputs)
     label = f"fit of {part.label}"

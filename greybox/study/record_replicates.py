@@ -16,11 +16,11 @@ from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.runs import Outcome
 from greybox.statistics.error_spectrum import ErrorSpectrum
-from greybox.study.replicates import DrawnPart, Draws, Replicates
+from greybox.study.replicates import Draws, Replicates
 
 
 @dataclass(frozen=True, eq=False)
-class DrawnRecord(DrawnPart):
+class DrawnRecord:
     """The fitted outputs of one part, and the errors of its data.
 
     Attributes
@@ -75,7 +75,7 @@ def record_draws(
     ValueError
         If the residuals correct the states, or if the data are fitted exactly.
     """
-    records: list[DrawnPart] = []
+    records = []
     spectra = [colored and colored.spectrum for colored in accuracy.correlation]
     columns = zip(nlp.parts, trajectories, spectra, accuracy.numbers, strict=True)
     for part, trajectory, spectrum, dof in columns:

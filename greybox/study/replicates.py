@@ -4,7 +4,6 @@ Seed and number of a replicate determine its random numbers. A run is this numbe
 result does not depend on how many workers there are.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from typing import Any
@@ -16,14 +15,6 @@ from greybox.files.arrays import Array
 from greybox.solve.local_solver import Runner
 
 
-class DrawnPart(ABC):
-    """The fitted values of one part of a problem, and the errors of its data."""
-
-    @abstractmethod
-    def drawn(self, random: np.random.Generator) -> Any:
-        """Return the fitted values with drawn errors."""
-
-
 @dataclass(frozen=True, eq=False)
 class Draws:
     """How the data of replicates are drawn.
@@ -31,7 +22,7 @@ class Draws:
     Attributes
     ----------
     seed : int
-    parts : tuple of DrawnPart
+    parts : tuple of DrawnResponse or of DrawnRecord
     constants : (c,) array
         Constants of the problem.
     root : (c, r) array
@@ -41,7 +32,7 @@ class Draws:
     """
 
     seed: int
-    parts: tuple[DrawnPart, ...]
+    parts: tuple[Any, ...]
     constants: Array
     root: Array
     about: str

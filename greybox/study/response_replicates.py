@@ -20,7 +20,7 @@ from greybox.solve.ipopt import CONVERGED, WARM, Ipopt
 from greybox.solve.response_solver import AT_MINIMUM, ITERATIONS, TOLERANCE, fits_a_batch
 from greybox.solve.runs import IMPROVED, Outcome
 from greybox.study.open_data import program_input
-from greybox.study.replicates import DrawnPart, Draws, Replicates
+from greybox.study.replicates import Draws, Replicates
 
 # Share of the variance of a point that is its own, at least: where nearly all of it is common to
 # the points, residuals over the rest would be infinite.
@@ -28,7 +28,7 @@ LEAST_LEFT = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class DrawnResponse(DrawnPart):
+class DrawnResponse:
     """The fitted response of one part, and the errors of its data.
 
     Attributes

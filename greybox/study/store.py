@@ -56,17 +56,15 @@ OURS = (
     f"WHERE application_id = {APPLICATION} AND user_version = {LAYOUT}"
 )
 
-# Rows with wrong checksums, by what is said of them, and what is done about them. The first
-# checksum is the present one, the second, of the text alone, that before version 1.1. A member has
-# one from its first run on: of its fingerprint until there is an answer.
+# Rows with wrong checksums, by what is said of them, and what is done about them. A member has a
+# checksum from its first run on: of its fingerprint until there is an answer.
 DAMAGED_RUNS = (
-    "runs LEFT JOIN members ON id = member WHERE name IS NULL OR ifnull(runs.checksum, -1) NOT IN "
-    "(crc32(CAST(ifnull(run, '') || char(10) || name || char(10) || number AS BLOB)), "
-    "crc32(CAST(ifnull(run, '') AS BLOB)))"
+    "runs LEFT JOIN members ON id = member WHERE name IS NULL OR ifnull(runs.checksum, -1) != "
+    "crc32(CAST(ifnull(run, '') || char(10) || name || char(10) || number AS BLOB))"
 )
 DAMAGED_ANSWERS = (
-    "members WHERE checksum NOT IN (crc32(CAST(coalesce(answer, fingerprint, '') || char(10) || "
-    "name AS BLOB)), crc32(CAST(coalesce(answer, fingerprint, '') AS BLOB)))"
+    "members WHERE checksum != "
+    "crc32(CAST(coalesce(answer, fingerprint, '') || char(10) || name AS BLOB))"
 )
 DAMAGES = {
     "damaged run": (
@@ -449,9 +447,7 @@ def _decoded(folder: Path, text: str, checksum: int, *place: str | int) -> dict[
     """
     # The checksum finds damage by accident; what a stranger wrote is checked where it is used.
     try:
-        # Before version 1.1 the checksum did not cover the place.
-        is_whole = checksum in (_checksum(text, *place), _checksum(text))
-        values = json.loads(text) if is_whole else None
+        values = json.loads(text) if checksum == _checksum(text, *place) else None
     except (TypeError, AttributeError, RecursionError):
         values = None
     if not isinstance(values, dict):

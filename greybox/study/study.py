@@ -5,7 +5,7 @@ Begin with `read_study`.
 
 import csv
 import io
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -199,22 +199,17 @@ def _require_readable(member: StudyMember) -> None:
     # Do now what printing will do: a damaged answer must be refused when it is read.
     try:
         _overview([member])
-        _rows(member)
         if member.status == "done":
             list(_cells(member, shown))
-            _require_labels(member.answer)
+            # The database may come from a stranger, and a page joins these texts with others.
+            answer = member.answer
+            labels = (answer[name] for name in ("criterion", "rule", "checksum"))
+            "".join((*labels, answer["verdict"]["grade"], *answer["model"], *answer["data"]))
     except (LookupError, TypeError, ValueError, AttributeError):
         raise ValueError(
             f"the answer of {member.name!r} in {member.folder} is damaged: restore the folder, or "
             "begin another study."
         ) from None
-
-
-def _require_labels(answer: Mapping[str, Any]) -> None:
-    """Raise TypeError if a label for a report is not a text."""
-    # The database may come from a stranger, and a page joins these texts with others.
-    labels = (answer["criterion"], answer["rule"], answer["checksum"], answer["verdict"]["grade"])
-    "".join((*labels, *answer["model"], *answer["data"]))
 
 
 OVERVIEW = ("member", "status", "criterion", "delay", "starts", "converged", "agreeing", "minima")

@@ -33,7 +33,6 @@ def tables(tmp_path, monkeypatch):
     ("words", "fragments"),
     [
         (("identify", "sine.csv", *PAIR), ("less than an octave",)),
-        (("inspect", f"{300 * 'a'}.BIN"), ("the file name aaaa", "is too long: shorten it")),
         (("identify", "reversed.csv", *PAIR), ("u has 1 sample", "time does not increase")),
         (("identify", "still.csv", *PAIR), ("u has 1 sample", "time does not increase")),
         (("identify", "missing.csv", *PAIR), ("y has 0 samples", "3000 values are missing")),

@@ -23,7 +23,7 @@ def test_saved_fits_are_compared(capsys, tmp_path):
     assert "other was fitted to other data" in refused(
         capsys, "compare", paths["four"], paths["other"]
     )
-    assert "there is one fit" in refused(capsys, "compare", paths["four"])
+    assert "there is 1 fit to compare" in refused(capsys, "compare", paths["four"])
     assert "is given twice" in refused(capsys, "compare", paths["four"], paths["four"])
 
 

@@ -51,7 +51,5 @@ def test_what_cannot_be_drawn_is_said(fit):
         gb.plotting.spectrum("fit")
     with pytest.raises(ValueError, match="there is no manoeuvre 1"):
         gb.plotting.spectrum(fit, part=1)
-    with pytest.raises(
-        ValueError, match=r"^the fit 'plain' has no manoeuvre: draw it with gb\.plot\.$"
-    ):
+    with pytest.raises(ValueError, match=r"no manoeuvre 0: the fit has 0, .* gb\.plot draws"):
         gb.plotting.spectrum(replace(fit, name="plain", parts=()))

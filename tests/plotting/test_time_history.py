@@ -163,7 +163,7 @@ def test_plot_shows_the_records_of_a_fit_and_its_responses(fit):
 
 def test_wrong_use_is_said_in_a_sentence(fit):
     response = gb.fit(gb.Problem(Lag(), measured(Lag(), TWO_LAGS_OMEGA)), starts=3, progress=False)
-    with pytest.raises(ValueError, match=r"has no record: draw its responses with gb\.plot"):
+    with pytest.raises(ValueError, match=r"no record 0: the fit has 0, .* gb\.plot draws"):
         gb.plotting.time_history(response)
     with pytest.raises(
         ValueError, match=r"no frequency response to draw: gb.plotting.time_history draws"
