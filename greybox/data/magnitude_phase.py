@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.checked_array import checked_array, require, require_size
-from greybox.data.units import to_si
+from greybox.data.units import known_unit
 from greybox.files.arrays import Array, ComplexArray
 
 
@@ -19,12 +19,12 @@ def angular_frequency(frequency: ArrayLike, unit: str) -> Array:
         For another unit, or anything but an array of numbers.
     """
     values = checked_array("frequency", frequency)
-    si = _si(unit)
+    conversion = known_unit(str(unit))
     # In tables of responses Hz is a frequency in cycles; `to_si` keeps it as a unit of its own.
-    if si == "Hz":
-        return 2 * math.pi * to_si(unit).factor * values
-    if si == "rad/s":
-        return to_si(unit).apply(values)
+    if conversion and conversion.si == "Hz":
+        return 2 * math.pi * conversion.factor * values
+    if conversion and conversion.si == "rad/s":
+        return conversion.apply(values)
     raise ValueError(f"the unit of frequency is {unit!r:.40}: give 'rad/s' or 'Hz'.")
 
 
@@ -41,7 +41,8 @@ def complex_response(
     size = checked_array("magnitude", magnitude)
     angle = checked_array("phase", phase)
     require_size("phase", angle, "magnitude", size.size)
-    if _si(phase_unit) != "rad":
+    conversion = known_unit(str(phase_unit))
+    if conversion is None or conversion.si != "rad":
         raise ValueError(f"the unit of phase is {phase_unit!r:.40}: give 'deg' or 'rad'.")
 
     if str(magnitude_unit).lower() == "db":
@@ -56,12 +57,4 @@ def complex_response(
     cure = "if these are decibels, give magnitude_unit='dB'"
     require("magnitude", size, ~(size < 0), cure)
 
-    return np.asarray(size * np.exp(1j * to_si(phase_unit).apply(angle)), dtype=complex)
-
-
-def _si(unit: str) -> str:
-    """Return the SI unit of a unit; empty for an unknown one."""
-    try:
-        return to_si(unit).si
-    except (ValueError, AttributeError):
-        return ""
+    return np.asarray(size * np.exp(1j * conversion.apply(angle)), dtype=complex)

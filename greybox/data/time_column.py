@@ -11,7 +11,7 @@ import re
 
 import numpy as np
 
-from greybox.data.units import to_si
+from greybox.data.units import known_unit
 from greybox.files.arrays import Array
 from greybox.files.text_table import printable
 
@@ -49,11 +49,8 @@ def seconds(name: str, unit: str = "") -> float | None:
 
 def tick(unit: str) -> float | None:
     """Return a unit of time in s; None for any other unit."""
-    try:
-        conversion = to_si(unit.lower())
-    except ValueError:
-        return None
-    return conversion.factor if conversion.si == "s" else None
+    conversion = known_unit(unit.lower())
+    return conversion.factor if conversion and conversion.si == "s" else None
 
 
 def times_in_seconds(name: str, unit: str, values: Array) -> tuple[Array, tuple[str, ...]]:

@@ -211,6 +211,14 @@ def to_si(unit: str) -> Conversion:
     return Conversion(factor, 0.0, _written(powers))
 
 
+def known_unit(unit: str) -> Conversion | None:
+    """Return the conversion of numbers in `unit` to SI; None for an empty or unknown unit."""
+    try:
+        return to_si(unit) if unit.strip() else None
+    except ValueError:
+        return None
+
+
 def are_of_one_kind(a: Conversion, b: Conversion) -> bool:
     """Return whether two units measure the same kind of quantity; radians are pure numbers."""
     # Derived units may be written in several ways: N/kg and m/s² are one kind.
@@ -268,8 +276,10 @@ def _powers(text: str) -> dict[str, int]:
 
 def _written(powers: dict[str, int]) -> str:
     """Return a product of powers as people write it: kg·m², 1/s, kg/(m·s); 1 for a pure number."""
-    above = [_power(name, power) for name, power in powers.items() if power > 0 and name != "1"]
-    below = [_power(name, -power) for name, power in powers.items() if power < 0 and name != "1"]
+    above, below = (
+        [_power(n, sign * k) for n, k in powers.items() if sign * k > 0 and n != "1"]
+        for sign in (1, -1)
+    )
     numerator = "·".join(above) or "1"
     if not below:
         return numerator

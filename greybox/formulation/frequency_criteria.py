@@ -38,11 +38,14 @@ class Criterion(AnyCriterion):
         unknown.
     weighs_alike : bool
         Whether the weights of all points are those of errors of one relative size.
+    locator : Criterion or None
+        Criterion to minimize first, if this one has local minima.
     """
 
     condition: ClassVar[str] = "errors isotropic in the complex plane and of one relative size"
     uses: ClassVar[tuple[str, ...] | None] = None
     weighs_alike: ClassVar[bool] = False
+    locator: "ClassVar[Criterion | None]" = None
 
     def condition_on(self, data: Any) -> str:
         """Return the condition, with the common errors of the data if there are any."""
@@ -61,11 +64,6 @@ class Criterion(AnyCriterion):
                 f"{type(self).__name__} cannot divide by: leave that point out or use "
                 "MaximumLikelihood."
             )
-
-    @property
-    def locator(self) -> "Criterion | None":
-        """Criterion to minimize first, if this one has local minima; None otherwise."""
-        return None
 
     @abstractmethod
     def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
@@ -272,11 +270,8 @@ class RelativeLikelihood(Criterion):
     is_likelihood: ClassVar[bool] = True
     nuisances: ClassVar[int] = 1
     uses: ClassVar[tuple[str, ...] | None] = ()
-
-    @property
-    def locator(self) -> Criterion | None:
-        """The squared relative error, which has nearly the same minimum, without a logarithm."""
-        return SquaredRelativeError()
+    # It has nearly the same minimum, without a logarithm.
+    locator = SquaredRelativeError()
 
     def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
         """Return the negative log-likelihood at the best variance plus `smoothing`."""
@@ -320,11 +315,8 @@ class MagnitudePhase(Criterion):
         "the coherence, else of one relative size"
     )
     uses: ClassVar[tuple[str, ...] | None] = ("coherence", "variance")
-
-    @property
-    def locator(self) -> Criterion | None:
-        """The squared relative error has no phase wrapping."""
-        return SquaredRelativeError()
+    # It has no phase that wraps.
+    locator = SquaredRelativeError()
 
     def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
         """Return the weighted sum of squares."""

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import combinations
 from pathlib import Path
 from typing import Any, Self
 
@@ -118,13 +119,10 @@ class Problem(Addable):
             raise TypeError(f"data is {_wrong_data(self.data)}.")
         self._fill_in_defaults()
 
-        of_response = isinstance(self.data, FrequencyResponse)
-        kind = Criterion if of_response else TimeCriterion
-        noun = "record" if isinstance(self.data, Record) else "TransientSpectrum"
-        cure = (
-            "RelativeError(), for a frequency response"
-            if of_response
-            else f"OutputError(), for a {noun}"
+        kind, cure = (
+            (Criterion, "RelativeError(), for a frequency response")
+            if isinstance(self.data, FrequencyResponse)
+            else (TimeCriterion, "OutputError(), for a record or a TransientSpectrum")
         )
         _require(self.criterion, kind, "criterion", f"a criterion such as {cure}")
         if not is_finite_number(self.weight) or self.weight <= 0:
@@ -201,7 +199,7 @@ class Problem(Addable):
         for what, names in {**kinds, **mappings}.items():
             require_known(names, self._as_declared, "parameter", f"{what}: {self.model.label}")
 
-        for first, second in (("fixed", "free"), ("fixed", "tied"), ("free", "tied")):
+        for first, second in combinations(kinds, 2):
             for name in kinds[first]:
                 if name in kinds[second]:
                     raise ValueError(f"{name!r} is both {first} and {second}: keep one of them.")

@@ -40,15 +40,12 @@ def with_numbered_biases(parts: Sequence[Any]) -> tuple[Any, ...]:
 
 def _unnamed_biases(part: Any) -> list[str]:
     """Return the biases that a part neither renames nor holds at an earlier estimate."""
-    biases = [
-        name
-        for name in part.declared
-        if name.endswith("_bias") and name not in part.model.parameters
-    ]
     return [
         name
-        for name in biases
-        if name not in part.rename and not isinstance(part.fixed_values.get(name), HeldEstimate)
+        for name in part.declared
+        if name.endswith("_bias")
+        and name not in {*part.model.parameters, *part.rename}
+        and not isinstance(part.fixed_values.get(name), HeldEstimate)
     ]
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.data.units import Conversion, are_of_one_kind, to_si
+from greybox.data.units import are_of_one_kind, known_unit, to_si
 from greybox.modeling.model import Model, pick_signals, require_known
 
 
@@ -72,7 +72,7 @@ def _conversion(
     """
     declared = model.units.get(name, "").strip()
     unit = unit.strip()
-    modeled, measured = _known(declared), _known(unit)
+    modeled, measured = known_unit(declared), known_unit(unit)
     if modeled is None or measured is None:
         return None
 
@@ -114,13 +114,3 @@ def as_the_only_pair(model: Model, response: FrequencyResponse) -> FrequencyResp
     check_response_units(model, named)
 
     return replace(named, input="", output="", units={})
-
-
-def _known(unit: str) -> Conversion | None:
-    """Return the conversion of a unit to SI; None for an empty or unknown unit."""
-    if not unit:
-        return None
-    try:
-        return to_si(unit)
-    except ValueError:
-        return None

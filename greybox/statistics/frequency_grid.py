@@ -64,14 +64,9 @@ class FrequencyGrid:
     def spread_out(self, values: NDArray, part: slice = slice(None)) -> NDArray:
         """Interpolate values (..., b) of the bands at the frequencies of a part: (..., f)."""
         omega = 2 * np.pi * np.arange(len(self.weight))[part] / self.size
-        above = np.clip(np.searchsorted(self.omega, omega), 1, len(self.omega) - 1)
-        low, high = self.omega[above - 1], self.omega[above]
-        share = np.clip((omega - low) / (high - low), 0.0, 1.0)
-        # Indexing would put the frequencies first in memory, and later products run along them.
-        return (
-            np.take(values, above - 1, axis=-1) * (1 - share)
-            + np.take(values, above, axis=-1) * share
-        )
+        rows = values.reshape(-1, len(self.omega))
+        spread = [np.interp(omega, self.omega, row) for row in rows]
+        return np.reshape(spread, (*values.shape[:-1], -1))
 
     @cached_property
     def delays(self) -> ComplexArray:

@@ -102,14 +102,11 @@ def cross_correlation(
     Source: Haugh (1976), Checking the independence of two covariance-stationary time series, JASA
     71; Ljung (1999), System Identification, 2nd ed., section 16.6.
     """
-    stretches = _centered(later, earlier)
-    if stretches is None:
+    e, u = ([_present(s) for s in group] for group in (later, earlier))
+    if sum(int(np.isfinite(x * y).sum()) for x, y in zip(e, u, strict=True)) < 3:
         return _unknown(lags)
 
-    a, b = (
-        [_filtered(s, autoregression([np.nan_to_num(s) for s in group])) for s in group]
-        for group in stretches
-    )
+    a, b = (_whitened(group)[0] for group in (e, u))
     sums, pairs = _lagged(a, b, lags)
     sizes = [rms(np.concatenate(group)) for group in (a, b)]
     used = pairs[1:] > 0
@@ -128,33 +125,22 @@ def mean_test(stretches: Sequence[ArrayLike]) -> tuple[float, float]:
     differences of forecasts Diebold and Mariano (1995), Journal of Business and Economic Statistics
     13.
     """
-    series = [np.asarray(s, dtype=float) for s in stretches]
-    values = np.concatenate(series) if series else np.zeros(0)
-    n = int(np.isfinite(values).sum())
+    series = [_present(s) for s in stretches]
+    n = sum(int(np.isfinite(s).sum()) for s in series)
     if n < 3:
         return math.nan, math.nan
 
-    mean = float(np.nanmean(values))
-    centered = [np.nan_to_num(s - mean) for s in series]
+    white, a = _whitened(series)
     # The spectrum at zero gives the variance of the mean: samples like their neighbors count less.
-    a = autoregression(centered)
-    white = np.concatenate(
-        [_filtered(np.where(np.isfinite(s), s - mean, np.nan), a) for s in series]
-    )
-    variance = float(np.nanmean(white**2)) / float(a.sum()) ** 2
-
-    return mean, math.sqrt(variance / n)
+    variance = rms(np.concatenate(white)) ** 2 / float(a.sum()) ** 2
+    return float(np.nanmean(np.concatenate(series))), math.sqrt(variance / n)
 
 
-def _centered(
-    a: Sequence[ArrayLike], b: Sequence[ArrayLike]
-) -> tuple[list[Array], list[Array]] | None:
-    """Return two signals less their means; None with fewer than three pairs."""
-    e, u = ([_present(s) for s in group] for group in (a, b))
-    if sum(int(np.isfinite(x * y).sum()) for x, y in zip(e, u, strict=True)) < 3:
-        return None
-    e, u = ([s - float(np.nanmean(np.concatenate(group))) for s in group] for group in (e, u))
-    return e, u
+def _whitened(series: list[Array]) -> tuple[list[Array], Array]:
+    """Return series less their common mean, filtered by their autoregression, and the latter."""
+    mean = float(np.nanmean(np.concatenate(series)))
+    a = autoregression([np.nan_to_num(s - mean) for s in series])
+    return [_filtered(s - mean, a) for s in series], a
 
 
 def _filtered(values: Array, a: Array) -> Array:

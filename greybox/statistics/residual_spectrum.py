@@ -568,9 +568,7 @@ def _positive(matrices: ComplexArray) -> ComplexArray:
 
 def product_over_time(weighted: Array, noise: Array) -> Array:
     """Return Σ Jᵀ R J (p, p) over samples of weighted sensitivities J (k, p, n), for R (k, k)."""
-    p = weighted.shape[1]
-    rows = zip(weighted, noise, strict=True)
-    return sum((J @ np.tensordot(row, weighted, 1).T for J, row in rows), np.zeros((p, p)))
+    return np.einsum("ipn,ij,jqn->pq", weighted, noise, weighted, optimize=True)
 
 
 def unmasked(density: ComplexArray, shares: Array, grid: FrequencyGrid) -> ComplexArray:

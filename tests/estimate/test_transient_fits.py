@@ -222,7 +222,8 @@ def test_refusals(clean, spectrum):
     with pytest.raises(ValueError, match="needs the input 'da'"):
         gb.Problem(Lateral(), spectrum)
     with pytest.raises(
-        TypeError, match=r"give a criterion such as OutputError\(\), for a TransientSpectrum"
+        TypeError,
+        match=r"give a criterion such as OutputError\(\), for a record or a TransientSpectrum",
     ):
         gb.Problem(ShortPeriod(), spectrum, gb.RelativeError())
     with pytest.raises(ValueError, match="PredictionError is for records"):
