@@ -16,6 +16,7 @@ import numpy as np
 
 from greybox.compiled.vectorized import CHUNK, Columns
 from greybox.files.arrays import Array
+from greybox.modeling.formula_structure import walk
 from greybox.modeling.one_thread import one_thread_at_a_time
 
 # Columns from which registers of numpy pay within a few calls: their layout takes 1.5 µs for every
@@ -112,8 +113,10 @@ def grouped(inputs: Sequence[ca.SX], cost: ca.SX) -> tuple[list[_Group], ca.SX]:
         values = [ca.SX(value) for value in table[:, 0]]
         for k, place in enumerate(np.flatnonzero(differs)):
             values[place] = symbols[k]
-        term = values[0] * _with_constants(members[0][2], inputs, values[1:])
-        groups.append(_Group(term, symbols, table[differs]))
+        # CasADi cannot substitute constants: the instructions are repeated with symbols instead.
+        remaining = iter(values[1:])
+        [term] = walk(members[0][2], inputs, lambda _, remaining=remaining: next(remaining))
+        groups.append(_Group(values[0] * term, symbols, table[differs]))
 
     return groups, remainder
 
@@ -141,28 +144,3 @@ def summands(cost: ca.SX) -> list[tuple[float, ca.SX]]:
             terms.append((factor, term))
 
     return terms
-
-
-def _with_constants(
-    function: ca.Function, inputs: Sequence[ca.SX], constants: Sequence[ca.SX]
-) -> ca.SX:
-    """Return the output of an SX function with other constants, in instruction order."""
-    # CasADi cannot substitute constants: the instructions are repeated with symbols instead.
-    registers: dict[int, ca.SX] = {}
-    remaining = iter(constants)
-    result = ca.SX(0)
-    for k in range(function.n_instructions()):
-        operation = function.instruction_id(k)
-        sources, [target, *_] = function.instruction_input(k), function.instruction_output(k)
-        if operation == ca.OP_INPUT:
-            registers[target] = inputs[sources[0]][sources[1]]
-        elif operation == ca.OP_CONST:
-            registers[target] = next(remaining)
-        elif operation == ca.OP_OUTPUT:
-            result = registers[sources[0]]
-        elif len(sources) == 1:
-            registers[target] = ca.SX.unary(operation, registers[sources[0]])
-        else:
-            registers[target] = ca.SX.binary(operation, *(registers[source] for source in sources))
-
-    return result

@@ -67,7 +67,7 @@ class RecordGroup(SegmentedPart):
         """Return the placement of all distinct records as a function of z, and their indices."""
         distinct = {part.model.expressions: part.model for part in self.parts}
         numbers = {key: k for k, key in enumerate(distinct)}
-        z = ca.SX.sym("z", self.model.locate.numel_in(0))
+        [z] = self.model.locate.sx_in()
         results: list[list[Any]] = []
         for model in distinct.values():
             q, slope, delay = model.locate(z)

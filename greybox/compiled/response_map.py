@@ -40,7 +40,7 @@ class Mapped(NamedTuple):
 
     def function(self) -> ca.Function:
         """Return parameters -> real and imaginary part (n,)."""
-        p = ca.MX.sym("p", self.formula.numel_in(0))
+        p, _ = self.formula.mx_in()
         rows: Any = _over(self.formula, self.omega)(p, self.omega[None])
         return ca.Function("response", [p], [ca.densify(row.T) for row in rows])
 

@@ -18,6 +18,7 @@ from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
+from greybox.modeling.symbolic_reading import input_symbols
 from greybox.statistics.neighbor_correlation import (
     NeighborCorrelation,
     averaged_meat,
@@ -90,7 +91,7 @@ class ResponsePart(Part):
     @cached_property
     @one_thread_at_a_time
     def _slope(self) -> ca.Function:
-        x = _symbol(self.model_response)
+        [x] = input_symbols(self.model_response)
         return ca.Function("slope", [x], [ca.jacobian(self.model_response(x), x)])
 
     def noise_ratio(self, trajectory: Trajectory) -> float:
@@ -104,7 +105,7 @@ class ResponsePart(Part):
     @one_thread_at_a_time
     def _derivatives(self) -> ca.Function:
         """(z, smoothing) -> gradient and Hessian of the cost."""
-        z, smoothing = _symbol(self.objective), _symbol(self.objective, 1)
+        z, smoothing = input_symbols(self.objective)
         hessian, gradient = ca.hessian(self.objective(z, smoothing), z)
         return ca.Function("derivatives", [z, smoothing], [gradient, hessian])
 
@@ -258,8 +259,3 @@ def _complex(stacked: Array) -> ComplexArray:
     """Return real rows (2n, k), real parts first, as complex rows (n, k)."""
     n = len(stacked) // 2
     return complex_array(stacked[:n], stacked[n:])
-
-
-def _symbol(function: ca.Function, k: int = 0) -> Any:
-    kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
-    return kind.sym("v", function.numel_in(k))

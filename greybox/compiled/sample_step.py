@@ -19,6 +19,7 @@ from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator, step_function
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
+from greybox.modeling.symbolic_reading import input_symbols
 
 # Samples of one call: of its overhead of 12 µs a sample bears a tenth of a microsecond.
 RUN = 100
@@ -49,8 +50,7 @@ class SampleStep:
 
     def symbols(self) -> list[Any]:
         """Return x, q and d as symbols of the kind that the function takes."""
-        kind: Any = ca.SX if self.function.is_a("SXFunction") else ca.MX
-        return [kind.sym(name, self.function.numel_in(k)) for k, name in enumerate("xqd")]
+        return input_symbols(self.function)
 
     @cached_property
     def evaluated(self) -> dict[Any, Columns]:
@@ -69,7 +69,7 @@ class SampleStep:
             if one.is_a("SXFunction"):  # without the outputs, and what they alone need
                 symbols = self.symbols()
                 one = ca.Function("one", symbols, list(self.function(*symbols)[:2]), {"cse": True})
-            x, q = (ca.MX.sym(name, self.function.numel_in(k)) for k, name in enumerate("xq"))
+            x, q, _ = self.function.mx_in()
             D = ca.MX.sym("D", self.width, samples)
             states, residuals, *_ = one.mapaccum("fold", samples)(x, q, D)
             self._folds[samples] = ca.Function("folded", [x, q, D], [states, residuals])
@@ -124,8 +124,7 @@ def sample_step(
     """
     measurement = _measurement(system, held, criterion, outputs, names)
     step = step_function(system, integrator, substeps)
-    kind: Any = ca.SX if step.is_a("SXFunction") else ca.MX
-    x, q, d = (kind.sym(name, measurement.numel_in(k)) for k, name in enumerate("xqd"))
+    x, q, d = measurement.mx_in() if integrator.implicit else measurement.sx_in()
     corrected, mean, change, residual, simulated = measurement(x, q, d)
     end = step(corrected, mean, change, q[: len(system.parameters)], d[d.numel() - 1])
     # Outputs and derivatives of many models have terms in common.

@@ -5,8 +5,7 @@ follow. So each is replaced by its mean over one sampling interval, in which the
 evenly: a ramp as wide as that motion.
 """
 
-from collections.abc import Callable
-from typing import Any
+from collections.abc import Callable, Sequence
 
 import casadi as ca
 
@@ -14,37 +13,34 @@ SWITCHES = {ca.OP_SIGN, ca.OP_LT, ca.OP_LE, ca.OP_FMIN, ca.OP_FMAX}
 JUMPS = {ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN}
 
 
+def applied(operation: int, terms: Sequence[ca.SX]) -> ca.SX:
+    """Return the result of one of CasADi's operations on one or two terms."""
+    return ca.SX.unary(operation, *terms) if len(terms) == 1 else ca.SX.binary(operation, *terms)
+
+
 def walk(
-    formula: ca.SX,
-    z: ca.SX,
-    symbols: list[Any],
-    constant: Callable[[ca.SX], Any],
-    operate: Callable[[int, list[Any]], Any],
-) -> list[Any]:
-    """Evaluate `formula` (k, 1) operation by operation.
+    program: ca.Function,
+    inputs: Sequence[ca.SX],
+    constant: Callable[[float], ca.SX] = ca.SX,
+    operate: Callable[[int, list[ca.SX]], ca.SX] = applied,
+) -> list[ca.SX]:
+    """Evaluate an SX function with a dense result (k, 1) operation by operation.
 
-    `symbols` replace the entries of z; `constant` is applied to numbers and to all other symbols.
+    `constant` is applied to its numbers, in their order.
     """
-    # A CasADi function has no free symbols: the others are its second input.
-    constants = [s for s in ca.symvar(formula) if not ca.depends_on(s, z)]
-    program = ca.Function("formula", [z, ca.vertcat(*constants)], [ca.densify(formula)])
-    registers: dict[int, Any] = {}
-    results: list[Any] = [None] * formula.numel()
-
+    registers: dict[int, ca.SX] = {}
+    results = [ca.SX(0)] * program.numel_out(0)
     for k in range(program.n_instructions()):
         operation = program.instruction_id(k)
-        inputs = program.instruction_input(k)
-        outputs = program.instruction_output(k)
+        sources, targets = program.instruction_input(k), program.instruction_output(k)
         if operation == ca.OP_CONST:
-            registers[outputs[0]] = constant(ca.SX(program.instruction_constant(k)))
+            registers[targets[0]] = constant(program.instruction_constant(k))
         elif operation == ca.OP_INPUT:
-            registers[outputs[0]] = (
-                symbols[inputs[1]] if inputs[0] == 0 else constant(constants[inputs[1]])
-            )
+            registers[targets[0]] = inputs[sources[0]][sources[1]]
         elif operation == ca.OP_OUTPUT:
-            results[outputs[1]] = registers[inputs[0]]
+            results[targets[1]] = registers[sources[0]]
         else:
-            registers[outputs[0]] = operate(operation, [registers[i] for i in inputs])
+            registers[targets[0]] = operate(operation, [registers[i] for i in sources])
 
     return results
 
@@ -106,8 +102,9 @@ def interval_means(formula: ca.SX, z: ca.SX, slopes: ca.SX, sizes: ca.SX, interv
             if operation in means:
                 return means[operation](*terms)
 
-        if len(terms) == 1:
-            return ca.SX.unary(operation, *terms)
-        return ca.SX.binary(operation, *terms)
+        return applied(operation, terms)
 
-    return ca.vertcat(*walk(formula, z, ca.vertsplit(z), lambda constant: constant, operate))
+    # A CasADi function has no free symbols: the others are its second input.
+    inputs = [z, ca.vertcat(*[s for s in ca.symvar(formula) if not ca.depends_on(s, z)])]
+    program = ca.Function("formula", inputs, [ca.densify(formula)])
+    return ca.vertcat(*walk(program, inputs, operate=operate))

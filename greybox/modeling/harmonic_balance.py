@@ -339,11 +339,8 @@ def _rms(series: Any) -> Any:
 
 def phase_derivative(harmonics: int) -> ca.DM:
     """Return the matrix, applied from the right, that differentiates a series by the phase."""
-    matrix = ca.DM(2 * harmonics + 1, 2 * harmonics + 1)
-    for k in range(1, harmonics + 1):
-        matrix[2 * k, 2 * k - 1] = k
-        matrix[2 * k - 1, 2 * k] = -k
-    return matrix
+    turn = ca.DM([[0, -1], [1, 0]])
+    return ca.sparsify(ca.diagcat(0, *[k * turn for k in range(1, harmonics + 1)]))
 
 
 def _first(row: Any) -> Complex:

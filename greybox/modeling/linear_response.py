@@ -132,7 +132,7 @@ def response_formula(
         result = result * exp(-s * p[list(model.parameters).index(model.delays[input])])
 
     at_point = ca.Function("response", [p, x, u, *frequency], _columns(result, s, model.label))
-    w = ca.SX.sym("w", trim.function.numel_in(1))
+    _, w = trim.function.sx_in()
     parts: Any = at_point(p, *trim.function(p, w), *frequency)
     return Trimmed(trim.root, ca.Function("response", [p, w, *frequency], parts))
 

@@ -35,6 +35,11 @@ def symbols(model: Model) -> tuple[ca.SX, ca.SX]:
     return z, ca.SX.sym("p", len(model.parameters))
 
 
+def input_symbols(function: ca.Function) -> list[Any]:
+    """Return symbols of the inputs, of the kind that the function is made of."""
+    return function.sx_in() if function.is_a("SXFunction") else function.mx_in()
+
+
 def split(model: StateSpace, z: Any) -> tuple[Names, Names]:
     """Name the states and the inputs in the stacked vector `z`."""
     n = len(model.states)

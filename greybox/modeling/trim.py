@@ -45,11 +45,9 @@ class Trimmed:
 
     def closed(self) -> ca.Function:
         """Return the function of (p, ...), with the operating point inside."""
-        kind: Any = ca.SX if self.root is None else ca.MX
-        p, _, *arguments = (
-            kind.sym("v", self.function.numel_in(k)) for k in range(self.function.n_in())
-        )
-        w = kind(0, 1) if self.root is None else self.root(p)
+        is_explicit = self.root is None
+        p, w, *arguments = self.function.sx_in() if is_explicit else self.function.mx_in()
+        w = w if self.root is None else self.root(p)
         return ca.Function(self.function.name(), [p, *arguments], self.function(p, w, *arguments))
 
 

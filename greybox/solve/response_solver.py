@@ -20,6 +20,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import cached_property
+from greybox.modeling.symbolic_reading import input_symbols
 from greybox.solve.batched_newton import BatchedNewton, Ends
 from greybox.solve.interruption import Response, one_run, reason_to_end, responding, stop_requested
 from greybox.solve.ipopt import CONVERGED, ROUNDED, WARM, WITHOUT_BARRIER, Ipopt
@@ -314,8 +315,7 @@ class ResponseSolver(LocalSolver):
 
 def _statement(program: ca.Function) -> dict[str, Any]:
     """Return ``x, p, f, g`` as `casadi.nlpsol` takes them, for a function (x, p) -> f, g."""
-    kind: Any = ca.SX if program.is_a("SXFunction") else ca.MX
-    x, p = (kind.sym(name, program.numel_in(k)) for k, name in enumerate("xp"))
+    x, p = input_symbols(program)
     f, g = program(x, p)
     return {"x": x, "p": p, "f": f, "g": g}
 

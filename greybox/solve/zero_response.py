@@ -43,7 +43,7 @@ def walled(problem: CompiledProblem) -> ca.Function | None:
     if program is None or problem.programs[0].roots is not None:
         return None
 
-    z, smoothing = ca.SX.sym("z", program.numel_in(0)), ca.SX.sym("smoothing")
+    z, smoothing = program.sx_in()
     cost, limits = program(z, smoothing)
     share = WALL * ca.sqrt(ca.fmax(smoothing - SMOOTHING, 0))
     for part, height in zip(problem.parts, costs_of_zero(problem), strict=True):

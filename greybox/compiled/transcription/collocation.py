@@ -73,7 +73,7 @@ class Collocation(Transcription):
     def _sample(self, step: SampleStep) -> tuple[ca.Function, ca.Function]:
         """Return (x, stages, q, d) -> equations and end of the step, and (x, q, d) -> residuals."""
         n, scheme = step.function.size1_in(0), self.scheme
-        x, q, d = (ca.SX.sym(name, step.measurement.numel_in(k)) for k, name in enumerate("xqd"))
+        x, q, d = step.measurement.sx_in()
         stages = ca.SX.sym("stages", n, scheme.stages)
         corrected, mean, change, residual, _ = step.measurement(x, q, d)
         p, h = q[: len(step.system.parameters)], d[d.numel() - 1]

@@ -16,6 +16,7 @@ from greybox.compiled.record_group import excerpts
 from greybox.compiled.strategies import Strategies
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.symbolic_reading import input_symbols
 from greybox.solve.constraints import Limits
 from greybox.solve.gauss_newton.all_parts import COST_ROUNDING, AllParts
 from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Nodes, Progress, relaxed
@@ -286,8 +287,7 @@ class GaussNewton(LocalSolver):
 @one_thread_at_a_time
 def _limits(nlp: CompiledProblem) -> Limits:
     """Return the bounds and constraints in the solver's variables."""
-    kind: Any = ca.SX if nlp.program.is_a("SXFunction") else ca.MX
-    z = kind.sym("z", len(nlp.free))
+    z, _ = input_symbols(nlp.program)
     _, g = nlp.program(z, 0.0)
     constraints = ca.Function("constraints", [z], [g, ca.densify(ca.jacobian(g, z))])
     return Limits(nlp.scaling.to_solver(nlp.lower), nlp.scaling.to_solver(nlp.upper), constraints)
