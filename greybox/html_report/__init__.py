@@ -8,6 +8,7 @@
 | `fit_section` | everything about one fit |
 | `comparison_section` | several results side by side |
 | `study_section` | a study in a few figures |
+| `formula` | the formulas in the description of a model |
 | `figure` | the figures of `greybox.plotting` as elements of the page |
 | `tables` | tables of estimates |
 | `provenance` | where data and result come from |

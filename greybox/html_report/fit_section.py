@@ -12,6 +12,7 @@ from greybox.estimate.verdict import verdict
 from greybox.html_report.elements import tag
 from greybox.html_report.entry import Entry
 from greybox.html_report.figure import COLUMNS, figure_grid
+from greybox.html_report.formula import description
 from greybox.html_report.provenance import data_summary, provenance
 from greybox.html_report.tables import Cell, number_cell, parameter_table, table
 from greybox.modeling.transfer_function import TransferFunction
@@ -105,8 +106,7 @@ def _equations(fit: Fit) -> Iterator[Element]:
     for k in sorted(first.values()):
         part = fit.parts[k]
         yield tag("h4", part.label)
-        if part.equation:
-            yield tag("pre", part.equation)
+        yield from description(part.equation)
         try:
             model: Any = fit.model_of(k)
             is_ratio = isinstance(model, TransferFunction)

@@ -26,7 +26,10 @@ HERE = Path(__file__).parent
 
 # The page contains names from files of strangers. Should one slip through as markup, the browser
 # still runs only the script and the style with these hashes, and loads nothing.
-POLICY = "default-src 'none'; script-src '{}'; style-src '{}'; base-uri 'none'; form-action 'none'"
+POLICY = (
+    "default-src 'none'; img-src data:; script-src '{}'; style-src '{}'; base-uri 'none'; "
+    "form-action 'none'"
+)
 PAGE = """\
 <!DOCTYPE html>
 <html lang="en">
