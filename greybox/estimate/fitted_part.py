@@ -63,6 +63,7 @@ class FittedPart:
     model: Mapping[str, Any]
     label: str
     equation: str
+    nuisances: int = 0
 
     def __repr__(self) -> str:
         return one_line(self, repr(self.name), self.label, self.criterion)
@@ -106,7 +107,6 @@ class FittedResponse(FittedPart):
     at: Mapping[str, float]
     pade_error: float | None
     sine: Sine | None = None
-    nuisances: int = 0
 
     @property
     def signals(self) -> dict[str, Any]:
@@ -164,7 +164,6 @@ class FittedRecord(FittedPart):
     driven: tuple[str, ...] = ()
     gain: Array | None = None
     gain_slope: Array | None = None
-    nuisances: int = 0
     is_static: bool = False
 
     @property
@@ -233,7 +232,6 @@ class FittedSpectrum(FittedPart):
     noise: Array
     ends: Mapping[str, float]
     at: Mapping[str, float]
-    nuisances: int = 0
 
     def residual(self, output: str) -> ComplexArray:
         """Return the measured less the fitted transform of an output, (n,)."""

@@ -21,8 +21,8 @@ from greybox.solve.response_solver import TOLERANCE, ResponseSolver
 from greybox.solve.runs import Outcome
 
 
-class NoMinimumError(ValueError):
-    """The solver does not find the minimum of a fit again."""
+class NoProfileError(ValueError):
+    """No likelihood, or the solver does not find the minimum of a fit again."""
 
 
 Held = list[int] | ca.Function
@@ -146,14 +146,14 @@ def best_of_records(
 
     Raises
     ------
-    NoMinimumError
+    NoProfileError
     """
     # A fit does not store the states at the nodes: they are solved again, then everything together.
     solver = GaussNewton(nlp)
     states = solver.profile(x)
     outcome = solver.solved_from(x, [trajectory.nodes for trajectory in states.trajectories])
     if not outcome.converged or outcome.nodes is None:
-        raise NoMinimumError(
+        raise NoProfileError(
             f"the minimum of {nlp.problem.name!r} is not found again from the estimate: "
             f"{outcome.status}."
         )

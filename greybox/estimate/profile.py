@@ -23,7 +23,7 @@ from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.held_quantity import (
     Held,
     HeldMinima,
-    NoMinimumError,
+    NoProfileError,
     best_of_records,
     slope_of,
 )
@@ -135,7 +135,7 @@ def profiled_where_misleading(nlp: CompiledProblem, fit: Fit) -> Profiles | None
         if q.kind == "free" and not q.at_bound and _misleads(q, *intervals[q.name])
     ]
 
-    if not lines or _ratio_refusal(nlp, np.array([fit.estimate[name] for name in nlp.free])):
+    if not lines:
         return None
     # Beyond these sizes the profiles of a table take more than a second.
     rows = sum(part.samples for part in nlp.parts)
@@ -144,7 +144,7 @@ def profiled_where_misleading(nlp: CompiledProblem, fit: Fit) -> Profiles | None
 
     try:
         return _profiles(nlp, fit, lines, 0.95, fresh=0)
-    except NoMinimumError:
+    except NoProfileError:
         return None
 
 
@@ -372,7 +372,8 @@ def _estimate(nlp: CompiledProblem, fit: Fit) -> _Estimate:
 
     accuracy = assess(nlp, x, trajectories)
     if refusal or accuracy.white is None:
-        raise ValueError(f"no profile of {fit.name!r}: {refusal or 'its errors are not known'}.")
+        refusal = refusal or "its errors are not known"
+        raise NoProfileError(f"no profile of {fit.name!r}: {refusal}.")
     return _Estimate(x, accuracy, cost, point, solver, _numbers(nlp))
 
 

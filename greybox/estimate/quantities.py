@@ -40,19 +40,15 @@ def quantities(
     values, gradients = _evaluated(nlp, follow, estimate)
     # Free parameters come first: `Fit.free` and all matrices of a fit rely on this order.
     lines = [_parameter(nlp, accuracy, name, estimate[name]) for name in nlp.names]
-    lines += [
-        _formula(formula, float(value), accuracy)
-        for formula, value in zip(follow, values, strict=True)
-    ]
+    lines += map(partial(_formula, accuracy), follow, values.tolist())
 
     # A parameter is its own derivative, so one propagation of errors serves all lines.
     slopes = np.vstack([np.eye(len(nlp.names)), gradients])
     errors = propagate(accuracy, slopes)
+    columns = np.column_stack([errors, degrees(accuracy, slopes), slopes @ accuracy.bias])
     lines = [
-        replace(line, standard_error=float(error), dof=float(dof), bias=float(bias))
-        for line, error, dof, bias in zip(
-            lines, errors, degrees(accuracy, slopes), slopes @ accuracy.bias, strict=True
-        )
+        replace(line, standard_error=error, dof=dof, bias=bias)
+        for line, (error, dof, bias) in zip(lines, columns.tolist(), strict=True)
     ]
 
     of_parameters = slopes[[line.kind != "derived" for line in lines]]
@@ -79,7 +75,7 @@ def _parameter(nlp: CompiledProblem, accuracy: Accuracy, name: str, value: float
     return Quantity(
         name,
         value,
-        standard_error=math.nan,
+        math.nan,
         kind="fixed" if declared.fixed else "free",
         unit=declared.unit,
         about=declared.about,
@@ -89,17 +85,16 @@ def _parameter(nlp: CompiledProblem, accuracy: Accuracy, name: str, value: float
     )
 
 
-def _formula(formula: Formula, value: float, accuracy: Accuracy) -> Quantity:
+def _formula(accuracy: Accuracy, formula: Formula, value: float) -> Quantity:
     """Return a tied or derived quantity, its error still unknown."""
-    bounded = [limit for limit in accuracy.active if limit.endswith(f"of the tied {formula.name}")]
     return Quantity(
         formula.name,
         value,
-        standard_error=math.nan,
+        math.nan,
         kind=formula.kind,
         unit=formula.unit,
         about=formula.about,
-        at_bound=formula.kind == "tied" and bool(bounded),
+        at_bound=any(limit.endswith(f"of the tied {formula.name}") for limit in accuracy.active),
     )
 
 

@@ -147,6 +147,8 @@ class _Analysis:
         self.h = dict(zip(model.outputs, h, strict=True))
         self.delays = ca.SX(model.delay(p))
         self.states: dict[str, KnownState] = {}
+        # The signal behind each state that is a signal or a derivative.
+        self.measured: dict[str, str] = {}
         # The derivatives of the simulated states.
         self.simulated: dict[str, ca.SX] = {}
         self.left_out: list[str] = []
@@ -196,6 +198,7 @@ class _Analysis:
         for name in self.model.states:
             if name in self.signals:
                 self.states[name] = KnownState(name, "signal", name, None)
+                self.measured[name] = name
         # Each state may make another one known: x from a position, then v from x.
         while self._one_more_state():
             pass
@@ -216,6 +219,7 @@ class _Analysis:
                 offset = ca.substitute(row, x, 0)
                 value = ca.Function("value", [self.x, signal], [(signal - offset) / slope])
                 self.states[name] = KnownState(name, how, source, value)
+                self.measured[name] = source if how == "signal" else self.measured[source]
                 return True
         return False
 
@@ -305,14 +309,8 @@ class _Analysis:
 
     def _sources(self, row: ca.SX, target: str) -> tuple[str, ...]:
         """Return the measured states behind a row and its target."""
-        sources = set()
-        for name in [*self._behind(row), *([target] if target else [])]:
-            state = self.states.get(name)
-            while state is not None and state.how == "derivative":
-                state = self.states[state.source]
-            if state is not None and state.how == "signal":
-                sources.add(state.source)
-        return tuple(sorted(sources))
+        names = self._behind(row) | {target}
+        return tuple(sorted({self.measured[n] for n in names & self.measured.keys()}))
 
     def _linear(self, rows: list[ca.SX]) -> tuple[str, ...]:
         """Return the parameters in which all rows are jointly affine."""

@@ -78,9 +78,8 @@ class Comparison:
     def table(self) -> list[dict[str, Any]]:
         """The rows as plain values: data, output, measure, unit, and the value by label."""
         return [
-            {"data": r.data, "output": r.output, "measure": r.measure, "unit": r.unit}
-            | {"values": dict(zip(self.labels, r.values, strict=True))}
-            for r in self.rows
+            vars(row) | {"values": dict(zip(self.labels, row.values, strict=True))}
+            for row in self.rows
         ]
 
     def value(self, measure: str, label: str, data: str = "fit", output: str = "") -> float | None:

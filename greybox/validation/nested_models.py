@@ -230,12 +230,8 @@ def _labels(small: Fit, large: Fit) -> tuple[str, str]:
     if model != large.parts[0].label or not held:
         first, second = labels_of((small, large))
         return first, second
-    kinds = {name: small.by_name[name].kind for name in held}
-    texts = [
-        f"{', '.join(name for name in held if kinds[name] == kind)} {kind}"
-        for kind in dict.fromkeys(kinds.values())
-    ]
-    return f"{model} with {' and '.join(texts)}", model
+    texts = listed([f"{name} {small.by_name[name].kind}" for name in held])
+    return f"{model} with {texts}", model
 
 
 def _likelihood_ratio(small: Fit, large: Fit, labels: tuple[str, str]) -> float:

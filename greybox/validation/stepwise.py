@@ -269,7 +269,6 @@ def with_terms(problem: AnyProblem, terms: Terms, absent: Mapping[str, float]) -
 def _part(part: Problem, terms: Terms, absent: Mapping[str, float]) -> Problem:
     values = {n: absent[part.outside(n)] for n in part.declared if part.outside(n) in absent}
     chosen = {name for name in values if part.outside(name) in terms}
-    left_out = {name: value for name, value in values.items() if name not in chosen}
-    fixed = {n: v for n, v in part.fixed_values.items() if n not in chosen} | left_out
+    fixed = {n: v for n, v in {**part.fixed_values, **values}.items() if n not in chosen}
     free = [name for name in part.free if name not in values]
     return part.with_(fixed=fixed, free=[*free, *sorted(chosen)])
