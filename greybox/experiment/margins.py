@@ -26,11 +26,11 @@ from greybox.experiment.loop_numbers import (
     margin_numbers,
     refined,
 )
-from greybox.experiment.sampled_loop import DOT, SampledLoop, require_signal
+from greybox.experiment.sampled_loop import DOT, SampledLoop
 from greybox.files.arrays import Array, ComplexArray
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import listed, number, one_line, text_table
-from greybox.modeling.model import Model
+from greybox.modeling.model import Model, require_known
 
 UNITS = {
     "phase margin": "deg",
@@ -315,8 +315,8 @@ def margins(
     controllers = [controller] if isinstance(controller, Controller) else controller
     signal = broken_at or loop.inputs[0]
     setpoint, response = tracking or _tracking(controllers)
-    for name in (signal, *([setpoint, response] if setpoint else [])):
-        require_signal(name, loop.signals)
+    chosen = (signal, setpoint, response) if setpoint else (signal,)
+    require_known(chosen, loop.signals, "signal", "the loop")
 
     answer = Margins(
         fit.name if fit else model.label,

@@ -19,7 +19,7 @@ from greybox.estimate.result import Fit
 from greybox.experiment.controller import Controller
 from greybox.experiment.drawn_loops import drawn_loops
 from greybox.experiment.loop_numbers import loop_frequencies, margin_numbers
-from greybox.experiment.sampled_loop import SampledLoop, linear_controller, require_signal
+from greybox.experiment.sampled_loop import SampledLoop, linear_controller
 from greybox.files.arrays import Array, BoolArray
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import number, one_line, text_table
@@ -248,7 +248,7 @@ def _judged(
     """Return confidence and bandwidth (sets,) of a flight, and what cures poor measurements."""
     loops = loops.of(slice(1 + DRAWS))
     signal = broken_at or loops.inputs[0]
-    require_signal(signal, loops.signals)
+    require_known([signal], loops.signals, "signal", "the loop")
     omega = loop_frequencies(loops, FREQUENCIES)
     late = np.exp(-1j * omega * wanted["delay"])[:, None, None]
     plants = loops.plant_response(omega)
@@ -334,6 +334,6 @@ def _measured_points(part: FittedPart, loops: SampledLoop) -> tuple[Array, Array
 def _is_between(points: Array, is_good: BoolArray, omega: float) -> bool:
     """Return whether good points, not far from each other, lie on both sides of a frequency."""
     k = int(np.searchsorted(points, omega))
-    if not 0 < k < len(points):
-        return False
-    return bool(is_good[k - 1] and is_good[k] and points[k] <= SPACING * points[k - 1])
+    return 0 < k < len(points) and bool(
+        is_good[k - 1] and is_good[k] and points[k] <= SPACING * points[k - 1]
+    )

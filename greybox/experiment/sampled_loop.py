@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from greybox.experiment.controller import Controller, connected, run_controllers, sensors_of
 from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
 from greybox.modeling.held_inputs import held_response
-from greybox.modeling.model import Model
+from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.state_space import StateSpace
@@ -119,8 +119,7 @@ class SampledLoop:
             For a signal that is not in the loop.
         """
         names = self.signals
-        for name in (added_to, *signals):
-            require_signal(name, names)
+        require_known((added_to, *signals), names, "signal", "the loop")
 
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
         plant = self.plant_response(omega) if plant is None else plant
@@ -172,8 +171,8 @@ class SampledLoop:
         """
         commands, F, G, H, J = self.controller
         sensors = self.sensors
-        require_signal(command, commands)
-        require_signal(signal, self.signals)
+        require_known([command], commands, "command", "the loop")
+        require_known([signal], self.signals, "signal", "the loop")
         added = len(sensors) + commands.index(command)
         rows = [commands.index(name) for name in self.inputs]
         plants, n = self.A.shape[:2]
@@ -217,12 +216,6 @@ class SampledLoop:
         """Whether no signal grows in each closed loop, (plants,)."""
         # A pole at one, such as that of a position that no controller holds, is one to rounding.
         return np.abs(self.poles).max(axis=1) < 1 + 1e-7
-
-
-def require_signal(name: str, names: Sequence[str]) -> None:
-    """Refuse a signal that is not in the loop."""
-    if name not in names:
-        raise ValueError(f"there is no {name!r} in the loop: give one of {', '.join(names)}.")
 
 
 def sampled_loop(

@@ -87,7 +87,7 @@ def find_manoeuvres(
     """
     names = [signal] if isinstance(signal, str) and signal else signal
     manoeuvres = []
-    for name in names or _usual_inputs(data):
+    for name in names or present(data, STICKS) or present(data, (*SETPOINTS, *CONTROLS)):
         unit, parts = stretches(data, name)
         runs = [run for time, values in parts for run in manoeuvres_in(time, values)]
         manoeuvres += [replace(run, axis=name, unit=unit, source=f"input {name}") for run in runs]
@@ -110,14 +110,11 @@ def manoeuvres_in(time: Array, values: Array) -> list[Segment]:
     rests = _rests(time, values, height)
     manoeuvres = []
     k = 0
-    while k < len(rests):
+    for end in range(1, len(rests)):
         # A short rest at another level is part of the manoeuvre.
-        end = k + 1
-        while end < len(rests) and not _is_reached(time, rests, k, end, drift):
-            end += 1
-        if end < len(rests):
+        if _is_reached(time, rests, k, end, drift):
             manoeuvres.append(_named(time, values, rests[k], rests[end], drift, height))
-        k = end
+            k = end
 
     return [segment for segment in manoeuvres if segment]
 
@@ -159,23 +156,36 @@ def _named(
     # Rests of a noisy signal may overlap.
     rows = slice(min(before.last, after.first), max(before.last, after.first) + 1)
     deviation = values[rows] - before.ends
+    kind, amplitude = OTHER, float(np.abs(deviation).max())
     change = after.begins - before.ends
     returned = abs(change) <= 2 * drift
-    if not returned and time[after.first] - time[before.last] <= REST:
-        # A change that takes less than a rest is one step of the hand or of the autopilot.
-        share = deviation / change
-        if np.all((share > -0.5) & (share < 1.5)):
-            return _segment(time, values, before, after, STEP, abs(change))
-    amplitude = float(np.abs(deviation).max())
-    if amplitude <= height:
+    if not returned and _is_step(deviation / change, time[after.first] - time[before.last]):
+        kind, amplitude = STEP, abs(change)
+    elif amplitude <= height:
         return None
+    else:
+        pulses = _pulses(time[rows], deviation, amplitude / 2)
+        if len(pulses) > MOST_PULSES and sines_and_sweeps(time[rows], values[rows]):
+            return None
+        kind = _pattern(pulses) if returned else OTHER
 
-    pulses = _pulses(time[rows], deviation, amplitude / 2)
-    if len(pulses) > MOST_PULSES and sines_and_sweeps(time[rows], values[rows]):
-        return None
-    kind = _pattern(pulses) if returned else OTHER
+    start, end = float(time[before.last]), float(time[after.first])
+    return Segment(
+        start,
+        end if end > start else float(time[min(after.first + 1, time.size - 1)]),
+        kind,
+        band=_band(time, values, before, after, kind),
+        amplitude=amplitude,
+        offset=before.ends,
+    )
 
-    return _segment(time, values, before, after, kind, amplitude)
+
+def _is_step(share: Array, seconds: float) -> bool:
+    """Return whether a change, of which these shares are done, is one step.
+
+    It takes less than a rest: one motion of the hand or of the autopilot.
+    """
+    return bool(seconds <= REST and np.all((share > -0.5) & (share < 1.5)))
 
 
 def _pulses(time: Array, deviation: Array, threshold: float) -> list[tuple[int, float]]:
@@ -216,28 +226,17 @@ def _pattern(pulses: Sequence[tuple[int, float]]) -> str:
         return OTHER
     for pattern, name in PATTERNS.items():
         unit = sum(durations) / sum(pattern)
-        if len(pattern) != len(durations) or not unit > 0:
-            continue
-        if all(
-            abs(d / (unit * n) - 1) <= OFF_PATTERN for d, n in zip(durations, pattern, strict=True)
+        if (
+            len(pattern) == len(durations)
+            and unit > 0
+            and all(
+                abs(d / (unit * n) - 1) <= OFF_PATTERN
+                for d, n in zip(durations, pattern, strict=True)
+            )
         ):
             return name
 
     return OTHER
-
-
-def _segment(
-    time: Array, values: Array, before: _Rest, after: _Rest, kind: str, amplitude: float
-) -> Segment:
-    start, end = float(time[before.last]), float(time[after.first])
-    return Segment(
-        start,
-        end if end > start else float(time[min(after.first + 1, time.size - 1)]),
-        kind,
-        band=_band(time, values, before, after, kind),
-        amplitude=amplitude,
-        offset=before.ends,
-    )
 
 
 def _band(
@@ -271,12 +270,6 @@ def _band(
     stop = strong[holes[0] if holes.size else -1]
 
     return low, float(max(stop, 2 * low))
-
-
-def _usual_inputs(data: Recording | Record) -> list[str]:
-    """Return the sticks, or else the setpoints and the controls of a record."""
-    sticks = present(data, STICKS) if isinstance(data, Recording) else []
-    return sticks or present(data, (*SETPOINTS, *CONTROLS))
 
 
 def chosen_manoeuvre(segments: Sequence[Segment], wanted: str) -> Segment:

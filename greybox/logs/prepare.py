@@ -130,14 +130,16 @@ def prepare(
             f"held names {unknown[0]!r}, which is not among the signals {', '.join(signals)}."
         )
 
-    needed = {
-        name: item.inputs if isinstance(item, Derived) else (item,)
+    derived = {
+        name: item if isinstance(item, Derived) else Derived((item,), np.asarray, "")
         for name, item in signals.items()
     }
     sources = {
-        name: _source(recording, name, start, end) for names in needed.values() for name in names
+        name: _source(recording, name, start, end)
+        for item in derived.values()
+        for name in item.inputs
     }
-    for name in {source for signal in held for source in needed[signal]}:
+    for name in {source for signal in held for source in derived[signal].inputs}:
         sources[name] = replace(sources[name], hold=HELD)
 
     rate = 1 / max(source.step for source in sources.values()) if rate is None else rate
@@ -153,12 +155,9 @@ def prepare(
 
     values = {}
     units = {}
-    for name, item in signals.items():
-        columns = [sampled[source][keep] for source in needed[name]]
-        values[name] = item.compute(*columns) if isinstance(item, Derived) else columns[0]
-        units[name] = (item.unit if isinstance(item, Derived) else "") or sources[
-            needed[name][0]
-        ].unit
+    for name, item in derived.items():
+        values[name] = item.compute(*(sampled[source][keep] for source in item.inputs))
+        units[name] = item.unit or sources[item.inputs[0]].unit
 
     return Record(
         grid[keep],
@@ -170,10 +169,12 @@ def prepare(
         metadata=recording.metadata,
         hold={
             n: h
-            for n, names in needed.items()
-            if (h := _known_hold([sources[s] for s in names], rate)) is not None
+            for n, item in derived.items()
+            if (h := _known_hold([sources[s] for s in item.inputs], rate)) is not None
         },
-        filters={n: f for n, names in needed.items() if (f := _known_filters(recording, names))},
+        filters={
+            n: f for n, item in derived.items() if (f := _known_filters(recording, item.inputs))
+        },
         findings=tuple(
             dict.fromkeys(text for source in sources.values() for text in source.findings)
         ),

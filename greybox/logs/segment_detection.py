@@ -138,8 +138,7 @@ def _stop_of_run(data: Recording, start: float, until: float) -> tuple[float, st
     """Return when a run stopped: its data end, or a text says so while the data continue."""
     # Messages of the excitation are logged only while it runs.
     time = data["SIDD"].time if "SIDD" in data else np.array([until])
-    during = time[(time >= start) & (time <= until)]
-    last = float(during[-1]) if during.size else start
+    last = float(time[(time >= start) & (time <= until)].max(initial=start))
     for moment, text in data.metadata.get("texts", ()):
         if start < moment < min(until, last) and text.startswith(
             ("SystemID Stop", "SystemID Land", "SystemID Par")

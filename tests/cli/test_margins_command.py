@@ -97,7 +97,7 @@ def test_a_loop_that_is_not_stable_fails(capsys, pitch):
         ((*LOOP, "--set", "K_Q=1"), "no controller has it"),
         ((*LOOP[:2], "--signals", "q"), "OWN=PLANT"),
         (LOOP[:2], "no 'q' to measure"),
-        ((*LOOP, "--broken-at", "w"), "no 'w' in the loop"),
+        ((*LOOP, "--broken-at", "w"), "the loop has no signal 'w'"),
         ((*LOOP, "--level", "95"), "between 0 and 1"),
     ],
 )

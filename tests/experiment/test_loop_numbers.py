@@ -144,7 +144,7 @@ def test_every_crossing_is_listed_and_the_smallest_decides():
 def test_what_tracks_what_can_be_chosen():
     answer = gb.margins(Measured(), RateLoop(), tracking=("reference", "u"))
     assert answer.response == "u"
-    with pytest.raises(ValueError, match="no 'theta' in the loop"):
+    with pytest.raises(ValueError, match="the loop has no signal 'theta'"):
         gb.margins(Measured(), RateLoop(), tracking=("reference", "theta"))
 
 

@@ -220,7 +220,7 @@ def test_what_the_data_do_not_determine_matters_only_where_it_is_felt(fit):
 
 
 def test_signals_that_are_not_in_the_loop_are_refused(fit):
-    with pytest.raises(ValueError, match="no 'theta' in the loop: give one of q"):
+    with pytest.raises(ValueError, match="the loop has no signal 'theta'; it has q"):
         gb.margins(fit, RateLoop(), broken_at="theta")
     with pytest.raises(ValueError, match="level"):
         gb.margins(fit, RateLoop(), level=95)

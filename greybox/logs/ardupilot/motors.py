@@ -43,7 +43,7 @@ def pwm_of_control(parameters: Mapping[str, float]) -> float:
     """Return how far a control of 1 moves a motor in hover, µs; NaN for other vehicles."""
     if "MOT_THST_EXPO" not in parameters:
         return math.nan
-    values = {name: float(parameters.get(name, value)) for name, value in DEFAULTS.items()}
+    values = {**DEFAULTS, **parameters}
     expo = values["MOT_THST_EXPO"]
     # thrust = (1 - expo) a + expo a², with the actuator's a from 0 to 1: the derivative of this
     # curve at the thrust of hover, without solving for a.
@@ -83,9 +83,10 @@ def motor_outputs(recording: Recording, start: float, end: float) -> Record | No
     if "RCOU" not in recording:
         return None
     record = recording["RCOU"]
-    channels = {name: name[1:] for name in record.signals if name[:1] == "C" and name[1:].isdigit()}
     motors = [
-        name for name, k in channels.items() if parameters.get(f"SERVO{k}_FUNCTION") in MOTORS
+        name
+        for name in record.signals
+        if name[:1] == "C" and parameters.get(f"SERVO{name[1:]}_FUNCTION") in MOTORS
     ]
     rows = np.flatnonzero((record.time >= start) & (record.time <= end))
     if not motors or not rows.size:
@@ -100,11 +101,9 @@ def motor_outputs(recording: Recording, start: float, end: float) -> Record | No
 def limits(parameters: Mapping[str, float]) -> tuple[float, float]:
     """Return the least and the greatest PWM of a flying motor, µs."""
     low, high = _range(parameters)
-    ends = (
-        float(parameters.get(name, DEFAULTS[name])) for name in ("MOT_SPIN_MIN", "MOT_SPIN_MAX")
-    )
-    least, greatest = (round(low + share * (high - low)) for share in ends)
-    return least, greatest
+    values = {**DEFAULTS, **parameters}
+    least, greatest = (values[name] for name in ("MOT_SPIN_MIN", "MOT_SPIN_MAX"))
+    return round(low + least * (high - low)), round(low + greatest * (high - low))
 
 
 def saturation(recording: Recording, spans: Sequence[tuple[float, float]]) -> float:

@@ -155,12 +155,10 @@ def read(
 def _format(path: Path) -> Format:
     head = _head(path)
     # The contents decide: logs are renamed and sent around.
-    for candidate in FORMATS:
-        if candidate.recognizes(head):
-            return candidate
-    for candidate in FORMATS:
-        if path.suffix.lower() in candidate.suffixes:
-            return candidate
+    suited = [format_ for format_ in FORMATS if format_.recognizes(head)]
+    suited += [format_ for format_ in FORMATS if path.suffix.lower() in format_.suffixes]
+    if suited:
+        return suited[0]
     kinds = "; ".join(f"{format_.about} ({', '.join(format_.suffixes)})" for format_ in FORMATS)
     raise ValueError(f"{path} {_looks(head)}, which greybox does not read; supported are: {kinds}.")
 

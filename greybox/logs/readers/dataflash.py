@@ -170,12 +170,11 @@ def clock_column(layout: Layout) -> str:
 def _missing(present: set[str], messages: Collection[str] | None) -> tuple[str, ...]:
     """Return findings on requested or necessary messages that are missing."""
     # A missing RATE has a finding of its own, with the cure.
-    absent = [name for name in messages or () if name not in present]
     names = ", ".join(sorted(present - {*ABOUT}))
     findings = [
         f"there is no message {name}; the log has {names or 'none'}."
-        for name in absent
-        if name != "RATE"
+        for name in messages or ()
+        if name not in (*present, "RATE")
     ]
     if "RATE" not in present and ("ATT" in present if messages is None else "RATE" in messages):
         findings.append(ardupilot_metadata.NO_RATE)

@@ -37,8 +37,8 @@ class Layout:
     @property
     def dtype(self) -> np.dtype:
         """The body as a packed numpy type, little-endian."""
-        letters = [FORMAT_TO_STRUCT[letter][0] for letter in self.format]
-        return np.dtype([(f"f{i}", _numpy_type(letters[i])) for i in range(len(letters))])
+        types = (_numpy_type(FORMAT_TO_STRUCT[letter][0]) for letter in self.format)
+        return np.dtype([(f"f{i}", type_) for i, type_ in enumerate(types)])
 
     def scale(self, column: int) -> float | None:
         """Return the divisor of the letter: 100 for c, C, e and E, 1e7 for L, None for others."""

@@ -73,8 +73,9 @@ class _MessageLines:
         self._timer = clock_column(layout)
         self._order = array("q")
         self._columns: dict[str, array[float] | list[str]] = {}
+        self._letters = dict(zip(layout.columns, layout.format, strict=True))
 
-        for name, letter in zip(layout.columns, layout.format, strict=True):
+        for name, letter in self._letters.items():
             if is_wanted or name == self._timer:
                 is_text = letter in TEXTS and name != self._timer
                 self._columns[name] = [] if is_text else array("d")
@@ -106,7 +107,7 @@ class _MessageLines:
             elif isinstance(column, array):
                 numbers[name] = np.asarray(column)
             # Modes are names in some firmware and numbers in other.
-            elif column and is_number(column[0]) and self._letter(name) == "M":
+            elif column and is_number(column[0]) and self._letters[name] == "M":
                 numbers[name] = np.array([_number(cell) for cell in column])
             else:
                 texts[name] = column
@@ -120,9 +121,6 @@ class _MessageLines:
             units.columns,
             units.instance if self._is_wanted else "",
         )
-
-    def _letter(self, name: str) -> str:
-        return self.layout.format[self.layout.columns.index(name)]
 
 
 def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:

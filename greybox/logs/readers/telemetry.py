@@ -71,6 +71,11 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
         name for name in kinds if (name not in ABOUT[1:] if messages is None else name in messages)
     ]
     untimed = sorted(name for name in wanted if not np.isfinite(kinds[name].sent).any())
+    received = (
+        [f"these carry no time stamp and are given their time of reception: {', '.join(untimed)}."]
+        if untimed
+        else []
+    )
     missing = [name for name in messages or () if name not in kinds]
     present = ", ".join(sorted(kinds))
     # One kind after the other is released: the columns of a long log fill the memory.
@@ -82,7 +87,7 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
         *_damage(packets),
         *_restarts(boots, zero),
         *(f"there is no message {name}; the log has {present}." for name in missing),
-        *_received(untimed),
+        *received,
         *problems,
     )
 
@@ -178,14 +183,6 @@ def _restarts(boots: Mapping[int, Sequence[float]], zero: float) -> list[str]:
         for sender, starts in boots.items()
         for start in starts[1:]
     ]
-
-
-def _received(names: Sequence[str]) -> tuple[str, ...]:
-    if not names:
-        return ()
-    return (
-        f"these carry no time stamp and are given their time of reception: {', '.join(names)}.",
-    )
 
 
 def _damage(packets: Packets) -> list[str]:

@@ -39,7 +39,10 @@ def vehicle_sender(kinds: Mapping[str, Kind]) -> int:
 def metadata(kinds: Mapping[str, Kind], times: Mapping[str, Array]) -> dict[str, Any]:
     """Return the metadata that were sent; `times` are those of each kind, (n,), s."""
     beats = _heartbeats(kinds, times)
-    texts = _texts(kinds.get("STATUSTEXT"), times)
+    texts = ()
+    if "STATUSTEXT" in kinds:
+        written = kinds["STATUSTEXT"].texts["text"]
+        texts = tuple(zip(times["STATUSTEXT"].tolist(), written, strict=True))
     about = {
         **_firmware(beats, [text for _, text in texts]),
         "parameters": _parameters(kinds.get("PARAM_VALUE"), beats),
@@ -98,13 +101,6 @@ def _parameters(sent: Kind | None, beats: Heartbeats) -> dict[str, float]:
         ]
 
     return dict(zip(sent.texts["param_id"], values, strict=True))
-
-
-def _texts(sent: Kind | None, times: Mapping[str, Array]) -> tuple[tuple[float, str], ...]:
-    """Return (time, text); texts of more than 50 characters come in pieces."""
-    if sent is None:
-        return ()
-    return tuple(zip(times["STATUSTEXT"].tolist(), sent.texts["text"], strict=True))
 
 
 def _modes(beats: Heartbeats, vehicle: str) -> tuple[tuple[float, str], ...]:

@@ -105,8 +105,8 @@ def _longest_increase(values: Array) -> IntArray:
         elif value < tails[at]:
             tails[at] = value
             last[at] = i
-    chain = [last[-1]] if last else []
-    while chain and link[chain[-1]] >= 0:
+    chain = last[-1:]
+    while link[chain[-1]] >= 0:
         chain.append(int(link[chain[-1]]))
 
     return np.array(chain[::-1], dtype=np.intp)

@@ -129,10 +129,9 @@ def with_angles(name: str, record: Record) -> Record:
     units = {field: "rad/s" for field in record.signals if re.fullmatch(RATES.get(name, ""), field)}
     # Quaternions w, x, y, z turn from the vehicle to the earth.
     first, *_ = parts = [f"{QUATERNIONS.get(name, '')}[{k}]" for k in range(4)]
-    q = [record.signals.get(part) for part in parts]
     angles: dict[str, Any] = {}
-    if not any(part is None for part in q):
-        w, x, y, z = (np.asarray(part) for part in q)
+    if {*parts} <= {*record.signals}:
+        w, x, y, z = (record[part] for part in parts)
         angles = {
             "roll": np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y)),
             # Rounding in single precision may exceed one.
