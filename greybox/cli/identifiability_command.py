@@ -43,21 +43,15 @@ DATA = (
 
 def run(options: argparse.Namespace) -> Answer:
     """Judge the structure, or read the fit and judge its data."""
-    settings = {
-        "outputs": options.outputs,
-        "free": options.free,
-        "at": options.at,
-        "fixed": options.fix,
-    }
-    settings = {name: value for name, value in settings.items() if value}
+    stated = attributes(options, "outputs", "free", "at", "fix")
+    settings = {name: value for name, value in stated.items() if value}
     if Path(options.subject).suffix.lower() not in HDF5:
-        structure = structural_identifiability(find_model(options.subject), **settings)
+        fixed = settings.pop("fix", {})
+        structure = structural_identifiability(find_model(options.subject), fixed=fixed, **settings)
         return attributes(structure, *STRUCTURE), str(structure)
     if settings:
-        # The option has another name than the argument of the library.
-        flag = {"fixed": "fix"}.get(min(settings), min(settings))
         raise UsageError(
-            f"--{flag} is for a structure, and {options.subject} is a fit: leave it out."
+            f"--{min(settings)} is for a structure, and {options.subject} is a fit: leave it out."
         )
 
     fit = saved_fit(Path(options.subject), options)

@@ -74,16 +74,10 @@ def run(options: argparse.Namespace) -> Answer:
 
     identification = identify(
         [read(log, columns=options.columns or None) for log in options.logs],
-        vehicle=options.vehicle,
         structures=[_structure(word) for word in options.structures],
-        through=options.through,
-        free=options.free,
         fixed=options.fix,
-        bounds=options.bounds,
-        start=options.start,
-        all_points=options.all_points,
-        starts=options.starts,
-        seed=options.seed,
+        **attributes(options, "vehicle", "through", "free", "bounds", "start"),
+        **attributes(options, "all_points", "starts", "seed"),
         **stated_choices(options),
     )
     # Printed even after a refusal: a user can change one step and run the others as they are.

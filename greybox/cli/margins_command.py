@@ -4,7 +4,7 @@ import argparse
 from typing import Any
 
 from greybox.cli.options import UsageError
-from greybox.cli.output import Answer, require_figure, require_writable, save_figure
+from greybox.cli.output import Answer, attributes, require_figure, require_writable, save_figure
 from greybox.cli.saved_fits import saved_fit
 from greybox.experiment.controller import Controller
 from greybox.experiment.margins import margin_table, margins
@@ -75,11 +75,9 @@ def run(options: argparse.Namespace) -> Answer:
             read(options.log),
             *fits.values(),
             options.axis,
-            signals=options.signals,
             broken_at=options.broken_at or (),
             tracking=tracking,
-            at=options.at,
-            level=options.level,
+            **attributes(options, "signals", "at", "level"),
         )
         loops, measured = [flown.model, *flown.others], flown.loops
         answer, text = flown.to_dict(), [str(flown)]
@@ -87,18 +85,9 @@ def run(options: argparse.Namespace) -> Answer:
             wrong = "the controllers of the log do not reproduce its control."
     else:
         controllers = stated_controllers(options)
+        settings = {"tracking": tracking, **attributes(options, "at", "level")}
         labeled = [
-            (
-                label,
-                margins(
-                    fit,
-                    controllers,
-                    broken_at=place,
-                    tracking=tracking,
-                    at=options.at,
-                    level=options.level,
-                ),
-            )
+            (label, margins(fit, controllers, broken_at=place, **settings))
             for label, fit in fits.items()
             for place in options.broken_at or [""]
         ]

@@ -50,14 +50,10 @@ def run(options: argparse.Namespace) -> Answer:
     filters: list[Any] = [f for word in options.through for f in filters_of(word, data[0])]
     selection = select_orders(
         data,
-        options.n,
-        options.m,
-        options.integrators,
         delay=not options.no_delay,
         through=filters,
         fixed=options.fix,
-        bounds=options.bounds,
-        start=options.start,
+        **attributes(options, "n", "m", "integrators", "bounds", "start"),
     )
     # The table first: it shows which other orders fit nearly as well.
     answer = selection_json(selection)

@@ -99,10 +99,8 @@ def _manoeuvre(options: argparse.Namespace, recording: Recording) -> Kind:
         options.input,
         options.output,
         options.manoeuvre,
-        setpoint=options.setpoint,
         band=stated_band(options.band),
-        rate=options.rate,
-        held=options.held,
+        **attributes(options, "setpoint", "rate", "held"),
     )
     spectrum = measured.spectrum
     answer = {
@@ -125,9 +123,8 @@ def _matrix(options: argparse.Namespace, recording: Recording) -> Kind:
         options.output,
         options.period,
         excitations=options.instrument,
-        rate=options.rate,
         band=stated_band(options.band),
-        settle=options.settle,
+        **attributes(options, "rate", "settle"),
     )
     answer = {
         **_origin(recording, measured),

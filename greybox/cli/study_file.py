@@ -75,9 +75,8 @@ def _stated_in_python(path: Path) -> list[Member]:
             f"{path} has no function members(): define it, and return a list of gb.study.Member."
         )
 
-    members: Any = function()
-    is_list = isinstance(members, list | tuple)
-    if not is_list or not all(isinstance(member, Member) for member in members):
+    members = function()
+    if not isinstance(members, list | tuple) or not all(isinstance(m, Member) for m in members):
         raise UsageError(
             f"members() in {path} returns {members!r:.60}: return a list of gb.study.Member."
         )

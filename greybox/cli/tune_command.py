@@ -7,7 +7,7 @@ from greybox.cli.margins_command import (
     refuse_controllers,
     stated_controllers,
 )
-from greybox.cli.output import Answer, require_figure, require_writable, save_figure
+from greybox.cli.output import Answer, attributes, require_figure, require_writable, save_figure
 from greybox.cli.saved_fits import saved_fit
 from greybox.experiment.gain_file import write_gains
 from greybox.experiment.safe_gains import safe_gains
@@ -61,10 +61,8 @@ def run(options: argparse.Namespace) -> Answer:
     )
     require_figure(options.plot, options.force)
     fits = [saved_fit(path, options) for path in options.fits]
-    required = {
-        name: getattr(options, name)
-        for name in ("phase_margin", "gain_margin", "delay", "level", "broken_at", "at")
-    }
+    names = ("phase_margin", "gain_margin", "delay", "level", "broken_at", "at")
+    required = attributes(options, *names)
     if options.log:
         refuse_controllers(options)
         safe = shipped_module("models", "firmware").safe_gains_of_log(

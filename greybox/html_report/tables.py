@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from xml.etree.ElementTree import Element
 
@@ -40,8 +41,11 @@ def parameter_table(fit: Fit) -> Element:
     cells = [[Cell(x, float(x)) if is_number(x) else Cell(x) for x in row] for row in rows]
     if fit.converged:
         header = [*header[:3], "95 % interval", "CR, %", "insensitivity, %", *header[3:]]
-        intervals = fit.interval(0.95)
-        errors, insensitivities = _shares(fit)
+        intervals, errors, insensitivities = fit.interval(0.95), {}, {}
+        with suppress(ValueError):  # the fit has no standard errors
+            judged = fit.identifiability
+            errors = dict(zip(judged.names, judged.error.tolist(), strict=True))
+            insensitivities = dict(zip(judged.names, judged.insensitivity.tolist(), strict=True))
         for row, (name, *_) in zip(cells, rows, strict=True):
             low, high = intervals.get(name, (math.nan, math.nan))
             row[3:3] = [
@@ -57,16 +61,6 @@ def number_cell(value: float | None, digits: int = 5) -> Cell:
     if value is None or not math.isfinite(value):
         return Cell("–")
     return Cell(number(value, digits), value)
-
-
-def _shares(fit: Fit) -> tuple[dict[str, float], dict[str, float]]:
-    """Return errors and insensitivities as shares of the values by name."""
-    try:
-        judged = fit.identifiability
-    except ValueError:  # the fit has no standard errors
-        return {}, {}
-    errors = dict(zip(judged.names, judged.error.tolist(), strict=True))
-    return errors, dict(zip(judged.names, judged.insensitivity.tolist(), strict=True))
 
 
 def _share(share: float, guideline: float) -> Cell:

@@ -97,7 +97,7 @@ def draw(
         )
     for place, figure in _draw_panels(drawn, figures):
         if legend:
-            _legend_inside(place[0], figure)
+            _draw_legend(place[0], _legend_entries([figure]), fontsize=9)
     return drawn
 
 
@@ -411,19 +411,10 @@ def _legend_below(place: MatplotlibFigure | SubFigure, figures: Sequence[Figure]
     inches = place.bbox.width / place.dpi
     # A letter of 10 points takes about 1/11 inch, a key six letters.
     columns = int(11 * inches / (max(map(len, entries)) + 6))
-    place.legend(
-        loc="outside lower center",
-        ncols=max(1, min(len(entries), columns)),
-        fontsize=10,
-        frameon=False,
-        **_keys_side_by_side(entries),
+    columns = max(1, min(len(entries), columns))
+    _draw_legend(
+        place, entries, loc="outside lower center", ncols=columns, fontsize=10, frameon=False
     )
-
-
-def _legend_inside(ax: Axes, figure: Figure) -> None:
-    entries = _legend_entries([figure])
-    if entries:
-        ax.legend(fontsize=9, **_keys_side_by_side(entries))
 
 
 def _legend_entries(figures: Sequence[Figure]) -> dict[str, tuple[Artist, ...]]:
@@ -451,10 +442,10 @@ def _legend_entries(figures: Sequence[Figure]) -> dict[str, tuple[Artist, ...]]:
     }
 
 
-def _keys_side_by_side(entries: dict[str, tuple[Artist, ...]]) -> dict[str, Any]:
-    return {
-        "handles": [*entries.values()],
-        "labels": [*entries],
-        "handler_map": {tuple: HandlerTuple(ndivide=None, pad=0.4)},
-        "handlelength": max(2.0, 1.2 * max(map(len, entries.values()))),
-    }
+def _draw_legend(place: Any, entries: dict[str, tuple[Artist, ...]], **look: Any) -> None:
+    """Draw a legend in which the keys of a label stand side by side."""
+    if entries:
+        length = max(2.0, 1.2 * max(map(len, entries.values())))
+        handlers = {tuple: HandlerTuple(ndivide=None, pad=0.4)}
+        keys = [*entries.values()], [*entries]
+        place.legend(*keys, handler_map=handlers, handlelength=length, **look)

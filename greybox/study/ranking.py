@@ -16,7 +16,7 @@ from greybox.validation.measures import fit_rows, prediction_rows
 from greybox.validation.parsimony import parsimony
 from greybox.validation.same_data import data_difference, is_likelihood, why_not_comparable
 
-EVIDENCE = "BIC less the least"
+EVIDENCE = "BIC less the least"  # the row of `fit_rows`
 PREDICTION = "error of held-out predictions, % of the signal"
 
 Records = Sequence[Record] | Mapping[str, Sequence[Record]]
@@ -87,13 +87,13 @@ def _evidence(group: Sequence[tuple[str, Fit]]) -> tuple[dict[str, Fit], dict[st
     if not is_comparable or not all(map(is_likelihood, fits)):
         likelihoods = common_likelihood(fits)
     rows = fit_rows(fits, same_data=True, comparable=is_comparable, likelihoods=likelihoods)
-    bic = next(row.values for row in rows if row.measure == "BIC")
-    values = [math.inf if value is None else value for value in bic]
+    unknown = [None] * len(fits)
+    excess = next((row.values for row in rows if row.measure == EVIDENCE), unknown)
+    values = [math.inf if value is None else value for value in excess]
     order = sorted(range(len(fits)), key=values.__getitem__)
     first = {names[k]: k for k in reversed(order)}
     best = {name: fits[first[name]] for name in dict.fromkeys(names)}
-    known = {name: values[first[name]] - min(values) for name in best}
-    return best, {name: value for name, value in known.items() if math.isfinite(value)}
+    return best, {name: values[first[name]] for name in best if values[first[name]] < math.inf}
 
 
 def _errors(
