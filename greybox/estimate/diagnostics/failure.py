@@ -19,10 +19,6 @@ def failure_warnings(
     """Say how close the best run came, which parameters block it, and what to try."""
     run = best_unfinished(search.runs)
     if run is None:
-        yield (
-            "no run reached a finite cost: give bounds that exclude values at which the model is "
-            "not finite, such as those at which it divides by zero."
-        )
         return
 
     yield (

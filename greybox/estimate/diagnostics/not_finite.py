@@ -51,6 +51,11 @@ def not_finite_warnings(nlp: CompiledProblem, search: Multistart) -> Iterator[st
         trouble = _trouble(nlp, failed[0].start)
         if trouble is not None and trouble.cure:
             yield f"at the start of run {failed[0].index} {trouble.why}: {trouble.cure}."
+        elif not np.isfinite(search.runs.cost).any():
+            yield (
+                "no run reached a finite cost: give bounds that exclude values at which the model "
+                "is not finite, such as those at which it divides by zero."
+            )
 
 
 def _not_finite(runs: Runs) -> Runs:
