@@ -4,7 +4,6 @@ import hashlib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from typing import Any, Self
 
 import numpy as np
@@ -172,8 +171,8 @@ class Record:
         if not self.has_time:
             return (self,)
         # As slices, which copy nothing.
-        ends = [0, *(int(rows[-1]) + 1 for rows in self.independent_pieces)]
-        return tuple(self.rows(slice(*pair)) for pair in pairwise(ends))
+        pieces = self.independent_pieces
+        return tuple(self.rows(slice(rows[0], rows[-1] + 1)) for rows in pieces)
 
     @property
     def independent_pieces(self) -> list[IntArray]:

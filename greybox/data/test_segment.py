@@ -129,12 +129,11 @@ def segment_table(segments: Sequence[Segment]) -> str:
 
 def checked_segments(segments: Iterable[object]) -> tuple[Segment, ...]:
     """Return the segments; TypeError for anything else, such as the parts of an `Excitation`."""
-    checked = []
-    for segment in segments:
+    checked = tuple(segments)
+    for segment in checked:
         if not isinstance(segment, Segment):
             raise TypeError(
                 f"a segment is {segment!r:.60}: give those of gb.logs.find_segments, or "
                 "gb.data.Segment(start, end)."
             )
-        checked.append(segment)
-    return tuple(checked)
+    return checked

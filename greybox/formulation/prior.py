@@ -33,10 +33,6 @@ class Prior(TimeCriterion):
         """The rule in words."""
         return self.rule
 
-    def condition_on(self, data: Any) -> str:
-        """Return the condition."""
-        return self.condition
-
 
 @dataclass(frozen=True, eq=False)
 class NormalPrior:

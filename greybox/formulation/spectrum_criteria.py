@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
@@ -46,10 +46,6 @@ class EquationError(TimeCriterion):
             "EquationError is for the Fourier integrals of a manoeuvre and the data are a record: "
             "give gb.spectral.transient_spectrum(record, ...), or use gb.regression.equation_error."
         )
-
-    def condition_on(self, data: Any) -> str:
-        """Return the condition."""
-        return self.condition
 
 
 def outputs_in_spectrum(

@@ -108,12 +108,6 @@ class TimeCriterion(AnyCriterion):
         estimated = "variances" if self.noise == "diagonal" else "covariance"
         return f"{self.rule}, estimated {estimated}"
 
-    def condition_on(self, data: Any) -> str:
-        """Return the condition; errors of rows without a time cannot be correlated."""
-        if isinstance(data, TransientSpectrum):
-            return SPECTRUM_CONDITION
-        return self.condition if data.has_time else ROWS_CONDITION
-
     def disturbed(self, model: Model, record: Record) -> Model:
         """Return the model with the states of the disturbances that the criterion assumes."""
         return undisturbed(model)
@@ -195,6 +189,12 @@ class OutputError(TimeCriterion):
     """
 
     rule: ClassVar[str] = "output error"
+
+    def condition_on(self, data: Any) -> str:
+        """Return the condition; errors of rows without a time cannot be correlated."""
+        if isinstance(data, TransientSpectrum):
+            return SPECTRUM_CONDITION
+        return self.condition if data.has_time else ROWS_CONDITION
 
 
 @dataclass(frozen=True, eq=False)

@@ -124,15 +124,20 @@ def from_control(
         For several inputs or outputs, discrete time, or another object.
     """
     control = required("control", "control", "from_control()")
-    linear = (control.TransferFunction, control.StateSpace)
-    if not isinstance(system, (control.FrequencyResponseData, *linear)):
+    pair = (control.FrequencyResponseData, control.TransferFunction)
+    if not isinstance(system, (*pair, control.StateSpace)):
         kinds = "FrequencyResponseData, a TransferFunction or a StateSpace"
         raise TypeError(f"system is {system!r:.60}: give a {kinds} of python-control.")
+
+    if isinstance(system, pair) and (system.ninputs, system.noutputs) != (1, 1):
+        raise ValueError(
+            f"the system has {system.ninputs} inputs and {system.noutputs} outputs: give one of "
+            "its pairs, system[0, 0]."
+        )
 
     u = _signal_names(inputs, system.input_labels)
     y = _signal_names(outputs, system.output_labels)
     if isinstance(system, control.FrequencyResponseData):
-        _require_one_pair(system.ninputs, system.noutputs)
         response = np.asarray(system.frdata if hasattr(system, "frdata") else system.fresp)[0, 0]
         return FrequencyResponse(
             system.omega, response, input=u[0], output=y[0], name=name or (system.name or "")
@@ -144,7 +149,6 @@ def from_control(
             "time."
         )
     if isinstance(system, control.TransferFunction):
-        _require_one_pair(system.ninputs, system.noutputs)
         numerator, denominator = (
             polynomial[0][0].tolist() for polynomial in (system.num, system.den)
         )
@@ -175,11 +179,3 @@ def _signal_names(given: Sequence[str], labels: Sequence[str]) -> tuple[str, ...
         return re.sub(r"\W+", "_", label).strip("_")
 
     return tuple(plain(str(label)) for label in labels)
-
-
-def _require_one_pair(inputs: int, outputs: int) -> None:
-    if (inputs, outputs) != (1, 1):
-        raise ValueError(
-            f"the system has {inputs} inputs and {outputs} outputs: give one of its pairs, "
-            "system[0, 0]."
-        )

@@ -8,7 +8,7 @@ import numpy as np
 
 from greybox.data.record import Record, require_time
 from greybox.files.arrays import Array, IntArray
-from greybox.formulation.input_assumptions import Inputs, between_samples, require_inputs
+from greybox.formulation.input_assumptions import Inputs, between_samples
 from greybox.formulation.time_criteria import OutputError, PredictionError, TimeCriterion
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameter, is_finite_number
@@ -134,8 +134,6 @@ def model_at(
     LookupError
         If the model of a loaded fit cannot be imported.
     """
-    if inputs is not None:
-        require_inputs(inputs)
     is_fit = isinstance(model, Estimate)
     if is_fit and values is not None:
         cure = "leave the other out"
@@ -151,7 +149,7 @@ def model_at(
     if not isinstance(values, Mapping):
         raise TypeError(f"values is {values!r:.60}: give {{name: value}} or a Fit.")
     assert isinstance(model, Model)
-    return _of_values(model, values, inputs or "record")
+    return _of_values(model, values, "record" if inputs is None else inputs)
 
 
 def _of_values(model: Model, given: Mapping[str, float], inputs: Inputs) -> ModelAtEstimate:

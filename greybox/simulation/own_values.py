@@ -291,7 +291,7 @@ def pseudo_inverse(matrix: Array) -> Array:
     """Return the inverse of an information matrix (a, a), zero along undetermined directions."""
     # A diagonal of ones makes the result independent of units.
     diagonal = np.diag(matrix)
-    scale = np.where(diagonal > 0, 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0)), 0.0)
+    scale = (diagonal > 0) / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     scales = np.outer(scale, scale)
     inverse = np.linalg.pinv(matrix * scales, BLIND, hermitian=True)
     return np.asarray(inverse * scales, dtype=np.float64)

@@ -120,13 +120,9 @@ class FrequencyGrid:
         """Return the correlation times (k,) of spectra (k, b), samples."""
         # An exponential has this share of its sum within its time constant.
         share = 1 - math.exp(-1)
-        times = []
-        for spectrum in spectra:
-            total = np.cumsum(
-                np.abs(np.fft.irfft(self.spread_out(spectrum), self.size)[: self.longest])
-            )
-            times.append(float(np.sum(total < share * total[-1])))
-        return np.array(times)
+        covariances = np.fft.irfft(self.spread_out(spectra), self.size)[:, : self.longest]
+        total = np.cumsum(np.abs(covariances), axis=1)
+        return np.sum(total < share * total[:, -1:], axis=1, dtype=float)
 
 
 def filtered(density: NDArray, transform: ComplexArray) -> ComplexArray:

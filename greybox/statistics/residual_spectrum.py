@@ -32,7 +32,6 @@ from greybox.statistics.error_spectrum import ROUNDING, ErrorSpectrum
 from greybox.statistics.frequency_grid import (
     FrequencyGrid,
     filtered,
-    output_pairs,
     products,
 )
 from greybox.statistics.residual_autocorrelation import HIGHEST_ORDER, autocovariance, levinson
@@ -260,17 +259,8 @@ class ResidualSpectra:
     @cached_property
     def power(self) -> ComplexArray:
         """Power (k, k, b) of the sensitivities, whose mean product with a spectrum is tr(B⁻¹ M)."""
-        k = len(self.counts)
-        power = np.zeros((k, k, len(self.grid.starts)), dtype=complex)
-        for transform in self.transforms():
-            for i, j in output_pairs(k):
-                first, second = (self.root.T @ transform[row] for row in (i, j))
-                banded = self.grid.banded((first.conj() * second).sum(axis=0))
-                power[i, j] += banded
-                if i != j:
-                    power[j, i] += banded.conj()
-
-        return power
+        rooted = (self.root.T @ transform for transform in self.transforms())
+        return sum(self.grid.banded(np.einsum("ipf,jpf->ijf", H.conj(), H)) for H in rooted)
 
     @cached_property
     def slow(self) -> SlowParts:
