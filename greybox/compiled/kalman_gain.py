@@ -149,9 +149,9 @@ def kalman_gain(part: Part) -> KalmanGain | None:
     if not part.gains:
         return None
     part = cast(RecordPart, part)  # no other part has gains
-    names = list(part.model.parameters)
     places = np.array(
-        [names.index(f"K_{state}_{output}") for state, output in part.gains], dtype=int
+        [part.model.parameters.index(f"K_{state}_{output}") for state, output in part.gains],
+        dtype=int,
     )
     noise = part.noise_model
     unknowns = places if noise is None else np.concatenate([noise.intensities, noise.deviations])

@@ -38,13 +38,9 @@ def limits_of(problem: Problem | Sum[Problem], kind: Any) -> list[Limit]:
             for side, bound, sign in sides:
                 if math.isfinite(bound):
                     label = f"the {side} bound {bound:g} of the tied {part.outside(name)}"
-
-                    def room(
-                        p: Names, name: str = name, bound: float = bound, sign: int = sign
-                    ) -> Any:
-                        return sign * (p[name] - bound)
-
-                    limits.setdefault(label, Limit(label, part, room))
+                    # The defaults bind each variable of the loop now.
+                    limit = Limit(label, part, lambda p, k=name, b=bound, s=sign: s * (p[k] - b))
+                    limits.setdefault(label, limit)
 
     return list(limits.values())
 

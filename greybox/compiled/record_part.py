@@ -77,14 +77,16 @@ class RecordPart(SegmentedPart):
         counts = np.isfinite(data.measured).sum(axis=1)
         return self._with(data, replace(self.covariance, counts=counts))
 
-    def _with(self, data: SampledData, covariance: ResidualCovariance) -> "RecordPart":
-        return RecordPart(self.model, data, self.substeps, covariance=covariance, like=self)
+    def _with(
+        self, data: SampledData, covariance: ResidualCovariance, factor: int = 1
+    ) -> "RecordPart":
+        substeps = factor * self.substeps
+        return RecordPart(self.model, data, substeps, covariance=covariance, like=self)
 
     @one_thread_at_a_time
     def refined(self, factor: int) -> "RecordPart":
         """Return the part with `factor` times the substeps."""
-        substeps = factor * self.substeps
-        return RecordPart(self.model, self.data, substeps, covariance=self.covariance, like=self)
+        return self._with(self.data, self.covariance, factor)
 
     # --- facts
 

@@ -65,7 +65,7 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     m, p = initial_directions.shape[2], trajectory.z.size
     by_initial, weighted = np.empty((k, m, s, length)), np.empty((k, p, s, length))
     triangle, white, squares = np.zeros((0, p)), np.zeros((p, p)), np.zeros(p)
-    for batch in segments.batches(s):
+    for batch in segments.batches():
         _, J, _ = segments.sensitivities(trajectory.states, placed.q, placed.data, batch)
         J = (weight @ J.reshape(length, k, -1)).reshape(J.shape)
         by_states = np.einsum("lknc,cnp->lkpc", J[:, :, :n], by_nodes[batch])

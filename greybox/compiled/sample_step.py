@@ -13,7 +13,6 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.sampled_data import input_over_step
-from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator, step_function
@@ -53,18 +52,14 @@ class SampleStep:
         return input_symbols(self.function)
 
     @cached_property
-    def evaluated(self) -> dict[Any, Columns]:
-        """Functions of many columns by their key, shared by all segments with this step."""
-        return {}
-
-    @cached_property
-    def _folds(self) -> dict[int, ca.Function]:
+    def built(self) -> dict[Any, Any]:
+        """Functions of many columns and of many samples by key, shared by all segments."""
         return {}
 
     @one_thread_at_a_time
     def folded(self, samples: int) -> ca.Function:
         """Return (x, q, D) -> states (n, samples) after each sample, residuals (k, samples)."""
-        if samples not in self._folds:
+        if samples not in self.built:
             one: Any = self.function
             if one.is_a("SXFunction"):  # without the outputs, and what they alone need
                 symbols = self.symbols()
@@ -72,9 +67,9 @@ class SampleStep:
             x, q, _ = self.function.mx_in()
             D = ca.MX.sym("D", self.width, samples)
             states, residuals, *_ = one.mapaccum("fold", samples)(x, q, D)
-            self._folds[samples] = ca.Function("folded", [x, q, D], [states, residuals])
+            self.built[samples] = ca.Function("folded", [x, q, D], [states, residuals])
 
-        return self._folds[samples]
+        return self.built[samples]
 
     def simulate(self, x: Array, q: Array, data: Array) -> tuple[Array, Array]:
         """Return the states (m + 1, n) and residuals (m, k) of m samples.

@@ -108,7 +108,7 @@ class SampledData:
     @property
     def coupled(self) -> BoolArray:
         """Which segments (s,) are followed by another of the same stretch."""
-        return np.concatenate([np.arange(count) < count - 1 for count in self.segment_counts])
+        return np.append(~self.begins_stretch[1:], False)
 
     def excerpts(self, samples: int, pieces: int = 5) -> "SampledData":
         """Return evenly spaced excerpts of about so many samples in all; all data if few."""
@@ -323,12 +323,8 @@ def gapless(
         )
         for rows in np.split(np.arange(len(piece)), np.flatnonzero(ends) + 1):
             if complete_inputs[rows[0]] and rows.size >= shortest:
-                step = record.step if rows.size == 1 else math.nan
-                stretches.append(
-                    _stretch(
-                        piece.time[rows], u[:, rows], y[:, rows], first_row + rows, leads, step
-                    )
-                )
+                values = piece.time[rows], u[:, rows], y[:, rows], first_row + rows
+                stretches.append(_stretch(*values, leads, record.step))
         first_row += len(piece)
 
     return stretches

@@ -105,16 +105,16 @@ class Segments:
         """
         # Excerpts and refits share the step, and so the functions that take longest to build.
         key = (name, tuple(self.active.tolist()), self._own)
-        evaluated = self._step.evaluated
-        if key not in evaluated:
+        built = self._step.built
+        if key not in built:
             x, q, d = self._step.symbols()
             end, e, y = self._step.function(x, q, d)
             results = {"advance": [end], "output": [e, y]}.get(name)
             if results is None:
                 results = [*self._slopes(x, q, end, e if name == "derivatives" else y), e]
             function = ca.Function(name, [x, q, d], results, {"cse": True})
-            evaluated[key] = Columns(function, shared=() if self._own else (1,))
-        return evaluated[key]
+            built[key] = Columns(function, shared=() if self._own else (1,))
+        return built[key]
 
     def _evaluate(self, columns: Columns, states: Array, q: Array, data: Array) -> list[Array]:
         """Evaluate for columns of the segments that q is given for."""
@@ -235,7 +235,7 @@ class Segments:
         pieces = []
         by_parameters = np.zeros((self.number, v - n + 1, v - n + 1))
 
-        for batch in self.batches(self.count):
+        for batch in self.batches():
             ends, J, e = self.sensitivities(states, q, data, batch)
             # With the residuals as a last column, one product has the Hessian and the gradient.
             J = np.concatenate([J, e[:, :, None]], axis=2)
@@ -379,10 +379,10 @@ class Segments:
         A, C = self.sample_derivatives(states[:, sample], q, data[:, sample])
         return A[: self.n].mean(axis=2).T, -C[: self.n].mean(axis=2).T
 
-    def batches(self, s: int) -> list[slice]:
-        """Return slices of s segments whose derivatives fit into memory together."""
+    def batches(self) -> list[slice]:
+        """Return slices of segments whose derivatives fit into memory together."""
         size = max(BATCH // self.length, 1)
-        return [slice(first, min(first + size, s)) for first in range(0, s, size)]
+        return [slice(first, first + size) for first in range(0, self.count, size)]
 
 
 def _finite(values: list[Array]) -> list[Array]:

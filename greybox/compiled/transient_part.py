@@ -346,9 +346,8 @@ class TransientPart(Part):
     ) -> Information:
         """Return the information on the values (k,) for white errors, the end term fitted too."""
         point = ca.SX.sym("x", len(values))
-        local = self.problem.local_values(dict(zip(names, ca.vertsplit(point), strict=True)))
-        q = ca.vertcat(ca.SX(0, 1), *local.values())
-        place = ca.Function("place", [point], [q, ca.densify(ca.jacobian(q, point))])
+        named = dict(zip(names, ca.vertsplit(point), strict=True))
+        place = _locate(self.problem, named, point)
         located, slope = (value.full() for value in place(values))
         at = self.along(located.ravel())
         assert at is not None
@@ -374,8 +373,13 @@ class TransientPart(Part):
 
 def compile_spectrum(problem: Problem, expressions: Mapping[str, Any], z: ca.SX) -> TransientPart:
     """Compile a spectrum for the point z; `expressions` are all parameters by outside name."""
+    return TransientPart(problem, _locate(problem, expressions, z))
+
+
+def _locate(problem: Problem, expressions: Mapping[str, Any], z: ca.SX) -> ca.Function:
+    """Return the function from z to the declared parameters and their derivatives."""
     q = ca.vertcat(ca.SX(0, 1), *problem.local_values(expressions).values())
-    return TransientPart(problem, ca.Function("locate", [z], [q, ca.densify(ca.jacobian(q, z))]))
+    return ca.Function("locate", [z], [q, ca.densify(ca.jacobian(q, z))])
 
 
 def _matrices(

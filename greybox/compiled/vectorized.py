@@ -14,6 +14,7 @@ import numpy as np
 
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
+from greybox.modeling.symbolic_reading import input_symbols
 
 CHUNK = 4096  # columns at once: so many fit into the cache
 
@@ -132,8 +133,7 @@ def _dense(function: ca.Function) -> ca.Function:
     if all(shape.is_dense() for shape in shapes):
         return function
 
-    kind: Any = ca.SX if function.is_a("SXFunction") else ca.MX
-    inputs = [kind.sym("v", *function.size_in(k)) for k in range(function.n_in())]
+    inputs = [type(v).sym("v", *v.shape) for v in input_symbols(function)]
     outputs = [ca.densify(value) for value in function.call(inputs)]
     return ca.Function(function.name(), inputs, outputs)
 

@@ -26,7 +26,7 @@ from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.formula_structure import has_switches, interval_means
 from greybox.modeling.functions import exp
-from greybox.modeling.model import Model, pick_signals
+from greybox.modeling.model import Model, pick_signals, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.sine import MOST_HARMONICS, Sine
 from greybox.modeling.state_space import StateSpace
@@ -123,12 +123,7 @@ def check_sine(model: Model, sine: Sine, input: str, omega: Array) -> None:
         )
 
     names = dict.fromkeys((input, *model.outputs, *model.states))
-    if sine.signal not in names:
-        raise ValueError(
-            f"the sine is of {sine.signal!r}, which {model.label} does not have: name one of "
-            f"{', '.join(names)}."
-        )
-
+    require_known([sine.signal], names, "signal for a sine", model.label)
     sine.amplitudes(omega)
 
 

@@ -41,14 +41,8 @@ def pade_coefficients(order: int) -> list[float]:
 
     Source: Golub and Van Loan, Matrix Computations, section 9.3.1.
     """
-    n = order
-    # Factorials of integers are exact, whatever the order.
-    return [
-        math.factorial(2 * n - k)
-        * math.factorial(n)
-        / (math.factorial(2 * n) * math.factorial(k) * math.factorial(n - k))
-        for k in range(n + 1)
-    ]
+    # Quotients of whole numbers are exact to rounding, whatever the order.
+    return [math.comb(order, k) / math.perm(2 * order, k) for k in range(order + 1)]
 
 
 def pade_exponential(z: Any, order: int) -> Any:

@@ -69,7 +69,7 @@ def harmonic_response(
     response, messages = periodic_motions(model, values, omega, sine, **signals)
     for message in messages:
         warnings.warn(message, UserWarning, stacklevel=2)
-    return _checked(model, sine, omega, response, input, output)
+    return _checked(model, sine, omega, response, **signals)
 
 
 def response_of_test(
@@ -88,22 +88,24 @@ def response_of_test(
         return frequency_response(model, values, omega, **signals)
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
     sine = sine.between(measured, omega)
-    response, _ = directly_found(model, values, omega, sine, **_with_order(signals))
-    return _checked(
-        model, sine, omega, response, signals.get("input", ""), signals.get("output", "")
-    )
+    response, _ = directly_found(model, values, omega, sine, **_with_order(**signals))
+    return _checked(model, sine, omega, response, **signals)
 
 
-def _with_order(signals: Mapping[str, Any]) -> dict[str, Any]:
+def _with_order(delay: str = "exact", **signals: Any) -> dict[str, Any]:
     """Return the options with the order of the Padé approximation in place of its name."""
-    return {
-        **{k: v for k, v in signals.items() if k != "delay"},
-        "pade": delay_order(signals.get("delay", "exact")),
-    }
+    return {**signals, "pade": delay_order(delay)}
 
 
 def _checked(
-    model: Model, sine: Sine, omega: Array, response: ComplexArray, input: str, output: str
+    model: Model,
+    sine: Sine,
+    omega: Array,
+    response: ComplexArray,
+    *,
+    input: str = "",
+    output: str = "",
+    **_: Any,
 ) -> FrequencyResponse:
     finite = np.isfinite(response)
     if not finite.all():
@@ -127,7 +129,7 @@ def periodic_motions(
 
     The response is NaN where no motion is found.
     """
-    options = _with_order(signals)
+    options = _with_order(**signals)
     direct, number = directly_found(model, values, omega, sine, **options)
     if not np.isfinite(direct).all():
         # The search for harmonics went to its limit in vain.

@@ -62,13 +62,8 @@ class Dynamics:
 
     @property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """New symbols of states (n,), inputs (m,) and parameters."""
-        x, u, p = (
-            ca.SX.sym(letter, len(names))
-            for letter, names in zip(
-                "xup", (self.states, self.inputs, self.parameters), strict=True
-            )
-        )
+        """Symbols of states (n,), inputs (m,) and parameters."""
+        x, u, p = self.output.sx_in()
         return x, u, p
 
     @property

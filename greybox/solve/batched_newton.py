@@ -14,9 +14,7 @@ over the variables that the gradient does not hold at a bound (Bertsekas, SIAM J
 1982).
 """
 
-import threading
 from dataclasses import dataclass
-from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -25,7 +23,7 @@ from greybox.compiled.alike_terms import FEWEST_COLUMNS, SecondOrder
 from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array, BoolArray, IntArray
-from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.one_thread import PerThread, one_thread_at_a_time
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.newton_iteration import (
     COST,
@@ -105,17 +103,6 @@ class _Searches:
         )
 
 
-class _Iterations(threading.local):
-    """The functions of the iteration by number of variables.
-
-    CasADi functions must not be shared by threads.
-    """
-
-    def __init__(self) -> None:
-        self.of = lru_cache(maxsize=16)(_iteration)
-
-
-@one_thread_at_a_time
 def _iteration(p: int) -> tuple[Columns, Columns]:
     """Return `advanced` and `bounded` for p variables."""
     # Searches go to the next level at a projected gradient of 1e-2: with 1e-3 they take a twentieth
@@ -126,7 +113,7 @@ def _iteration(p: int) -> tuple[Columns, Columns]:
     )
 
 
-_iterations = _Iterations()
+_iterations = PerThread(_iteration, 16)
 
 
 class BatchedNewton:
@@ -226,7 +213,7 @@ class BatchedNewton:
         inputs += [searches.given] if len(searches.given) else []
         cost, gradient, hessian = self._function(*inputs)
 
-        advance, within_radius = _iterations.of(p)
+        advance, within_radius = _iterations.result(p)
         barrier = BARRIERS[searches.path, levels][None]
         tolerances = np.full((1, len(levels)), tolerance)
         numbers, hessian_of_free = advance(

@@ -22,7 +22,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError, Executor, Future
 from concurrent.futures import TimeoutError as StillRunning
 from contextlib import contextmanager
-from functools import lru_cache
 from itertools import islice
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -30,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from greybox.files.arrays import Array
-from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.one_thread import PerThread
 from greybox.solve.interruption import (
     TimeLimits,
     current_limits,
@@ -303,16 +302,8 @@ def _result(future: Future[list[Outcome]]) -> list[Outcome] | None:
 # --- on the worker
 
 
-class _Built(threading.local):
-    """The solvers of this thread: a CasADi function must not be called by two at a time."""
-
-    def __init__(self) -> None:
-        # A solver takes longer to build than many of its runs. Four serve the members of a study
-        # in turn.
-        self.solver = lru_cache(maxsize=4)(one_thread_at_a_time(pickle.loads))
-
-
-_built = _Built()
+# A solver takes longer to build than many of its runs. Four serve the members of a study in turn.
+_solvers = PerThread(pickle.loads, 4)
 
 
 def run_starts(
@@ -324,7 +315,7 @@ def run_starts(
     search.
     """
     with _without_interrupts(os.getpid() != coordinator), limited(limits):
-        solver = _built.solver(payload)
+        solver = _solvers.result(payload)
         size = solver.together
         batches = (starts[k : k + size] for k in range(0, len(starts), size))
         return [outcome for batch in batches for outcome in _run(solver, batch)]

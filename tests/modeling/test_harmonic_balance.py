@@ -544,7 +544,7 @@ def respond(amplitude, model=None, **options):
     [
         (
             {"speed": 0.1},
-            r"the sine is of 'speed', which NonlinearTilt does not have: name one of u, theta, v, q, rotor",
+            r"NonlinearTilt has no signal for a sine 'speed'; it has u, theta, v, q, rotor",
         ),
         ({"theta": 0.0}, r"amplitude of 'theta' is 0\.0: give a finite number above 0"),
         ({"theta": np.nan}, r"amplitude of 'theta' is nan"),

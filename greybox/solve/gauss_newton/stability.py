@@ -85,7 +85,6 @@ def simulate_stable(parts: AllParts, iterate: Iterate) -> Iterate:
     for gain, trajectory in zip(parts.gains, iterate.trajectories, strict=True):
         if gain is not None and not trajectory.simulated and gain.is_stable(trajectory):
             simulated = gain.part.trajectory(iterate.z, trajectory.nodes, simulated=True)
-            trajectories.append(simulated if simulated.finite else trajectory)
-        else:
-            trajectories.append(trajectory)
+            trajectory = simulated if simulated.finite else trajectory  # noqa: PLW2901
+        trajectories.append(trajectory)
     return Iterate(iterate.z, tuple(trajectories))
