@@ -446,7 +446,7 @@ class MaximumLikelihood(Criterion):
         """
         ratio = max(self.noise_ratio(model, data) * correction**2, 1.0)
         few = np.ones(len(data)) if data.dof is None else (data.dof + 2) / data.dof
-        return 2.0, 4 * 0.5 * ratio * np.tile(few, 2)
+        return 2.0, 2 * ratio * np.tile(few, 2)
 
     def error_size(self, model: ComplexArray, data: FrequencyResponse) -> Array:
         """Return the roots of the given variances."""

@@ -9,6 +9,13 @@ from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.data.units import are_of_one_kind, known_unit, to_si
 from greybox.modeling.model import Model, pick_signals, require_known
 
+CONVERT = (
+    "convert it, record.with_signals(units={{{name!r}: {unit!r}}}, "
+    "{name}={factor:.10g} * record[{name!r}]{zero})"
+)
+CONVERT_FIRST = "convert the record that the spectrum was made of"
+MEASURE = "measure it in {unit}, as gb.prepare does from logs"
+
 
 def check_units(model: Model, data: Record | TransientSpectrum) -> None:
     """Check that a record or a spectrum has the units of the model, where both are known.
@@ -21,23 +28,12 @@ def check_units(model: Model, data: Record | TransientSpectrum) -> None:
     signals = (*model.input_names, *model.output_names)
     names = (*signals, *getattr(model, "states", ()))
     require_known(model.units, names, "signal", model.label)
-    noun = "record" if isinstance(data, Record) else "spectrum"
+    is_record = isinstance(data, Record)
+    noun, cure = ("record", CONVERT) if is_record else ("spectrum", CONVERT_FIRST)
     for name in dict.fromkeys(signals):
-        if name not in data.signals:
-            continue
-        place = f"the {noun} {data.name!r}"
-        conversion = _conversion(model, name, data.units.get(name, ""), name, place)
-        if conversion is None:
-            continue
-        reason, factor, zero = conversion
-        if not isinstance(data, Record):
-            raise ValueError(f"{reason}: convert the record that the spectrum was made of.")
-        converted = f"{factor:.10g} * record[{name!r}]" + (f" + {zero:.10g}" if zero else "")
-        unit = model.units[name].strip()
-        raise ValueError(
-            f"{reason}: convert it, record.with_signals(units={{{name!r}: {unit!r}}}, "
-            f"{name}={converted})."
-        )
+        if name in data.signals:
+            place = f"the {noun} {data.name!r}"
+            _require_same_unit(model, name, data.units.get(name, ""), name, place, cure)
 
 
 def check_response_units(model: Model, response: FrequencyResponse) -> None:
@@ -51,43 +47,37 @@ def check_response_units(model: Model, response: FrequencyResponse) -> None:
     pair = pick_signals(model, response.input, response.output)
     names = {"input": response.input, "output": response.output}
     for name, (noun, in_response) in zip(pair, names.items(), strict=True):
-        unit = response.units.get(in_response, "")
-        rate_cure = "take the model of the rate, or response.over_s()"
-        conversion = _conversion(model, name, unit, f"the {noun} {name}", "the response", rate_cure)
-        if conversion is not None:
-            reason, *_ = conversion
-            declared = model.units[name].strip()
-            raise ValueError(f"{reason}: measure it in {declared}, as gb.prepare does from logs.")
+        unit, label = response.units.get(in_response, ""), f"the {noun} {name}"
+        _require_same_unit(model, name, unit, label, "the response", MEASURE)
 
 
-def _conversion(
-    model: Model, name: str, unit: str, label: str, place: str, rate_cure: str = ""
-) -> tuple[str, float, float] | None:
-    """Return reason, factor and zero of a conversion to the model's unit; None if not needed.
-
-    Raises
-    ------
-    ValueError
-        If the units are those of different quantities.
-    """
+def _require_same_unit(
+    model: Model, name: str, unit: str, label: str, place: str, cure: str
+) -> None:
+    """Raise ValueError with the cure if a signal has another unit than in the model."""
     declared = model.units.get(name, "").strip()
     unit = unit.strip()
     modeled, measured = known_unit(declared), known_unit(unit)
     if modeled is None or measured is None:
-        return None
+        return
 
     reason = f"{label} is in {unit} in {place} and in {declared} in {model.label}"
     if not are_of_one_kind(modeled, measured):
         # A rate where an angle is expected is the usual mistake.
         is_rate = measured.si != "1" and are_of_one_kind(modeled, to_si(f"{measured.si}*s"))
-        cure = rate_cure if is_rate and rate_cure else "correct the unit or give the right signal"
+        if is_rate and cure == MEASURE:
+            cure = "take the model of the rate, or response.over_s()"
+        else:
+            cure = "correct the unit or give the right signal"
         raise ValueError(f"{reason}: these are different quantities, {cure}.")
 
     factor = measured.factor / modeled.factor
     zero = (measured.zero - modeled.zero) / modeled.factor
     # 1e-9: rounding of how the factors are written.
-    is_same = math.isclose(factor, 1.0, rel_tol=1e-9) and abs(zero) <= 1e-9
-    return None if is_same else (reason, factor, zero)
+    if not math.isclose(factor, 1.0, rel_tol=1e-9) or abs(zero) > 1e-9:
+        offset = f" + {zero:.10g}" if zero else ""
+        cure = cure.format(name=name, unit=declared, factor=factor, zero=offset)
+        raise ValueError(f"{reason}: {cure}.")
 
 
 def as_the_only_pair(model: Model, response: FrequencyResponse) -> FrequencyResponse:

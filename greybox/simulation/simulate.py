@@ -21,7 +21,6 @@ from greybox.simulation.windows import (
     Windows,
     cut,
     default_length,
-    require_lengths,
     require_signals,
 )
 
@@ -112,9 +111,9 @@ def simulate(
             columns[name][stretch.rows] = signals[name]
 
     units = {
-        n: record.units[n.removesuffix(ERROR)]
+        n: record.units[signal]
         for n in columns
-        if n.removesuffix(ERROR) in record.units
+        if (signal := n.removesuffix(ERROR)) in record.units
     }
     remark = f", {_not_known(tuple(unknown), estimated)}" if unknown else ""
     name = f"simulation of {estimated.label}{remark}"
@@ -167,7 +166,6 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
         long enough, the delay is longer than the lead-in, or the model has no finite value in a
         window.
     """
-    require_lengths(**{n: v for n, v in (("horizon", horizon), ("lead", lead)) if v is not None})
     estimated, record = _model_and_record(model, values, record, inputs, part)
     horizon = default_length([record], SHORTEST) if horizon is None else horizon
 
