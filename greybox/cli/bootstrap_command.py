@@ -5,7 +5,6 @@ import argparse
 from greybox.cli.output import Answer
 from greybox.cli.saved_fits import stated_fit
 from greybox.cli.workers import stated_executor
-from greybox.solve.executors import ExecutorLostError
 from greybox.study.bootstrap import bootstrap
 
 EXAMPLES = (
@@ -47,8 +46,6 @@ def run(options: argparse.Namespace) -> Answer:
     except KeyboardInterrupt:
         resume = "" if options.out is None else f"; the same command continues in {options.out}"
         return ({"error": f"interrupted{resume}."},)
-    except ExecutorLostError as error:
-        return ({"error": str(error)},)
 
     answer = result.summary(options.level)
     if result.failed > len(result.values) - 2:  # fewer than two values have no spread

@@ -15,6 +15,7 @@ from greybox.cli.options import UsageError, as_options
 from greybox.cli.output import BAD_INPUT, FAILED, INTERRUPTED, USABLE, write_answer
 from greybox.cli.terminal import write
 from greybox.modeling.model_reference import UnknownModelError
+from greybox.solve.executors import ExecutorLostError
 from greybox.solve.interruption import Response, ended_status, listening, responding, take_interrupt
 
 
@@ -57,6 +58,9 @@ def _answer(
                 raise KeyboardInterrupt from error
             if options.debug:
                 traceback.print_exc()
+            if isinstance(error, ExecutorLostError):
+                stored = "; the same command continues with the stored runs" if options.out else ""
+                return {"error": f"{str(error).rstrip('.')}{stored}."}, "", FAILED
             sentence, status = _explain(error, arguments)
             if not isinstance(error, UsageError):
                 sentence = as_options(sentence, options)

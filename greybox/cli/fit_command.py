@@ -16,7 +16,6 @@ from greybox.estimate.result import Fit
 from greybox.estimate.storage import save
 from greybox.estimate.summary import summary
 from greybox.files.text_table import counted
-from greybox.solve.executors import ExecutorLostError
 from greybox.solve.interruption import (
     Response,
     TimeLimits,
@@ -72,14 +71,8 @@ def run(options: argparse.Namespace) -> Answer:
     make = _stated_fit(options)
     limits = TimeLimits.from_now(options.seconds, None)
     store = nullcontext() if options.out is None else runs_beside(options.out)
-    try:
-        with store as stored, stated_executor(options) as executor, limited(limits):
-            return _answer(
-                options, stored, *_fitted(partial(make, executor=executor), stored, options)
-            )
-    except ExecutorLostError as error:
-        resume = "" if options.out is None else "; the same command continues with the stored runs"
-        return ({"error": f"{str(error).rstrip('.')}{resume}."},)
+    with store as stored, stated_executor(options) as executor, limited(limits):
+        return _answer(options, stored, *_fitted(partial(make, executor=executor), stored, options))
 
 
 def _stated_fit(options: argparse.Namespace) -> Callable[..., Fit]:

@@ -113,7 +113,8 @@ def _equations(fit: Fit) -> Iterator[Element]:
             methods = [model.response] if is_ratio else [model.derivative, model.output]
             yield tag("pre", "\n".join(dedent(getsource(method)) for method in methods))
         except (LookupError, ValueError, TypeError, OSError) as error:
-            yield tag("p", f"The formula is not available: {_sentence(error)}")
+            reason = str(error.args[0] if error.args else type(error).__name__).rstrip(".")
+            yield tag("p", f"The formula is not available: {reason}.")
 
 
 def _histories(fit: Fit) -> Iterator[Element]:
@@ -132,8 +133,3 @@ def _histories(fit: Fit) -> Iterator[Element]:
     yield figure_grid([history_figure([fit], k, labels[k : k + 1], COLUMNS) for k in chosen])
     if fit.converged:
         yield figure_grid([figure for k in chosen for figure in residual_figures(fit.records[k])])
-
-
-def _sentence(error: Exception) -> str:
-    text = str(error.args[0]) if error.args else type(error).__name__
-    return text if text.endswith(".") else f"{text}."

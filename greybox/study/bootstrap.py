@@ -309,13 +309,9 @@ def bootstrap(
     """
     began = time.perf_counter()
     fit.require_estimate()
-    if not isinstance(replicates, int) or replicates < 2:
-        raise ValueError(
-            f"replicates={replicates!r:.40} must be a whole number of at least 2; 1000 give "
-            "intervals."
-        )
-    if not isinstance(seed, int) or seed < 0:
-        raise ValueError(f"seed={seed!r:.40} must be a whole number of at least 0.")
+    for name, value, least in (("replicates", replicates, 2), ("seed", seed, 0)):
+        if not isinstance(value, int) or value < least:
+            raise ValueError(f"{name}={value!r:.40} must be a whole number of at least {least}.")
     require_executor(executor)
     _require_drawable(fit)
     nlp = compiled_again(fit, problem, method)

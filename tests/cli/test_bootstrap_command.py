@@ -79,5 +79,5 @@ def test_replicates_are_kept_in_a_folder_and_a_lost_executor_is_told(capsys, mon
     assert run(capsys, "bootstrap", "x.h5", "--out", tmp_path) == (
         1,
         "",
-        "greybox: the workers are gone.\n",
+        "greybox: the workers are gone; the same command continues with the stored runs.\n",
     )
