@@ -17,7 +17,6 @@ import numpy as np
 from tqdm import tqdm
 
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
-from greybox.compiled.part import Trajectory
 from greybox.compiled.transcription.method import Transcription
 from greybox.estimate.covariance import (
     Accuracy,
@@ -37,7 +36,6 @@ from greybox.estimate.misfit import assessed_misfit
 from greybox.estimate.profile import profiled_where_misleading
 from greybox.estimate.quantities import quantities
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array
 from greybox.files.text_table import counted
 from greybox.formulation.frequency_criteria import evaluate
 from greybox.formulation.included_criteria import CRITERIA
@@ -347,15 +345,20 @@ def assemble(
         trajectories = solver.profile(best, search.nodes).trajectories
         accuracy = assess(nlp, best, trajectories)
 
-    estimate = dict(zip(nlp.names, nlp.all_values(best).tolist(), strict=True))
+    values = nlp.all_values(best)
+    estimate = dict(zip(nlp.names, values.tolist(), strict=True))
     lines, covariance, slopes = quantities(nlp, accuracy, estimate)
     # The warnings below read the fitted values, so the parts come first.
-    parts = _parts(nlp, best, trajectories)
+    # Values, not the compiled parts: a fit must be small, and readable without its model.
+    parts = tuple(
+        fitted_part(part, trajectory, values, dict(part.problem.local_values(estimate)))
+        for part, trajectory in zip(nlp.parts, trajectories, strict=True)
+    )
     misfit = directions = None
     if search.minima:
         misfit = assessed_misfit(nlp, best, trajectories, accuracy.correlation, {})
-        values = np.array([line.value for line in lines[: len(slopes)]])
-        directions = known_directions(nlp, accuracy, values, slopes)
+        at = np.array([line.value for line in lines[: len(slopes)]])
+        directions = known_directions(nlp, accuracy, at, slopes)
     if directions is not None and directions.unseen.any():
         # Where two values are equal, the data seem to determine their sum and their product alike.
         # A second point shows which combination is determined everywhere.
@@ -411,19 +414,6 @@ def _versions() -> dict[str, str]:
 def _priors(problem: AnyProblem) -> dict[str, tuple[float, float]]:
     """Return mean and standard deviation of every prior by name."""
     return {name: pair for prior in stated_priors(problem) for name, pair in prior.stated.items()}
-
-
-def _parts(
-    nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory | None]
-) -> tuple[AnyFittedPart, ...]:
-    """Return what the answer keeps of each part at the free parameters x (p,)."""
-    # Values, not the compiled parts: a fit must be small, and readable without its model.
-    values = nlp.all_values(x)
-    named = dict(zip(nlp.names, values.tolist(), strict=True))
-    return tuple(
-        fitted_part(part, trajectory, values, dict(part.problem.local_values(named)))
-        for part, trajectory in zip(nlp.parts, trajectories, strict=True)
-    )
 
 
 def _all_costs(parts: Sequence[AnyFittedPart]) -> dict[str, float]:

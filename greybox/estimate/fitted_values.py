@@ -117,7 +117,6 @@ def _(
     noise = np.full((count, count), np.nan)
     gain = gain_slope = None
     nodes = np.full((part.data.segments, part.states), np.nan)
-    signals = {name: np.full(len(data), np.nan) for name in part.outputs}
 
     if trajectory is not None:
         noise = part.covariance_along(trajectory).covariance(trajectory.products)
@@ -130,15 +129,14 @@ def _(
             gain_slope = np.zeros((gain.size, len(model.parameters) - gain.size))
             gain_slope[:, estimated] = steady.gain_slope.reshape(gain.size, -1)
         nodes = trajectory.nodes
-        signals = _simulated(part, trajectory)
 
     return FittedRecord(
         **_of_problem(part.problem),
         data=stored,
         simulated=replace(
             stored,
-            signals=signals,
-            units={name: unit for name, unit in stored.units.items() if name in signals},
+            signals=_simulated(part, trajectory),
+            units={name: unit for name, unit in units.items() if name in part.outputs},
             name=part.problem.model.label,
             source="",
             checksum="",
@@ -166,10 +164,12 @@ def _(
     )
 
 
-def _simulated(part: RecordPart, trajectory: Trajectory) -> dict[str, Array]:
+def _simulated(part: RecordPart, trajectory: Trajectory | None) -> dict[str, Array]:
     """Return the outputs at the times of the record; NaN where none was compared."""
     data = part.model.record
     signals = {name: np.full(len(data), np.nan) for name in part.outputs}
+    if trajectory is None:
+        return signals
     outputs = part.data.unpadded(part.simulated_outputs(trajectory))
     # An output that was measured, but whose past the delay hides, was not compared.
     for stretch, values in zip(part.data.stretches, outputs, strict=True):

@@ -234,8 +234,8 @@ def _condition(matrix: Array) -> float:
         return math.nan
     if not np.all(length > 0):
         return math.inf
-    values = np.linalg.eigvalsh(matrix / np.outer(length, length))
-    return math.sqrt(values[-1] / values[0]) if values[0] > 1e-14 * values[-1] else math.inf
+    squared = float(np.linalg.cond(matrix / np.outer(length, length)))
+    return math.sqrt(squared) if squared < 1e14 else math.inf
 
 
 def _combinations(

@@ -304,11 +304,7 @@ def _of_record(
         with np.errstate(all="ignore"):
             trajectory = part.trajectory(nlp.scaling.to_solver(x), nodes, simulated=True)
             states = trajectory.states
-            if (
-                trajectory.finite
-                and np.all(np.isfinite(states))
-                and np.all(np.abs(states) < LARGEST)
-            ):
+            if trajectory.finite and np.all(np.abs(states) < LARGEST):
                 return _of_trajectory(nlp, x, part, trajectory)
 
     return None

@@ -34,8 +34,8 @@ class NearPair:
         return f"{kind} {pair}, {100 * self.distance:.2g} % apart"
 
 
-def near_pairs(zeros: ArrayLike, poles: ArrayLike, tolerance: float = NEAR) -> tuple[NearPair, ...]:
-    """Match zeros and poles that are closer than `tolerance`, each used once, the closest first.
+def near_pairs(zeros: ArrayLike, poles: ArrayLike) -> tuple[NearPair, ...]:
+    """Match zeros and poles that are closer than `NEAR`, each used once, the closest first.
 
     Complex ones are matched in the upper half plane, one `NearPair` for a conjugate pair. Since the
     distance is relative, a zero near the origin does not cancel an integrator unless it is zero
@@ -48,7 +48,7 @@ def near_pairs(zeros: ArrayLike, poles: ArrayLike, tolerance: float = NEAR) -> t
     matched: list[NearPair] = []
     # The closest pair first: a zero between two poles cancels the nearer one.
     for pair in sorted(candidates, key=lambda pair: pair.distance):
-        if pair.distance < tolerance and pair.zero in free_zeros and pair.pole in free_poles:
+        if pair.distance < NEAR and pair.zero in free_zeros and pair.pole in free_poles:
             matched.append(pair)
             free_zeros.remove(pair.zero)
             free_poles.remove(pair.pole)

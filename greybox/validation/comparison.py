@@ -129,13 +129,12 @@ class Comparison:
         return " and ".join(texts)
 
     def _section(self, rows: Sequence[Row], title: str) -> list[str]:
-        cells = [[r.measure, r.unit, *(_cell(v) for v in r.values)] for r in rows]
+        cells = [
+            [r.measure, r.unit, *("-" if v is None else number(v, 5) for v in r.values)]
+            for r in rows
+        ]
         table = text_table([title, "", *self.labels], cells, left=(0, 1))
         return [*("  " + line for line in table.splitlines()), ""]
-
-
-def _cell(value: float | None) -> str:
-    return "-" if value is None else number(value, 5)
 
 
 def p_text(p: float) -> str:

@@ -8,7 +8,6 @@ import numpy as np
 
 from greybox.estimate.fitted_part import FittedPart, FittedResponse
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array
 from greybox.files.text_table import listed, number, one_line
 from greybox.validation.comparison import SIGNIFICANT, p_text
 from greybox.validation.nesting import NotNestedError, nested_values
@@ -154,7 +153,9 @@ def nested_test_at(
     if independent and large.independent is not None:
         alone, dof = large.independent
         covariance = np.where(np.isnan(covariance), np.nan, alone[np.ix_(rows, rows)])
-    if not (dof > 0 and np.all(np.isfinite(covariance)) and _is_definite(covariance)):
+    if not (
+        dof > 0 and np.all(np.isfinite(covariance)) and np.all(np.linalg.eigvalsh(covariance) > 0)
+    ):
         raise ValueError(
             f"the data do not determine {listed(list(values))} of {labels[1]}: nothing can be "
             "tested."
@@ -178,10 +179,6 @@ def nested_test_at(
         statistic = max(ratio, 0.0) / (scale * removed)
     p_value = f_tail(statistic, removed, dof, on_bound=bool(on_bound))
     return NestedTest(*labels, tuple(values), ratio, scale, statistic, (removed, dof), p_value)
-
-
-def _is_definite(covariance: Array) -> bool:
-    return not covariance.size or bool(np.all(np.linalg.eigvalsh(covariance) > 0))
 
 
 def cost_scale(fit: Fit) -> float:
