@@ -9,7 +9,6 @@ import numpy as np
 
 from greybox.data.record import Record
 from greybox.experiment.controller import Controller, updated
-from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
 
 LATEST = 3  # samples by which a logged setpoint may precede the control that it belongs to
@@ -78,12 +77,13 @@ def check_controller(controller: Controller, record: Record) -> ControlCheck:
     record = record.rows(slice(max(int(PASSES / max(passes, 1)), 2)))
     time, name = record.time, controller.outputs[0]
     logged = record[name]
+    rows = [record[n] for n in controller.inputs]
+    rows += [record.signals.get(n, np.zeros(len(time))) for n in controller.setpoints]
     grid = time  # a log of every pass has the samples themselves, whatever its time stamps
     if controller.rate > THINNED * record.rate:
         grid = time[0] + np.arange(math.ceil(record.duration * controller.rate)) / controller.rate
-    read = [record[n] for n in controller.inputs]
-    read += [record.signals.get(n, np.zeros(len(time))) for n in controller.setpoints]
-    rows = np.array([_spline(time, values, grid) for values in read])
+        splines = [ca.interpolant("s", "bspline", [time], values) for values in rows]
+        rows = [np.asarray(spline(grid)).ravel() for spline in splines]
     simulate = _compiled(controller).mapaccum("flown", len(grid))
 
     settled = time > time[0] + min(SETTLED, record.duration / 2)
@@ -110,12 +110,6 @@ def check_controller(controller: Controller, record: Record) -> ControlCheck:
         )
     late.pop("", None)
     return ControlCheck(best, late, record.rate, controller.rate)
-
-
-def _spline(time: Array, values: Array, grid: Array) -> Array:
-    if grid is time:
-        return values
-    return np.asarray(ca.interpolant("s", "bspline", [time], values)(grid)).ravel()
 
 
 @one_thread_at_a_time

@@ -109,12 +109,14 @@ def manoeuvres_in(time: Array, values: Array) -> list[Segment]:
     height = max(drift, NOISE * noise)
     rests = _rests(time, values, height)
     manoeuvres = []
-    k = 0
-    for end in range(1, len(rests)):
+    before = 0
+    for k, rest in enumerate(rests[1:], start=1):
         # A short rest at another level is part of the manoeuvre.
-        if _is_reached(time, rests, k, end, drift):
-            manoeuvres.append(_named(time, values, rests[k], rests[end], drift, height))
-            k = end
+        returned = abs(rest.begins - rests[before].ends) <= 2 * drift
+        lasting = time[rest.last] - time[rest.first] > NEW_REST
+        if returned or lasting or rest is rests[-1]:
+            manoeuvres.append(_named(time, values, rests[before], rest, drift, height))
+            before = k
 
     return [segment for segment in manoeuvres if segment]
 
@@ -136,17 +138,6 @@ def _rests(time: Array, values: Array, height: float) -> list[_Rest]:
         ends = (values[first : first + window], values[last - window + 1 : last + 1])
         rests.append(_Rest(first, last, *(float(np.median(part)) for part in ends)))
     return rests
-
-
-def _is_reached(time: Array, rests: Sequence[_Rest], k: int, end: int, drift: float) -> bool:
-    """Return whether a manoeuvre that left rest k is over at rest `end`."""
-    reached = rests[end]
-    returned = abs(reached.begins - rests[k].ends) <= 2 * drift
-    return (
-        returned
-        or end == len(rests) - 1
-        or bool(time[reached.last] - time[reached.first] > NEW_REST)
-    )
 
 
 def _named(

@@ -11,7 +11,6 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.record import Recording
 from greybox.files.arrays import Array, IntArray
@@ -144,7 +143,10 @@ def _decoded(
         elif letter in "nNZ":
             texts[name] = [text(value) for value in values.tolist()]
         elif letter != "a":  # arrays, of files and of raw samples of the IMU
-            columns[name] = _numbers(values, layout.scale(i))
+            with np.errstate(invalid="ignore"):  # damaged floats
+                columns[name] = values.astype(float)
+            if scale := layout.scale(i):
+                columns[name] /= scale
 
     return Messages(layout.name, order, time, columns, texts, units.columns, units.instance)
 
@@ -153,11 +155,6 @@ def _is_wanted(name: str, messages: Collection[str] | None) -> bool:
     if messages is None:
         return name != "FILE"  # whole files of the vehicle, as text
     return name in {*messages, *ALWAYS, *TABLES}
-
-
-def _numbers(values: NDArray[np.generic], scale: float | None) -> Array:
-    with np.errstate(invalid="ignore"):  # damaged floats
-        return values.astype(float) if scale is None else values.astype(float) / scale
 
 
 def clock_column(layout: Layout) -> str:

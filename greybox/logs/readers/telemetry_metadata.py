@@ -53,8 +53,9 @@ def metadata(kinds: Mapping[str, Kind], times: Mapping[str, Array]) -> dict[str,
 
 
 def _heartbeats(kinds: Mapping[str, Kind], times: Mapping[str, Array]) -> Heartbeats:
+    nobody = Heartbeats(-1, {}, np.empty(0))
     if "HEARTBEAT" not in kinds:
-        return Heartbeats(-1, {}, np.empty(0))
+        return nobody
     senders = np.asarray(kinds["HEARTBEAT"].senders)
     fields = kinds["HEARTBEAT"].columns
     # Ground stations, cameras and gimbals send heartbeats, too.
@@ -62,7 +63,7 @@ def _heartbeats(kinds: Mapping[str, Kind], times: Mapping[str, Array]) -> Heartb
         fields["type"] != mavlink.MAV_TYPE_GCS
     )
     if not flying.any():
-        return Heartbeats(-1, {}, np.empty(0))
+        return nobody
     sender = int(senders[flying.argmax()])
     # Modes of another vehicle on the same link are not those of this one.
     rows = flying & (senders == sender)
