@@ -248,13 +248,13 @@ class FrequencyResponse:
 
     def where(self, selected: BoolArray) -> "FrequencyResponse":
         """Return the points for which `selected` (n,) is true."""
+        # The frequencies are the last axis of all.
         arrays = {
-            name: values[selected]
-            for name in COLUMNS
+            name: values[..., selected]
+            for name in (*COLUMNS, "common_errors")
             if (values := getattr(self, name)) is not None
         }
-        common = None if self.common_errors is None else self.common_errors[:, selected]
-        return replace(self, **arrays, common_errors=common)
+        return replace(self, **arrays)
 
     def times_s(self, output: str = "") -> "FrequencyResponse":
         """Multiply by jω, e.g. from an angle to its rate; `output` names the new signal."""

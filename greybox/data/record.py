@@ -424,11 +424,11 @@ def share_samples(a: Record, b: Record) -> bool:
 def _read_only(values: ArrayLike, name: str) -> Array:
     """Return a read-only array (n,), without a copy if it is read-only already."""
     # A read-only view of an array that its owner may still change does not count.
-    owner = values.base if isinstance(values, np.ndarray) and values.base is not None else values
-    arrays = (values, owner)
-    is_frozen = all(isinstance(x, np.ndarray) and not x.flags.writeable for x in arrays)
-    if is_frozen and type(values) is np.ndarray and values.dtype == float and values.ndim == 1:
-        return values
+    if type(values) is np.ndarray and values.dtype == float and values.ndim == 1:
+        owner = values if values.base is None else values.base
+        is_frozen = isinstance(owner, np.ndarray) and not owner.flags.writeable
+        if is_frozen and not values.flags.writeable:
+            return values
     return checked_array(name, values)
 
 

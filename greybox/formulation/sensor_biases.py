@@ -31,8 +31,11 @@ def with_numbered_biases(parts: Sequence[Any]) -> tuple[Any, ...]:
 
     result = []
     for part, record in zip(parts, records, strict=True):
-        names = [name for name in _unnamed_biases(part) if (name, record) in numbered]
-        renamed = {name: numbered[name, record] for name in names}
+        renamed = {
+            name: numbered[name, record]
+            for name in _unnamed_biases(part)
+            if (name, record) in numbered
+        }
         result.append(part.with_(rename={**part.rename, **renamed}) if renamed else part)
 
     return tuple(result)

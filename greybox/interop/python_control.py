@@ -86,9 +86,16 @@ def to_control(
         u, y = pick_signals(source.model, input, output)
         return control.TransferFunction(*linear, inputs=[u], outputs=[y], **name)
 
-    matrices = (linear.A, linear.B, linear.C, linear.D)
-    labels = {"states": linear.states, "inputs": linear.inputs, "outputs": linear.outputs}
-    return control.StateSpace(*matrices, **{k: list(v) for k, v in labels.items()}, **name)
+    return control.StateSpace(
+        linear.A,
+        linear.B,
+        linear.C,
+        linear.D,
+        states=list(linear.states),
+        inputs=list(linear.inputs),
+        outputs=list(linear.outputs),
+        **name,
+    )
 
 
 def from_control(

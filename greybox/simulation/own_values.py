@@ -313,9 +313,8 @@ def _covariance(simulator: Simulator, estimate: _Estimate) -> Array:
     """Return the covariance of all values, with those that were estimated from the record."""
     model = estimate.model
     places = estimate.places
-    covariance = np.zeros((len(model.names),) * 2)
-    if model.covariance is not None:
-        covariance = model.covariance.copy()
+    exact = np.zeros((len(model.names),) * 2)
+    covariance = exact if model.covariance is None else model.covariance.copy()
 
     # The estimates follow the model's parameters, and share their errors.
     covariance[places] = 0.0
