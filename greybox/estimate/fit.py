@@ -387,7 +387,7 @@ def assemble(
         white=accuracy.white,
         independent=accuracy.independent,
         directions=directions,
-        priors=_priors(nlp.problem),
+        priors={n: pair for p in stated_priors(nlp.problem) for n, pair in p.stated.items()},
         prior_share=prior_shares(nlp, accuracy),
         misfit=misfit,
     )
@@ -409,11 +409,6 @@ def _versions() -> dict[str, str]:
         "numpy": np.__version__,
         "python": platform.python_version(),
     }
-
-
-def _priors(problem: AnyProblem) -> dict[str, tuple[float, float]]:
-    """Return mean and standard deviation of every prior by name."""
-    return {name: pair for prior in stated_priors(problem) for name, pair in prior.stated.items()}
 
 
 def _all_costs(parts: Sequence[AnyFittedPart]) -> dict[str, float]:

@@ -78,11 +78,10 @@ class KnownDirections:
         """The inverse covariance in multiples of size; zero along unseen directions."""
         scaled = self.covariance / np.outer(self.size, self.size)
         values, vectors = np.linalg.eigh(scaled)
-        rank = len(values) - np.linalg.matrix_rank(self.unseen) if self.unseen.size else len(values)
+        lost = np.linalg.matrix_rank(self.unseen) if self.unseen.size else 0
         # Directions without information have the smallest eigenvalues: zero but for rounding.
-        values = values[len(values) - rank :]
-        vectors = vectors[:, len(vectors) - rank :]
-        return (vectors / np.maximum(values, 1e-300)) @ vectors.T
+        seen = vectors[:, lost:]
+        return (seen / np.maximum(values[lost:], 1e-300)) @ seen.T
 
     def errors(self, gradients: Array) -> Array:
         """Return the standard errors (m,) of quantities by their gradients (m, p); NaN if open."""
