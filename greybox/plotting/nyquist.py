@@ -85,8 +85,12 @@ def _figure(responses: Sequence[DrawnResponse], level: float | None) -> Figure:
         response = drawn.response
         # A curve runs along frequency, and the numbers of points stand beside their neighbors.
         order = np.argsort(response.omega)
-        labels = [_brief(omega) for omega in response.omega[order]] if drawn.is_measured else ()
-        notes = [_note(response, k) for k in order] if drawn.is_measured else ()
+        labels, notes = [], []
+        if drawn.is_measured:
+            # Three digits, without exponent where that is readable.
+            labels = [f"{float(f'{omega:.3g}'):g}" for omega in response.omega[order]]
+            values = zip(response.response[order], response.omega[order], strict=True)
+            notes = [f"{value:.4g} at {omega:.4g} rad/s" for value, omega in values]
         x = response.alpha[order]
         series.append(drawn.series(x, response.beta[order], notes=notes, labels=labels))
 
@@ -107,15 +111,6 @@ def _figure(responses: Sequence[DrawnResponse], level: float | None) -> Figure:
         is_plane=True,
         limits=limits and limits[0],
     )
-
-
-def _note(response: FrequencyResponse, k: int) -> str:
-    return f"{response.response[k]:.4g} at {response.omega[k]:.4g} rad/s"
-
-
-def _brief(omega: float) -> str:
-    """Return a frequency with three digits, without exponent where that is readable."""
-    return f"{float(f'{omega:.3g}'):g}"
 
 
 def _regions(responses: Sequence[DrawnResponse], level: float | None) -> list[Series]:

@@ -14,6 +14,9 @@ from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.signals import chosen, distinct_labels, shown_unit, signal_label
 from greybox.simulation.prediction import Prediction
 
+BANDS = (
+    "Bands: 95 % confidence from the errors of parameters and initial state, without sensor noise."
+)
 DOTS = 400  # measured samples up to which each is a dot: more would touch
 
 
@@ -115,19 +118,9 @@ def history_figure(
         "Time, s" if data.has_time else "Row",
         panels,
         subject=records or "time history",
-        caption=_caption(drawn),
+        caption=BANDS if any(s.low is not None for panel in panels for s in panel.series) else "",
         bands="95 % band without noise",
         is_wide=True,
-    )
-
-
-def _caption(drawn: Sequence[History]) -> str:
-    pairs = ((history, name) for history in drawn for name in history.outputs)
-    if not any(f"{name}_error" in history.modeled.signals for history, name in pairs):
-        return ""
-    return (
-        "Bands: 95 % confidence from the errors of parameters and initial state, without sensor "
-        "noise."
     )
 
 
