@@ -127,7 +127,7 @@ def segment_table(segments: Sequence[Segment]) -> str:
     )
 
 
-def checked_segments(segments: Iterable[object]) -> tuple[Segment, ...]:
+def checked_segments(segments: Iterable[Segment]) -> tuple[Segment, ...]:
     """Return the segments; TypeError for anything else, such as the parts of an `Excitation`."""
     checked = tuple(segments)
     for segment in checked:

@@ -260,7 +260,8 @@ class ResidualSpectra:
     def power(self) -> ComplexArray:
         """Power (k, k, b) of the sensitivities, whose mean product with a spectrum is tr(B⁻¹ M)."""
         rooted = (self.root.T @ transform for transform in self.transforms())
-        return sum(self.grid.banded(np.einsum("ipf,jpf->ijf", H.conj(), H)) for H in rooted)
+        powers = [self.grid.banded(np.einsum("ipf,jpf->ijf", H.conj(), H)) for H in rooted]
+        return np.sum(powers, axis=0)
 
     @cached_property
     def slow(self) -> SlowParts:
