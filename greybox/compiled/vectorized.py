@@ -133,7 +133,7 @@ def _dense(function: ca.Function) -> ca.Function:
     if all(shape.is_dense() for shape in shapes):
         return function
 
-    inputs = [type(v).sym("v", *v.shape) for v in input_symbols(function)]
+    inputs = input_symbols(function)
     outputs = [ca.densify(value) for value in function.call(inputs)]
     return ca.Function(function.name(), inputs, outputs)
 

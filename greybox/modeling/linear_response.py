@@ -158,14 +158,10 @@ def _elimination_order(
     random = np.random.default_rng(0)
     points = [[q.start for q in model.parameters.values()]]
     points += [[q.draw(random) for q in model.parameters.values()] for _ in range(3)]
-    samples = []
     closed = trim.closed()
-    for point in points:
-        sample = np.asarray(ca.DM(system(point, *closed(point))))
-        # A draw may have no operating point.
-        if np.all(np.isfinite(sample)):
-            samples.append(sample)
-
+    samples = [np.asarray(ca.DM(system(point, *closed(point)))) for point in points]
+    # A draw may have no operating point.
+    samples = [sample for sample in samples if np.all(np.isfinite(sample))]
     if not samples:
         return tuple(range(len(model.states)))
     # Fifty frequencies limit the time of the search.

@@ -189,13 +189,9 @@ def pick_signals(model: Model, input: str = "", output: str = "") -> tuple[str, 
 
 
 def _pick(name: str, known: Sequence[str], what: str, owner: str) -> str:
-    if name in known:
-        return name
     if name:
-        raise ValueError(
-            f"{owner} has no {what} {name!r}; it has {', '.join(known)}: name the data's {what} as "
-            "one of them."
-        )
+        require_known([name], known, what, owner)
+        return name
     if len(known) > 1:
         raise ValueError(
             f"{owner} has several {what}s ({', '.join(known)}): specify which one, {what}=..."

@@ -36,8 +36,9 @@ def symbols(model: Model) -> tuple[ca.SX, ca.SX]:
 
 
 def input_symbols(function: ca.Function) -> list[Any]:
-    """Return symbols of the inputs, of the kind that the function is made of."""
-    return function.sx_in() if function.is_a("SXFunction") else function.mx_in()
+    """Return new symbols for the inputs, of the kind that the function is made of."""
+    kind = ca.SX if function.is_a("SXFunction") else ca.MX
+    return [kind.sym("v", *function.size_in(k)) for k in range(function.n_in())]
 
 
 def split(model: StateSpace, z: Any) -> tuple[Names, Names]:

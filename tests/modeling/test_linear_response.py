@@ -89,7 +89,7 @@ def test_other_delay_words_are_refused(word):
 @pytest.mark.parametrize(
     ("names", "sentence"),
     [
-        ({"output": "w"}, r"LinearTilt has no output 'w'; it has theta, v: name the data's output"),
+        ({"output": "w"}, r"LinearTilt has no output 'w'; it has theta, v\."),
         ({"input": "w", "output": "v"}, r"LinearTilt has no input 'w'; it has u"),
         ({}, r"LinearTilt has several outputs \(theta, v\): specify which one, output=\.\.\."),
     ],

@@ -157,9 +157,7 @@ def test_signals_are_picked_by_name_or_because_they_are_the_only_ones():
         ValueError, match=r"LinearTilt has several outputs \(theta, v\): specify which one, output="
     ):
         pick_signals(LinearTilt())
-    with pytest.raises(
-        ValueError, match=r"Tilt has no input 'v'; it has u: name the data's input as one of them\."
-    ):
+    with pytest.raises(ValueError, match=r"Tilt has no input 'v'; it has u\."):
         pick_signals(Tilt(), "v")
 
 
