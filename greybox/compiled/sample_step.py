@@ -119,7 +119,8 @@ def sample_step(
     """
     measurement = _measurement(system, held, criterion, outputs, names)
     step = step_function(system, integrator, substeps)
-    x, q, d = measurement.mx_in() if integrator.implicit else measurement.sx_in()
+    symbols: Any = measurement.mx_in() if integrator.implicit else measurement.sx_in()
+    x, q, d = symbols
     corrected, mean, change, residual, simulated = measurement(x, q, d)
     end = step(corrected, mean, change, q[: len(system.parameters)], d[d.numel() - 1])
     # Outputs and derivatives of many models have terms in common.

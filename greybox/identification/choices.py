@@ -49,7 +49,7 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
             choices.append(
                 Choice(f"tests of {announced}", "the message announces them", "announced")
             )
-    stated = {**stated, "announced": announced}
+    stated["announced"] = announced
 
     wanted = stated.pop("axis", "")
     # A table has names of its own, and with a period or the whole log there are no tests to choose.

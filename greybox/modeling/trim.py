@@ -46,7 +46,8 @@ class Trimmed:
     def closed(self) -> ca.Function:
         """Return the function of (p, ...), with the operating point inside."""
         is_explicit = self.root is None
-        p, w, *arguments = self.function.sx_in() if is_explicit else self.function.mx_in()
+        symbols: Any = self.function.sx_in() if is_explicit else self.function.mx_in()
+        p, w, *arguments = symbols
         w = w if self.root is None else self.root(p)
         return ca.Function(self.function.name(), [p, *arguments], self.function(p, w, *arguments))
 

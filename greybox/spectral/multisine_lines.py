@@ -71,7 +71,7 @@ def periodic_response(
     amplitude = np.sqrt(np.sum(np.abs(spectra[:, 2]) ** 2, axis=0))
     lines = np.flatnonzero(amplitude > EXCITED * amplitude.max())
     points = _estimates(*np.moveaxis(spectra[:, :, lines], 1, 0))
-    omega = (1 + lines) * (HZ / period)
+    omega = np.asarray((1 + lines) * (HZ / period), float)
     return without_incoherent(response_at(omega, points, (input, output, name), stretches))
 
 
