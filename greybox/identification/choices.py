@@ -55,7 +55,8 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
     # A table has names of its own, and with a period or the whole log there are no tests to choose.
     if stated.get("period") or stated.get("whole") or not _has_axis(recording):
         return _as_stated(recording, stated | {"axis": wanted}), tuple(choices)
-    tests = found_tests(recording, Settings(**stated | {"input": "u", "output": "y"}))
+    settings: dict[str, Any] = stated | {"input": "u", "output": "y"}
+    tests = found_tests(recording, Settings(**settings))
     usable = [test for test in tests if test.usable]
     if not usable:
         why = "; ".join(dict.fromkeys(text for test in tests for text in test.findings))
