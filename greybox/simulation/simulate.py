@@ -21,6 +21,7 @@ from greybox.simulation.windows import (
     Windows,
     cut,
     default_length,
+    require_lengths,
     require_signals,
 )
 
@@ -166,6 +167,7 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
         long enough, the delay is longer than the lead-in, or the model has no finite value in a
         window.
     """
+    require_lengths(**{n: v for n, v in (("horizon", horizon), ("lead", lead)) if v is not None})
     estimated, record = _model_and_record(model, values, record, inputs, part)
     horizon = default_length([record], SHORTEST) if horizon is None else horizon
 

@@ -79,11 +79,11 @@ def cut(
         If a length is not positive or shorter than a sample, or no stretch is long enough.
     """
     require_signals(record, inputs)
-    require_lengths(**{"lead": lead, called: horizon})
     stretches = gapless(record, tuple(inputs), tuple(outputs))
     # Each row without a time is a window, and has no lead-in.
     lead_samples, horizon_samples = 0, 1
     if record.has_time:
+        require_lengths(**{"lead": lead, called: horizon})
         for name, length in (("lead", lead), (called, horizon)):
             if length < (1 - ROUNDING) * record.step:
                 raise ValueError(

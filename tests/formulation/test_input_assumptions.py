@@ -50,13 +50,23 @@ def test_it_is_said_with_the_half_step_that_it_means():
     )
 
 
+class Lag(gb.StateSpace):
+    states, inputs, outputs = ("x",), ("held",), ("x",)
+
+    def derivative(self, x, u, p):
+        return (u.held - x.x,)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
 def test_another_word_is_refused():
     with pytest.raises(
         ValueError, match="inputs 'zoh' is not known: use 'linear' or 'held', or 'record' to follow"
     ):
         require_inputs("zoh")
     with pytest.raises(ValueError, match="inputs 'zoh' is not known"):
-        gb.simulate(None, {}, record(), inputs="zoh")
+        gb.simulate(Lag(), {}, record(), inputs="zoh")
 
 
 def test_rows_without_a_time_have_nothing_between_them():
