@@ -349,8 +349,8 @@ class StoredRuns(KeptRuns):
             with _database(self._folder, create=True) as database:
                 database.execute("INSERT OR IGNORE INTO members (name) VALUES (?)", (self._name,))
                 database.execute(
-                    "UPDATE members SET fingerprint = ?1, checksum = "
-                    "CASE WHEN answer IS NULL THEN ?2 ELSE checksum END WHERE name = ?3",
+                    "UPDATE members SET fingerprint = ?, checksum = "
+                    "CASE WHEN answer IS NULL THEN ? ELSE checksum END WHERE name = ?",
                     (self.fingerprint, _checksum(self.fingerprint, self._name), self._name),
                 )
                 database.executemany(
