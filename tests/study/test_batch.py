@@ -107,7 +107,7 @@ def test_what_is_damaged_is_made_again_and_nothing_else(tmp_path, made, finished
     shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
     database = tmp_path / "study.sqlite"
     if damage == "answer and run":
-        with sqlite3.connect(database) as connection:
+        with closing(sqlite3.connect(database)) as connection, connection:
             connection.execute("UPDATE members SET answer = answer || ' ' WHERE id = 1")
             connection.execute("UPDATE runs SET run = '' WHERE member = 1 AND number = 3")
     elif damage == "fit":

@@ -2,6 +2,7 @@
 
 import sqlite3
 import warnings
+from contextlib import closing
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -210,7 +211,7 @@ def test_wherever_bytes_change_what_can_be_read_is_right(tmp_path, seed):
 
 
 def test_the_database_of_another_program_is_left_alone(tmp_path):
-    with sqlite3.connect(tmp_path / DATABASE) as database:
+    with closing(sqlite3.connect(tmp_path / DATABASE)) as database, database:
         database.execute("CREATE TABLE music (title TEXT)")
     whole = (tmp_path / DATABASE).read_bytes()
     with pytest.raises(ValueError, match="not a study"), locked(tmp_path):
@@ -228,7 +229,7 @@ def mended(folder):
 
 
 def change(folder, statement):
-    with sqlite3.connect(folder / DATABASE) as database:
+    with closing(sqlite3.connect(folder / DATABASE)) as database, database:
         database.execute(statement)
 
 
