@@ -158,6 +158,9 @@ def test_a_narrow_screen_a_dark_one_and_print(show, one):
     assert narrow.evaluate("document.documentElement.scrollWidth <= innerWidth")
     assert narrow.locator(".area svg").first.bounding_box()["width"] <= 360
     assert narrow.locator(".area svg.narrow").count() > 0
+    narrow.set_viewport_size({"width": 1100, "height": 700})
+    beyond = "tables => tables.some(table => table.scrollWidth > table.clientWidth)"
+    assert not narrow.locator(".scroll").evaluate_all(beyond)
 
     background = "getComputedStyle(document.body).backgroundColor"
     dark = show(one, color_scheme="dark")
