@@ -111,15 +111,15 @@ CASES = {
     "pendulum": Case(hard.slow_pendulum, -199.013, tags="quick"),
     "Lorenz": Case(hard.lorenz, 284.452, tags="quick"),
     "swing": Case(hard.swing, -3107.470, tags="quick"),
-    "direct delay": Case(hard.direct_delay, -1247.538, tags="quick jumping"),
+    "direct delay": Case(hard.direct_delay, -1247.538, tags="quick"),
     "long": Case(hard.long_spring, -51295.166, 4, tags="long"),
     "tilt": Case(hard.tilt, -13531.344, tags="quick"),
     "tilt in wind, output error": Case(
         hard.tilt_in_wind_as_output_error, -2280.245, tags="outputs"
     ),
-    "tilt in wind, predictor": Case(hard.tilt_in_wind, -11303.759, 4, tags="predictor"),
-    "blind tilt, predictor": Case(hard.blind_tilt, -22653.472, 3, tags="predictor"),
-    "pushed spring, predictor": Case(hard.pushed, -7326.593, tags="quick predictor"),
+    "tilt in wind, predictor": Case(hard.tilt_in_wind, -11303.759, 4),
+    "blind tilt, predictor": Case(hard.blind_tilt, -22653.472, 3),
+    "pushed spring, predictor": Case(hard.pushed, -7326.593, tags="quick"),
     "stiff": Case(hard.stiff_lag, -259.817, 4),
     "conversion": Case(hard.conversion, -30.825, tags="quick"),
     "thrust": Case(hard.thrust, -3769.902, 4, tags="failing"),
@@ -138,8 +138,6 @@ CASES = {
 
 # Settings that are consulted on some problems alone: the others would be fitted alike.
 ALONE = {
-    "predictor": ["riccati_gains", "simulated_predictors", "stability_constraints"],
-    "jumping": ["held_discontinuous_delays"],
     "failing": ["continued_runs"],  # from all starts of some seed
 }
 

@@ -23,14 +23,10 @@ SIZES = (1.0, 0.1, 10.0, 0.01, 100.0, 1e-3, 1e3, 1e4, 1e5, -1.0, -0.1, -10.0, -1
 class InitialStates:
     """The states of a model at some samples, for the outputs that are compared."""
 
-    def __init__(self, system: Dynamics, outputs: tuple[str, ...], *, scanned: bool = True) -> None:
-        """Compile the model and its derivatives.
-
-        With `scanned`, sizes are tried where the model is not finite.
-        """
+    def __init__(self, system: Dynamics, outputs: tuple[str, ...]) -> None:
+        """Compile the model and its derivatives."""
         self._n = len(system.states)
         self._driven = len((system.undelayed or system).states)
-        self._scanned = scanned
         x, u, p = system.symbols
         y = system.output(x, u, p)[[system.outputs.index(name) for name in outputs]]
         f = system.derivative(x, u, p) if self._n else ca.SX(0, 1)
@@ -57,8 +53,9 @@ class InitialStates:
         away = np.abs(measured_states.mean(axis=1)) > 0.5 * measured_states.std(axis=1)
         states[away] = measured_states[away]
         finite, _ = self._judged(states, measured, inputs, p)
-        if finite.all() or not self._scanned:
+        if finite.all():
             return states
+        # Without this scan the two models of tanks are never found (8 of 12 runs with it).
         unknown = np.flatnonzero(hidden & ~is_known)
         states = self._sized(measured_states, unknown, measured, inputs, p)
 

@@ -203,9 +203,7 @@ def _first_of_its_kind(
         locate=ca.Function(),
         initial=ca.Function("initial", [symbol], [ca.vertcat(ca.SX(0, 1), *states)]),
         known_states=np.array([name in initial_values for name in system.states], dtype=bool),
-        initial_states=InitialStates(
-            system, outputs, scanned=method.strategies.scanned_initial_states
-        ),
+        initial_states=InitialStates(system, outputs),
         steps={},
         expressions=(),
     )

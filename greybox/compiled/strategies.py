@@ -12,27 +12,18 @@ class Strategies:
     `MultipleShooting(strategies=Strategies(second_order_correction=False))` switches one off.
     `benchmarks/ablation.py` measures on 29 hard problems what each contributes; the kept output is
     `benchmarks/results/ablation.txt` (20 November 2026, one seed, for some problems two: 156 to 209
-    runs). The numbers inside the solver's files were varied there as well, to about a tenth and ten
-    times, without a significant change of the success.
+    runs). It also has the strategies that can no longer be switched off, whose contributions stand
+    beside their code. The numbers inside the solver's files were varied there as well, to about a
+    tenth and ten times, without a significant change of the success.
     """
 
     # --- before the first iteration
 
-    moved_starts: bool = True
-    """Drawn starts at which the model is not finite move toward one at which it is.
-
-    Without it 5 of 156 runs fewer end at the best minimum (tanks, conversion, reactor).
-    """
     screened_starts: bool = True
     """Only promising default starts are run, from where short-segment prediction errors lead.
 
     Of 17 fits from the default starts ten take 1.5 to 8 times as long without it, and four of
     NIST's regressions more than 40 s; MGH17 takes half as long.
-    """
-    scanned_initial_states: bool = True
-    """Sizes over many decades are tried for unmeasured states if zero makes a model not finite.
-
-    Without it the two models of tanks are never found (8 of 12 runs with it).
     """
     shared_runs: bool = True
     """All but the first of many starts are solved on excerpts; those that meet there merge.
@@ -54,51 +45,11 @@ class Strategies:
 
     70 % of runs end at the best minimum with it, 62 % without; Lorenz 6 of 6 instead of none.
     """
-    damped_parameters: bool = True
-    """Levenberg-Marquardt damping of the parameters.
-
-    Without it the predictors of the tilt plant are never found. Bennett5 would be: 4 of 6.
-    """
-    damped_states: bool = True
-    """Levenberg-Marquardt damping of the node states besides that of the parameters.
-
-    Without it six runs fewer succeed on chain, tanks and thrust, with 17 % more iterations.
-    """
     second_order_correction: bool = True
     """Gaps left by curvature are closed before a step is judged (Maratos effect).
 
     Mixed: tanks, stiff and guarded tanks lose 4 runs without it, the tanh chain is solved without
     it.
-    """
-    held_discontinuous_delays: bool = True
-    """Delays at which the cost jumps keep their values once they block the steps of all parameters.
-
-    It halves the time where a held input reaches an output directly. Without it a run whose
-    minimum lies at a jump may take 2000 iterations without an end, and the fit another minimum.
-    """
-    restart_near_data: bool = True
-    """A stalled run begins once more with its parameters and with node states from the data.
-
-    5 of 189 runs are lost and none is won without it (chain, guarded tanks, thrust).
-    """
-
-    # --- predictors
-
-    riccati_gains: bool = True
-    """The gain begins with that of the best of several steady-state Kalman filters.
-
-    Without it no predictor of the tilt plant is found (6 of 7 runs with it).
-    """
-    simulated_predictors: bool = True
-    """A stable predictor is simulated over whole stretches instead of being cut into segments.
-
-    Without it 1 of 7 runs of the predictors of the tilt plant succeeds, 6 with it.
-    """
-    stability_constraints: bool = True
-    """Steps that would make a stable predictor unstable are constrained by its linearized poles.
-
-    It adds nothing on the benchmark. Where the likelihood grows toward the limit, runs crawl
-    without it (`tests/compiled/test_kalman_gain.py`).
     """
 
     # --- around the starts
@@ -107,16 +58,6 @@ class Strategies:
     """An unfinished run at a lower cost than the best so far is continued from its last iterate.
 
     Bennett5 is found only with it.
-    """
-    polished_minimum: bool = True
-    """Undamped steps polish the best minimum beyond the tolerance of a run.
-
-    It adds digits: of NIST's 27 regressions nine or more are right instead of four to eight.
-    """
-    refined_substeps: bool = True
-    """Substeps are refined, and the best minima followed, until the estimate hardly shifts.
-
-    One of eleven problems, the swing, is biased without it.
     """
 
     # --- numbers

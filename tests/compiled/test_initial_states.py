@@ -114,8 +114,6 @@ def test_sizes_are_tried_together_and_then_of_each_state():
         measured, inputs, np.ones(1), UNKNOWN[:2]
     )
     assert found == pytest.approx(np.array([[0.01] * 4, [100.0] * 4]))
-    plain = InitialStates(dynamics(Levels()), ("v", "w"), scanned=False)
-    assert not plain.at(measured, inputs, np.ones(1), UNKNOWN[:2]).any()
     nowhere = InitialStates(dynamics(Levels()), ("v", "w"))
     assert not nowhere.at(measured, 0 * inputs, np.ones(1), UNKNOWN[:2]).any()
 

@@ -26,14 +26,12 @@ def gauss_newton_step(
     states_only: bool = False,
 ) -> Step:
     """Return the step of nodes and z from an iterate; with `states_only` of the nodes alone."""
-    settings = parts.settings
     p = len(iterate.z)
-    node_damping = progress.damping if settings.damped_states else 0.0
     variances = progress.continuity_variance
     if progress.is_exact:
         variances = [np.zeros(nodes.shape[1]) for nodes in iterate.nodes]
     systems = [
-        part.condense(linearization, trajectory, variance, node_damping)
+        part.condense(linearization, trajectory, variance, progress.damping)
         for part, linearization, trajectory, variance in zip(
             parts.parts, linearizations, iterate.trajectories, variances, strict=True
         )
@@ -47,20 +45,17 @@ def gauss_newton_step(
     distance, penalty = 0.0, progress.constraint_penalty
     if not states_only:
         # The ridge, far below what data determine, holds parameters that the data do not show.
-        damped = hessian + 1e-10 * np.eye(p)
-        if settings.damped_parameters:
-            damped += progress.damping * np.diag(np.diag(hessian))
+        damped = hessian + 1e-10 * np.eye(p) + progress.damping * np.diag(np.diag(hessian))
         held = parts.is_discontinuous & progress.delays_held
         normals, bounds = parts.limits.linearized(iterate.z, held)
         dz = solve_small_qp(damped, gradient, normals, bounds)
 
         # Most steps keep predictors stable, and derivatives of poles take long.
-        if settings.stability_constraints:
-            stable_normals, stable_bounds = stability_constraints(parts, iterate, dz)
-            if len(stable_bounds):
-                normals = np.vstack([normals, stable_normals])
-                bounds = np.concatenate([bounds, stable_bounds])
-                dz = solve_small_qp(damped, gradient, normals, bounds)
+        stable_normals, stable_bounds = stability_constraints(parts, iterate, dz)
+        if len(stable_bounds):
+            normals = np.vstack([normals, stable_normals])
+            bounds = np.concatenate([bounds, stable_bounds])
+            dz = solve_small_qp(damped, gradient, normals, bounds)
 
         force = damped @ dz + gradient
         multiplier = largest_multiplier(force, normals, normals @ dz - bounds)

@@ -62,7 +62,8 @@ def stability_constraints(parts: AllParts, iterate: Iterate, dz: Array) -> tuple
     """Return normals (n, p) and limits (n,) of steps, normals · step >= limits.
 
     They keep those simulated predictors stable that dz would make unstable, and follow from the
-    derivatives of the poles' magnitudes.
+    derivatives of the poles' magnitudes. Without them runs crawl where the likelihood grows toward
+    the stability limit (`tests/compiled/test_kalman_gain.py`).
     """
     normals, limits = [np.zeros((0, len(dz)))], [np.zeros(0)]
     for gain, trajectory in zip(parts.gains, iterate.trajectories, strict=True):
