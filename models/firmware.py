@@ -133,6 +133,7 @@ class FlownController:
                     f"signals={{'q': '{plant.output}{DOT}'}}, or measure {name}."
                 )
         linear = linear_controller(self.controllers, sensors, (plant.input,))
+        plant = plant.with_hold()
         s = 1j * plant.omega
         control = linear.response(np.exp(s / self.law.rate))
         control = control[:, linear.commands.index(plant.input)]

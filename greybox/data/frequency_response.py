@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.checked_array import checked_array, finite_array, require, require_size
+from greybox.data.intersample import HOLD, NO_HOLD
 from greybox.data.magnitude_phase import angular_frequency, complex_response
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.units import to_si
@@ -263,6 +264,28 @@ class FrequencyResponse:
     def over_s(self, output: str = "") -> "FrequencyResponse":
         """Divide by jω, e.g. from a rate to its angle; `output` names the new signal."""
         return self.times(1 / (1j * self.omega), output, "*s")
+
+    def without_hold(self) -> "FrequencyResponse":
+        """Return the response to the continuous input, as a fit compares it with a model.
+
+        Estimates of `greybox.spectral` are those of the samples of the input. If its values are
+        held, which `about` then says, they contain that of the hold: half of the time for which a
+        value lasts as a delay.
+        """
+        return self._with_hold(HOLD, NO_HOLD, -1)
+
+    def with_hold(self) -> "FrequencyResponse":
+        """Return the response to the samples of the input, as a controller sees it."""
+        return self._with_hold(NO_HOLD, HOLD, 1)
+
+    def _with_hold(self, key: str, new_key: str, power: int) -> "FrequencyResponse":
+        if key not in self.about:
+            return self
+        half = self.omega * float(self.about[key]) / 2
+        # The mean of exp(-jωt) over the time for which a value lasts.
+        hold = np.exp(-1j * half) * np.sinc(half / np.pi)
+        about = {new_key if name == key else name: text for name, text in self.about.items()}
+        return replace(self.times(hold**power, self.output), about=about)
 
     def times(
         self, factor: NDArray[np.complexfloating], output: str = "", unit: str = ""

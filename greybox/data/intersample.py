@@ -12,6 +12,7 @@ with a zero-order hold); Ljung, System Identification, 2nd ed., section 13.3 (in
 """
 
 import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +20,11 @@ import numpy as np
 
 HELD = math.inf
 CONTINUOUS = 0.0
+
+# Keys of `FrequencyResponse.about`: the response of the samples contains a hold of so many seconds,
+# or a fit has divided it out.
+HOLD = "hold of the input, s"
+NO_HOLD = "hold divided out, s"
 
 # A value that lasts for more than this share of a step is held until the next sample. A log has
 # every value of the controller, or every second, third ...: apart from the jitter of time stamps, a
@@ -42,6 +48,23 @@ class Intersample:
 def intersample(hold: float, step: float) -> Intersample:
     """Return how a signal runs between samples `step` s apart if its values lasted `hold` s."""
     return Intersample(True) if hold > WHOLE * step else Intersample(False, hold / 2)
+
+
+def hold_of_response(
+    input: str, output: str, sampled: Iterable[tuple[Mapping[str, float], float]]
+) -> dict[str, str]:
+    """Return for how long values of the input of a response lasted, for `FrequencyResponse.about`.
+
+    `sampled` are `Record.hold` and the step of what it was measured from. Nothing where the records
+    do not say, or not the same. An output that is held as well, such as the control in a response
+    to the setpoint, is as late as the input.
+    """
+    lasted = set()
+    for hold, step in sampled:
+        reading = intersample(hold.get(input, math.nan), step)
+        seconds = step if reading.held else 2 * reading.late
+        lasted.add("" if hold.get(output) or math.isnan(seconds) else f"{seconds:.6g}")
+    return {HOLD: lasted.pop()} if len(lasted) == 1 and "" not in lasted else {}
 
 
 def checked_hold(name: str, seconds: Any) -> float:

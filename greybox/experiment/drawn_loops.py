@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
+from greybox.data.intersample import NO_HOLD
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.result import Fit
@@ -60,7 +61,7 @@ def drawn_loops(
         _draws(plant, [fitted.rename.get(name, name) for name in model.parameters]),
         controller,
         at=fitted.at if is_response and not at else at,
-        delay_has="hold" if is_response else "nothing",
+        delay_has="hold" if is_response and NO_HOLD not in fitted.data.about else "nothing",
     )
 
 

@@ -292,8 +292,8 @@ def margins(
     Notes
     -----
     A controller is linearized about its initial state: limits that are not reached play no part.
-    The delay of a model that was fitted to a measured frequency response already contains the
-    hold of the logged control, half a sample, which is not counted again.
+    The delay of a model that was fitted to a measured frequency response contains the hold of the
+    control, half a sample, unless the record stated this hold; it is not counted again.
 
     Sources: Franklin, Powell, Workman (1998), Digital Control of Dynamic Systems, section 4.3 (the
     sampled plant) and 7.4 (margins); ADS-33E-PRF (2000), Handling Qualities Requirements for

@@ -117,6 +117,9 @@ class Problem(Addable):
         _require(self.model, Model, "model", "an instance such as Tilt(), not the class")
         if not isinstance(self.data, FrequencyResponse | Record | TransientSpectrum):
             raise TypeError(f"data is {_wrong_data(self.data)}.")
+        if isinstance(self.data, FrequencyResponse):
+            # In records and spectra of manoeuvres too, a hold is not a part of the model.
+            object.__setattr__(self, "data", self.data.without_hold())
         self._fill_in_defaults()
 
         kind, cure = (

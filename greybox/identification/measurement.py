@@ -13,6 +13,7 @@ from itertools import combinations
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.intersample import HOLD
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
 from greybox.data.units import to_si
@@ -449,7 +450,8 @@ def _estimated(
             if estimate.left_out
             else {}
         )
-        return replace(estimate.response, about=dropped), estimate.table, estimate, {}
+        about = {**estimate.response.about, **dropped}
+        return replace(estimate.response, about=about), estimate.table, estimate, {}
 
     instrument = INSTRUMENT if INSTRUMENT in record.signals else None
     linear = {}
@@ -640,6 +642,8 @@ def _choices(
     if settings.conditioned:
         choices.append(f"conditioned: the effect of {', '.join(settings.conditioned)} is removed.")
     if response is not None:
-        names = [n for n in ("dropped", "left out", "converted", "refined") if n in response.about]
+        names = [
+            n for n in ("dropped", "left out", "converted", "refined", HOLD) if n in response.about
+        ]
         choices += [f"{name}: {response.about[name]}." for name in names]
     return tuple(choices)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.intersample import hold_of_response
 from greybox.files.arrays import Array, BoolArray
 from greybox.files.text_table import counted
 from greybox.spectral.uniform_stretches import UniformStretch
@@ -71,7 +72,7 @@ def response_at(
     if not good.any():
         raise ValueError("no frequency has enough data for a variance: record longer.")
 
-    about = {}
+    about = hold_of_response(input, output, [(s.hold, s.step) for s in stretches])
     if weak.any():
         about["dropped"] = _dropped(omega, weak, f"where the instrument hardly moves {input}")
     return FrequencyResponse(

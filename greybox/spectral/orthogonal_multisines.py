@@ -11,6 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.intersample import hold_of_response
 from greybox.data.record import Record
 from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted
@@ -118,6 +119,7 @@ def response_matrix(
             source=stretches[0].source,
             stretches=tuple(s.origin for s in stretches if s.origin is not None),
             units={key: units[key] for key in (inputs[j], outputs[i]) if key in units},
+            about=hold_of_response(inputs[j], outputs[i], [(s.hold, s.step) for s in stretches]),
         )
         for i in range(k)
         for j in range(m)

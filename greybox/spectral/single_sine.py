@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse, Stretch
+from greybox.data.intersample import hold_of_response
 from greybox.data.record import Record, require_time
 from greybox.data.test_segment import Segment, checked_segments
 from greybox.files.arrays import Array, ComplexArray
@@ -293,4 +294,5 @@ def _response(
         name=record.name,
         source=record.source,
         units={name: unit for name in (input, output) if (unit := record.units.get(name))},
+        about=hold_of_response(input, output, [(record.hold, record.step)]),
     )

@@ -27,6 +27,7 @@ class UniformStretch(NamedTuple):
     source: str
     origin: Stretch | None = None
     units: Mapping[str, str] = MappingProxyType({})
+    hold: Mapping[str, float] = MappingProxyType({})
 
 
 def uniform_stretches(
@@ -65,6 +66,7 @@ def uniform_stretches(
                         record.source,
                         origin,
                         record.units,
+                        record.hold,
                     )
                     stretches.append(stretch)
 

@@ -132,3 +132,54 @@ def test_simulation_and_prediction_follow_the_record_then_the_fit():
     assert (
         gb.predict(fit, record=unknown, **windows).rms("y") < 0.02
     )  # the other record does not know: as in the fit
+
+
+def late_lag(hold):
+    """A lag of 0.2 s with a delay of 10 ms, whose input is held for 50 ms; its response and truth."""
+    step, period, periods = 0.05, 200, 4
+    random = np.random.default_rng(0)
+    u = np.tile(random.normal(size=period), periods + 1)
+    # Exact over a step: the value before acts for the delay.
+    early, late = 1 - math.exp(-0.01 / 0.2), 1 - math.exp(-(step - 0.01) / 0.2)
+    drive = np.append(0.0, u[:-1]) * early * (1 - late) + u * late
+    y = np.zeros(len(u))
+    for k in range(len(u) - 1):
+        y[k + 1] = math.exp(-step / 0.2) * y[k] + drive[k]
+    y += 1e-4 * random.normal(size=len(y))
+    record = gb.Record(step * np.arange(len(u)), {"u": u, "y": y}, hold=hold)
+    settled = record.between(period * step, record.time[-1])
+    response = gb.spectral.periodic_response(settled, period * step, "u", "y")
+    return response.where(response.omega < 6)
+
+
+class LateLag(gb.TransferFunction):
+    input, output = "u", "y"
+    T = gb.Parameter(0.2, bounds=(0.01, 2.0))
+    T_delay = gb.Parameter(0.01, bounds=(0.0, 0.5))
+
+    def response(self, s, p):
+        return gb.exp(-s * p.T_delay) / (p.T * s + 1)
+
+
+def test_a_fit_divides_the_hold_out_of_a_response():
+    response = late_lag({"u": math.inf})
+    assert_allclose(response.without_hold().with_hold().response, response.response)
+    delays = [
+        gb.fit(gb.Problem(LateLag(), data), starts=1, progress=False).estimate["T_delay"]
+        for data in (response, late_lag({}), late_lag({"u": math.inf, "y": math.inf}))
+    ]
+    assert_allclose(delays, [0.01, 0.035, 0.035], atol=1e-3)
+
+
+class Proportional(gb.Controller):
+    inputs, outputs = ("y",), ("u",)
+
+    def update(self, x, u, p):
+        return (), (3.0 * (u.reference - u.y),)
+
+
+def test_margins_count_the_hold_of_a_fitted_response_once():
+    law, data = Proportional(rate=20), late_lag({"u": math.inf})
+    fit = gb.fit(gb.Problem(LateLag(), data), starts=1, progress=False)
+    truth = gb.margins(LateLag(), law)["phase margin"].value
+    assert gb.margins(fit, law)["phase margin"].value == pytest.approx(truth, abs=1.0)

@@ -40,6 +40,9 @@ def test_the_structures_of_a_multirotor_are_fitted_on_request():
     found = gb.identify(sitl_pitch.LOG, vehicle="multirotor", starts=8)
     assert found.selection.chosen.label == "rate:DampedAngle"
     for name, truth in sitl_pitch.published["values"].items():
+        if name == "T_delay":  # the published one contains half of the hold of the control
+            assert found.fit.estimate[name] == 0
+            continue
         assert abs(found.fit.estimate[name] - truth) < 2 * found.fit.standard_error[name], name
     assert set(found.selection.candidates[-1].fit.free) >= {"T_rotor", "T_delay", "a5"}
     held = gb.identify(
@@ -84,6 +87,7 @@ def test_the_chain_says_what_it_chose(flown):
         "signals": "u = RATE.POut, theta = ATT.Pitch",
         "converted": "theta from deg to rad with half a step of 0.01 deg, which the log truncates",
         "sampling": "57.166 Hz",
+        "hold of the input, s": "0.0025",
         "excitation": "10 sines of 2, amplitude 3, 1 to 20.11 rad/s, 65.70 to 309.99 s",
         "estimate": "single sines",
         "gyro-filter": "LowPass(20.0, 0.7071067811865476)",
