@@ -283,7 +283,7 @@ class FrequencyResponse:
             return self
         half = self.omega * float(self.about[key]) / 2
         # The mean of exp(-jωt) over the time for which a value lasts.
-        hold = np.exp(-1j * half) * np.sinc(half / np.pi)
+        hold: Any = np.exp(-1j * half) * np.sinc(half / np.pi)
         about = {new_key if name == key else name: text for name, text in self.about.items()}
         return replace(self.times(hold**power, self.output), about=about)
 
