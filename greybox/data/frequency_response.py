@@ -1,6 +1,5 @@
 """The measured frequency response of one input-output pair."""
 
-import contextlib
 import hashlib
 import math
 from collections.abc import Mapping
@@ -14,7 +13,7 @@ from greybox.data.checked_array import checked_array, finite_array, require, req
 from greybox.data.intersample import HOLD, NO_HOLD
 from greybox.data.magnitude_phase import angular_frequency, complex_response
 from greybox.data.pandas_frames import Frame, frame_of
-from greybox.data.units import to_si
+from greybox.data.units import known_unit, to_si
 from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.files.text_table import all_printable, counted, one_line, printable
 
@@ -296,14 +295,12 @@ class FrequencyResponse:
         # The unit of the output changes with the factor, so only that of the input is kept.
         name = output or self.output
         units = {key: value for key, value in self.units.items() if key == self.input}
-        with contextlib.suppress(ValueError):  # of an unknown unit
-            if self.units.get(self.output):
-                units[name] = to_si(self.units[self.output] + unit).si
-        response = self.response * factor
+        if conversion := known_unit(self.units.get(self.output, "")):
+            units[name] = to_si(f"{conversion.si}{unit}").si
 
         return replace(
             self,
-            response=response,
+            response=self.response * factor,
             variance=variance,
             output=name,
             units=units,

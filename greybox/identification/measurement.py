@@ -16,7 +16,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import HOLD
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
-from greybox.data.units import to_si
+from greybox.data.units import known_unit
 from greybox.files.text_table import counted, number, one_line
 from greybox.identification.loop import controller_in
 from greybox.identification.orders import LinearFit, Orders, best_response, linear_fits
@@ -600,11 +600,8 @@ def _conversions(recording: Recording, signals: Mapping[str, str]) -> list[str]:
     for name, signal in signals.items():
         log, field_name = recording.locate(signal)
         unit = log.units.get(field_name, "")
-        try:
-            conversion = to_si(unit)
-        except ValueError:
-            continue
-        if conversion.changes:
+        conversion = known_unit(unit)
+        if conversion and conversion.changes:
             cut = unit == "deg" and is_truncated(signal, log[field_name])
             half = f" with half a step of {STEP} {unit}, which the log truncates" if cut else ""
             changed.append(f"{name} from {unit} to {conversion.si}{half}")

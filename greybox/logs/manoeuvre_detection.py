@@ -131,10 +131,10 @@ def _rests(time: Array, values: Array, height: float) -> list[_Rest]:
 
     # The filters are centered: sample k of them covers the window that begins half of it earlier.
     spread = maximum_filter1d(values, window) - minimum_filter1d(values, window)
-    begins = np.flatnonzero(spread[window // 2 :][: time.size - window + 1] <= height)
+    moves = np.ma.masked_greater(spread[window // 2 :][: time.size - window + 1], height)
     rests: list[_Rest] = []
-    for run in np.split(begins, np.flatnonzero(np.diff(begins) > 1) + 1) if begins.size else []:
-        first, last = int(run[0]), int(run[-1]) + window - 1
+    for run in np.ma.clump_unmasked(moves):
+        first, last = run.start, run.stop + window - 2
         ends = (values[first : first + window], values[last - window + 1 : last + 1])
         rests.append(_Rest(first, last, *(float(np.median(part)) for part in ends)))
     return rests

@@ -10,7 +10,7 @@ import numpy as np
 
 from greybox.data.record import GAP, Record, Recording, require_time
 from greybox.data.test_segment import Segment
-from greybox.data.units import to_si
+from greybox.data.units import known_unit
 from greybox.files.arrays import Array, IntArray
 from greybox.logs.ardupilot import ATTITUDE_SETPOINTS, SYSTEMID_AXES, SYSTEMID_DELAY
 from greybox.logs.betaflight import AXES as BETAFLIGHT_AXES
@@ -300,11 +300,8 @@ def _in_setpoint(data: Recording | Record, name: str) -> list[Segment]:
 
 def _whole_turn(unit: str) -> float:
     """Return a whole turn in the unit of an angle, the jump of a heading at north; 0 otherwise."""
-    try:
-        conversion = to_si(unit)
-    except ValueError:
-        return 0.0
-    return 2 * math.pi / conversion.factor if conversion.si == "rad" else 0.0
+    conversion = known_unit(unit)
+    return 2 * math.pi / conversion.factor if conversion and conversion.si == "rad" else 0.0
 
 
 def announcing(recording: Recording) -> tuple[str, ...]:

@@ -62,7 +62,7 @@ def loop_figures(margins: Margins, *measured: FrequencyResponse) -> list[Figure]
     ]
     for k, data in enumerate(measured, start=2):
         numbers = data.response
-        size, angle = 20 * np.log10(np.abs(numbers)), np.degrees(np.unwrap(np.angle(numbers)))
+        size, angle = data.decibels, data.degrees
         # Both phases in the same turn.
         angle -= 360 * np.round(np.mean(angle - np.interp(data.omega, omega, phase[0])) / 360)
         points = partial(Series, data.name or "measured", "points", color=k, style=k)

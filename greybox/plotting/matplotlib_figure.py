@@ -17,7 +17,7 @@ from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
-from matplotlib.ticker import LogLocator, MaxNLocator, MultipleLocator
+from matplotlib.ticker import LogLocator, MaxNLocator
 from numpy.typing import NDArray
 
 from greybox.files.arrays import Array
@@ -251,9 +251,7 @@ _DRAWERS = {
 
 def _polygons(series: Series) -> list[Array]:
     vertices = np.column_stack([series.x, series.y])
-    is_gap = np.isnan(vertices).any(axis=1)
-    pieces = np.split(vertices, np.flatnonzero(is_gap))
-    return [piece[np.isfinite(piece).all(axis=1)] for piece in pieces if len(piece) > 1]
+    return [vertices[rows] for rows in np.ma.clump_unmasked(np.ma.masked_invalid(series.x))]
 
 
 def _draw_plane(ax: Axes, figure: Figure, panel: Panel) -> None:
@@ -289,20 +287,18 @@ def _write_labels(ax: Axes, panel: Panel) -> None:
     labeled = [series for series in panel.series if series.labels]
     for series in labeled:
         spots = series.x + 1j * series.y
-        # Both axes have one scale, so a normal of the curve is one on paper too.
-        along = np.gradient(spots) if len(spots) > 1 else 1 + 0 * spots
-        bend = np.gradient(along) if len(spots) > 1 else 0 * spots
-        side = np.where(np.imag(np.conj(along) * bend) > 0, -1j, 1j)
-        side[[0, -1]] = -1, 1  # the ends continue the curve
-        outward = side * along / np.maximum(np.abs(along), 1e-300)
+        # Away from their middle; a single point has its label at the right.
+        away = spots - spots.mean() + 1e-300
+        outward = away / np.abs(away)
         for text, spot, normal in zip(series.labels, spots, outward, strict=True):
             # Points of several tests at one frequency lie near each other: one number is enough.
             if any(abs(spot - at) < room * (1 + 2 * (text == name)) for name, at in written):
                 continue
+            label = text if written else f"{text} rad/s"
             ax.annotate(
-                text if written else f"{text} rad/s",
+                label,
                 (spot.real, spot.imag),
-                (normal.real * (7 + 2.2 * len(text)), normal.imag * 11),  # points
+                (normal.real * (7 + 2.2 * len(label)), normal.imag * 11),  # points
                 textcoords="offset points",
                 path_effects=outline,
                 **look,
@@ -360,13 +356,9 @@ def _vertical_axis(ax: Axes, panel: Panel) -> None:
     span = float(np.ptp(ax.get_ylim()))
     if panel.ticks:
         ax.set_yticks(range(1, len(panel.ticks) + 1), [*map(plain, panel.ticks)])
-    elif panel.steps and span > 60:
-        steps = [*panel.steps, panel.steps[-1] * np.ceil(span / (7 * panel.steps[-1]))]
-        step = next(step for step in steps if step >= max(15, span / 7))
-        ax.yaxis.set_major_locator(MultipleLocator(step))
     elif not panel.is_logarithmic:
-        count = 7 if panel.height >= 1 else 4
-        ax.yaxis.set_major_locator(MaxNLocator(count, steps=[1, 2, 5, 10]))
+        steps = [1, 1.5, 3, 4.5, 9, 10] if panel.steps and span > 60 else [1, 2, 5, 10]
+        ax.yaxis.set_major_locator(MaxNLocator(7 if panel.height >= 1 else 4, steps=steps))
 
 
 def _horizontal_axis(axes: AxesArray, figure: Figure) -> None:

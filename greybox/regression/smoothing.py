@@ -14,9 +14,7 @@ were equal. Splines of order two and three were worse on smooth signals and litt
 """
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -168,24 +166,18 @@ def _weight(omega: Array, cutoff: float) -> Array:
 
 def _cross_validated(amplitude: Array, omega: Array) -> float:
     """Return the cutoff of least generalized cross-validation."""
-    from scipy.optimize import minimize_scalar  # noqa: PLC0415  (imports slowly)
+    from scipy.optimize import brute  # noqa: PLC0415  (imports slowly)
 
     power = amplitude**2
 
-    def score(logarithm: float) -> float:
-        removed = 1 - _weight(omega, math.exp(logarithm))
+    def score(logarithm: Array) -> float:
+        removed = 1 - _weight(omega, math.exp(logarithm[0]))
         return math.log(float(removed**2 @ power) + 1e-300) - 2 * math.log(
             float(np.sum(removed)) + 1e-300
         )
 
     # A cutoff below the third sine would take nearly all of the signal for noise.
-    candidates: Sequence[float] = np.linspace(
-        math.log(np.sort(omega)[2]), math.log(omega.max()), 60
-    ).tolist()
+    low, high = np.log([np.sort(omega)[2], omega.max()])
     # The score has several local minima: a grid finds the lowest, and a search refines it.
-    best = min(candidates, key=score)
-    width = candidates[1] - candidates[0]
-    refined: Any = minimize_scalar(
-        score, bounds=(best - width, min(best + width, candidates[-1])), method="bounded"
-    )
-    return math.exp(refined.x if refined.fun < score(best) else best)
+    best = brute(score, [(low, high)], Ns=60)
+    return math.exp(np.clip(best, low, high)[0])
