@@ -35,9 +35,8 @@ class Stretch:
                 f"a stretch runs from {self.start:g} to {self.end:g} s: give finite times, the "
                 "earlier one first."
             )
-        object.__setattr__(self, "checksum", printable(str(self.checksum)))
-        object.__setattr__(self, "start", float(self.start))
-        object.__setattr__(self, "end", float(self.end))
+        checksum = printable(str(self.checksum))
+        vars(self).update(checksum=checksum, start=float(self.start), end=float(self.end))
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,12 +98,11 @@ class FrequencyResponse:
     def __post_init__(self) -> None:
         """Convert to read-only arrays, check every value, and write out control characters."""
         for name in ("input", "output", "name", "source", "units", "about"):
-            object.__setattr__(self, name, all_printable(getattr(self, name)))
+            vars(self)[name] = all_printable(getattr(self, name))
         self._check_columns()
         # After the variance, of which they are a part.
-        if self.common_errors is not None:
-            object.__setattr__(self, "common_errors", self._checked_errors(self.common_errors))
-        object.__setattr__(self, "stretches", tuple(self.stretches))
+        errors = None if self.common_errors is None else self._checked_errors(self.common_errors)
+        vars(self).update(common_errors=errors, stretches=tuple(self.stretches))
 
     def _check_columns(self) -> None:
         for name in COLUMNS:
@@ -113,7 +111,7 @@ class FrequencyResponse:
             kind = complex if name == "response" else float
             convert = finite_array if name in COLUMNS[:2] else checked_array
             values = convert(name, getattr(self, name), kind)
-            object.__setattr__(self, name, values)
+            vars(self)[name] = values
             require_size(name, values, "omega", self.omega.size)
             if name not in COLUMNS[:2]:
                 high = 1.0 if name == "coherence" else np.finfo(float).max

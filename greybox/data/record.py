@@ -89,8 +89,7 @@ class Record:
         """Convert to read-only arrays and check them."""
         if self.time is None:
             rows = next((np.size(values) for values in self.signals.values()), 0)
-            object.__setattr__(self, "time", np.arange(rows, dtype=float))
-            object.__setattr__(self, "has_time", False)
+            vars(self).update(time=np.arange(rows, dtype=float), has_time=False)
         time = _read_only(seconds_from_first(self.time), "time")
         if time.size == 0:
             raise ValueError("the record is empty: give at least one sample.")
@@ -110,7 +109,6 @@ class Record:
             for name, values in measured.items()
             if np.isinf(signals[name][np.isfinite(values)]).any()
         ]
-        object.__setattr__(self, "findings", (*self.findings, *lost))
         for name, values in signals.items():
             require_size(name, values, "time" if self.has_time else next(iter(signals)), time.size)
         unknown = [name for name in map(all_printable, self.units) if name not in signals]
@@ -119,20 +117,19 @@ class Record:
                 f"units names {unknown[0]!r}, which is not a signal; the record has "
                 f"{alternatives(unknown[0], signals)}"
             )
-        object.__setattr__(self, "time", time)
-        object.__setattr__(self, "signals", signals)
         hold = {
             all_printable(name): checked_hold(name, seconds) for name, seconds in self.hold.items()
         }
         # The attributes of a data frame still name columns that were dropped.
-        object.__setattr__(
-            self, "hold", {name: seconds for name, seconds in hold.items() if name in signals}
+        hold = {name: seconds for name, seconds in hold.items() if name in signals}
+        # A given checksum is that of the file: excerpts of one log are recognized by it.
+        checksum = self.checksum or _digest(time, signals)
+        findings = (*self.findings, *lost)
+        vars(self).update(
+            time=time, signals=signals, hold=hold, checksum=checksum, findings=findings
         )
         for name in ("name", "source", "units", "findings"):
-            object.__setattr__(self, name, all_printable(getattr(self, name)))
-        # A given checksum is that of the file: excerpts of one log are recognized by it.
-        if not self.checksum:
-            object.__setattr__(self, "checksum", _digest(time, signals))
+            vars(self)[name] = all_printable(getattr(self, name))
 
     def __len__(self) -> int:
         return self.time.size
@@ -328,7 +325,7 @@ class Recording(Mapping[str, Record]):
     def __post_init__(self) -> None:
         """Write out control characters in names and texts, which come from a file."""
         for name in ("records", "source", "metadata", "findings"):
-            object.__setattr__(self, name, all_printable(getattr(self, name)))
+            vars(self)[name] = all_printable(getattr(self, name))
 
     def __getitem__(self, name: str) -> Record:
         if name in self.records:

@@ -64,7 +64,7 @@ class Segment:
                 f"{', '.join((*EXCITATIONS, *MANOEUVRES))}."
             )
         if self.kind == "sine" and math.isnan(self.band[0]):
-            object.__setattr__(self, "band", (self.omega, self.omega))
+            vars(self)["band"] = (self.omega, self.omega)
 
     @property
     def duration(self) -> float:

@@ -58,7 +58,7 @@ class TransientSpectrum:
     def __post_init__(self) -> None:
         """Convert to read-only arrays and check them."""
         for name in ("name", "source", "units", "input_change"):
-            object.__setattr__(self, name, all_printable(getattr(self, name)))
+            vars(self)[name] = all_printable(getattr(self, name))
         if not (np.isfinite(self.duration) and 0 < self.step < self.duration):
             raise ValueError(
                 f"duration is {self.duration!r} s and step {self.step!r} s: give finite numbers, "
@@ -79,7 +79,7 @@ class TransientSpectrum:
                 "over the duration: use gb.spectral.transient_spectrum(record, ...)."
             )
 
-        object.__setattr__(self, "omega", omega)
+        vars(self)["omega"] = omega
         for kind in ("inputs", "outputs"):
             signals = getattr(self, kind)
             if not signals:
@@ -87,7 +87,7 @@ class TransientSpectrum:
             arrays = {printable(n): finite_array(n, x, complex) for n, x in signals.items()}
             for name, values in arrays.items():
                 require_size(name, values, "omega", omega.size)
-            object.__setattr__(self, kind, arrays)
+            vars(self)[kind] = arrays
         if not all(np.isfinite(float(change)) for change in self.input_change.values()):
             raise ValueError(
                 f"input_change is {dict(self.input_change)!r:.60}: give finite numbers."

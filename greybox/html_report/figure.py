@@ -19,14 +19,11 @@ COLUMNS = 600  # of a line on the page, two pixels wide; a line then takes about
 
 def figure_grid(figures: Sequence[Figure]) -> Element:
     """Return figures as they stand on the page, beside one another where there is room."""
-    elements = [figure_element(figure) for figure in figures]
-    for figure, element in zip(figures, elements, strict=True):
-        if figure.is_wide or len(figures) == 1:
-            element.set("class", "wide")
-    return tag("div", elements, class_="figures")
+    is_alone = len(figures) == 1
+    return tag("div", [figure_element(figure, is_alone) for figure in figures], class_="figures")
 
 
-def figure_element(figure: Figure) -> Element:
+def figure_element(figure: Figure, is_alone: bool = False) -> Element:
     """Return a figure; the script draws into the element of class ``plot``."""
     # The page draws bands of curves, but not the ellipses of single points.
     panels = [
@@ -37,7 +34,8 @@ def figure_element(figure: Figure) -> Element:
     options: dict[str, Any] = {"ensure_ascii": False, "separators": (",", ":")}
     data = json.dumps(replace(figure, panels=panels), allow_nan=False, default=_plain, **options)
     caption = tag("figcaption", tag("strong", figure.title), f" {figure.caption}".rstrip())
-    return tag("figure", caption, tag("div", class_="plot", data_figure=data))
+    wide = "wide" if figure.is_wide or is_alone else None
+    return tag("figure", caption, tag("div", class_="plot", data_figure=data), class_=wide)
 
 
 def _plain(thing: Any) -> Any:

@@ -86,9 +86,7 @@ def page(
 
 def _details(entry: Entry, *, is_open: bool) -> Element:
     """Return the section of one of several results."""
-    inside = [
-        element for name, content in fit_section(entry) for element in (tag("h3", name), *content)
-    ]
+    inside = [(tag("h3", name), content) for name, content in fit_section(entry)]
     summary = tag("summary", tag("h2", entry.label))
     return tag("section", tag("details", summary, inside, open=is_open), id=entry.anchor)
 
@@ -99,22 +97,20 @@ def _section(title: str, content: Child) -> Element:
 
 def _document(title: str, sections: Sequence[Element]) -> str:
     script, style = ((HERE / name).read_text(encoding="utf-8") for name in ("page.js", "page.css"))
-    links = [tag("a", _title(section), href=f"#{section.get('id')}") for section in sections]
+    links = [
+        tag("li", tag("a", section.findtext(".//h2"), href=f"#{section.get('id')}"))
+        for section in sections
+    ]
     return PAGE.format(
         title=html(tag("title", title)),
         heading=html(tag("h1", title)),
-        links=html(tag("ul", *(tag("li", link) for link in links))),
+        links=html(tag("ul", links)),
         main=html(tag("main", *sections)),
         policy=POLICY.format(_hash(script), _hash(style)),
         script=script,
         style=style,
         version=version("greybox-id"),
     )
-
-
-def _title(section: Element) -> str:
-    heading = section.find(".//h2")
-    return "" if heading is None else "".join(heading.itertext())
 
 
 def _hash(text: str) -> str:

@@ -56,8 +56,7 @@ def provenance(fit: Fit) -> list[Element]:
 
 def _description(facts: Mapping[str, Child]) -> Element:
     """Return a list of terms with their descriptions."""
-    pairs = [(tag("dt", term), tag("dd", text)) for term, text in facts.items()]
-    return tag("dl", *(element for pair in pairs for element in pair))
+    return tag("dl", [(tag("dt", term), tag("dd", text)) for term, text in facts.items()])
 
 
 def _data_table(fit: Fit) -> Element:

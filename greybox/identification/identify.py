@@ -18,7 +18,7 @@ from greybox.estimate.result import Fit
 from greybox.files.text_table import one_line
 from greybox.identification.choices import Choice, choose
 from greybox.identification.families import Structure, family, gains
-from greybox.identification.measurement import Measurement, Settings, measure
+from greybox.identification.measurement import Measurement, measure
 from greybox.identification.orders import select_orders
 from greybox.identification.selection import Candidate, Selection, held_by_bounds, select
 from greybox.identification.structure_fit import (
@@ -151,7 +151,8 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     # The first log decides the signals of all: two sensors have two responses.
     stated |= {"drop_warned": not all_points, "refined": True}
     settings, choices = choose(recordings[0], **stated)
-    used = [settings, *(_settings_as(settings, r, stated) for r in recordings[1:])]
+    same = {name: getattr(settings, name) for name in ("input", "output", "axis")}
+    used = [settings, *(choose(r, **{**stated, **same})[0] for r in recordings[1:])]
     measurements = tuple(_judged(measure(r, s)) for r, s in zip(recordings, used, strict=True))
     result = Identification(tuple(recordings), choices, measurements)
     if result.refusals:
@@ -183,12 +184,6 @@ def filter_model(known: KnownFilter) -> TransferFunction:
     """Return the included model of a filter of a flight controller."""
     model: Any = included_model("greybox.models.filters", type(known).__name__)
     return model(*known.values)
-
-
-def _settings_as(settings: Settings, recording: Recording, stated: Mapping[str, Any]) -> Settings:
-    """Return the settings of another log of the same axis, with the same signals."""
-    same = {"input": settings.input, "output": settings.output, "axis": settings.axis}
-    return choose(recording, **{**stated, **same})[0]
 
 
 def _judged(measurement: Measurement) -> Measurement:

@@ -581,17 +581,13 @@ def _excitation(used: Sequence[Segment]) -> str:
     if not used:
         return ""
     low, high = min(s.band[0] for s in used), max(s.band[1] for s in used)
-    sizes = sorted({s.amplitude for s in used if math.isfinite(s.amplitude)})
-    size = (
-        f", amplitude {' to '.join(dict.fromkeys(number(a, 3) for a in (sizes[0], sizes[-1])))}"
-        if sizes
-        else ""
-    )
-    unit = f" {used[0].unit}" if used[0].unit and sizes else ""
+    sizes = [s.amplitude for s in used if math.isfinite(s.amplitude)]
+    ends = dict.fromkeys(number(size, 3) for size in (min(sizes), max(sizes))) if sizes else ()
+    size = f", amplitude {' to '.join(ends)} {used[0].unit}".rstrip() if ends else ""
     axis = f" of {used[0].axis}" if used[0].axis else ""
     times = f"{min(s.start for s in used):.2f} to {max(s.end for s in used):.2f} s"
     band = f"{low:.4g} to {high:.4g} rad/s"
-    return f"{counted(len(used), used[0].kind)}{axis}{size}{unit}, {band}, {times}"
+    return f"{counted(len(used), used[0].kind)}{axis}{size}, {band}, {times}"
 
 
 def _conversions(recording: Recording, signals: Mapping[str, str]) -> list[str]:

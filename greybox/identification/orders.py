@@ -169,7 +169,7 @@ def select_orders(
         starts = linear[orders].starts
         candidate = _candidate(responses, orders, starts, through, stated)
         candidates.append(candidate)
-        late = next((q for q in candidate.fit.quantities if q.name == "T_delay"), None)
+        late = candidate.fit.by_name.get("T_delay")
         if late is not None and late.at_bound and late.value < 0.5 * late.bounds[1]:
             without = replace(orders, delay=False)
             candidates[-1] = _candidate(responses, without, starts, through, stated)

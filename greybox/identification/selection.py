@@ -8,6 +8,7 @@ import numpy as np
 
 from greybox.estimate.result import Fit
 from greybox.files.text_table import counted, listed, number, one_line, text_table
+from greybox.validation.measures import relative_rms
 from greybox.validation.parsimony import parsimony
 from greybox.validation.same_data import count_numbers, count_unknowns
 
@@ -66,8 +67,7 @@ class Candidate:
     @property
     def misfit(self) -> float:
         """Size (rms) of the residuals over that of the response."""
-        shares = [1 - part.response / part.data.response for part in self.fit.responses]
-        return math.sqrt(float(np.mean(np.abs(np.concatenate(shares)) ** 2)))
+        return relative_rms(self.fit)
 
     @property
     def explains(self) -> bool:

@@ -75,7 +75,8 @@ class Thinning:
 
     def __str__(self) -> str:
         rates = f"{self.logged:.4g} of {self.loop:g} Hz"
-        return f"every {_ordinal(self.kept)} pass of the control loop was logged ({rates})"
+        ordinal = {2: "second", 3: "third"}.get(self.kept, f"{self.kept}th")
+        return f"every {ordinal} pass of the control loop was logged ({rates})"
 
 
 def thinning(recording: Recording, signal: str, start: float, end: float) -> Thinning | None:
@@ -191,7 +192,3 @@ def _cure(parameters: Mapping[str, float], mode: str) -> str:
         if needed != mask
         else "log to a faster card, or lower SCHED_LOOP_RATE"
     )
-
-
-def _ordinal(number: int) -> str:
-    return {2: "second", 3: "third"}.get(number, f"{number}th")

@@ -150,7 +150,9 @@ def _named(
     kind, amplitude = OTHER, float(np.abs(deviation).max())
     change = after.begins - before.ends
     returned = abs(change) <= 2 * drift
-    if not returned and _is_step(deviation / change, time[after.first] - time[before.last]):
+    # A step takes less than a rest: one motion of the hand or of the autopilot.
+    is_short = time[after.first] - time[before.last] <= REST
+    if not returned and is_short and np.all(np.abs(deviation / change - 0.5) < 1):
         kind, amplitude = STEP, abs(change)
     elif amplitude <= height:
         return None
@@ -169,14 +171,6 @@ def _named(
         amplitude=amplitude,
         offset=before.ends,
     )
-
-
-def _is_step(share: Array, seconds: float) -> bool:
-    """Return whether a change, of which these shares are done, is one step.
-
-    It takes less than a rest: one motion of the hand or of the autopilot.
-    """
-    return bool(seconds <= REST and np.all((share > -0.5) & (share < 1.5)))
 
 
 def _pulses(time: Array, deviation: Array, threshold: float) -> list[tuple[int, float]]:

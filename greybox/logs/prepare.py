@@ -314,8 +314,6 @@ def _known_hold(sources: Sequence[_Source], rate: float) -> float | None:
 
 
 def _interpolated(time: Array, values: Array, grid: Array) -> Array:
-    if time.size < 4:
-        return np.interp(grid, time, values)
     from scipy.interpolate import CubicSpline  # noqa: PLC0415  (0.25 s to import)
 
     return CubicSpline(time, values)(grid)

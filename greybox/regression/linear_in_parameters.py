@@ -320,19 +320,19 @@ class _Analysis:
         names = [n for n in _needed(_column(rows), self.parameter) if n not in excluded]
 
         right_sides = _column(rows)
-        partners = {n: self._partners(right_sides, n, names) for n in names}
         linear: list[str] = []
+
+        def partners(name: str) -> int:
+            """Return how many parameters this one multiplies, itself where it is a power."""
+            slope = ca.simplify(ca.jacobian(right_sides, self.parameter[name]))
+            return sum(n in names for n in _needed(slope, self.parameter))
+
         # If parameters multiply one another, the search is over the one with the most partners: the
         # others are then linear.
-        for name in sorted(names, key=lambda n: len(partners[n])):
+        for name in sorted(names, key=partners):
             if self._affine(right_sides, _column([self.parameter[n] for n in (*linear, name)])):
                 linear.append(name)
         return tuple(name for name in names if name in linear)
-
-    def _partners(self, right_sides: ca.SX, name: str, others: list[str]) -> set[str]:
-        """Return the parameters that this one multiplies, itself where it is a power."""
-        slope = ca.simplify(ca.jacobian(right_sides, self.parameter[name]))
-        return {n for n in _needed(slope, self.parameter) if n in others}
 
 
 def _needed(rows: ca.SX, symbols: Mapping[str, ca.SX]) -> list[str]:

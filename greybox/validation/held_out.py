@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.data.record import Record, share_samples
-from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.result import Fit
 from greybox.files.arrays import BoolArray
 from greybox.files.text_table import counted
@@ -128,8 +127,7 @@ def where_all_are_finite(
 
 def _own_model(fit: Fit, record: int) -> ModelAtEstimate:
     """Return the model of a fit for its k-th record."""
-    parts = [k for k, part in enumerate(fit.parts) if isinstance(part, FittedRecord)]
-    return fit.at_estimate(part=parts[record])
+    return fit.at_estimate(part=fit.parts.index(fit.records[record]))
 
 
 def with_all_signals(records: Sequence[Record]) -> Record:

@@ -55,7 +55,7 @@ def fit_rows(
         for name in () if comparable else names:
             rows.append(_row(f"cost: {name}", [f.costs.get(name, math.nan) for f in fits]))
         if all(fit.responses for fit in fits):
-            sizes = [_relative_rms(fit) for fit in fits]
+            sizes = [100 * relative_rms(fit) for fit in fits]
             rows.append(_row("relative residual (rms)", sizes, "%"))
     # A reader looks for costs, AIC and BIC: dashes show that they are not known.
     always = ("cost", "AIC", "BIC")
@@ -84,11 +84,11 @@ def information_rows(
         yield _row(f"{name} less the least", [value - least for value in values])
 
 
-def _relative_rms(fit: Fit) -> float:
+def relative_rms(fit: Fit) -> float:
     """Return the size of the relative residuals of all responses, in percent."""
     with np.errstate(divide="ignore", invalid="ignore"):  # zeros among the data have none
         shares = [np.abs(part.response / part.data.response - 1) for part in fit.responses]
-    return 100 * rms(np.concatenate(shares))
+    return rms(np.concatenate(shares))
 
 
 def _row(measure: str, values: Sequence[float], unit: str = "") -> Row:

@@ -51,10 +51,8 @@ def data_difference(fits: Sequence[Fit], names: Sequence[str]) -> str:
                     f"({p.data.name or p.name!r}, checksum {p.data.checksum[:8]})" for p in (b, a)
                 ]
                 return f"{name} was fitted to other data than {names[0]} {' and '.join(titles)}"
-            if isinstance(a, FittedResponse) or isinstance(b, FittedResponse):
-                continue
-            if a.outputs != b.outputs:  # type: ignore[attr-defined]
-                outputs = [", ".join(p.outputs) for p in (b, a)]  # type: ignore[attr-defined]
+            outputs = [", ".join(getattr(part, "outputs", ())) for part in (b, a)]
+            if outputs[0] != outputs[1]:
                 return (
                     f"{name} was fitted to the outputs {outputs[0]} and {names[0]} to {outputs[1]}"
                 )
