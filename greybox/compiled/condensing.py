@@ -65,19 +65,13 @@ def condense(
         hessian=by_z.T @ (hessian @ slopes).reshape(by_z.shape),
         gradient=by_z.T @ gradient.ravel(),
         node_step=x[:, :, 0],
-        node_sensitivity=_by_variables(x[:, :, 1:], slopes, segments),
+        node_sensitivity=x[:, :, 1:] @ slopes[segments.records],
         multiplier=multiplier[:, :, 0],
-        multiplier_sensitivity=_by_variables(multiplier[:, :, 1:], slopes, segments),
+        multiplier_sensitivity=multiplier[:, :, 1:] @ slopes[segments.records],
         damping=node_damping,
         # Of the undamped system: the prediction is compared with the true merit.
         decrease=_predicted_decrease(b, x[:, :, 0], multiplier[:, :, 0], trajectory.gaps, variance),
     )
-
-
-def _by_variables(by_active: Array, slopes: Array, segments: Segments) -> Array:
-    """Return derivatives by z, for those by the active parameters of every record."""
-    pairs = zip(segments.record_rows, slopes, strict=True)
-    return np.concatenate([by_active[rows] @ slope for rows, slope in pairs])
 
 
 def _predicted_decrease(

@@ -105,7 +105,17 @@ def compile_responses(
         total = kind(cost(scaled, smoothing))
         function = ca.Function("program", [z, smoothing], [total, scaled_limits])
         if mapped:
-            hessian = _mapped_hessian(parts, mapped, values_at(point), point, limits, choose)
+            named = values_at(point)
+            terms = [
+                (
+                    response,
+                    ca.SX(_values(part, named)),
+                    lambda r, smoothing, part=part: choose(part).cost(r, part.response, smoothing),
+                    weight,
+                )
+                for part, response, weight in zip(parts, mapped, solver_weights(parts), strict=True)
+            ]
+            hessian = lagrangian_hessian(terms, point, stacked(limits, named, ca.SX))
             return CostProgram(function, {"hess_lag": hessian})
         return CostProgram(function, explicit=function if kind is ca.SX else None)
 
@@ -184,28 +194,6 @@ def _mapped(parts: Sequence[Problem]) -> list[Mapped]:
         mapped.append(Mapped(formula, omega))
 
     return mapped if sum(response.work for response in mapped) > LARGE else []
-
-
-def _mapped_hessian(
-    parts: Sequence[Problem],
-    mapped: Sequence[Mapped],
-    named: Named,
-    z: ca.SX,
-    limits: Sequence[Limit],
-    choose: ChooseCriterion,
-) -> ca.Function:
-    """Return the Hessian of the weighted costs of mapped responses and of the limits."""
-    terms = [
-        (
-            response,
-            ca.SX(_values(part, named)),
-            lambda r, smoothing, part=part: choose(part).cost(r, part.response, smoothing),
-            weight,
-        )
-        for part, response, weight in zip(parts, mapped, solver_weights(parts), strict=True)
-    ]
-
-    return lagrangian_hessian(terms, z, stacked(limits, named, ca.SX))
 
 
 def _program_at_roots(

@@ -137,48 +137,37 @@ class SegmentedPart(Part):
             rest[self.data.begins_stretch, self.driven :] = delays
         return rest
 
-    def _with_known_states(self, nodes: Array, placed: Placed) -> Array:
-        """Return the nodes with the known initial states in them."""
-        initial = placed.initial
-        if initial.ndim == 2:
-            initial = initial[self.segments.records]
-        return np.where(self.known_states, initial + self.delays_at_rest, nodes)
-
     # --- trajectories
 
     def initial_trajectory(self, z: Array) -> Trajectory:
         """Return the trajectory at z (p,) with nodes from the data, see `initial_states`."""
         placed = self.place(z)
-        return self._segmented(z, self.initial_nodes(placed), placed)
+        return self._along(z, self.initial_nodes(placed), placed)
 
     def trajectory(self, z: Array, nodes: Array, *, simulated: bool = False) -> Trajectory:
         """Return the trajectory at z (p,) from nodes (s, n), or `simulated` from the first ones."""
-        placed = self.place(z)
-        make = self._simulated if simulated else self._segmented
-        return make(z, nodes, placed)
+        return self._along(z, nodes, self.place(z), simulated=simulated)
 
-    def _segmented(self, z: Array, nodes: Array, placed: Placed) -> Trajectory:
-        nodes = self._with_known_states(nodes, placed)
-        states, ends = self.segments.simulate(nodes, placed.q, placed.data)
-        gaps = np.zeros_like(ends)
-        gaps[:-1] = ends[:-1] - nodes[1:]
-        # The last segment of a stretch has no next node.
-        gaps[~self.data.coupled] = 0
-        residuals = self.segments.residuals(states, placed.q, placed.data)
-        products = self._products(self.segments.products(residuals))
-        return Trajectory(z, nodes, ends, gaps, products, False, states, placed)
+    def _along(
+        self, z: Array, nodes: Array, placed: Placed, *, simulated: bool = False
+    ) -> Trajectory:
+        segments, at = self.segments, (placed.q, placed.data)
+        initial = placed.initial if placed.initial.ndim == 1 else placed.initial[segments.records]
+        nodes = np.where(self.known_states, initial + self.delays_at_rest, nodes)
+        gaps = np.zeros_like(nodes)
+        if simulated:
+            counts = self.data.segment_counts
+            nodes, states, ends, products = segments.simulate_stretches(counts, nodes, *at)
+        else:
+            states, ends = segments.simulate(nodes, *at)
+            gaps[:-1] = ends[:-1] - nodes[1:]
+            # The last segment of a stretch has no next node.
+            gaps[~self.data.coupled] = 0
+            products = segments.products(segments.residuals(states, *at))
 
-    def _simulated(self, z: Array, nodes: Array, placed: Placed) -> Trajectory:
-        nodes = self._with_known_states(nodes, placed)
-        nodes, states, ends, products = self.segments.simulate_stretches(
-            self.data.segment_counts, nodes, placed.q, placed.data
-        )
-        products, gaps = self._products(products), np.zeros_like(ends)
-        return Trajectory(z, nodes, ends, gaps, products, True, states, placed)
-
-    def _products(self, by_record: Array) -> Array:
-        """Return the products of residuals (r, k, k) of all records, or (k, k) of a single one."""
-        return by_record[0] if self.segments.number == 1 else by_record
+        # The products of several records have an axis of records.
+        products = products[0] if segments.number == 1 else products
+        return Trajectory(z, nodes, ends, gaps, products, simulated, states, placed)
 
     def residuals(self, trajectory: Trajectory) -> Array:
         """Return the residuals (k, samples) in the order of the samples, zero if missing."""

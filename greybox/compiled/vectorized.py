@@ -19,12 +19,6 @@ from greybox.modeling.symbolic_reading import input_symbols
 CHUNK = 4096  # columns at once: so many fit into the cache
 
 
-def _if_else_zero(condition: Array, value: Array, out: Array) -> None:
-    np.copyto(
-        out, np.where(condition, value, 0.0)
-    )  # a product would make NaN of zero times infinity
-
-
 # CasADi's operations by name. The ufuncs of the first have the same name.
 _UFUNCS: dict[str, Callable[..., Any]] = {
     name: getattr(np, name.lower())
@@ -58,7 +52,8 @@ _UFUNCS |= {
     "NOT": np.logical_not,
     "AND": np.logical_and,
     "OR": np.logical_or,
-    "IF_ELSE_ZERO": _if_else_zero,
+    # A product would make NaN of zero times infinity.
+    "IF_ELSE_ZERO": lambda condition, value, out: np.copyto(out, np.where(condition, value, 0.0)),
     "INV": np.reciprocal,
 }
 _OPERATIONS = {getattr(ca, f"OP_{name}"): ufunc for name, ufunc in _UFUNCS.items()}

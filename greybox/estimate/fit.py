@@ -382,7 +382,12 @@ def assemble(
         seed=seed,
         starts=starts,
         seconds=0.0,
-        versions=_versions(),
+        versions={
+            "greybox": version("greybox-id"),
+            "casadi": ca.CasadiMeta.version(),
+            "numpy": np.__version__,
+            "python": platform.python_version(),
+        },
         models=tuple(part.model for part in nlp.problem.parts),
         white=accuracy.white,
         independent=accuracy.independent,
@@ -400,15 +405,6 @@ def assemble(
         warnings=warnings(nlp, search, accuracy, answer, trajectories, error),
         notes=(*unused_noise(nlp.problem), *together),
     )
-
-
-def _versions() -> dict[str, str]:
-    return {
-        "greybox": version("greybox-id"),
-        "casadi": ca.CasadiMeta.version(),
-        "numpy": np.__version__,
-        "python": platform.python_version(),
-    }
 
 
 def _all_costs(parts: Sequence[AnyFittedPart]) -> dict[str, float]:

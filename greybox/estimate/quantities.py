@@ -1,8 +1,6 @@
 """The quantities of an answer: parameters, ties and derived quantities, with their errors."""
 
-import math
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from functools import partial
 from operator import itemgetter
 from typing import Any, Literal, NamedTuple
@@ -38,18 +36,38 @@ def quantities(
     """
     follow = formulas(nlp.problem)
     values, gradients = _evaluated(nlp, follow, estimate)
-    # Free parameters come first: `Fit.free` and all matrices of a fit rely on this order.
-    lines = [_parameter(nlp, accuracy, name, estimate[name]) for name in nlp.names]
-    lines += map(partial(_formula, accuracy), follow, values.tolist())
-
     # A parameter is its own derivative, so one propagation of errors serves all lines.
     slopes = np.vstack([np.eye(len(nlp.names)), gradients])
     errors = propagate(accuracy, slopes)
-    columns = np.column_stack([errors, degrees(accuracy, slopes), slopes @ accuracy.bias])
-    lines = [
-        replace(line, standard_error=error, dof=dof, bias=bias)
-        for line, (error, dof, bias) in zip(lines, columns.tolist(), strict=True)
-    ]
+    columns = np.column_stack([errors, degrees(accuracy, slopes), slopes @ accuracy.bias]).tolist()
+
+    # Free parameters come first: `Fit.free` and all matrices of a fit rely on this order.
+    lines = []
+    for name, (error, dof, bias) in zip(nlp.names, columns, strict=False):
+        declared = nlp.problem.parameters[name]
+        lines.append(
+            Quantity(
+                name,
+                estimate[name],
+                error,
+                kind="fixed" if declared.fixed else "free",
+                unit=declared.unit,
+                about=declared.about,
+                bounds=declared.bounds,
+                box=declared.box,
+                at_bound=name in accuracy.at_bound,
+                dof=dof,
+                bias=bias,
+            )
+        )
+    following = zip(follow, values.tolist(), columns[len(lines) :], strict=True)
+    for formula, value, (error, dof, bias) in following:
+        limit = f"of the tied {formula.name}"
+        at_bound = any(label.endswith(limit) for label in accuracy.active)
+        described = {"kind": formula.kind, "unit": formula.unit, "about": formula.about}
+        lines.append(
+            Quantity(formula.name, value, error, at_bound=at_bound, dof=dof, bias=bias, **described)
+        )
 
     of_parameters = slopes[[line.kind != "derived" for line in lines]]
     covariance = of_parameters @ accuracy.covariance @ of_parameters.T
@@ -59,43 +77,9 @@ def quantities(
     return tuple(lines), covariance, of_parameters
 
 
-def formulas(problem: AnyProblem) -> list[Formula]:
-    """Return the tied parameters and derived quantities of a problem."""
-    return _tied(problem) + _derived(problem)
-
-
 def expressions(problem: AnyProblem, values: Mapping[str, Any]) -> dict[str, ca.SX]:
     """Return every parameter and formula by name, from symbols or numbers of the parameters."""
     return {**values, **{f.name: ca.SX(f.evaluate(values)) for f in formulas(problem)}}
-
-
-def _parameter(nlp: CompiledProblem, accuracy: Accuracy, name: str, value: float) -> Quantity:
-    """Return a free or fixed parameter, its error still unknown."""
-    declared = nlp.problem.parameters[name]
-    return Quantity(
-        name,
-        value,
-        math.nan,
-        kind="fixed" if declared.fixed else "free",
-        unit=declared.unit,
-        about=declared.about,
-        bounds=declared.bounds,
-        box=declared.box,
-        at_bound=name in accuracy.at_bound,
-    )
-
-
-def _formula(accuracy: Accuracy, formula: Formula, value: float) -> Quantity:
-    """Return a tied or derived quantity, its error still unknown."""
-    return Quantity(
-        formula.name,
-        value,
-        math.nan,
-        kind=formula.kind,
-        unit=formula.unit,
-        about=formula.about,
-        at_bound=any(limit.endswith(f"of the tied {formula.name}") for limit in accuracy.active),
-    )
 
 
 @one_thread_at_a_time
@@ -118,7 +102,11 @@ def _from_part(part: Problem, function: Callable[[Any], Any], values: Mapping[st
     return function(part.local_values(values))
 
 
-def _tied(problem: AnyProblem) -> list[Formula]:
+def formulas(problem: AnyProblem) -> list[Formula]:
+    """Return the tied parameters of a problem, then its derived quantities.
+
+    A derived quantity has the name of its part besides where that renames or ties.
+    """
     formulas_by_name: dict[str, Formula] = {}
     for part in problem.parts:
         for name in part.tied:
@@ -127,13 +115,7 @@ def _tied(problem: AnyProblem) -> list[Formula]:
             formula = Formula(part.outside(name), "tied", declared.unit, declared.about, value)
             formulas_by_name.setdefault(formula.name, formula)
 
-    return list(formulas_by_name.values())
-
-
-def _derived(problem: AnyProblem) -> list[Formula]:
-    """Return the derived quantities, with the name of the part where it renames or ties."""
-    used_names = {*problem.parameters, *(formula.name for formula in _tied(problem))}
-    formulas_by_name: dict[str, Formula] = {}
+    used_names = {*problem.parameters, *formulas_by_name}
     for position, part in enumerate(problem.parts):
         differs = bool(part.rename or part.tied) and len(problem.parts) > 1
         for name, function in part.model.derived.items():

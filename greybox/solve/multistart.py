@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from types import MappingProxyType
@@ -19,7 +19,7 @@ from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.shared_runs import SharedRuns
 from greybox.solve.interruption import one_run, stop_requested
 from greybox.solve.kept_runs import KeptRuns, Memory
-from greybox.solve.local_solver import LocalSolver, Runner, Screened
+from greybox.solve.local_solver import LocalSolver, Screened
 from greybox.solve.minima import Minimum, Multistart, agreeing_runs, find_minima, zero_cost
 from greybox.solve.response_solver import ResponseSolver
 from greybox.solve.runs import CUT_SHORT, NOT_FINITE, SCREENED, Outcome, Run, Runs
@@ -95,7 +95,12 @@ def multistart(
     results: dict[int, tuple[Array, Outcome]] = {}
     runs, minima, lowest = Runs.of(()), (), math.inf
     for wave in _waves(screened, few, len(starts)):
-        for runner, numbers in _runners(solver, shared, wave):
+        # The first start of all always runs alone: a longer search then includes what a search from
+        # this start alone tries.
+        alone = len(wave) if shared is None else int(wave[0] == 0)
+        for runner, numbers in ((solver, wave[:alone]), (shared or solver, wave[alone:])):
+            if runner is shared and stop_requested():
+                break
             numbered = ((number, points[number]) for number in numbers)
             runs_made = run_all(runner, numbered, len(numbers), executor, memory, begins)
             for number, start, ended in runs_made:
@@ -125,20 +130,6 @@ def _waves(screened: Screened | None, few: int, count: int) -> list[Sequence[int
         return [range(count)]
     first = screened.order[:few].tolist()
     return [first, sorted(set(range(count)) - set(first))]
-
-
-def _runners(
-    solver: LocalSolver, shared: SharedRuns | None, wave: Sequence[int]
-) -> Iterator[tuple[Runner, Sequence[int]]]:
-    """Yield what makes the runs of a wave, with their numbers.
-
-    The first start of all always runs alone: a longer search then includes what a search from this
-    start alone tries.
-    """
-    alone = len(wave) if shared is None else int(wave[0] == 0)
-    yield solver, wave[:alone]
-    if shared is not None and not stop_requested():
-        yield shared, wave[alone:]
 
 
 def _continued(

@@ -125,6 +125,7 @@ def check(
         For a signal that the record does not have.
     """
     require_time(record, "a test")
+    band = _highest_lowest(response, segments)
     findings = [
         *_filters(record, (input, output)),
         *_gaps(record, segments),
@@ -132,9 +133,9 @@ def check(
         *_saturation(_excited(record, segments), input),
         *_amplitude(record, (input, output)),
         *_segments(segments),
-        *_spread(response, segments),
-        *_length(record, response, segments),
-        *_rate(record, response, segments),
+        *_spread(*band),
+        *_length(record, band[1], segments),
+        *_rate(record, band[0], response, segments),
     ]
     if response is not None:
         findings += [*_coherence(response), *_noise(response)]
@@ -244,8 +245,7 @@ def _highest_lowest(
     return (max(ends), min(ends)) if ends else (math.nan, math.nan)
 
 
-def _spread(response: FrequencyResponse | None, segments: Sequence[Segment]) -> Iterator[Finding]:
-    high, low = _highest_lowest(response, segments)
+def _spread(high: float, low: float) -> Iterator[Finding]:
     if math.isnan(high):
         text = "there is no test segment and no response: the excitation was not judged."
         yield Finding("spread", "note", math.nan, text)
@@ -261,9 +261,7 @@ def _spread(response: FrequencyResponse | None, segments: Sequence[Segment]) -> 
         yield Finding("spread", "warning", high / low, text)
 
 
-def _length(
-    record: Record, response: FrequencyResponse | None, segments: Sequence[Segment]
-) -> Iterator[Finding]:
+def _length(record: Record, lowest: float, segments: Sequence[Segment]) -> Iterator[Finding]:
     usable = [s for s in segments if s.usable]
     if usable:
         # The shortest test has the largest errors.
@@ -271,7 +269,6 @@ def _length(
         periods = fewest.periods
         lowest = fewest.band[0]
     else:
-        _, lowest = _highest_lowest(response, segments)
         # Nothing is estimated across a gap.
         longest = max(piece.duration for piece in record.pieces)
         periods = longest * lowest / (2 * math.pi)
@@ -285,9 +282,11 @@ def _length(
 
 
 def _rate(
-    record: Record, response: FrequencyResponse | None, segments: Sequence[Segment]
+    record: Record,
+    highest: float,
+    response: FrequencyResponse | None,
+    segments: Sequence[Segment],
 ) -> Iterator[Finding]:
-    highest, _ = _highest_lowest(response, segments)
     reach = 2 * math.pi * record.rate / SAMPLES[1]
     bands = [segment.band for segment in segments if segment.usable]
     if response is None and any(low < reach for low, _ in bands):
