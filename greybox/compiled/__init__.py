@@ -11,7 +11,7 @@ Begin with `compiled_problem`.
 | `transient_part` | the spectrum of a manoeuvre |
 | `record_model` | a record with its model, whatever the cut into segments |
 | `segmented_part` | records cut into segments: placement, trajectories, cost, linearization |
-| `record_part`, `record_group` | one record; several that are evaluated together |
+| `record_part`, `record_group` | one record and its information; several that are evaluated together |
 | `sampled_data` | a record as gapless stretches of samples, cut into segments |
 | `sample_step` | one sample as a CasADi function |
 | `segments` | all segments simulated and linearized at once |
@@ -23,7 +23,6 @@ Begin with `compiled_problem`.
 | `kalman_gain`, `riccati` | the gain of a predictor; the one that follows from process noise |
 | `disturbances` | how the outputs of a record would follow terms that its model does not have |
 | `record_sensitivity` | derivatives of the residuals |
-| `record_information` | the information for the covariance |
 | `colored_errors` | residuals that are correlated in time |
 | `record_program` | a record as expressions for IPOPT |
 | `transcription` | the methods by which the states of a record become unknowns |

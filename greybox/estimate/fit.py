@@ -243,7 +243,7 @@ def fit_keeping(
     by = by or SolverChoice()
     nlp, solver = by.compiled(problem)
     rule = as_starts(solver.starts if starts is None else starts, seed)
-    points = rule.numbered({name: nlp.problem.parameters[name] for name in nlp.free})
+    points = rule.draw({name: nlp.problem.parameters[name] for name in nlp.free})
     run = partial(
         multistart,
         nlp,
@@ -256,7 +256,12 @@ def fit_keeping(
     )
 
     with responding(Response.STOP):
-        search = _with_progress(run, progress, len(points))
+        # A bar would be in the way of a function that reports progress in another form.
+        if callable(progress) or not progress:
+            search = run(progress=progress or None)
+        else:
+            with tqdm(total=len(points), disable=None, delay=2, unit="start", leave=False) as bar:
+                search = run(progress=lambda done, _: bar.update(done - bar.n))
         # Ask now: a later Ctrl-C does not end the search, which is complete.
         interrupted = stop_requested()
         # Explain failures before a refinement replaces the compiled problem in which they happened.
@@ -293,17 +298,6 @@ def fit_keeping(
 def fingerprint(problem: AnyProblem, by: SolverChoice) -> str:
     """Return the key of stored runs: of the compiled problem, its data and the solver options."""
     return runner_fingerprint(by.compiled(problem)[1])
-
-
-def _with_progress(
-    run: Callable[..., Multistart], progress: bool | Callable[[int, int], None], total: int
-) -> Multistart:
-    """Run a search with a bar on a terminal, or with the user's function."""
-    # A bar would be in the way of a function that reports progress in another form.
-    if callable(progress) or not progress:
-        return run(progress=progress or None)
-    with tqdm(total=total, disable=None, delay=2, unit="start", leave=False) as bar:
-        return run(progress=lambda done, _: bar.update(done - bar.n))
 
 
 def _cut_short(search: Multistart, count: int, *, interrupted: bool) -> Iterator[str]:

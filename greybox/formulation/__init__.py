@@ -5,10 +5,8 @@ Begin with `problem`.
 | file | contents |
 | --- | --- |
 | `problem` | a model, data and a criterion, with fixed, free, tied and renamed parameters |
-| `sum` | `Sum`: problems solved at once |
+| `sum` | `Sum`: problems solved at once, whose costs add and whose data occur once |
 | `several` | one problem for several records |
-| `added_criteria` | criteria whose costs add |
-| `data_used_twice` | records and what was estimated from them must not be added |
 | `sensor_biases` | each record of a sum has its own biases |
 | `criterion` | what all criteria share |
 | `frequency_criteria` | the criteria for frequency responses |

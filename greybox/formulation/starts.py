@@ -2,10 +2,9 @@
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import chain
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -13,54 +12,18 @@ from greybox.files.arrays import Array
 from greybox.files.text_table import counted, one_line
 from greybox.modeling.parameter import Parameter, is_finite_number
 
-# Starts that are drawn at once: 4096 of ten parameters fit into the cache. A power of two, at which
-# a Sobol sequence is balanced; scipy warns otherwise.
-BLOCK = 2**12
-
-
-class Points(Sequence[Array]):
-    """Starts (p,) by number, drawn in blocks as they are asked for: ten million would take 1 GB.
-
-    `blocks` returns an iterator of arrays (b, p), from the first start on.
-    """
-
-    def __init__(self, number: int, blocks: Callable[[], Iterator[Array]]) -> None:
-        self.number, self.blocks = number, blocks
-        self._restart()
-
-    def _restart(self) -> None:
-        self._block, self._begin, self._following = np.empty((0, 0)), 0, self.blocks()
-
-    def __len__(self) -> int:
-        return self.number
-
-    def __getitem__(self, number: int) -> Array:  # type: ignore[override]  (no slices)
-        if not 0 <= number < self.number:
-            raise IndexError(f"start {number} of {self.number}")
-        if number < self._begin:
-            self._restart()
-        while number >= self._begin + len(self._block):
-            self._begin += len(self._block)
-            self._block = next(self._following)
-        return self._block[number - self._begin]
+# Starts of a rule: a million of ten parameters take 80 MB, and their runs ten times as much.
+MOST = 2**20
 
 
 class Starts(ABC):
-    """A rule for the starts of a search; `seed` is None if it draws no random numbers.
-
-    A subclass defines `draw`, or, for starts that are drawn as they are asked for, `numbered`.
-    """
+    """A rule for the starts of a search; `seed` is None if it draws no random numbers."""
 
     seed: int | None = None
 
+    @abstractmethod
     def draw(self, parameters: Mapping[str, Parameter]) -> Array:
         """Return the starts, (number, p), for the free parameters in their order."""
-        return np.concatenate([*self.numbered(parameters).blocks()])
-
-    def numbered(self, parameters: Mapping[str, Parameter]) -> Points:
-        """Return the starts of `draw` by number."""
-        drawn = self.draw(parameters)
-        return Points(len(drawn), lambda: iter((drawn,)))
 
     @abstractmethod
     def __str__(self) -> str: ...
@@ -70,7 +33,7 @@ class Starts(ABC):
 class RandomStarts(Starts):
     """Points drawn in the unit cube and spread over the boxes of the parameters.
 
-    A subclass defines `unit_points`, and `most`, the largest number.
+    A subclass defines `unit_points`.
 
     Parameters
     ----------
@@ -81,11 +44,10 @@ class RandomStarts(Starts):
 
     number: int
     seed: int = 0  # type: ignore[assignment]
-    most: ClassVar[int]
 
     @abstractmethod
-    def unit_points(self, dimensions: int) -> Iterator[Array]:
-        """Yield blocks (b, dimensions) of points in the unit cube, `number` in all."""
+    def unit_points(self, dimensions: int) -> Array:
+        """Return the points (number, dimensions) in the unit cube."""
 
     def __post_init__(self) -> None:
         """Check number and seed."""
@@ -95,17 +57,14 @@ class RandomStarts(Starts):
                 raise ValueError(
                     f"{name} of starts is {value!r}: give a whole number of at least {least}."
                 )
-        if self.number > self.most:
-            raise ValueError(
-                f"number of starts is {self.number}: {type(self).__name__} draws at most "
-                f"{self.most}, give a smaller number."
-            )
+        if self.number > MOST:
+            raise ValueError(f"number of starts is {self.number}: give at most {MOST}.")
 
     def __str__(self) -> str:
         return f"{self.number} by {type(self).__name__}, seed {self.seed}"
 
-    def numbered(self, parameters: Mapping[str, Parameter]) -> Points:
-        """Return the starts by number, drawn as they are asked for."""
+    def draw(self, parameters: Mapping[str, Parameter]) -> Array:
+        """Return the points, spread over the boxes."""
         for name, parameter in parameters.items():
             low, high = parameter.box
             if not (math.isfinite(low) and math.isfinite(high)):
@@ -115,43 +74,34 @@ class RandomStarts(Starts):
                     "a list."
                 )
 
-        def blocks() -> Iterator[Array]:
-            for shares in self.unit_points(len(parameters)):
-                columns = [p.in_box(shares[:, k]) for k, p in enumerate(parameters.values())]
-                yield np.column_stack(columns)
-
-        return Points(self.number, blocks)
+        shares = self.unit_points(len(parameters)).T
+        pairs = zip(parameters.values(), shares, strict=True)
+        return np.column_stack([parameter.in_box(share) for parameter, share in pairs])
 
 
 @dataclass(frozen=True)
 class Sobol(RandomStarts):
     """Scrambled Sobol points; more of them with the same seed begin with the same points."""
 
-    most = 2**30  # points of scipy's sequence, of 30 bits
-
-    def unit_points(self, dimensions: int) -> Iterator[Array]:
-        """Yield the points of the sequence."""
+    def unit_points(self, dimensions: int) -> Array:
+        """Return the first points of the sequence."""
         from scipy.stats import qmc  # noqa: PLC0415  (imports slowly)
 
         sequence = qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(self.seed))
-        size = min(2 ** math.ceil(math.log2(self.number)), BLOCK)
-        for begin in range(0, self.number, size):
-            yield sequence.random(size)[: self.number - begin]
+        # A sequence is balanced at powers of two; scipy warns otherwise.
+        return sequence.random(2 ** math.ceil(math.log2(self.number)))[: self.number]
 
 
 @dataclass(frozen=True)
 class LatinHypercube(RandomStarts):
     """Latin hypercube: every parameter has `number` layers with one point in each."""
 
-    most = 2**20  # it is drawn as a whole, 8 MB a parameter
-
-    def unit_points(self, dimensions: int) -> Iterator[Array]:
-        """Yield one random hypercube."""
+    def unit_points(self, dimensions: int) -> Array:
+        """Return one random hypercube."""
         from scipy.stats import qmc  # noqa: PLC0415  (imports slowly)
 
-        yield qmc.LatinHypercube(dimensions, rng=np.random.default_rng(self.seed)).random(
-            self.number
-        )
+        random = np.random.default_rng(self.seed)
+        return qmc.LatinHypercube(dimensions, rng=random).random(self.number)
 
 
 @dataclass(frozen=True)
@@ -201,12 +151,9 @@ class Chained(Starts):
     def __str__(self) -> str:
         return " + ".join(map(str, self.rules))
 
-    def numbered(self, parameters: Mapping[str, Parameter]) -> Points:
-        """Return the points of every rule by number."""
-        parts = [rule.numbered(parameters) for rule in self.rules]
-        return Points(
-            sum(map(len, parts)), lambda: chain.from_iterable(part.blocks() for part in parts)
-        )
+    def draw(self, parameters: Mapping[str, Parameter]) -> Array:
+        """Return the starts of every rule in turn."""
+        return np.concatenate([rule.draw(parameters) for rule in self.rules])
 
 
 def as_starts(

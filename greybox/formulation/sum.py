@@ -8,9 +8,11 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from greybox.data.frequency_response import FrequencyResponse, Stretch
+from greybox.data.record import Record
+from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.text_table import counted, one_line
-from greybox.formulation.added_criteria import with_costs_that_add
-from greybox.formulation.data_used_twice import require_data_once
+from greybox.formulation.frequency_criteria import RelativeLikelihood
 from greybox.formulation.held_estimate import HeldEstimate
 from greybox.formulation.sensor_biases import with_numbered_biases
 from greybox.modeling.model import merged_parameters
@@ -62,10 +64,10 @@ class Sum(Addable, Generic[Part]):
 
     def __post_init__(self) -> None:
         """Choose criteria whose costs add, number biases, merge parameters, compare ties."""
-        require_data_once(self.parts)
+        _require_data_once(self.parts)
         # Stored for further sums: `a + b + c` must number biases once, over all records.
         object.__setattr__(self, "_as_added", self.parts)
-        object.__setattr__(self, "parts", with_numbered_biases(with_costs_that_add(self.parts)))
+        object.__setattr__(self, "parts", with_numbered_biases(_with_costs_that_add(self.parts)))
         if not self.name:
             names = list(dict.fromkeys(part.name for part in self.parts))
             if len(names) > 8:  # more names do not fit into a line
@@ -128,3 +130,75 @@ class Sum(Addable, Generic[Part]):
 
     def __repr__(self) -> str:
         return one_line(self, repr(self.name), counted(len(self.parts), "part"))
+
+
+def _require_data_once(parts: Sequence[Any]) -> None:
+    """Refuse a record beside a response or a spectrum that was estimated from a stretch of it.
+
+    Their errors are the same, so that adding their likelihoods would count the information twice.
+
+    Raises
+    ------
+    ValueError
+        With the stretch.
+    """
+    records = [part for part in parts if isinstance(part.data, Record)]
+    for part in parts:
+        if isinstance(part.data, FrequencyResponse):
+            noun, stretches = "response", tuple(part.data.stretches)
+        elif isinstance(part.data, TransientSpectrum):
+            noun, stretches = "spectrum", () if part.data.stretch is None else (part.data.stretch,)
+        else:
+            continue
+        for stretch in stretches:
+            used = next((record for record in records if _holds(record.data, stretch)), None)
+            if used is not None:
+                raise ValueError(
+                    f"the {noun} {part.name!r} was estimated from {stretch.start:g} to "
+                    f"{stretch.end:g} s of the record {used.name!r}, which would count the same "
+                    "data twice: leave one of them out, or fit the record between other times, "
+                    "record.between(start, end)."
+                )
+
+
+def _holds(record: Record, stretch: Stretch) -> bool:
+    """Return whether a record has samples of a stretch."""
+    # One common sample is not an overlap: stretches of a log may share their ends.
+    first, last = np.searchsorted(record.time, [stretch.start, np.nextafter(stretch.end, np.inf)])
+    return record.checksum == stretch.checksum and int(last - first) > 1
+
+
+def _with_costs_that_add(parts: Sequence[Any]) -> tuple[Any, ...]:
+    """Return the parts with criteria whose costs may be added.
+
+    Negative log-likelihoods add for all data. If one criterion is a likelihood, as that of every
+    record, a response without a criterion of its own gets `RelativeLikelihood` instead of
+    `RelativeError`. Other costs have different scales: they add only if criterion and settings are
+    the same.
+
+    Raises
+    ------
+    ValueError
+        If one criterion is a likelihood and another is not, or if two others differ.
+    """
+    # One likelihood makes the sum one: all others must be likelihoods too.
+    likelihood = next((part for part in parts if part.criterion.is_likelihood), None)
+    if likelihood:
+        parts = [
+            part.with_(criterion=RelativeLikelihood())
+            if part.has_default_criterion and not part.criterion.is_likelihood
+            else part
+            for part in parts
+        ]
+    first = likelihood or parts[0]
+    for part in parts:
+        if not (part.criterion.is_likelihood if likelihood else part.criterion == first.criterion):
+            raise ValueError(
+                f"{part.name!r} has the criterion {part.criterion!r} and {first.name!r} "
+                f"{first.criterion!r}: costs of different criteria add only where both are "
+                "likelihoods, so leave out the criterion of the response, or give both the same "
+                "criterion, or RelativeLikelihood(), or MaximumLikelihood() where variances are "
+                "known."
+            )
+
+    return tuple(parts)

@@ -14,7 +14,7 @@ from greybox.modeling.elimination import eliminated, elimination_order, solve_pe
 from greybox.modeling.function_of_s import CASADI_TYPES, is_casadi
 from greybox.modeling.functions import exp
 from greybox.modeling.linearization import LinearSystem, jacobians, linearize
-from greybox.modeling.model import Model, Names, pick_signals
+from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.state_space import StateSpace
@@ -50,7 +50,10 @@ def frequency_response(
     with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
         if isinstance(model, TransferFunction):
             require_no_operating_point(model, at)
-            response = _transfer_function_values(model, omega, model.values(values), pade)
+            # Plain complex numbers if possible: tests compare them with those of `Complex`.
+            s = 1j * omega if pade is None else Complex(np.zeros_like(omega), omega, pade)
+            re, im = _parts(model.response(s, model.values(values)), model.label, omega.size)
+            response = np.broadcast_to(np.asarray(re + 1j * im, dtype=complex), omega.shape)
         else:
             assert isinstance(model, StateSpace)
             response = _state_space_values(linearize(model, values, at), omega, input, output, pade)
@@ -64,15 +67,6 @@ def frequency_response(
     return FrequencyResponse(
         omega, response, input=input, output=output, name=model.label, source="model"
     )
-
-
-def _transfer_function_values(
-    model: TransferFunction, omega: Array, p: Names, pade: int | None
-) -> ComplexArray:
-    # Plain complex numbers if possible: tests compare them with the arithmetic of `Complex`.
-    s: Any = 1j * omega if pade is None else Complex(np.zeros_like(omega), omega, pade)
-    re, im = _parts(model.response(s, p), model.label, omega.size)
-    return np.broadcast_to(np.asarray(re + 1j * im, dtype=complex), omega.shape)
 
 
 def _state_space_values(

@@ -70,12 +70,12 @@ def traced(owner: str, formula: Callable[..., Any], *arguments: Any) -> Any:
 
 def traced_derivative(model: StateSpace, z: ca.SX, p: ca.SX) -> ca.SX:
     """Evaluate `model.derivative` on expressions, (n, 1)."""
-    return _traced_column(model, "derivative", model.derivative, model.states, z, p)
+    return _traced_column(model, "derivative", model.states, z, p)
 
 
 def traced_output(model: StateSpace, z: ca.SX, p: ca.SX) -> ca.SX:
     """Evaluate `model.output` on expressions, (k, 1)."""
-    return _traced_column(model, "output", model.output, model.outputs, z, p)
+    return _traced_column(model, "output", model.outputs, z, p)
 
 
 @one_thread_at_a_time
@@ -119,21 +119,15 @@ def require_no_nan(owner: str, expression: ca.SX) -> ca.SX:
 
 
 def _traced_column(
-    model: StateSpace,
-    what: str,
-    formula: Callable[..., Any],
-    names: Sequence[str],
-    z: ca.SX,
-    p: ca.SX,
+    model: StateSpace, formula: str, names: Sequence[str], z: ca.SX, p: ca.SX
 ) -> ca.SX:
-    owner = f"{model.label}.{what}"
-    result = traced(owner, formula, *split(model, z), parameter_names(model, p))
-    values = as_list(result)
+    owner = f"{model.label}.{formula}"
+    arguments = *split(model, z), parameter_names(model, p)
+    values = as_list(traced(owner, getattr(model, formula), *arguments))
     if len(values) != len(names):
         raise ValueError(
-            f"{owner} returns {len(values)} values but there are {len(names)} "
-            f"{'states' if what == 'derivative' else 'outputs'} ({', '.join(names)}): return one "
-            "for each."
+            f"{owner} returns {len(values)} values and must return {len(names)}: one for each of "
+            f"{', '.join(names)}."
         )
 
     return column(owner, values)

@@ -182,7 +182,15 @@ def find_minima(
         distances = _differences(signatures, indices[k], indices[candidates])
         near = candidates[(distances <= SAME_RESPONSE) | (candidates == k)]
         ungrouped[near] = False
-        near = _best_first(nlp, costs[near], indices[near], columns.estimate[order[near]], near)
+
+        # Where equivalent parameter vectors (two lags that swap) have the same cost but for
+        # rounding, the first start decides between them: the last bit of the cost would choose
+        # another one on another processor.
+        z = nlp.scaling.to_solver(columns.estimate[order[near]])
+        ties = np.flatnonzero(costs[near] - costs[near[0]] <= 1e-9 * max(abs(costs[near[0]]), 1.0))
+        first = ties[np.argmin(indices[near][ties])]
+        best = int(np.argmax(~_are_apart(z, z[first])))
+        near = np.concatenate([near[best : best + 1], np.delete(near, best)])
         k = int(near[0])
         variants = count_variants(nlp, columns.estimate[order[near]])
         minima.append(
@@ -216,26 +224,6 @@ def same_cost(nlp: CompiledProblem, cost: float) -> float:
     if any(part.is_likelihood for part in nlp.parts):
         return SAME_LIKELIHOOD + 1e-7 * abs(cost)
     return SAME_COST * max(cost, 5e-4 * sum(part.numbers for part in nlp.parts))
-
-
-def _best_first(
-    nlp: CompiledProblem,
-    costs: Array,
-    indices: IntArray,
-    ends: Array,
-    order: IntArray,
-) -> IntArray:
-    """Return the `order` of runs at one minimum, sorted by cost, with the one to report first.
-
-    Where equivalent parameter vectors (two lags that swap) have the same cost but for rounding, the
-    first start decides between them: the last bit of the cost would choose another one on another
-    processor.
-    """
-    ties = np.flatnonzero(costs - costs[0] <= 1e-9 * max(abs(costs[0]), 1.0))
-    first = ties[np.argmin(indices[ties])]
-    z = nlp.scaling.to_solver(ends)
-    best = int(np.argmax(~_are_apart(z, z[first])))
-    return np.concatenate([order[best : best + 1], np.delete(order, best)])
 
 
 def _are_apart(z: Array, reference: Array) -> NDArray[np.bool_]:

@@ -57,7 +57,7 @@ def solver_for(
 def multistart(
     nlp: CompiledProblem,
     solver: LocalSolver,
-    starts: Array | Sequence[Array],
+    starts: Array,
     *,
     progress: ProgressReport | None = None,
     movable: bool = True,
@@ -65,7 +65,7 @@ def multistart(
     kept: KeptRuns | None = None,
     promising: tuple[int, int] | None = None,
 ) -> Multistart:
-    """Run the solver from all `starts` (p,) and group the runs into minima.
+    """Run the solver from all `starts` (r, p) and group the runs into minima.
 
     With `promising`, so many starts are run first that the solver finds the most promising; the
     others follow if not enough of these, the second number, agree. On the fits of the paper each of
@@ -79,13 +79,11 @@ def multistart(
     (`greybox.solve.executors`). Runs that were `kept` are not made again.
     """
     began = time.perf_counter()
-    points: Array | Sequence[Array] | FiniteStarts = starts
     # Without moves 5 of 156 runs fewer end at the best minimum (tanks, conversion, reactor).
-    if movable:
-        points = FiniteStarts(nlp, solver, starts)
+    points = FiniteStarts(nlp, solver, starts) if movable else starts
     memory = Memory() if kept is None else Memory(kept, runner_fingerprint(solver))
     few, enough = promising or (len(starts), 0)
-    screened = solver.screened(np.array(starts)) if movable and few < len(starts) else None
+    screened = solver.screened(starts) if movable and few < len(starts) else None
     begins = {} if screened is None else dict(enumerate(screened.begins))
 
     # Four screened runs, which begin near their ends, gain little from excerpts.
@@ -205,9 +203,7 @@ class FiniteStarts:
     A start is moved when it is asked for, so that the first run does not wait for the last start.
     """
 
-    def __init__(
-        self, nlp: CompiledProblem, solver: LocalSolver, starts: Array | Sequence[Array]
-    ) -> None:
+    def __init__(self, nlp: CompiledProblem, solver: LocalSolver, starts: Array) -> None:
         self._nlp, self._solver, self._starts = nlp, solver, starts
 
     @cached_property

@@ -93,12 +93,12 @@ class FrequencyGrid:
         """
         lags = np.zeros((order + 1, k))
         banded = np.zeros((k, k, len(self.starts)), dtype=complex)
-        for i, j in output_pairs(k):
-            values = density(i, j)
-            if i == j:
-                lags[:, i] = np.fft.irfft(values, self.size)[: order + 1]
-            banded[i, j] = self.banded(values)
-            banded[j, i] = banded[i, j].conj()
+        for i in range(k):
+            for j in range(i + 1):
+                values = density(i, j)
+                banded[i, j] = self.banded(values)
+                banded[j, i] = banded[i, j].conj()
+            lags[:, i] = np.fft.irfft(values, self.size)[: order + 1]
 
         return lags, banded
 
@@ -136,11 +136,6 @@ def filtered(density: NDArray, transform: ComplexArray) -> ComplexArray:
 def products(a: Array, b: Array) -> Array:
     """Return the sums (p, q) over k and n of the products of arrays (k, p, n) and (k, q, n)."""
     return (a @ b.transpose(0, 2, 1)).sum(axis=0)
-
-
-def output_pairs(k: int) -> list[tuple[int, int]]:
-    """Return the pairs of k outputs, also of each with itself, the later one first."""
-    return [(i, j) for i in range(k) for j in range(i + 1)]
 
 
 def fast_length(count: int) -> int:

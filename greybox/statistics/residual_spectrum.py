@@ -336,7 +336,10 @@ class ResidualSpectra:
         density = average.density.transpose(2, 0, 1)
         errors = whittle_score(density, banded.transpose(2, 0, 1), self._numbers)
         penalty = average.score - errors + self._numbers.sum() * len(self.counts)
-        return replace(average, score=penalty + self.score_of(average.density))
+        left = average.density - self.taken_power(average.density)[1]
+        likely = _positive(left.transpose(2, 0, 1))
+        score = whittle_score(likely, self._of_residuals, self._numbers)
+        return replace(average, score=penalty + score)
 
     @cached_property
     def _numbers(self) -> Array:
@@ -360,7 +363,7 @@ class ResidualSpectra:
 
         return AveragedSpectrum(
             density,
-            _log_power(density),
+            np.log(np.maximum(np.einsum("iib->ib", density).real, TINY)),
             float(taken.sum()),
             float(share @ estimated.covariance @ share),
             estimated.score + aicc_penalty(len(variance), self.counts.max() * sensors),
@@ -471,11 +474,6 @@ class ResidualSpectra:
             score=apart.score + gain + aicc_penalty(k * (k - 1) * blocks, numbers * k),
         )
 
-    def score_of(self, density: ComplexArray) -> float:
-        """Return -2 log likelihood of the residuals for errors of a spectrum (k, k, b)."""
-        left = density - self.taken_power(density)[1]
-        return whittle_score(_positive(left.transpose(2, 0, 1)), self._of_residuals, self._numbers)
-
     def taken_by(self, density: ComplexArray) -> float:
         """Return what the estimate takes from errors of a spectrum, tr(B⁻¹ M)."""
         return float(self.grid.mean(np.einsum("ijb,ijb->b", self.power, density).real))
@@ -544,11 +542,6 @@ class _NoiseParts:
 
     density: ComplexArray
     of_residuals: ComplexArray
-
-
-def _log_power(density: ComplexArray) -> Array:
-    """Return the logarithms (k, b) of the spectra of all outputs."""
-    return np.log(np.maximum(np.einsum("iib->ib", density).real, TINY))
 
 
 def _positive(matrices: ComplexArray) -> ComplexArray:

@@ -26,11 +26,11 @@ def state_space(derivative=lambda x, u, p: (u.u - p.c * x.x,), output=lambda x, 
     [
         (
             {"derivative": lambda x, u, p: (u.u, x.x)},
-            r"Mine\.derivative returns 2 values but there are 1 states",
+            r"Mine\.derivative returns 2 values and must return 1: one for each of",
         ),
         (
             {"output": lambda x, u, p: (x.x, u.u)},
-            r"Mine\.output returns 2 values but there are 1 outputs \(y\)",
+            r"Mine\.output returns 2 values and must return 1: one for each of y",
         ),
         ({"output": lambda x, u, p: ("x",)}, r"Mine\.output gives a str as value 0.* gb\.exp"),
         ({"derivative": lambda x, u, p: (None,)}, r"Mine\.derivative gives a NoneType as value 0"),
