@@ -11,7 +11,7 @@ Begin with `compiled_problem`.
 | `transient_part` | the spectrum of a manoeuvre |
 | `record_model` | a record with its model, whatever the cut into segments |
 | `segmented_part` | records cut into segments: placement, trajectories, cost, linearization |
-| `record_part`, `record_group` | one record and its information; several that are evaluated together |
+| `record_part`, `record_group` | a record with its information; several evaluated together |
 | `sampled_data` | a record as gapless stretches of samples, cut into segments |
 | `sample_step` | one sample as a CasADi function |
 | `segments` | all segments simulated and linearized at once |

@@ -16,6 +16,7 @@ from greybox.estimate.undetermined import (
 )
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.solve.discretization_error import quadratic_model
 
 # Singular value of the Jacobian below which a combination is not determined at all, with columns of
 # unit length before the initial states were fitted along.
@@ -475,9 +476,8 @@ def _gradient(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory 
     total = np.zeros(len(x))
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
         assert trajectory is not None
-        linearization = part.linearize(trajectory, part.residual_weight(trajectory))
-        exact = np.zeros(trajectory.nodes.shape[1])
-        total += part.weight * part.condense(linearization, trajectory, exact).gradient
+        _, gradient = quadratic_model(part, trajectory, part.residual_weight(trajectory))
+        total += part.weight * gradient
     return total * nlp.scaling.slope(x)
 
 

@@ -59,8 +59,8 @@ from greybox.solve.interruption import (
 )
 from greybox.solve.kept_runs import KeptRuns
 from greybox.solve.local_solver import LocalSolver
-from greybox.solve.minima import Multistart
-from greybox.solve.multistart import BATCHED, SEARCHES, agreeing_runs_of, multistart, solver_for
+from greybox.solve.minima import Multistart, agreeing_runs
+from greybox.solve.multistart import BATCHED, SEARCHES, multistart, solver_for
 from greybox.solve.runs import RUN_OVER, SEARCH_OVER
 
 
@@ -371,7 +371,7 @@ def assemble(
         costs=_all_costs(parts) if search.minima else {},
         runs=search.runs,
         minima=search.minima,
-        agreeing=len(agreeing_runs_of(nlp, search.runs, search.minima)),
+        agreeing=len(agreeing_runs(nlp, search.runs, search.minima)),
         warnings=(),
         seed=seed,
         starts=starts,

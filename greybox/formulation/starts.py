@@ -4,6 +4,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -124,9 +125,23 @@ class Listed(Starts):
                 "the list of starts is empty: give at least one, Listed([{}]) for the declared one."
             )
 
-        for point in self.points:
-            for name, value in point.items():
-                _check_listed(name, value, parameters)
+        for name, value in chain.from_iterable(point.items() for point in self.points):
+            if not is_finite_number(value):
+                raise ValueError(
+                    f"a listed start gives {name!r} the value {value!r}: give a finite number."
+                )
+            if name not in parameters:
+                raise ValueError(
+                    f"a listed start names {name!r}, which is not free; free are "
+                    f"{', '.join(parameters)}."
+                )
+            low, high = parameters[name].bounds
+            if not low <= value <= high:
+                raise ValueError(
+                    f"a listed start gives {name!r} the value {value:g}, outside its bounds "
+                    f"({low:g}, {high:g}): move the start or widen the bounds."
+                )
+
         return np.array(
             [[point.get(name, p.start) for name, p in parameters.items()] for point in self.points],
             float,
@@ -194,21 +209,3 @@ def as_starts(
         f"starts is {starts!r:.80}: give a number, a rule such as LatinHypercube(200), or a list "
         "of {name: value}."
     )
-
-
-def _check_listed(name: str, value: float, parameters: Mapping[str, Parameter]) -> None:
-    if not is_finite_number(value):
-        raise ValueError(
-            f"a listed start gives {name!r} the value {value!r}: give a finite number."
-        )
-    if name not in parameters:
-        raise ValueError(
-            f"a listed start names {name!r}, which is not free; free are {', '.join(parameters)}."
-        )
-
-    low, high = parameters[name].bounds
-    if not low <= value <= high:
-        raise ValueError(
-            f"a listed start gives {name!r} the value {value:g}, outside its bounds ({low:g}, "
-            f"{high:g}): move the start or widen the bounds."
-        )

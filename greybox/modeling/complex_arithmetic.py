@@ -33,7 +33,7 @@ class Complex(FunctionOfS):
         return self._with(operand, lambda a, b, c, d: (a + c, b + d))
 
     def __mul__(self, operand: Any) -> "Complex":
-        return self._with(operand, _product)
+        return self._with(operand, lambda a, b, c, d: (a * c - b * d, a * d + b * c))
 
     def __truediv__(self, operand: Any) -> "Complex":
         return self._with(operand, _quotient)
@@ -71,10 +71,6 @@ class Complex(FunctionOfS):
     def sqrt(self) -> "Complex":
         """Principal square root."""
         return self**0.5
-
-
-def _product(a: Any, b: Any, c: Any, d: Any) -> tuple[Any, Any]:
-    return a * c - b * d, a * d + b * c
 
 
 def _quotient(a: Any, b: Any, c: Any, d: Any) -> tuple[Any, Any]:

@@ -96,7 +96,15 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
     """
     z, p = symbols(model)
     if isinstance(model, TransferFunction):
-        return _with_delay(model, p, pade)
+        whole = _realized(model, p, pade)
+        # A delay inside a loop has no states apart from those of the loop.
+        with suppress(ValueError):
+            cascade = _with_pade_states(_realized(model, p, None), pade)
+            # A product of two delays has two approximations, which are not that of their sum.
+            if len(cascade.states) == len(whole.states):
+                return cascade
+        return whole
+
     assert isinstance(model, StateSpace)
     x, u = z[: len(model.states)], z[len(model.states) :]
     names = list(model.parameters)
@@ -117,17 +125,6 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
         ),
         pade,
     )
-
-
-def _with_delay(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
-    whole = _realized(model, p, pade)
-    # A delay inside a loop has no states apart from those of the loop.
-    with suppress(ValueError):
-        cascade = _with_pade_states(_realized(model, p, None), pade)
-        # A product of two delays has two approximations, which are not that of their sum.
-        if len(cascade.states) == len(whole.states):
-            return cascade
-    return whole
 
 
 def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:

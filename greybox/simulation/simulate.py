@@ -92,7 +92,13 @@ def simulate(
     if not stretches:
         what = "sample" if static else "two consecutive samples"
         raise ValueError(f"{record.name or 'the record'} has no {what} with all inputs.")
-    fitted_initial = initial is None and _is_fitted_record(record, estimated)
+    fitted = estimated.part and estimated.part.data
+    fitted_initial = (
+        initial is None
+        and fitted is not None
+        and record.checksum == fitted.checksum
+        and np.array_equal(record.time, fitted.time)
+    )
     states = _initial_states(estimated, initial, len(stretches), fitted_initial)
 
     errors = [] if estimated.covariance is None else [name + ERROR for name in outputs]
@@ -306,14 +312,6 @@ def _require_bounded(simulated: Mapping[str, Array], time: Array, model: ModelAt
     raise ValueError(
         f"the simulation of {model.label} diverges at {time[when]:.6g} s, {name} first: predict an "
         f"unstable model over windows instead, gb.predict(..., horizon=...), or {DOMAINS}."
-    )
-
-
-def _is_fitted_record(record: Record, model: ModelAtEstimate) -> bool:
-    return (
-        model.part is not None
-        and record.checksum == model.part.data.checksum
-        and np.array_equal(record.time, model.part.data.time)
     )
 
 

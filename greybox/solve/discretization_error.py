@@ -87,11 +87,11 @@ def discretization_error(
 
     for part, trajectory, finer, moved in zip(nlp.parts, trajectories, fine, refined, strict=True):
         weight = part.residual_weight(trajectory)
-        H, g = _quadratic_model(part, trajectory, weight)
+        H, g = quadratic_model(part, trajectory, weight)
         # Where the finer steps diverge, the shift is infinite.
         H_fine, g_fine = H, np.full(p, math.inf)
         if moved.finite:
-            H_fine, g_fine = _quadratic_model(finer, moved, weight)
+            H_fine, g_fine = quadratic_model(finer, moved, weight)
         hessian += part.weight * H
         hessian_fine += part.weight * H_fine
         change += part.weight * (g_fine - g)
@@ -235,7 +235,7 @@ def _changed(runs: Runs, changes: Mapping[int, Mapping[str, Any]]) -> Runs:
     return Runs.of(replace(run, **changes.get(run.index, {})) for run in runs)
 
 
-def _quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
+def quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
     """Return Hessian and gradient of the weighted squares by the unknowns."""
     linearization = part.linearize(trajectory, weight)
     condensed = part.condense(linearization, trajectory, np.zeros(trajectory.nodes.shape[1]))

@@ -117,26 +117,23 @@ def best_unfinished(runs: Sequence[Run]) -> Run | None:
 
 
 def agreeing_runs(
-    runs: Sequence[Run],
-    minima: Sequence[Minimum],
-    *,
-    numbers: int,
-    is_likelihood: bool,
-    zero: float = math.inf,
+    nlp: CompiledProblem, runs: Sequence[Run], minima: Sequence[Minimum]
 ) -> tuple[int, ...]:
     """Return the indices of runs whose cost the data cannot distinguish from the lowest.
 
-    None agree if the lowest is nearly `zero`, the cost of a response that is zero: such a model
-    explains nothing, wherever the runs began.
+    None agree if the lowest is nearly that of a response of zero: such a model explains nothing,
+    wherever the runs began.
 
     The costs differ by at most a tenth of a unit of log-likelihood. With unknown noise the cost of
-    `numbers` real numbers is proportional to the noise or its square, and the log-likelihood to
+    n real numbers is proportional to the noise or its square, and the log-likelihood to
     n log(cost): a unit of it is cost / n.
     """
-    if not minima or explains_nothing(minima[0].cost, zero):
+    if not minima or explains_nothing(minima[0].cost, zero_cost(nlp)):
         return ()
     best = minima[0].cost
-    limit = best + TOLD_APART * (1.0 if is_likelihood else abs(best) / max(numbers, 1))
+    numbers = max(sum(part.numbers for part in nlp.parts), 1)
+    is_likelihood = any(part.is_likelihood for part in nlp.parts)
+    limit = best + TOLD_APART * (1.0 if is_likelihood else abs(best) / numbers)
     # By cost alone: the data cannot tell these ends apart, whatever their responses.
     columns = Runs.of(runs)
     close = columns.indices[columns.converged & (columns.cost <= limit)]

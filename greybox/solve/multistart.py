@@ -20,7 +20,7 @@ from greybox.solve.gauss_newton.shared_runs import SharedRuns
 from greybox.solve.interruption import one_run, stop_requested
 from greybox.solve.kept_runs import KeptRuns, Memory
 from greybox.solve.local_solver import LocalSolver, Screened
-from greybox.solve.minima import Minimum, Multistart, agreeing_runs, find_minima, zero_cost
+from greybox.solve.minima import Minimum, Multistart, agreeing_runs, find_minima
 from greybox.solve.response_solver import ResponseSolver
 from greybox.solve.runs import CUT_SHORT, NOT_FINITE, SCREENED, Outcome, Run, Runs
 from greybox.solve.transcribed_program import TranscribedProgram
@@ -108,7 +108,7 @@ def multistart(
                 if progress is not None:
                     progress(len(results), len(starts))
         results, runs, minima = _certified(nlp, solver, results)
-        if stop_requested() or len(agreeing_runs_of(nlp, runs, minima)) >= enough > 0:
+        if stop_requested() or len(agreeing_runs(nlp, runs, minima)) >= enough > 0:
             break
 
     # Where nothing converged, a diagnosis needs the last states of every run.
@@ -146,16 +146,6 @@ def _continued(
             later = solver.continued(outcome)
         memory.keep(-1 - number, outcome.estimate, later)
     return later
-
-
-def agreeing_runs_of(
-    nlp: CompiledProblem, runs: Sequence[Run], minima: Sequence[Minimum]
-) -> tuple[int, ...]:
-    """Return the indices of the runs at the lowest cost, within the noise of the data."""
-    numbers = sum(part.numbers for part in nlp.parts)
-    is_likelihood = any(part.is_likelihood for part in nlp.parts)
-    zero = zero_cost(nlp)
-    return agreeing_runs(runs, minima, numbers=numbers, is_likelihood=is_likelihood, zero=zero)
 
 
 def _listed(starts: Iterable[Array], costs: Array, made: Mapping[int, Run]) -> Runs:

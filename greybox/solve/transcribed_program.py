@@ -62,13 +62,15 @@ class TranscribedProgram(LocalSolver):
             "g": constraints,
         }
 
-        approximate = nlp.method.hessian == "gauss-newton"
-        hessian = (
-            _gauss_newton_hessian(unknowns, parameters, error, cost, constraints)
-            if approximate
-            else {}
-        )
-        self._ipopt = Ipopt(statement, options, hessian)
+        derivatives = {}
+        if nlp.method.hessian == "gauss-newton":
+            # Without the curvature of residuals and equations.
+            scale, multipliers = ca.MX.sym("scale"), ca.MX.sym("lam", constraints.numel())
+            jacobian = ca.jacobian(error, unknowns)
+            hessian = scale * (jacobian.T @ jacobian + ca.hessian(cost, unknowns)[0])
+            arguments = [unknowns, parameters, scale, multipliers]
+            derivatives["hess_lag"] = ca.Function("hessian", arguments, [ca.triu(hessian)])
+        self._ipopt = Ipopt(statement, options, derivatives)
 
         # Where the unknowns and parameters of each part end in those of the program.
         self._unknown_ends = (
@@ -156,16 +158,3 @@ class TranscribedProgram(LocalSolver):
         costs, following, same_data = zip(*outcomes, strict=True)
         cost = sum(w * c for w, c in zip(self._weights, costs, strict=True))
         return float(cost), np.concatenate(following), all(same_data)
-
-
-def _gauss_newton_hessian(
-    unknowns: ca.MX, parameters: ca.MX, error: ca.MX, cost: ca.MX, constraints: ca.MX
-) -> dict[str, ca.Function]:
-    """Return IPOPT's option for a Hessian without the curvature of residuals and equations."""
-    jacobian = ca.jacobian(error, unknowns)
-    scale, multipliers = ca.MX.sym("scale"), ca.MX.sym("multipliers", constraints.numel())
-    hessian = scale * (jacobian.T @ jacobian + ca.hessian(cost, unknowns)[0])
-    function = ca.Function(
-        "hessian", [unknowns, parameters, scale, multipliers], [ca.triu(hessian)]
-    )
-    return {"hess_lag": function}

@@ -9,9 +9,7 @@ from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, Parabola, mea
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.minima import (
-    Minimum,
     Multistart,
-    agreeing_runs,
     best_unfinished,
     find_minima,
     same_cost,
@@ -127,22 +125,6 @@ def test_vectors_that_differ_by_a_twentieth_are_variants():
 
 def _at(index, x):
     return Run(index, np.array([0.1]), np.array([x, 0.1]), 1.0, "Solve_Succeeded", True, 3, 0.1)
-
-
-@pytest.mark.parametrize(("likelihood", "agreeing"), [(True, (0, 1, 4)), (False, (0, 1, 2, 4))])
-def test_runs_agree_up_to_a_tenth_of_a_unit_of_likelihood(likelihood, agreeing):
-    """Of a cost of 10 made of 5 numbers a unit is 2."""
-    runs = [
-        run(0, 1.0, 10.0),
-        run(1, 1.0, 10.09),
-        run(2, 1.0, 10.19),
-        run(3, 1.0, 10.05, False),
-        run(4, 1.0, 99.0),
-    ]
-    runs.append(run(5, 1.0, 10.21))
-    minima = [Minimum(10.0, np.array([1.0]), (0, 4), 1)]
-    assert agreeing_runs(runs, minima, numbers=5, is_likelihood=likelihood) == agreeing
-    assert agreeing_runs(runs, [], numbers=5, is_likelihood=likelihood) == ()
 
 
 def test_the_best_run_that_did_not_end():

@@ -6,8 +6,6 @@ from hard_models import THRUST, Lanczos, conversion, thrust
 from nist import certified
 
 import greybox as gb
-from greybox.solve.minima import Minimum, agreeing_runs
-from greybox.solve.runs import Run
 
 
 def lanczos():
@@ -137,14 +135,3 @@ def test_an_alias_of_the_integrator_is_no_answer():
     assert not any("parameter vectors" in text for text in found.warnings)
     alone = gb.fit(conversion(), starts=starts[:1], progress=False, profiles=False)
     assert any(text.startswith("the integration is too coarse") for text in alone.warnings)
-
-
-def test_runs_agree_whose_costs_cannot_be_told_apart():
-    def run(k, cost, converged=True):
-        return Run(k, np.zeros(1), np.zeros(1), cost, "s", converged, 1, 0.1)
-
-    runs = [run(0, 10.0), run(1, 10.09), run(2, 10.2), run(3, 10.05, False), run(4, 10.0004)]
-    minima = [Minimum(10.0, np.zeros(1), (0,), 1)]
-    assert agreeing_runs(runs, minima, numbers=200, is_likelihood=True) == (0, 1, 4)
-    assert agreeing_runs(runs, minima, numbers=200, is_likelihood=False) == (0, 4)
-    assert agreeing_runs(runs, (), numbers=200, is_likelihood=True) == ()

@@ -20,7 +20,11 @@ from greybox.solve.runs import SCREENED, TOO_COARSE, Run
 def problem(*, is_likelihood=True, numbers=(40, 60)):
     """Whose variables are those of the solver."""
     parts = [
-        SimpleNamespace(is_likelihood=is_likelihood and k == 1, numbers=n)
+        SimpleNamespace(
+            is_likelihood=is_likelihood and k == 1,
+            numbers=n,
+            problem=SimpleNamespace(criterion=None),
+        )
         for k, n in enumerate(numbers)
     ]
     return SimpleNamespace(parts=parts, scaling=SimpleNamespace(to_solver=np.asarray))
@@ -114,8 +118,9 @@ def test_runs_agree_up_to_a_tenth_of_a_unit_of_log_likelihood(is_likelihood, bes
         for k, cost in enumerate(costs)
     ]
     minima = [Minimum(best, np.zeros(2), (10, 14), 1), Minimum(best + 1, np.zeros(2), (12,), 1)]
-    assert agreeing_runs(runs, minima, numbers=40, is_likelihood=is_likelihood) == (10, 11, 14)
-    assert agreeing_runs(runs, [], numbers=40, is_likelihood=is_likelihood) == ()
+    nlp = problem(is_likelihood=is_likelihood, numbers=(15, 25))
+    assert agreeing_runs(nlp, runs, minima) == (10, 11, 14)
+    assert agreeing_runs(nlp, runs, []) == ()
 
 
 def test_the_best_run_that_did_not_converge_went_on_from_its_start_if_any_did():

@@ -133,7 +133,10 @@ class GaussNewton(LocalSolver):
         iterate, status = end.iterate, end.status
 
         # Only where it matters: exact derivatives take as long as several iterations.
-        if status == CONVERGED and self._can_sharpen and is_blurred(end.hessian):
+        # Workers lack the information of some parts, and results must be the same in every process.
+        is_whole = self.samples == sum(part.samples for part in nlp.parts)
+        can_sharpen = is_whole and all(part.travels_whole for part in nlp.parts)
+        if status == CONVERGED and can_sharpen and is_blurred(end.hessian):
             iterate = sharpened(nlp, self._parts, iterate)
         if status == CONVERGED and self.limits.violation(iterate.z) > 0:
             status = "constraints violated"
@@ -151,12 +154,6 @@ class GaussNewton(LocalSolver):
             tuple(self._parts.groups.nodes_by_part(iterate.nodes)),
         )
         return outcome, end.hessian
-
-    @property
-    def _can_sharpen(self) -> bool:
-        """Whether all parts have their information in every process: results must be the same."""
-        is_whole = self.samples == sum(part.samples for part in self.nlp.parts)
-        return is_whole and all(part.travels_whole for part in self.nlp.parts)
 
     @DIVERGING
     def polished(self, search: Multistart) -> Multistart:
