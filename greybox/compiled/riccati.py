@@ -126,7 +126,13 @@ class NoiseModel:
         tiny = 1e-100
         steps = 1j * tiny * np.eye(len(q))[self.columns]
         moved = q + np.vstack([np.zeros(len(q)), steps])
-        F, half, C = (M + 1j * tiny * slopes for M, slopes in self._linearization(q))
+        values = [np.asarray(value, dtype=float) for value in self.linear.call([ca.DM(q)])]
+        matrices = []
+        for M, slope in zip(values[:3], values[3:], strict=True):
+            # CasADi stacks matrices column by column; the first filter is at q itself.
+            slopes = transposed(slope.T.reshape(-1, M.shape[1], M.shape[0]))
+            matrices.append(M + 1j * tiny * np.concatenate([np.zeros((1, *M.shape)), slopes]))
+        F, half, C = matrices
         K, S = self._filters(F, half, C, moved)
         slopes = np.moveaxis(K[1:].imag / tiny, 0, -1), np.moveaxis(S[1:].imag / tiny, 0, -1)
         return SteadyFilter(K[0].real, slopes[0], S[0].real, slopes[1])
@@ -156,15 +162,6 @@ class NoiseModel:
 
         K[:, r] = transposed(np.linalg.solve(S, C @ P))
         return K, S
-
-    def _linearization(self, q: Array) -> list[tuple[Array, Array]]:
-        """Return matrices and their derivatives (1 + free, rows, columns), the first zero."""
-        values = [np.asarray(value, dtype=float) for value in self.linear.call([ca.DM(q)])]
-        result = []
-        for M, slope in zip(values[:3], values[3:], strict=True):
-            slopes = transposed(slope.T.reshape(-1, M.shape[1], M.shape[0]))
-            result.append((M, np.concatenate([np.zeros((1, *M.shape)), slopes])))
-        return result
 
 
 def noise_model(

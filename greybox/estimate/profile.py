@@ -129,11 +129,15 @@ def profiled_where_misleading(nlp: CompiledProblem, fit: Fit) -> Profiles | None
         return None
 
     intervals = fit.interval(0.95)
-    lines = [
-        q
-        for q in fit.quantities
-        if q.kind == "free" and not q.at_bound and _misleads(q, *intervals[q.name])
-    ]
+    lines = []
+    for q in fit.quantities:
+        if q.kind == "free" and not q.at_bound:
+            low, high = intervals[q.name]
+            leaves_bounds = low < q.bounds[0] or high > q.bounds[1]
+            # With an error of half the value, the interval contains zero: a pole or a lag then has
+            # a likelihood that is far from symmetric.
+            if leaves_bounds or q.standard_error > 0.5 * abs(q.value):
+                lines.append(q)
 
     if not lines:
         return None
@@ -146,13 +150,6 @@ def profiled_where_misleading(nlp: CompiledProblem, fit: Fit) -> Profiles | None
         return _profiles(nlp, fit, lines, 0.95, fresh=0)
     except NoProfileError:
         return None
-
-
-def _misleads(line: Quantity, low: float, high: float) -> bool:
-    # With an error of half the value, the interval contains zero: a pole or a lag then has a
-    # likelihood that is far from symmetric.
-    leaves_bounds = low < line.bounds[0] or high > line.bounds[1]
-    return leaves_bounds or line.standard_error > 0.5 * abs(line.value)
 
 
 # --- the cost as a likelihood

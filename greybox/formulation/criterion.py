@@ -4,7 +4,7 @@ import dataclasses
 import inspect
 import re
 from abc import ABC
-from collections.abc import Callable, Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from typing import Any, ClassVar
 
 import numpy as np
@@ -118,14 +118,13 @@ def _plain(value: Any) -> Any:
             _plain(item) for item in (sorted(value, key=repr) if isinstance(value, Set) else value)
         ]
 
-    return _function_text(value) if inspect.isroutine(value) else repr(value)
+    if not inspect.isroutine(value):
+        return repr(value)
 
-
-def _function_text(function: Callable[..., Any]) -> str:
-    """Return the source of a function and the values that it captures."""
-    closure = getattr(function, "__closure__", None) or ()
+    # The source of a function and the values that it captures.
+    closure = getattr(value, "__closure__", None) or ()
     captured = [
-        *(getattr(function, "__defaults__", None) or ()),
+        *(getattr(value, "__defaults__", None) or ()),
         *(cell.cell_contents for cell in closure),
     ]
-    return "; ".join([source_text(function), *map(repr, captured)])
+    return "; ".join([source_text(value), *map(repr, captured)])

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.elimination import eliminated, elimination_order, solve_pencils
 from greybox.modeling.function_of_s import CASADI_TYPES, is_casadi
 from greybox.modeling.functions import exp
-from greybox.modeling.linearization import LinearSystem, jacobians, linearize
+from greybox.modeling.linearization import jacobians, linearize
 from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
@@ -56,7 +56,14 @@ def frequency_response(
             response = np.broadcast_to(np.asarray(re + 1j * im, dtype=complex), omega.shape)
         else:
             assert isinstance(model, StateSpace)
-            response = _state_space_values(linearize(model, values, at), omega, input, output, pade)
+            system = linearize(model, values, at)
+            i, k = system.inputs.index(input), system.outputs.index(output)
+            pencil = 1j * omega[:, None, None] * np.eye(len(system.A)) - system.A
+            b = np.broadcast_to(system.B[:, i], (len(omega), len(system.A)))
+            plant = solve_pencils(pencil, b) @ system.C[k] + system.D[k, i]
+            shift = -system.delays[i] * Complex(np.zeros_like(omega), omega, pade)
+            delayed = exp(shift) * plant
+            response = delayed.re + 1j * delayed.im
 
     if not np.all(np.isfinite(response)):
         worst = omega[np.argmin(np.isfinite(response))]
@@ -67,19 +74,6 @@ def frequency_response(
     return FrequencyResponse(
         omega, response, input=input, output=output, name=model.label, source="model"
     )
-
-
-def _state_space_values(
-    system: LinearSystem, omega: Array, input: str, output: str, pade: int | None
-) -> ComplexArray:
-    i = system.inputs.index(input)
-    k = system.outputs.index(output)
-    pencil = 1j * omega[:, None, None] * np.eye(len(system.A)) - system.A
-    b = np.broadcast_to(system.B[:, i], (len(omega), len(system.A)))
-    plant = solve_pencils(pencil, b) @ system.C[k] + system.D[k, i]
-    shift = -system.delays[i] * Complex(np.zeros_like(omega), omega, pade)
-    delayed = exp(shift) * plant
-    return delayed.re + 1j * delayed.im
 
 
 @one_thread_at_a_time

@@ -76,7 +76,10 @@ def trim_of(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
     if model.trim is not None:
         return _own_trim(model, at, p)
     point = [at.get(name, 0.0) for name in (*model.states, *model.inputs)]
-    if _is_always_equilibrium(model, point):
+    # Whether this is an equilibrium for all parameters, by eight random draws.
+    derivative, random = derivative_function(model), np.random.default_rng(0)
+    draws = ([q.draw(random) for q in model.parameters.values()] for _ in range(8))
+    if all(np.all(np.abs(derivative(point, draw).full()) < 1e-12) for draw in draws):
         return _closed_form(model, p, [ca.SX(v) for v in point])
 
     return _implicit_trim(model, at)
@@ -117,17 +120,6 @@ def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> Trimmed:
         )
 
     return trim
-
-
-def _is_always_equilibrium(model: StateSpace, point: Sequence[float]) -> bool:
-    """Return whether `point` is an equilibrium for all parameters, by eight random draws."""
-    derivative = derivative_function(model)
-    random = np.random.default_rng(0)
-    for _ in range(8):
-        values = [p.draw(random) for p in model.parameters.values()]
-        if not np.all(np.abs(np.asarray(derivative(point, values))) < 1e-12):
-            return False
-    return True
 
 
 def _implicit_trim(model: StateSpace, at: Mapping[str, float]) -> Trimmed:

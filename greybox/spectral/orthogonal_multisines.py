@@ -63,6 +63,8 @@ def response_matrix(
     Pintelon and Schoukens, System Identification, 2nd ed., section 2.7 (orthogonal multisines);
     Morelli and Klein, Aircraft System Identification, 2nd ed., section 9.5.
     """
+    from scipy.interpolate import make_interp_spline  # noqa: PLC0415  (slow import)
+
     inputs = tuple(inputs)
     outputs = tuple(outputs)
     excitations = tuple(excitations) or inputs
@@ -93,7 +95,13 @@ def response_matrix(
                 "at least two: excite every input with its own multisine, "
                 "gb.experiment.multisine(signals=[...])."
             )
-    between = [_interpolation(omega[lines[rows]], omega[lines]) for rows in rows_of]
+
+    # A cubic spline over log ω, constant beyond its ends, as a matrix for each input.
+    between = []
+    for rows in rows_of:
+        own = omega[lines[rows]]
+        spline = make_interp_spline(np.log(own), np.eye(own.size), k=min(3, own.size - 1))
+        between.append(np.asarray(spline(np.log(np.clip(omega[lines], own[0], own[-1])))))
     total = spectra[:, :, lines].sum(axis=0)
     # The mean over all periods, and for the jackknife the means without one of them.
     count = len(spectra)
@@ -124,14 +132,6 @@ def response_matrix(
         for i in range(k)
         for j in range(m)
     )
-
-
-def _interpolation(lines: Array, at: Array) -> Array:
-    """Return the matrix (at, lines) of a cubic spline over log ω, constant beyond its ends."""
-    from scipy.interpolate import make_interp_spline  # noqa: PLC0415  (slow import)
-
-    spline = make_interp_spline(np.log(lines), np.eye(lines.size), k=min(3, lines.size - 1))
-    return np.asarray(spline(np.log(np.clip(at, lines[0], lines[-1]))))
 
 
 def _solved(inputs: ComplexArray, outputs: ComplexArray, between: Sequence[Array]) -> ComplexArray:

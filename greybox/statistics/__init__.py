@@ -10,7 +10,6 @@ time.
 | `residual_autocorrelation` | autoregressions of one series |
 | `error_spectrum` | a spectrum of errors: residuals made white, errors drawn |
 | `frequency_grid` | transforms, and the bands in which spectra are compared |
-| `slow_parts` | error spectra of white noise with a slow part, compared by their likelihood |
 | `score_test` | whether residuals follow terms that a fitted model does not have |
 | `variance_components` | the variances of sensors and process noise in residuals |
 | `residual_spectrum` | covariance of an estimate whose errors are correlated in time |

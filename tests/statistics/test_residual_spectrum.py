@@ -18,11 +18,12 @@ from greybox.statistics.residual_spectrum import (
     BLOCKS,
     AveragedSpectrum,
     ResidualSpectra,
+    SlowParts,
+    aicc_penalty,
     colored_information,
     remaining_products,
     unmasked,
 )
-from greybox.statistics.slow_parts import SlowParts, aicc_penalty
 from greybox.statistics.variance_components import variance_components
 
 AR2 = np.array([1.0, -1.5, 0.7])
