@@ -64,9 +64,18 @@ def quantities(
     for formula, value, (error, dof, bias) in following:
         limit = f"of the tied {formula.name}"
         at_bound = any(label.endswith(limit) for label in accuracy.active)
-        described = {"kind": formula.kind, "unit": formula.unit, "about": formula.about}
         lines.append(
-            Quantity(formula.name, value, error, at_bound=at_bound, dof=dof, bias=bias, **described)
+            Quantity(
+                formula.name,
+                value,
+                error,
+                kind=formula.kind,
+                unit=formula.unit,
+                about=formula.about,
+                at_bound=at_bound,
+                dof=dof,
+                bias=bias,
+            )
         )
 
     of_parameters = slopes[[line.kind != "derived" for line in lines]]

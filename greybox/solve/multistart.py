@@ -25,7 +25,7 @@ from greybox.solve.response_solver import ResponseSolver
 from greybox.solve.runs import CUT_SHORT, NOT_FINITE, SCREENED, Outcome, Run, Runs
 from greybox.solve.transcribed_program import TranscribedProgram
 
-ProgressReport = Callable[[int, int], None]
+ProgressReport = Callable[[int, int], Any]
 """Called with the number of finished and of all runs."""
 
 BATCHED = "batched"

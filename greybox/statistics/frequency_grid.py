@@ -96,9 +96,10 @@ class FrequencyGrid:
         for i in range(k):
             for j in range(i + 1):
                 values = density(i, j)
+                if i == j:
+                    lags[:, i] = np.fft.irfft(values, self.size)[: order + 1]
                 banded[i, j] = self.banded(values)
                 banded[j, i] = banded[i, j].conj()
-            lags[:, i] = np.fft.irfft(values, self.size)[: order + 1]
 
         return lags, banded
 
