@@ -19,7 +19,12 @@ from greybox.estimate.missing_terms import Formula, Term, terms_of_record, terms
 from greybox.files.arrays import Array, BoolArray
 from greybox.files.text_table import number, text_table, with_error
 from greybox.statistics.column_space import column_basis
-from greybox.statistics.score_test import p_value_beside_correlation, score_tests
+from greybox.statistics.score_test import (
+    chance,
+    correlated_score,
+    p_value_of_scores,
+    score_tests,
+)
 
 # Share of right models that are said not to explain their data, at most: many fits are made, and
 # misfits of the size of the noise have far smaller probabilities.
@@ -31,6 +36,7 @@ COLUMNS = 2_000_000  # numbers of all terms at once in memory, 16 MB
 # Samples of all records that are tested, in excerpts: with more, a fit would wait for the test.
 MOST = 3000
 FEWEST = 500  # of each
+REFIT = 30  # iterations of a response by itself
 
 Numbers = NDArray[np.inexact]  # real, or complex for a response
 Key = tuple[tuple[str, str, str], int]  # the family of a term, and its number in it
@@ -83,17 +89,20 @@ class Misfit:
         Number of terms.
     causes : tuple of Cause
         The best of every family of terms, the one that explains most first.
+    p_common : float
+        Probability of such residuals of several responses if one set of values serves all.
     """
 
     left: float
     noise: float
     tried: int
     causes: tuple[Cause, ...]
+    p_common: float = 1.0
 
     @property
     def p_value(self) -> float:
         """Probability of such residuals if the model explains the data."""
-        return min((cause.p_correlated for cause in self.causes), default=1.0)
+        return min(self.p_common, *(cause.p_correlated for cause in self.causes), 1.0)
 
     @property
     def explains(self) -> bool:
@@ -116,16 +125,18 @@ class Misfit:
         """Whether the model explains the data, in a few words."""
         if self.explains and self.likely:
             return (
-                "explains the data only if errors of neighboring points are correlated: otherwise, "
-                f"{_percent(self.left)} of their variance is left and follows what drove the test; "
+                "explains the data only if errors of neighboring points are correlated, or larger "
+                f"at one end: otherwise, {_percent(self.left)} of their variance is left and "
+                "follows what drove the test; "
                 f"noise alone would leave about {_percent(self.noise)}"
             )
         if self.explains:
             return f"explains the data: the residuals follow none of {self.tried} missing terms"
+        common = self.p_common < FALSE_ALARMS
         return (
             f"does not explain the data: {_percent(self.left)} of their variance is left and "
             f"follows what drove the test ({_chance(self.p_value)}); noise alone would leave about "
-            f"{_percent(self.noise)}"
+            f"{_percent(self.noise)}{'; one set of values does not serve all parts' * common}"
         )
 
     def __str__(self) -> str:
@@ -148,7 +159,7 @@ class _Regression:
     """A part as a regression of its residuals on what the fit and missing terms take from them.
 
     `rows` makes columns (N, c) of values, white or only weighted; `changes` returns the values for
-    terms.
+    terms; `separate` those of the residuals and of the slopes of a response that is fitted alone.
     """
 
     measured: Numbers
@@ -157,6 +168,7 @@ class _Regression:
     terms: Mapping[Key, Term]
     changes: Callable[[Sequence[Term]], Numbers]
     rows: Callable[[Any, bool], Array]
+    separate: Callable[[], tuple[Array, Array]] | None = None
 
     def columns(self, keys: Sequence[Key], *, white: bool = True) -> Array:
         """Return the rows (N, c) of terms, zero for those that this part does not have."""
@@ -198,8 +210,8 @@ def assessed_misfit(
     records = [_of_record(*record, candidates, most) for record in records]
 
     results = [_of_group(responses, in_time=False), _of_group(records, in_time=True)]
-    tried = sum(count for count, _, _ in results)
-    lefts = [pair for _, pairs, _ in results for pair in pairs]
+    tried = sum(group.tried for group in results)
+    lefts = [pair for group in results for pair in group.lefts]
     if not lefts:
         return None
     causes = [
@@ -208,24 +220,37 @@ def assessed_misfit(
             p_value=min(cause.p_value * tried, 1.0),
             p_correlated=min(cause.p_correlated * tried, 1.0),
         )
-        for _, _, causes in results
-        for cause in causes
+        for group in results
+        for cause in group.causes
     ]
     # What explains most comes first, among what is significant.
     causes.sort(key=lambda cause: (cause.p_value >= FALSE_ALARMS, -cause.share))
-    return Misfit(*max(lefts, key=lambda pair: pair[0] - pair[1]), tried, tuple(causes))
+    left, noise = max(lefts, key=lambda pair: pair[0] - pair[1])
+    return Misfit(left, noise, tried, tuple(causes), min(group.p_common for group in results))
 
 
-def _of_group(
-    parts: Sequence[_Regression], *, in_time: bool
-) -> tuple[int, list[tuple[float, float]], list[Cause]]:
-    """Return the number of terms, the shares that are left, and the best cause of every family.
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Number of terms, shares that are left, best cause of every family, and `Misfit.p_common`."""
 
-    A term is missing in all records, or in all responses, of a problem alike.
+    tried: int = 0
+    lefts: Sequence[tuple[float, float]] = ()
+    causes: Sequence[Cause] = ()
+    p_common: float = 1.0
+
+
+def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> _Group:
+    """Return the tests of all records, or of all responses, of a problem.
+
+    A term is missing in all of them alike.
     """
+    # Of two parts, either may be said to need another value.
+    named = parts[1:] if len(parts) == 2 else parts
     terms = {key: term for part in parts for key, term in part.terms.items()}
+    owns = {key for part in named for key in part.terms}
+    terms = {key: term for key, term in terms.items() if term.kind != "own" or key in owns}
     if not terms:
-        return 0, [], []
+        return _Group()
     white = [part.rows(part.residuals, True) for part in parts]
     residuals = np.vstack(white)
     fitted = np.vstack([part.rows(part.fitted, True) for part in parts])
@@ -242,22 +267,53 @@ def _of_group(
                 best[family] = numbers[k], chosen[k], columns[:, [k]]
 
     ranked = sorted(best.values(), key=lambda test: test[0], reverse=True)
-    together = [column for *_, column in ranked[:TOGETHER]]
-    remaining = (_remaining(residuals, np.hstack(c)) for c in ([fitted], [fitted, *together]))
-    without, beside = (float(np.sum(rows**2)) for rows in remaining)
+    together = np.hstack([fitted, *(column for *_, column in ranked[:TOGETHER])])
+    without, beside = (_squares(residuals, columns) for columns in (fitted, together))
     total = len(residuals) * (1 - beside / without) if without > 0 else 0.0
+
+    # Real and imaginary parts follow one another in every response.
+    lengths = [len(rows) // 2 for rows in white for _ in "ri"]
+    p_common, score, separate, apart = 1.0, None, residuals, fitted
+    if not in_time and ranked:
+        score = correlated_score(residuals, fitted, lengths)
+    if score is not None and len(parts) > 1:
+        # Other values may be far from the common ones: each part is fitted by itself.
+        separate, apart = _separate(parts)
+        p_common = p_value_of_scores(
+            score, correlated_score(separate, apart, lengths), fitted, apart
+        )
+    is_common = p_common >= FALSE_ALARMS
 
     causes = []
     for (decrease, p_value, value, error), key, column in ranked:
-        chance = p_value
-        if not in_time and chance < FALSE_ALARMS:
-            # Real and imaginary parts follow one another in every response.
-            lengths = [len(rows) // 2 for rows in white for _ in "ri"]
-            chance = max(chance, p_value_beside_correlation(residuals, fitted, column, lengths))
+        chances = p_value, p_value
+        if terms[key].kind == "own" and not is_common:
+            # What other values could explain, too, is no noise.
+            noise, taken = float(np.sum(separate**2)), decrease * without / len(residuals)
+            remaining = len(residuals) - column_basis(apart).shape[1]
+            chances = (float(chance(noise / (noise + taken), remaining)),) * 2
+        elif score is not None and p_value < FALSE_ALARMS:
+            columns = np.hstack([fitted, column])
+            beside_it = correlated_score(residuals, columns, lengths)
+            p_beside = p_value_of_scores(score, beside_it, fitted, columns)
+            chances = p_value, max(p_value, p_beside)
         share = min(decrease / total, 1.0) if total > 0 else 0.0
-        causes.append(Cause(*terms[key].described(value), value, error, share, p_value, chance))
-    named = [key for _, key, _ in ranked[:TOGETHER]]
-    return tried, [part.left(named) for part in parts], causes
+        causes.append(Cause(*terms[key].described(value), value, error, share, *chances))
+    best_keys = [key for _, key, _ in ranked[:TOGETHER]]
+    return _Group(tried, [part.left(best_keys) for part in parts], causes, p_common)
+
+
+def _separate(parts: Sequence[_Regression]) -> tuple[Array, Array]:
+    """Return the residuals (N, 1) of parts with values of their own, and the columns (N, ·)."""
+    residuals, columns = zip(*(part.separate() for part in parts if part.separate), strict=True)
+    own = np.eye(len(columns))
+    blocks = [np.kron(row, block) for row, block in zip(own, columns, strict=True)]
+    return np.vstack(residuals), np.vstack(blocks)
+
+
+def _squares(values: Array, columns: Array) -> float:
+    """Return the sum of squares that columns leave."""
+    return float(np.sum(_remaining(values, columns) ** 2))
 
 
 def _remaining(values: Array, columns: Array) -> Array:
@@ -347,10 +403,31 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
     order = np.argsort(part.data.omega, kind="stable")
     order = order[used[order]]
 
-    def rows(columns: Array, white: bool) -> Array:
+    def rows(columns: Any, white: bool) -> Array:
         over = size / np.abs(response) if white else np.ones(len(response))
         scaled = columns[order] / (response * over)[order, None]
         return np.vstack([scaled.real, scaled.imag])
+
+    def residuals(x: Array) -> Array:
+        model = part.response(np.append(x, values[len(free) :]))
+        return rows((part.data.response - model)[:, None], True)
+
+    def slopes(x: Array) -> Array:
+        full = np.append(x, values[len(free) :])
+        return rows(part.sensitivity(full)[:, : len(free)], True)
+
+    def separate() -> tuple[Array, Array]:
+        from scipy.optimize import least_squares  # noqa: PLC0415  (slow to import)
+
+        jac: Any = lambda x: -slopes(x)  # noqa: E731  (typed as a string)
+        x = least_squares(
+            lambda x: residuals(x)[:, 0],
+            values[: len(free)],
+            jac,
+            x_scale="jac",
+            max_nfev=REFIT,
+        ).x
+        return residuals(x), slopes(x)
 
     slope = part.sensitivity(values)[:, : len(free)]
     own = [
@@ -364,6 +441,7 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
         _numbered([*terms_of_response(part.data.omega), *own]) if order.size else {},
         lambda terms: np.column_stack([response * term.effect() for term in terms]),
         rows,
+        separate,
     )
 
 

@@ -104,6 +104,8 @@ TEXTS = {
 TIMES = (0.3, 1.0, 3.0)
 LEVELS = (0.2, 0.4, 0.7)  # of saturations and dead zones, over the largest input
 DAMPING = 0.05  # of modes
+# Steps of the gain that are tried. Beside one at a wrong point, errors would look correlated.
+EDGES = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,6 +274,8 @@ def terms_of_response(omega: Array) -> Iterator[Term]:
     yield Term("zero", lambda: s / high)
     for T in np.array([0.5, 1.0, 2.0]) / high:
         yield Term("delay", lambda T=T: np.exp(-s * T) - 1, scale=T)
+        # A delay in the model takes the phase of a zero.
+        yield Term("zero", lambda T=T: np.abs(1 + s * T) - 1)
     for a in np.geomspace(low / 2, 2 * high, 9):
         yield Term("pole", lambda a=a: 1 / (1 + s / a) - 1, level=a)
     for w in np.geomspace(low, high, 16):
@@ -279,5 +283,5 @@ def terms_of_response(omega: Array) -> Iterator[Term]:
             below = s**2 + 2 * DAMPING * w * s + w**2
             yield Term("mode", lambda top=top, below=below: top / below, level=w)
     edges = np.sqrt(omega[1:] * omega[:-1])
-    for edge in edges[:: max(len(edges) // 8, 1)]:
+    for edge in edges[:: max(len(edges) // EDGES, 1)]:
         yield Term("step", lambda edge=edge: 1.0 * (omega > edge), level=edge)

@@ -29,7 +29,7 @@ from greybox.modeling.model_file import models_of, module_from_file
 from greybox.solve.runs import Runs
 
 KIND = "fit"
-LAYOUT = 6
+LAYOUT = 7
 
 
 def save(fit: Fit, path: str | Path) -> None:

@@ -11,8 +11,10 @@ Cambridge Philosophical Society 44; Breusch and Pagan (1980), The Lagrange multi
 applications to model specification in econometrics, Review of Economic Studies 47.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -24,8 +26,11 @@ from greybox.statistics.column_space import column_basis
 REMAINS = 0.01
 FEWEST = 6.0  # numbers beyond those that the parameters take
 
-# Correlations of neighbors that are tried.
+# Correlations of neighbors that are tried, each with equal errors.
 CORRELATIONS = np.tanh(np.linspace(0.0, 2.5, 20))
+# Errors of independent points that are larger or smaller beyond a share of the points.
+RATIOS = (0.1, 0.3, 3.0, 10.0)
+SHARES = np.arange(1, 6) / 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +72,6 @@ def score_tests(residuals: Array, fitted: Array, terms: Array, *, in_time: bool)
         Whether the rows follow one another in time, and the residuals are white only as far as
         their spectrum was estimated at the frequencies of the term.
     """
-    from scipy.special import betainc  # noqa: PLC0415  (takes a tenth of a second to import)
-
     basis = column_basis(fitted)
     before = np.linalg.norm(terms, axis=0)
     terms = _beside(basis, terms / np.where(before > 0, before, 1.0))
@@ -96,8 +99,7 @@ def score_tests(residuals: Array, fitted: Array, terms: Array, *, in_time: bool)
     tested = is_new & (remaining > FEWEST) & (variance > 0)
     share = np.minimum(share, 1 - 1e-12)
     p_value = np.full(len(share), np.nan)
-    # 1 - I_x(a, b) = I_(1 - x)(b, a), which keeps its digits where it is small.
-    p_value[tested] = betainc((remaining[tested] - 1) / 2, 0.5, 1 - share[tested])
+    p_value[tested] = chance(1 - share[tested], remaining[tested] - 1)
 
     return ScoreTests(value, error, np.where(tested, share, 0.0), p_value, along**2 / overall)
 
@@ -115,37 +117,60 @@ def _beside(basis: Array, values: Array) -> Array:
     return values - basis @ (basis.T @ values)
 
 
-def p_value_beside_correlation(
-    residuals: Array, fitted: Array, term: Array, lengths: Sequence[int]
-) -> float:
-    """Return the probability of a term if errors of neighboring rows may be correlated.
+def correlated_score(residuals: Array, fitted: Array, lengths: Sequence[int]) -> float:
+    """Return -2 log likelihood of residuals whose errors may be correlated, or larger at some rows.
 
-    The term must explain more than an exponential correlation does, whose size is estimated without
-    and with it: correlated errors look like a smooth term, and the other way round.
+    Correlated errors look like a smooth term that is missing, large ones like a local term, and the
+    other way round: a term must explain more than an exponential correlation of neighbors does, or
+    errors that are larger beyond some row. Either is estimated here.
 
     Parameters
     ----------
-    residuals, fitted, term : (N, 1), (N, p) and (N, 1) arrays
+    residuals, fitted : (N, 1) and (N, p) arrays
         As in `score_tests`.
     lengths : sequence of int
         Numbers of rows in which neighbors are correlated.
     """
-    from scipy.special import betainc  # noqa: PLC0415  (takes a tenth of a second to import)
-
     numbers, firsts = len(residuals), np.cumsum([0, *lengths[:-1]])
-    values = np.hstack([residuals, term, fitted])
-    scores = []
+    values, whitened = np.hstack([residuals, column_basis(fitted)]), []
     for rho in CORRELATIONS:
         # Less what the neighbor predicts.
         white = (values - rho * np.roll(values, 1, axis=0)) / np.sqrt(1 - rho**2)
         white[firsts] = values[firsts]
-        without, beside = (
-            np.sum(_beside(column_basis(white[:, begin:]), white[:, 0]) ** 2) for begin in (2, 1)
-        )
-        determinant = (numbers - len(lengths)) * np.log(1 - rho**2)
-        squares = np.maximum([without, beside], np.finfo(float).tiny)
-        scores.append(numbers * np.log(squares) + determinant)
-    without, beside = np.min(scores, axis=0)
-    # The ratio of likelihoods as a share of squares; the correlation is one more unknown.
-    remaining = max(numbers - fitted.shape[1] - 2, 1)
-    return float(betainc(remaining / 2, 0.5, np.exp(-max(without - beside, 0.0) / numbers)))
+        whitened.append((white, (numbers - len(lengths)) * np.log(1 - rho**2)))
+    place = np.concatenate([np.arange(length) / length for length in lengths])
+    for share, ratio in itertools.product(SHARES, RATIOS):
+        size = np.where(place < share, 1.0, ratio)
+        whitened.append((values / size[:, None], 2 * np.log(size).sum()))
+
+    def scores(white: Array, determinant: float) -> tuple[float, float]:
+        columns = white[:, 1:]
+        squares = np.sum(_beside(column_basis(columns), white[:, 0]) ** 2)
+        log_squares = np.log(max(squares, np.finfo(float).tiny))
+        # Many columns leave small residuals, which would look equal: their number is counted.
+        restricted = (numbers - columns.shape[1]) * log_squares + determinant
+        restricted += np.linalg.slogdet(columns.T @ columns)[1]
+        return restricted, numbers * log_squares + determinant
+
+    return min(itertools.starmap(scores, whitened))[1]
+
+
+def p_value_of_scores(without: float, beside: float, fitted: Array, more: Array) -> float:
+    """Return the probability of a score with columns (N, p), and with more columns, by chance."""
+    taken, rank = (column_basis(columns).shape[1] for columns in (fitted, more))
+    if rank == taken:
+        return 1.0
+    # The ratio of likelihoods as a share of squares; correlation or ratio is one more unknown.
+    left = np.exp(-max(without - beside, 0.0) / len(fitted))
+    return float(chance(left, max(len(fitted) - rank - 1, 1), rank - taken))
+
+
+def chance(left: Any, remaining: Any, terms: int = 1) -> Any:
+    """Return the probability that terms leave at most such a share of the squares of noise.
+
+    `remaining` is the number of numbers that are left beside them.
+    """
+    from scipy.special import betainc  # noqa: PLC0415  (takes a tenth of a second to import)
+
+    # 1 - I_x(a, b) = I_(1 - x)(b, a), which keeps its digits where it is small.
+    return betainc(remaining / 2, terms / 2, left)

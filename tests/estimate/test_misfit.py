@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import lfilter
 
 import greybox as gb
+from greybox.problems import pitch_5deg, pitch_hover
 
 SAMPLES, STEP = 500, 0.04
 
@@ -159,12 +160,34 @@ def test_errors_of_a_response_are_no_misfit(correlation):
     assert of_response(lambda s: 1.0, correlation).explains
 
 
+def test_larger_errors_at_the_highest_frequencies_are_no_misfit():
+    random = np.random.default_rng(3)
+    s = 1j * np.geomspace(0.8, 30, 24)
+    error = 0.02 * random.normal(size=(24, 2)) @ [1, 1j]
+    error[-4:] *= 10
+    data = gb.FrequencyResponse(s.imag, 25 / (s**2 + 2 * s + 25) * (1 + error), "u", "y")
+    assert gb.fit(gb.Problem(Resonance(), data), starts=2, progress=False).misfit.explains
+
+
+def test_one_set_of_values_does_not_serve_both_tables_of_the_paper():
+    # Chapter 4: the stiffness a1 and the speed stability a3 differ between hover and 5 degrees.
+    both = pitch_hover.problem() + pitch_5deg.problem()
+    misfit = gb.fit(both, starts=2, progress=False).misfit
+    assert not misfit.explains
+    assert misfit.p_common < 1e-4
+    assert "one set of values" in misfit.verdict
+    named = " ".join(cause.text for cause in misfit.likely)
+    assert "a value of a3" in named
+    assert "a value of a1" in named
+
+
 @pytest.mark.parametrize(
     ("defect", "cause"),
     [
         (lambda s: 1 / (1 + s / 15), "pole"),
         (lambda s: 1 + s / 15, "zero"),
         (lambda s: 1 - 0.3 * s**2 / (s**2 + 0.66 * s + 121), "mode near"),
+        (lambda s: np.where(s.imag > 6, 1.2, 1.0), "gain that differs above"),
     ],
 )
 def test_what_the_model_of_a_response_lacks_is_named(defect, cause):
