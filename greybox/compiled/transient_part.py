@@ -41,7 +41,7 @@ from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.trim import trim_of
-from greybox.statistics.column_space import column_basis
+from greybox.statistics.column_space import beside
 
 # Weights and end terms follow each other: the change of the cost at which they have, and how often
 # at most. Each time the change falls to the share of the numbers that end terms take up, a tenth or
@@ -266,8 +266,7 @@ class TransientPart(Part):
         weighted = np.einsum("ka,alx->klx", weight, mean)
         rows = weighted.reshape(-1, mean.shape[-1])
         by_ends = np.einsum("ka,aln->kln", weight, at.basis).reshape(len(rows), -1)
-        directions = column_basis(by_ends)
-        projected = rows - directions @ (directions.T @ rows)
+        projected = beside(rows, by_ends)
         turned = np.einsum("ka,labx,bc->lkcx", weight, change, np.linalg.inv(weight))
         hermitian = turned + turned.conj().swapaxes(1, 2)
         variance = np.stack([hermitian.real, hermitian.imag], axis=1)

@@ -18,7 +18,7 @@ from greybox.estimate.diagnostics.outlying_points import SIZE, largest_deviation
 from greybox.estimate.missing_terms import Formula, Term, terms_of_record, terms_of_response
 from greybox.files.arrays import Array, BoolArray
 from greybox.files.text_table import number, text_table, with_error
-from greybox.statistics.column_space import column_basis
+from greybox.statistics.column_space import beside, column_basis
 from greybox.statistics.score_test import (
     chance,
     correlated_score,
@@ -183,7 +183,7 @@ class _Regression:
         measured, residuals, fitted = (
             self.rows(values, False) for values in (self.measured, self.residuals, self.fitted)
         )
-        remaining = _remaining(residuals, np.hstack([fitted, self.columns(keys, white=False)]))
+        remaining = beside(residuals, np.hstack([fitted, self.columns(keys, white=False)]))
         squares = max(float(np.sum(measured**2)), np.finfo(float).tiny)
         return float(np.sum(residuals**2)) / squares, float(np.sum(remaining**2)) / squares
 
@@ -209,9 +209,11 @@ def assessed_misfit(
     most = max(MOST // max(len(records), 1), FEWEST)
     records = [_of_record(*record, candidates, most) for record in records]
 
-    results = [_of_group(responses, in_time=False), _of_group(records, in_time=True)]
-    tried = sum(group.tried for group in results)
-    lefts = [pair for group in results for pair in group.lefts]
+    (tried, lefts, causes, p_common), timed = (
+        _of_group(responses, in_time=False),
+        _of_group(records, in_time=True),
+    )
+    tried, lefts, causes = tried + timed[0], lefts + timed[1], causes + timed[2]
     if not lefts:
         return None
     causes = [
@@ -220,37 +222,31 @@ def assessed_misfit(
             p_value=min(cause.p_value * tried, 1.0),
             p_correlated=min(cause.p_correlated * tried, 1.0),
         )
-        for group in results
-        for cause in group.causes
+        for cause in causes
     ]
     # What explains most comes first, among what is significant.
     causes.sort(key=lambda cause: (cause.p_value >= FALSE_ALARMS, -cause.share))
     left, noise = max(lefts, key=lambda pair: pair[0] - pair[1])
-    return Misfit(left, noise, tried, tuple(causes), min(group.p_common for group in results))
+    return Misfit(left, noise, tried, tuple(causes), p_common)
 
 
-@dataclass(frozen=True, eq=False)
-class _Group:
-    """Number of terms, shares that are left, best cause of every family, and `Misfit.p_common`."""
+def _of_group(
+    parts: Sequence[_Regression], *, in_time: bool
+) -> tuple[int, list[tuple[float, float]], list[Cause], float]:
+    """Return the number of terms, the shares that are left, causes, and `Misfit.p_common`.
 
-    tried: int = 0
-    lefts: Sequence[tuple[float, float]] = ()
-    causes: Sequence[Cause] = ()
-    p_common: float = 1.0
-
-
-def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> _Group:
-    """Return the tests of all records, or of all responses, of a problem.
-
-    A term is missing in all of them alike.
+    A term is missing in all records, or in all responses, of a problem alike.
     """
     # Of two parts, either may be said to need another value.
-    named = parts[1:] if len(parts) == 2 else parts
-    terms = {key: term for part in parts for key, term in part.terms.items()}
-    owns = {key for part in named for key in part.terms}
-    terms = {key: term for key, term in terms.items() if term.kind != "own" or key in owns}
+    either = parts[0].terms if len(parts) == 2 else {}
+    terms = {
+        key: term
+        for part in parts
+        for key, term in part.terms.items()
+        if term.kind != "own" or key not in either
+    }
     if not terms:
-        return _Group()
+        return 0, [], [], 1.0
     white = [part.rows(part.residuals, True) for part in parts]
     residuals = np.vstack(white)
     fitted = np.vstack([part.rows(part.fitted, True) for part in parts])
@@ -268,8 +264,10 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> _Group:
 
     ranked = sorted(best.values(), key=lambda test: test[0], reverse=True)
     together = np.hstack([fitted, *(column for *_, column in ranked[:TOGETHER])])
-    without, beside = (_squares(residuals, columns) for columns in (fitted, together))
-    total = len(residuals) * (1 - beside / without) if without > 0 else 0.0
+    without, left = (
+        float(np.sum(beside(residuals, columns) ** 2)) for columns in (fitted, together)
+    )
+    total = len(residuals) * (1 - left / without) if without > 0 else 0.0
 
     # Real and imaginary parts follow one another in every response.
     lengths = [len(rows) // 2 for rows in white for _ in "ri"]
@@ -300,7 +298,7 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> _Group:
         share = min(decrease / total, 1.0) if total > 0 else 0.0
         causes.append(Cause(*terms[key].described(value), value, error, share, *chances))
     best_keys = [key for _, key, _ in ranked[:TOGETHER]]
-    return _Group(tried, [part.left(best_keys) for part in parts], causes, p_common)
+    return tried, [part.left(best_keys) for part in parts], causes, p_common
 
 
 def _separate(parts: Sequence[_Regression]) -> tuple[Array, Array]:
@@ -309,16 +307,6 @@ def _separate(parts: Sequence[_Regression]) -> tuple[Array, Array]:
     own = np.eye(len(columns))
     blocks = [np.kron(row, block) for row, block in zip(own, columns, strict=True)]
     return np.vstack(residuals), np.vstack(blocks)
-
-
-def _squares(values: Array, columns: Array) -> float:
-    """Return the sum of squares that columns leave."""
-    return float(np.sum(_remaining(values, columns) ** 2))
-
-
-def _remaining(values: Array, columns: Array) -> Array:
-    basis = column_basis(columns)
-    return values - basis @ (basis.T @ values)
 
 
 def _numbered(terms: Any) -> dict[Key, Term]:
@@ -362,7 +350,7 @@ def _of_record(
         pairs = zip(data.unpadded(values), present, strict=True)
         stretches = [rows_of_stretch(row, measured, white) for row, measured in pairs]
         # The initial states of every stretch take their share first.
-        return np.vstack([*map(_remaining, stretches, initial)] if white else stretches)
+        return np.vstack([*map(beside, stretches, initial)] if white else stretches)
 
     measured = np.where(record.present, data.measured, np.nan)
     count = np.maximum(record.present.sum(axis=1, keepdims=True), 1)

@@ -26,7 +26,7 @@ from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import dynamics
 from greybox.modeling.transfer_function import TransferFunction
-from greybox.statistics.column_space import column_basis
+from greybox.statistics.column_space import beside
 
 POINTS = 3  # at which the rank is computed: at one of them it may be smaller by chance
 FREQUENCIES = 40  # random ones for each pair: more numbers than any structure has parameters
@@ -323,11 +323,7 @@ def _of_trajectory(
     rows = []
     for stretch in pairs:
         jacobian, by_states = (J.swapaxes(1, 2).reshape(-1, J.shape[1]) for J in stretch)
-        basis = column_basis(by_states)
-        # The second time takes out what rounding left the first time.
-        for _ in range(2):
-            jacobian = jacobian - basis @ (basis.T @ jacobian)
-        rows.append(jacobian)
+        rows.append(beside(jacobian, by_states))
 
     scale = nlp.scaling.slope(x)
     initial = {state: follow * scale for state, follow in slopes.initial.items()}

@@ -15,3 +15,12 @@ def column_basis(columns: Array) -> Array:
         columns[:, length > 0] / length[length > 0], full_matrices=False
     )
     return vectors[:, singular > DEPENDENT * max(singular, default=0.0)]
+
+
+def beside(values: Array, columns: Array) -> Array:
+    """Return what remains of values (n, c) beside columns (n, p)."""
+    basis = column_basis(columns)
+    # The second time takes out what rounding left the first time.
+    for _ in range(2):
+        values = values - basis @ (basis.T @ values)
+    return values

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from greybox.files.arrays import Array
-from greybox.statistics.column_space import column_basis
+from greybox.statistics.column_space import beside, column_basis
 
 # Share of the length of a term that must remain beside the parameters: less is the error of
 # the integration, or another parameter's work.
@@ -42,17 +42,15 @@ class ScoreTests:
     value, error : (c,) arrays
         The factor on each term that a fit would estimate, to first order, with its standard error
         if the model then explains the data.
-    share : (c,) array
-        Share of the squared residuals that the term takes, of those at its frequencies.
     p_value : (c,) array
-        Probability of a larger share by chance; NaN where it cannot be told.
+        Probability by chance of such a share of the residuals at the frequencies of the term; NaN
+        where it cannot be told.
     decrease : (c,) array
         What each term takes from the sum of squares, over their mean.
     """
 
     value: Array
     error: Array
-    share: Array
     p_value: Array
     decrease: Array
 
@@ -74,11 +72,11 @@ def score_tests(residuals: Array, fitted: Array, terms: Array, *, in_time: bool)
     """
     basis = column_basis(fitted)
     before = np.linalg.norm(terms, axis=0)
-    terms = _beside(basis, terms / np.where(before > 0, before, 1.0))
+    terms = beside(terms / np.where(before > 0, before, 1.0), basis)
     length = np.linalg.norm(terms, axis=0)
     is_new = (length > REMAINS) & (before > 0)
     rows = np.where(is_new, terms / np.where(is_new, length, 1.0), 0.0)
-    residuals = _beside(basis, residuals)
+    residuals = beside(residuals, basis)
 
     count = len(residuals)
     variance = np.full(terms.shape[1], float(residuals @ residuals) / count)
@@ -96,12 +94,9 @@ def score_tests(residuals: Array, fitted: Array, terms: Array, *, in_time: bool)
         share = np.minimum(along**2 / (numbers * variance), 1.0)
         error = np.sqrt(variance * (1 - share) * numbers / remaining) / (length * before)
         value = along / (length * before)
+        p_value = chance(1 - np.minimum(share, 1 - 1e-12), remaining - 1)
     tested = is_new & (remaining > FEWEST) & (variance > 0)
-    share = np.minimum(share, 1 - 1e-12)
-    p_value = np.full(len(share), np.nan)
-    p_value[tested] = chance(1 - share[tested], remaining[tested] - 1)
-
-    return ScoreTests(value, error, np.where(tested, share, 0.0), p_value, along**2 / overall)
+    return ScoreTests(value, error, np.where(tested, p_value, np.nan), along**2 / overall)
 
 
 def _power(rows: Array) -> Array:
@@ -109,12 +104,6 @@ def _power(rows: Array) -> Array:
     power = np.abs(np.fft.rfft(rows, axis=0)) ** 2 / len(rows)
     power[1 : (len(rows) + 1) // 2] *= 2
     return power
-
-
-def _beside(basis: Array, values: Array) -> Array:
-    # Once more: the first pass leaves rounding errors of the size of the values.
-    values = values - basis @ (basis.T @ values)
-    return values - basis @ (basis.T @ values)
 
 
 def correlated_score(residuals: Array, fitted: Array, lengths: Sequence[int]) -> float:
@@ -145,7 +134,7 @@ def correlated_score(residuals: Array, fitted: Array, lengths: Sequence[int]) ->
 
     def scores(white: Array, determinant: float) -> tuple[float, float]:
         columns = white[:, 1:]
-        squares = np.sum(_beside(column_basis(columns), white[:, 0]) ** 2)
+        squares = np.sum(beside(white[:, :1], columns) ** 2)
         log_squares = np.log(max(squares, np.finfo(float).tiny))
         # Many columns leave small residuals, which would look equal: their number is counted.
         restricted = (numbers - columns.shape[1]) * log_squares + determinant
