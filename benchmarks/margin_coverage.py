@@ -1,22 +1,35 @@
 """How often the intervals of stability margins hold the true margins: flights of known truth.
 
-python benchmarks/margin_coverage.py [--repeats 60] [--only rate] [--output FILE]
+python benchmarks/margin_coverage.py [--repeats 200] [--only rate] [--output FILE]
 
-Every plant is flown in the loop of its controller, with noise of the gyro and gusts. From each
-flight: response, fit, margins of the loop broken at the control. The true margins are those of the
-true plant, whose loop diverges in a flight with more gain (see tests/experiment/test_margins.py).
+Every plant is flown in the loop of its controller, with noise of the gyro and gusts; the log is
+rounded to the steps of a 16-bit gyro. The test is a sweep at the control, a sweep at the setpoint,
+or a multisine at the setpoint. From each flight: response, fit, margins of the loop broken at the
+control. The true margins are those of the true plant, whose loop diverges in a flight with more
+gain (see tests/experiment/test_margins.py).
 Printed: the share of intervals that hold the truth in percent, and half the mean width.
 """
 
 import argparse
 from collections import Counter
+from dataclasses import replace
+from datetime import date
+from functools import lru_cache
 from pathlib import Path
 
+import numpy as np
+from scipy.stats import binom
+
 import greybox as gb
+
+TESTS = ("sweep at u", "sweep at reference", "multisine at reference")
+PERIOD, PERIODS = 15.0, 5  # of the multisine, s; the first one settles
+STEPS = {"q": 1e-3, "u": 1e-4}  # of the log, rad/s and 1
 
 NAMES = (
     "phase margin",
     "gain margin",
+    "gain reduction margin",
     "delay margin",
     "modulus margin",
     "crossover",
@@ -26,6 +39,7 @@ NAMES = (
     "-180 deg frequency",
     "ADS-33 gain bandwidth",
     "ADS-33 phase bandwidth",
+    "ADS-33 bandwidth",
     "phase delay",
     "overshoot",
     "rise time",
@@ -99,36 +113,53 @@ PLANTS = {
 }
 
 
-def flown(values, gains, rate, band, signal, seed):
-    """Return the record of one flight.
-
-    Sixty seconds of a logarithmic sweep, added to the control or the setpoint.
-    """
+@lru_cache
+def excitation(test, band, rate):
+    """Return the test signal: a minute of a sweep, or 75 seconds of a multisine."""
+    kind, _, signal = test.split()
     amplitude = 0.1 if signal == "u" else 0.3
-    test = gb.experiment.sweep(*band, 60.0, rate, amplitude=amplitude, signal=signal)
-    return gb.virtual_flight(
+    if kind == "sweep":
+        return gb.experiment.sweep(*band, 60.0, rate, amplitude=amplitude, signal=signal)
+    return gb.experiment.multisine(
+        *band, PERIOD, rate, amplitude=amplitude, signals=(signal,), periods=PERIODS
+    )
+
+
+def flown(values, gains, rate, band, test, seed):
+    """Return the record of one flight, as it is logged."""
+    record = gb.virtual_flight(
         Rate(),
         values,
-        test,
+        excitation(test, band, rate),
         controller=RateLoop(gains, rate=rate),
         noise={"q": 0.01},
         process_noise={"q": 0.02},
         seed=seed,
     )
+    logged = {n: s * np.round(record[n] / s) for n, s in STEPS.items()}
+    return replace(record, signals={**record.signals, **logged})
 
 
-def counted(plant, signal, repeats):
+def measured(record, test, band):
+    """Return the response of the plant in a flight."""
+    kind, _, signal = test.split()
+    added = "u_excitation" if signal == "u" else signal
+    if kind == "sweep":
+        return gb.spectral.spectral_response(record, "u", "q", instrument=added, band=band)
+    settled = record.between(PERIOD, PERIOD * PERIODS)
+    return gb.spectral.periodic_response(settled, PERIOD, "u", "q", instrument=added)
+
+
+def counted(plant, test, repeats):
     """Return how many intervals hold the truth and their mean half widths, by name."""
     values, gains, rate, band = PLANTS[plant]
     controller = RateLoop(gains, rate=rate)
     truth = gb.margins(Rate(), controller, values)
     held, widths = dict.fromkeys(NAMES, 0), dict.fromkeys(NAMES, 0.0)
     for seed in range(repeats):
-        record = flown(values, gains, rate, band, signal, seed)
-        added = "u_excitation" if signal == "u" else signal
-        response = gb.spectral.spectral_response(record, "u", "q", instrument=added, band=band)
+        response = measured(flown(values, gains, rate, band, test, seed), test, band)
         problem = gb.Problem(Rate(), response, gb.MaximumLikelihood())
-        answer = gb.margins(gb.fit(problem, starts=4, progress=False), controller)
+        answer = gb.margins(gb.fit(problem, starts=2, progress=False), controller)
         if not answer.is_stable:  # a miss of every margin
             continue
         for name in NAMES:
@@ -140,34 +171,56 @@ def counted(plant, signal, repeats):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repeats", type=int, default=60)
+    parser.add_argument("--repeats", type=int, default=200)
     parser.add_argument("--only", default="")
     parser.add_argument("--output", type=Path)
     options = parser.parse_args()
-    lines = [f"{options.repeats} flights a cell; of each margin: truth, % held, mean half width"]
+    repeats = options.repeats
+    low, high = binom.interval(0.999, repeats, 0.95)
+    lines = [f"{repeats} flights a cell; of each quantity: truth, % held, mean half width"]
     print(lines[0], flush=True)
-    totals, cells = Counter(), 0
+    totals, cells, outside = Counter(), [], []
     for plant in PLANTS:
-        for signal in ("u", "reference"):
-            label = f"{plant}, sweep at {signal}"
+        for test in TESTS:
+            label = f"{plant}, {test}"
             if options.only not in label:
                 continue
-            truth, held, widths = counted(plant, signal, options.repeats)
+            truth, held, widths = counted(plant, test, repeats)
             totals.update(held)
-            cells += 1
+            # A quantity that no error changes, such as an infinite margin, is held always.
+            counts = {n: held[n] for n in NAMES if widths[n] > 0}
+            cells += counts.values()
+            outside += [
+                f"{label}, {n} {100 * count / repeats:.1f} %"
+                for n, count in counts.items()
+                if not low <= count <= high
+            ]
             numbers = [
-                f"{name} {truth[name].value:.4g} {100 * held[name] / options.repeats:.1f} % "
+                f"{name} {truth[name].value:.4g} {100 * held[name] / repeats:.1f} % "
                 f"{widths[name]:.2g}"
                 for name in NAMES
             ]
             lines.append(f"{label}: " + "; ".join(numbers))
             print(lines[-1], flush=True)
-    flights = max(cells, 1) * options.repeats
+
+    flights = max(len(lines) - 1, 1) * repeats
     shares = [f"{name} {100 * totals[name] / flights:.1f} %" for name in NAMES]
     lines.append(f"all {flights} flights: {'; '.join(shares)}")
-    print(lines[-1], flush=True)
+    between = np.mean([0.93 * repeats <= count <= 0.97 * repeats for count in cells])
+    exact = binom.cdf(np.floor(0.97 * repeats), repeats, 0.95)
+    exact -= binom.cdf(np.ceil(0.93 * repeats) - 1, repeats, 0.95)
+    lines.append(
+        f"{100 * between:.0f} % of {len(cells)} cells are between 93 and 97 %; of exact intervals, "
+        f"{100 * exact:.0f} % would be."
+    )
+    lines.append(
+        f"Outside {100 * low / repeats:.1f} to {100 * high / repeats:.1f} %, where 99.9 % of exact "
+        f"cells are: {'; '.join(outside) or 'none'}"
+    )
+    print("\n".join(lines[-3:]), flush=True)
     if options.output:
-        options.output.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        head = f"greybox {gb.__version__}, {date.today()}"
+        options.output.write_text("\n".join([head, *lines]) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

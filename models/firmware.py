@@ -291,11 +291,9 @@ class LoopOfLog:
     flown : FlownController
     check : ControlCheck
     model : Margins
-    loops : tuple of FrequencyResponse
-        The gain of the loop broken at the control, measured from the signal injected at the mixer,
-        and from the response that the fit was made of; neither contains the model.
     measured : tuple of Margins
-        Of these loops.
+        Of the loop broken at the control, measured from the signal injected at the mixer, and from
+        the response that the fit was made of; neither contains the model.
     others : tuple of Margins
         Of the model, with the loop broken elsewhere.
     notes : tuple of str
@@ -305,7 +303,6 @@ class LoopOfLog:
     flown: FlownController
     check: ControlCheck
     model: gb.experiment.Margins
-    loops: tuple
     measured: tuple
     others: tuple
     notes: tuple
@@ -343,7 +340,7 @@ class LoopOfLog:
             self.model,
             *self.others,
         ]
-        measured = (f"Measured by {a.plant}: {note}" for a in self.measured for note in a.notes)
+        measured = (f"By {a.plant}: {note}" for a in self.measured for note in a.notes)
         return "\n\n".join(map(str, [*parts, *measured]))
 
 
@@ -414,10 +411,10 @@ def loop_of_log(
     )
 
     loops = []
+    data, model = fit.parts[0].data, fit.model_of(0)
     if "mixer" in flown.signals:
         loop = broken_loop(flown.sensitivity(recording, check))
-        loops.append(replace(loop, input="u", name="the injected signal"))
-    data, model = fit.parts[0].data, fit.model_of(0)
+        loops.append(replace(loop, input=of_model.signal, name="the injected signal"))
     # Fits of structures to one response leave its names out.
     if isinstance(data, gb.FrequencyResponse) and not data.output:
         data = replace(data, input=model.input_names[0], output=model.output_names[0])
@@ -427,7 +424,7 @@ def loop_of_log(
         loops.append(flown.loop_gain(data))
     measured = tuple(gb.margins(loop, level=level) for loop in loops)
     notes = disagreements(of_model, measured)
-    return LoopOfLog(flown, check, of_model, tuple(loops), measured, tuple(others), notes)
+    return LoopOfLog(flown, check, of_model, measured, tuple(others), notes)
 
 
 def safe_gains_of_log(fits, recording, gains, axis="pitch", *, signals=None, **requirements):

@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> Answer:
     require_figure(options.plot, options.force)
     require_writable(options.report, options.force, (".html", ".htm"), "page")
     tracking = tuple(options.tracking) if options.tracking else None
-    wrong, measured = "", ()
+    wrong, measured = "", []
     # A log has the controller that flew, with its gains and its rate.
     if options.log:
         refuse_controllers(options)
@@ -79,7 +79,7 @@ def run(options: argparse.Namespace) -> Answer:
             tracking=tracking,
             **attributes(options, "signals", "at", "level"),
         )
-        loops, measured = [flown.model, *flown.others], flown.loops
+        loops, measured = [flown.model, *flown.others], [*flown.measured]
         answer, text = flown.to_dict(), [str(flown)]
         if not flown.check.reproduces:
             wrong = "the controllers of the log do not reproduce its control."
@@ -99,11 +99,11 @@ def run(options: argparse.Namespace) -> Answer:
     unsafe = " ".join(loop.verdict for loop in loops if not loop.is_safe)
     if unsafe or wrong:
         answer["error"] = unsafe or wrong
-    text += save_figure(options.plot, "loop", loops[0], *measured)
+    text += save_figure(options.plot, "loop", loops[0], *(m.points for m in measured))
     if options.report:
         from greybox.html_report.report import report  # noqa: PLC0415  (slow import)
 
-        report([*fits.values()], options.report, margins=loops)
+        report([*fits.values()], options.report, margins=[*loops, *measured])
         text.append(f"wrote {options.report}")
     return answer, "\n\n".join(text)
 

@@ -14,8 +14,9 @@ from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.result import Fit
 from greybox.experiment.controller import Controller
 from greybox.experiment.sampled_loop import SampledLoop, sampled_loop
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array
 from greybox.modeling.model import Model
+from greybox.solve.multistart import solver_for
 
 DRAWS = 512  # a quantile of 2.5 % is then known to 4 % of a standard error
 DRAWN = slice(1, 1 + DRAWS)  # the plants of a loop that are draws
@@ -88,50 +89,86 @@ def _draws(fit: Fit, names: Sequence[str]) -> Array:
     steps = normal * widening[:, None] - np.array([line.bias for line in lines])
     limits = np.array([line.bounds for line in lines]).T
 
-    def drawn(lengths: Array, rows: IntArray) -> Array:
-        return _within(limits, center + lengths[:, None] * steps[rows], known.covariance)
+    def drawn(steps: Array) -> Array:
+        return _within(limits, center + steps, known.covariance)
 
-    values = drawn(_lengths(fit, steps, drawn), np.arange(DRAWS))
+    values = drawn(_lengths(fit, steps, drawn)[:, None] * steps)
     beside = np.clip(center + 0.1 * (known.size[:, None] * known.unseen).T, *limits)
     return np.vstack([center, values, beside])[:, [fit.names.index(name) for name in names]]
 
 
-def _lengths(fit: Fit, steps: Array, drawn: Callable[[Array, IntArray], Array]) -> Array:
+def _lengths(fit: Fit, steps: Array, drawn: Callable[[Array], Array]) -> Array:
     """Return factors (draws,) that lengthen steps (draws, k) from the estimate to their likelihood.
 
     With its factor the cost has risen as much as the standard errors predict for the step. Along
     one parameter that is its profile: where its errors are not symmetric, or a pole cannot pass
-    zero, the draws follow. Records, whose costs take simulations, keep their steps, and so do fits
-    whose problem cannot be compiled again. `drawn` returns the values (m, k) at factors (m,) of
-    some of the steps.
+    zero, the draws follow. Fits whose problem cannot be compiled again keep their steps. `drawn`
+    returns the values (m, k) at steps (m, k).
     """
     unchanged = np.ones(len(steps))
-    if fit.white is None or len(fit.responses) < len(fit.parts):
+    if fit.white is None:
         return unchanged
     try:
         problem = compiled_again(fit)
     except (ValueError, LookupError):
         return unchanged
 
-    from scipy.optimize import elementwise  # noqa: PLC0415  (takes a tenth of a second to import)
-
     p = len(fit.free)
     size = np.sqrt(np.diag(fit.white))
     size[size == 0] = 1  # of a parameter of which the data say nothing
-    curvature = np.linalg.pinv(fit.white / np.outer(size, size), rcond=1e-12, hermitian=True)
-    scaled = steps[:, :p] / size
-    predicted = np.sum(scaled @ curvature * scaled, axis=1) / 2
-    lowest = problem.costs(drawn(np.zeros(1), np.zeros(1, dtype=int))[:, :p])
+    variances, axes = np.linalg.eigh(fit.white / np.outer(size, size))
+    is_seen = variances > 1e-12 * variances.max()
+    scale = np.sqrt(variances[is_seen])
+    axes = axes[:, is_seen]
+    # The square of a step in these coordinates is twice the rise of a quadratic cost.
+    coordinates = steps[:, :p] / size @ axes / scale
+    predicted = np.sum(coordinates**2, axis=1) / 2
+
+    has_records = len(fit.responses) < len(fit.parts)
+    solver = solver_for(problem)
+
+    def costs(steps: Array) -> Array:
+        x = drawn(steps)[:, :p]
+        if has_records:
+            return np.array([solver.cost(values) for values in problem.all_values(x)])
+        return problem.costs(x)
+
+    lowest = costs(np.zeros((1, steps.shape[1])))
+
+    def ratio(steps: Array, predicted: Array) -> Array:
+        """Return how many times as fast the root of the cost rises as predicted."""
+        # A model without a response there is as unlikely as can be.
+        rise = np.nan_to_num((costs(steps) - lowest) / predicted, nan=1e6)
+        return np.sqrt(np.maximum(rise, 0))
+
+    if not has_records:
+        return _roots(ratio, steps, predicted)
+
+    # Costs take simulations: two standard errors along every axis, in both directions.
+    length = 2 * np.sqrt(np.mean(coordinates**2, axis=0))
+    ends = np.zeros((2 * len(length), steps.shape[1]))
+    ends[:, :p] = np.kron([[1], [-1]], (size[:, None] * axes * scale * length).T)
+    expected = np.tile(length**2 / 2, 2)
+    rates = ratio(ends, expected)
+    # There the cost is no parabola, not even a lopsided one.
+    is_odd = np.abs(rates - 1) > 1 / 3
+    rates[is_odd] = 1 / _roots(ratio, ends[is_odd], expected[is_odd])
+    along, against = rates.reshape(2, -1)
+    rate = np.where(coordinates > 0, along, against)
+    return np.sqrt(2 * predicted / np.sum((coordinates * rate) ** 2, axis=1))
+
+
+def _roots(ratio: Callable[[Array, Array], Array], steps: Array, predicted: Array) -> Array:
+    """Return the factors of steps (n, k) at which `ratio` is one."""
+    from scipy.optimize import elementwise  # noqa: PLC0415  (takes a tenth of a second to import)
 
     def excess(lengths: Array, places: Array) -> Array:
         rows = places.astype(int)
-        rise = (problem.costs(drawn(lengths, rows)[:, :p]) - lowest) / predicted[rows]
-        # A model without a response there is as unlikely as can be.
-        return np.sqrt(np.maximum(np.nan_to_num(rise, nan=1e6), 0)) - 1
+        return ratio(lengths[:, None] * steps[rows], predicted[rows]) - 1
 
-    ends = np.zeros(len(steps)), np.full(len(steps), LONGEST)
+    limits = np.zeros(len(steps)), np.full(len(steps), LONGEST)
     root = elementwise.find_root(
-        excess, ends, args=(np.arange(len(steps)),), tolerances={"xatol": 0.01}
+        excess, limits, args=(np.arange(len(steps)),), tolerances={"xatol": 0.01}
     )
     # Where the cost remains low, a bound is met, or the data say nothing.
     return np.nan_to_num(root.x, nan=LONGEST)

@@ -203,22 +203,32 @@ def follows(loop: SampledLoop, setpoint: str, response: str) -> bool:
 
 
 def closed_loop_numbers(
-    loop: SampledLoop, omega: Array, setpoint: str, response: str, integrals: int | None
+    loop: SampledLoop,
+    omega: Array,
+    setpoint: str,
+    response: str,
+    integrals: int | None,
+    boundary: Array,
 ) -> Numbers:
     """Return numbers of the closed loops from a setpoint to a response.
 
     `integrals` is how often the response is integrated to an attitude, for the criteria of ADS-33;
-    None if it is none.
+    None if it is not an angle or a rate. `boundary` has phase delays and bandwidths (2, n).
     """
     return {
-        **_response_numbers(loop, omega, setpoint, response, integrals),
+        **_response_numbers(loop, omega, setpoint, response, integrals, boundary),
         **_step_numbers(loop, setpoint, response),
         **_pole_numbers(loop, setpoint, response),
     }
 
 
 def _response_numbers(
-    loop: SampledLoop, omega: Array, setpoint: str, response: str, integrals: int | None
+    loop: SampledLoop,
+    omega: Array,
+    setpoint: str,
+    response: str,
+    integrals: int | None,
+    boundary: Array,
 ) -> Numbers:
     rest = loop.gains(setpoint, [response], REST / loop.period)[..., 0].real
     gain = loop.gains(setpoint, [response], omega)[..., 0] / rest
@@ -237,15 +247,22 @@ def _response_numbers(
     enough = crossings(size - 10 ** (6 / 20) * _at(reversal.omega, omega, size)[:, None], omega)
     by_gain = enough.where(enough.omega < reversal.omega[enough.plant]).last
     by_phase = crossings(phase + 0.75 * math.pi, omega).first
-    smaller = np.minimum(by_gain.value, by_phase.value)
+    # A command of attitude has no gain bandwidth: its loop already holds the attitude.
+    bandwidth = np.minimum(by_gain.value, by_phase.value) if integrals else by_phase.value
     twice = 2 * reversal.omega
     delay = -(math.pi + _at(twice, omega, phase)) / twice
-    return answer | {
+    delay = np.where(twice <= omega[-1], delay, math.nan)
+    answer |= {
         "ADS-33 gain bandwidth": by_gain,
         "ADS-33 phase bandwidth": by_phase,
-        "ADS-33 bandwidth": Located(smaller, smaller),
-        "phase delay": Located(np.where(twice <= omega[-1], delay, math.nan), reversal.omega),
+        "ADS-33 bandwidth": Located(bandwidth, bandwidth),
+        "phase delay": Located(delay, reversal.omega),
     }
+    if boundary.size:
+        # A boundary ends at its largest phase delay.
+        above = bandwidth - np.interp(delay, *boundary, right=math.inf)
+        answer["bandwidth above the boundary"] = Located(above, bandwidth)
+    return answer
 
 
 def _at(places: Array, omega: Array, curves: Array) -> Array:

@@ -47,6 +47,7 @@ UNITS = {
     "ADS-33 phase bandwidth": "rad/s",
     "ADS-33 bandwidth": "rad/s",
     "phase delay": "s",
+    "bandwidth above the boundary": "rad/s",
     "overshoot": "%",
     "rise time": "s",
     "settling time": "s",
@@ -114,6 +115,8 @@ class Margins:
         At the estimate, and at the draws.
     notes : tuple of str
         Why an interval is missing, and what the fit warns of.
+    points : FrequencyResponse or None
+        The loop, where it was measured.
     """
 
     plant: str
@@ -126,6 +129,7 @@ class Margins:
     level: float
     loop: SampledLoop | None = field(repr=False)
     notes: tuple[str, ...] = ()
+    points: FrequencyResponse | None = None
 
     def __getitem__(self, name: str) -> Margin:
         """Return a margin by its name, such as "phase margin"."""
@@ -152,12 +156,9 @@ class Margins:
                 f"{loop} is unstable with a probability of {100 * self.instability:.1f} %: "
                 "the data do not show that it is safe."
             )
-        phase, gain = self["phase margin"], self["gain margin"]
+        phase, gain = (_stated(self[f"{kind} margin"]) for kind in ("phase", "gain"))
         beyond = "; the crossover is extrapolated" if self["crossover"].is_extrapolated else ""
-        return (
-            f"{loop} has a phase margin of {_with_interval(phase)} deg "
-            f"and a gain margin of {_with_interval(gain)} dB{beyond}."
-        )
+        return f"{loop} has {phase} and {gain}{beyond}."
 
     def require_loop(self) -> SampledLoop:
         """Return the loop; ValueError for margins of a measured response."""
@@ -211,7 +212,7 @@ class Margins:
         return "\n".join([self.verdict[0].upper() + self.verdict[1:], *table, *self.notes])
 
 
-def margins(
+def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     plant: Fit | Model | FrequencyResponse,
     controller: Controller | Sequence[Controller] | None = None,
     values: Mapping[str, float] | None = None,
@@ -221,6 +222,7 @@ def margins(
     at: Mapping[str, float] | None = None,
     part: int = 0,
     level: float = 0.95,
+    boundary: Sequence[tuple[float, float]] = (),
 ) -> Margins:
     """Return margins and closed-loop numbers of a plant with sampled controllers, with intervals.
 
@@ -244,7 +246,8 @@ def margins(
     - *bandwidth*: the highest frequency at which it is within 3 dB; *-180 deg frequency*;
     - *ADS-33 gain*, *phase bandwidth* and *phase delay* of the attitude, if the unit of the
       response is that of an angle or of a rate (whose integral is taken), at samples of the
-      controller, and *ADS-33 bandwidth*, the smaller one;
+      controller, and *ADS-33 bandwidth*: the smaller one where a rate is commanded, that of the
+      phase where an attitude is; *bandwidth above the boundary* is positive inside `boundary`;
     - *overshoot*, *rise time* from 10 % to 90 % and *settling time* to 2 % of a step;
     - *damping ratio* and *natural frequency* of the poles with the largest part in that step.
 
@@ -276,6 +279,9 @@ def margins(
     part : int
         Whose model it is, in a fit of several problems.
     level : float
+    boundary : sequence of (phase delay, bandwidth), s and rad/s, optional
+        Corners of a boundary between levels of handling qualities, in the order of phase delay:
+        the least ADS-33 bandwidth, up to the last phase delay.
 
     Returns
     -------
@@ -284,7 +290,8 @@ def margins(
     Raises
     ------
     ValueError
-        If the fit has no estimate or no covariance, or the controllers do not fit the model.
+        If the fit has no estimate or no covariance, the controllers do not fit the model, or a
+        boundary does not belong to an attitude.
     TypeError
         For a plant that is none of these, for values beside a fit, for a plant without a
         controller, and for arguments beside a measured response.
@@ -334,10 +341,20 @@ def margins(
         return answer
 
     groups = {f"broken at {signal}": partial(broken_loop_numbers, signal=signal)}
+    integrals = _INTEGRALS.get(_unit(response, model, controllers))
+    corners = np.array(boundary, dtype=float).T
+    if corners.size and (integrals is None or np.any(np.diff(corners[0]) <= 0)):
+        raise ValueError(
+            f"the boundary {[*boundary]} needs a response with the unit of an angle or a rate, and "
+            f"increasing phase delays: declare the unit of {response!r}, or sort the corners."
+        )
     if setpoint and follows(loop, setpoint, response):
-        integrals = _INTEGRALS.get(_unit(response, model, controllers))
         groups[f"{setpoint} to {response}"] = partial(
-            closed_loop_numbers, setpoint=setpoint, response=response, integrals=integrals
+            closed_loop_numbers,
+            setpoint=setpoint,
+            response=response,
+            integrals=integrals,
+            boundary=corners,
         )
     fitted = fit.parts[part] if fit else None
     band = np.sort(fitted.data.omega)[[0, -1]] if isinstance(fitted, FittedResponse) else None
@@ -411,6 +428,12 @@ def _unit(signal: str, model: Model, controllers: Sequence[Controller]) -> str:
     return units.get(signal, "")
 
 
+def _stated(margin: Margin) -> str:
+    if math.isfinite(margin.value):
+        return f"a {margin.name} of {_with_interval(margin)} {margin.unit}"
+    return f"an {'infinite' if margin.value > 0 else 'unmeasured'} {margin.name}"
+
+
 def _with_interval(margin: Margin) -> str:
     if not math.isfinite(margin.value):
         return "infinity" if margin.value > 0 else "unknown"
@@ -482,7 +505,8 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
         notes.append("The gain is one at several frequencies; the smallest margin counts.")
     plant = loop.name or "the measured response"
     # There are no plants whose loops could be evaluated elsewhere.
-    return Margins(plant, loop.input, "", "", tuple(rows), True, 0.0, level, None, tuple(notes))
+    rows, notes = tuple(rows), tuple(notes)
+    return Margins(plant, loop.input, "", "", rows, True, 0.0, level, None, notes, loop)
 
 
 def _drawn(loop: FrequencyResponse) -> ComplexArray:

@@ -20,9 +20,10 @@ from greybox.experiment.controller import Controller
 from greybox.experiment.drawn_loops import drawn_loops
 from greybox.experiment.loop_numbers import loop_frequencies, margin_numbers
 from greybox.experiment.sampled_loop import SampledLoop, linear_controller
+from greybox.experiment.sines import sine_schedule
 from greybox.files.arrays import Array, BoolArray
 from greybox.files.json_numbers import plain
-from greybox.files.text_table import number, one_line, text_table
+from greybox.files.text_table import listed, number, one_line, text_table
 from greybox.modeling.model import Names, require_known
 from greybox.spectral import spectral_response
 
@@ -295,9 +296,12 @@ def _cure(name: str, poor: Sequence[float], points: Array, excess: Array) -> str
     """Return which flight would measure the response at these poor crossovers, in rad/s."""
     factor = np.interp(poor, points, excess).max() if points.size else 0.0
     larger = f" with {factor:.2g} times the amplitude" if factor > 1 else ""
+    ends = min(poor) / SPACING, max(poor) * SPACING
+    omega = np.geomspace(*ends, 2 + math.ceil(math.log(ends[1] / ends[0], SPACING)))
+    seconds = sine_schedule(omega.tolist(), 1.0, rate=2 * ends[1]).time[-1]
     return (
-        f"In the conditions of {name!r}, fly a sweep or sines from {min(poor) / SPACING:.2g} to "
-        f"{max(poor) * SPACING:.2g} rad/s{larger}."
+        f"In the conditions of {name!r}, fly sines at {listed([f'{w:.2g}' for w in omega])} rad/s "
+        f"({seconds:.0f} s by sine_schedule), or a sweep over this band{larger}."
     )
 
 

@@ -81,6 +81,10 @@ def loop_figures(margins: Margins, *measured: FrequencyResponse) -> list[Figure]
     ]
     if margins.setpoint:
         time, steps = step_responses(loops, margins.setpoint, margins.response)
+        # The slowest pole may have no part in the step.
+        settled = {row.name: row.value for row in margins.margins}.get("settling time", math.inf)
+        time = time[time <= 4 * settled]
+        steps = steps[:, : len(time)]
         series = [*_banded(margins, time, steps), rule(1.0)]
         label = f"{margins.response} over its final value"
         figures.append(Figure(f"Step of {margins.setpoint}", "Time, s", [Panel(label, series)]))

@@ -57,6 +57,18 @@ def test_the_controller_comes_from_a_log(capsys, pitch):
     assert answer["measured"] == []  # the response of the paper has no variance
 
 
+def test_measured_points_are_on_the_page(capsys, tmp_path):
+    fit = gb.fit(sitl_pitch.problem(), starts=1, profiles=False, progress=False)
+    saved, page = tmp_path / "sitl.h5", tmp_path / "page.html"
+    gb.save(fit, saved)
+    run(capsys, "margins", saved, "--log", sitl_pitch.LOG, "--broken-at", "theta", "--report", page)
+    _, at_control, at_attitude = page.read_text(encoding="utf-8").split("<strong>Nichols diagram")
+    name = "the measured response and the controller"
+    assert name in at_control
+    # The table of the measured margins names it again; the figures of the other loop do not.
+    assert name not in at_attitude.split("<pre>")[0]
+
+
 def test_the_loop_is_drawn(capsys, pitch, tmp_path):
     drawn = tmp_path / "loop.png"
     _, out, _ = run(capsys, "margins", pitch, *LOOP, "--plot", drawn)

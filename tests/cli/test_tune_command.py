@@ -54,7 +54,7 @@ def test_gains_whose_crossover_was_not_measured_are_refused(capsys, loop, tmp_pa
     status, text, _ = run(capsys, "tune", *loop, *words)
     assert status == 1
     assert text.startswith("Refused")
-    assert "fly a sweep or sines" in text
+    assert "fly sines at 0.15" in text
     assert not out.exists()
 
 

@@ -106,6 +106,39 @@ def test_the_criteria_of_ads_33_need_an_attitude():
     assert not any("ADS" in name for name in names)
 
 
+def test_an_attitude_command_has_the_bandwidth_of_its_phase_and_a_distance_from_a_boundary():
+    class Attitude(gb.StateSpace):
+        states, inputs, outputs = ("q", "theta"), ("u",), ("theta",)
+        units = {"theta": "rad"}
+        K = gb.Parameter(30.0)
+
+        def derivative(self, x, u, p):
+            return (p.K * u.u - 4 * x.q, x.q)
+
+        def output(self, x, u, p):
+            return (x.theta,)
+
+    class Hold(gb.Controller):
+        inputs, outputs, rate = ("theta",), ("u",), RATE
+
+        def update(self, x, u, p):
+            return (), (0.5 * (u.reference - u.theta),)
+
+    corners = [(0.0, 1.0), (0.1, 3.0)]
+    answer = gb.margins(Attitude(), Hold(), boundary=corners)
+    assert answer["ADS-33 gain bandwidth"].value != answer["ADS-33 bandwidth"].value
+    assert answer["ADS-33 phase bandwidth"].value == answer["ADS-33 bandwidth"].value
+    least = np.interp(answer["phase delay"].value, *np.transpose(corners))
+    above = answer["ADS-33 bandwidth"].value - least
+    assert answer["bandwidth above the boundary"].value == pytest.approx(above)
+    beyond = gb.margins(Attitude(), Hold(), boundary=[(0.0, 1.0), (0.001, 1.0)])
+    assert beyond["bandwidth above the boundary"].value == -np.inf
+    with pytest.raises(ValueError, match="increasing phase delays"):
+        gb.margins(Attitude(), Hold(), boundary=corners[::-1])
+    with pytest.raises(ValueError, match="declare the unit of 'q'"):
+        gb.margins(RateDynamics(), RateLoop(), boundary=corners)
+
+
 def test_steps_are_those_of_a_flight_with_a_fraction_of_a_sample_of_delay():
     values = {"K": 40.0, "a": 2.0, "T": 0.05, "tau": 0.023}
     answer = gb.margins(Measured(), RateLoop(), values)

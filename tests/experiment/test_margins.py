@@ -162,6 +162,25 @@ def test_intervals_follow_the_profile_where_errors_are_not_symmetric():
     assert abs(linear[0] - ends[0]) > 0.1 * (ends[1] - ends[0])
 
 
+def test_intervals_of_a_record_follow_the_profile_too():
+    values = {**TRUTH, "tau": 0.02}
+    kick = {"u": np.r_[0.1 * np.sign(np.sin(4 * np.arange(300) / RATE)), np.zeros(100)]}
+    record = gb.virtual_flight(RateDynamics(), values, kick, rate=RATE, noise={"q": 3.0}, seed=1)
+    fixed = {name: values[name] for name in ("K", "T", "tau")}
+    fit = gb.fit(gb.Problem(RateDynamics(), record, fixed=fixed), starts=2, progress=False)
+    # The faster the damping, the larger the phase margin.
+    low, high = (
+        gb.margins(RateDynamics(), RateLoop(), {**values, "a": a})["phase margin"].value
+        for a in gb.profile(fit, "a").intervals["a"]
+    )
+    margin = gb.margins(fit, RateLoop())["phase margin"]
+    assert margin.low == pytest.approx(low, abs=0.04 * (high - low))
+    assert margin.high == pytest.approx(high, abs=0.04 * (high - low))
+    linear = fit.interval()["a"][0]
+    by_error = gb.margins(RateDynamics(), RateLoop(), {**values, "a": linear})["phase margin"]
+    assert margin.low - by_error.value > 0.08 * (high - low)
+
+
 def test_a_pole_that_cannot_pass_zero_makes_no_draw_unstable():
     # 300 bootstrap replicates are stable, although the standard error of a2 is twice its value.
     fit = gb.fit(yaw_hover.problem(), starts=2, profiles=False, progress=False)

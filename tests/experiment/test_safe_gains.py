@@ -127,7 +127,7 @@ def test_parts_of_a_fit_are_flights_and_the_operating_point_counts():
     [
         # A random error of 40 % instead of 20 % needs at least twice the amplitude.
         ({"noise": 0.4}, " times the amplitude."),
-        ({"lowest": 0.2, "highest": 1.5}, " rad/s."),
+        ({"lowest": 0.2, "highest": 1.5}, " over this band."),
     ],
 )
 def test_a_response_that_was_measured_poorly_at_the_crossover_is_refused(data, cure):
@@ -135,7 +135,8 @@ def test_a_response_that_was_measured_poorly_at_the_crossover_is_refused(data, c
     assert not answer.allowed.any()
     assert answer.best == {}
     assert answer.verdict.startswith("refused")
-    assert "In the conditions of 'flight 0', fly a sweep or sines from" in answer.cure
+    assert "In the conditions of 'flight 0', fly sines at " in answer.cure
+    assert "s by sine_schedule)" in answer.cure
     assert answer.cure.endswith(cure)
 
 
