@@ -424,6 +424,7 @@ def loop_of_log(
         loops.append(flown.loop_gain(data))
     measured = tuple(gb.margins(loop, level=level) for loop in loops)
     notes = disagreements(of_model, measured)
+    of_model = replace(of_model, points=tuple(loops))
     return LoopOfLog(flown, check, of_model, measured, tuple(others), notes)
 
 

@@ -9,6 +9,7 @@ from greybox.cli.saved_fits import saved_fit
 from greybox.experiment.controller import Controller
 from greybox.experiment.margins import margin_table, margins
 from greybox.logs.readers import read
+from greybox.modeling.model import require_known
 from greybox.study.catalog import find_controller, shipped_module
 from greybox.study.study import read_study
 
@@ -65,7 +66,7 @@ def run(options: argparse.Namespace) -> Answer:
     require_figure(options.plot, options.force)
     require_writable(options.report, options.force, (".html", ".htm"), "page")
     tracking = tuple(options.tracking) if options.tracking else None
-    wrong, measured = "", []
+    wrong = ""
     # A log has the controller that flew, with its gains and its rate.
     if options.log:
         refuse_controllers(options)
@@ -79,7 +80,7 @@ def run(options: argparse.Namespace) -> Answer:
             tracking=tracking,
             **attributes(options, "signals", "at", "level"),
         )
-        loops, measured = [flown.model, *flown.others], [*flown.measured]
+        loops = [flown.model, *flown.others]
         answer, text = flown.to_dict(), [str(flown)]
         if not flown.check.reproduces:
             wrong = "the controllers of the log do not reproduce its control."
@@ -99,11 +100,11 @@ def run(options: argparse.Namespace) -> Answer:
     unsafe = " ".join(loop.verdict for loop in loops if not loop.is_safe)
     if unsafe or wrong:
         answer["error"] = unsafe or wrong
-    text += save_figure(options.plot, "loop", loops[0], *(m.points for m in measured))
+    text += save_figure(options.plot, "loop", loops[0])
     if options.report:
         from greybox.html_report.report import report  # noqa: PLC0415  (slow import)
 
-        report([*fits.values()], options.report, margins=[*loops, *measured])
+        report([*fits.values()], options.report, margins=loops)
         text.append(f"wrote {options.report}")
     return answer, "\n\n".join(text)
 
@@ -123,11 +124,8 @@ def stated_controllers(options: argparse.Namespace) -> list[Controller]:
     if not options.controller:
         raise UsageError("no controller is stated: give --controller or --log.")
     kinds = [find_controller(text) for text in options.controller]
-    names = {name for kind in kinds for name in kind.parameters}
-    if unknown := sorted(options.set.keys() - names):
-        raise UsageError(
-            f"--set {unknown[0]}: no controller has it; there are {', '.join(sorted(names))}."
-        )
+    gains = [name for kind in kinds for name in kind.parameters]
+    require_known(options.set, gains, "gain", "the list of controllers")
 
     # In a cascade, every controller takes the gains and signals that it has.
     return [

@@ -6,7 +6,7 @@ Begin with `loop_numbers`.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -203,20 +203,15 @@ def follows(loop: SampledLoop, setpoint: str, response: str) -> bool:
 
 
 def closed_loop_numbers(
-    loop: SampledLoop,
-    omega: Array,
-    setpoint: str,
-    response: str,
-    integrals: int | None,
-    boundary: Array,
+    loop: SampledLoop, omega: Array, setpoint: str, response: str, **attitude: Any
 ) -> Numbers:
     """Return numbers of the closed loops from a setpoint to a response.
 
-    `integrals` is how often the response is integrated to an attitude, for the criteria of ADS-33;
-    None if it is not an angle or a rate. `boundary` has phase delays and bandwidths (2, n).
+    Of an `attitude`, for the criteria of ADS-33: `integrals`, how often the response is integrated
+    to it, None if it is not an angle or a rate; and `boundary`, phase delays and bandwidths (2, n).
     """
     return {
-        **_response_numbers(loop, omega, setpoint, response, integrals, boundary),
+        **_response_numbers(loop, omega, setpoint, response, **attitude),
         **_step_numbers(loop, setpoint, response),
         **_pole_numbers(loop, setpoint, response),
     }

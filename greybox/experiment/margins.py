@@ -115,8 +115,8 @@ class Margins:
         At the estimate, and at the draws.
     notes : tuple of str
         Why an interval is missing, and what the fit warns of.
-    points : FrequencyResponse or None
-        The loop, where it was measured.
+    points : tuple of FrequencyResponse
+        The same loop as it was measured, for figures.
     """
 
     plant: str
@@ -129,7 +129,7 @@ class Margins:
     level: float
     loop: SampledLoop | None = field(repr=False)
     notes: tuple[str, ...] = ()
-    points: FrequencyResponse | None = None
+    points: tuple[FrequencyResponse, ...] = ()
 
     def __getitem__(self, name: str) -> Margin:
         """Return a margin by its name, such as "phase margin"."""
@@ -280,8 +280,8 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
         Whose model it is, in a fit of several problems.
     level : float
     boundary : sequence of (phase delay, bandwidth), s and rad/s, optional
-        Corners of a boundary between levels of handling qualities, in the order of phase delay:
-        the least ADS-33 bandwidth, up to the last phase delay.
+        Corners of a boundary between levels of handling qualities: the least ADS-33 bandwidth, up
+        to the largest phase delay.
 
     Returns
     -------
@@ -290,8 +290,7 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     Raises
     ------
     ValueError
-        If the fit has no estimate or no covariance, the controllers do not fit the model, or a
-        boundary does not belong to an attitude.
+        If the fit has no estimate or no covariance, or the controllers do not fit the model.
     TypeError
         For a plant that is none of these, for values beside a fit, for a plant without a
         controller, and for arguments beside a measured response.
@@ -341,20 +340,14 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
         return answer
 
     groups = {f"broken at {signal}": partial(broken_loop_numbers, signal=signal)}
-    integrals = _INTEGRALS.get(_unit(response, model, controllers))
-    corners = np.array(boundary, dtype=float).T
-    if corners.size and (integrals is None or np.any(np.diff(corners[0]) <= 0)):
-        raise ValueError(
-            f"the boundary {[*boundary]} needs a response with the unit of an angle or a rate, and "
-            f"increasing phase delays: declare the unit of {response!r}, or sort the corners."
-        )
     if setpoint and follows(loop, setpoint, response):
+        integrals = _INTEGRALS.get(_unit(response, model, controllers))
         groups[f"{setpoint} to {response}"] = partial(
             closed_loop_numbers,
             setpoint=setpoint,
             response=response,
             integrals=integrals,
-            boundary=corners,
+            boundary=np.array(sorted(boundary), dtype=float).T,
         )
     fitted = fit.parts[part] if fit else None
     band = np.sort(fitted.data.omega)[[0, -1]] if isinstance(fitted, FittedResponse) else None
@@ -487,7 +480,7 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
                 high, value, low = 2 * value - drawn_ends
             # Straight lines between twice as distant points are four times as wrong.
             change = abs(fewer[name].value[0] - values[0]) / 3 if name in fewer else 0.0
-            error = change if math.isfinite(change) else 0.0
+            error = np.nan_to_num(change, posinf=0)
             value, low, high, place = map(float, (value, low - error, high + error, places[0]))
         else:
             unmeasured.append(name)
@@ -505,8 +498,7 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
         notes.append("The gain is one at several frequencies; the smallest margin counts.")
     plant = loop.name or "the measured response"
     # There are no plants whose loops could be evaluated elsewhere.
-    rows, notes = tuple(rows), tuple(notes)
-    return Margins(plant, loop.input, "", "", rows, True, 0.0, level, None, notes, loop)
+    return Margins(plant, loop.input, "", "", tuple(rows), True, 0.0, level, None, tuple(notes))
 
 
 def _drawn(loop: FrequencyResponse) -> ComplexArray:

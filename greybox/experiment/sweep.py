@@ -1,7 +1,6 @@
-"""Frequency sweeps, logarithmic or linear."""
+"""Frequency sweeps."""
 
 import math
-from typing import Literal
 
 import numpy as np
 
@@ -20,18 +19,16 @@ def sweep(  # noqa: PLR0913 - each is one fact of the test card
     rate: float,
     *,
     amplitude: float = 1.0,
-    kind: Literal["logarithmic", "linear"] = "logarithmic",
     fade_in: float = 5.0,
     fade_out: float = 5.0,
     dwell: int = DWELL,
     signal: str = "u",
     unit: str = "",
 ) -> Excitation:
-    """Make a frequency sweep from `low` to `high`, faded in and out with half cosines.
+    """Make a logarithmic sweep from `low` to `high`, faded in and out with half cosines.
 
-    It begins with `dwell` periods of the lowest frequency, which count to the duration. The
-    logarithmic one is, sample for sample, the signal of ArduPilot's SystemID mode
-    (libraries/AP_Math/chirp.cpp).
+    It begins with `dwell` periods of the lowest frequency, which count to the duration. It is,
+    sample for sample, the signal of ArduPilot's SystemID mode (libraries/AP_Math/chirp.cpp).
 
     Parameters
     ----------
@@ -40,8 +37,6 @@ def sweep(  # noqa: PLR0913 - each is one fact of the test card
     rate : float, Hz
     amplitude : float
         In the signal's unit.
-    kind : {"logarithmic", "linear"}
-        Equal time per octave, or per rad/s.
     dwell : int
         Periods of the lowest frequency at the start.
     signal, unit : str
@@ -53,11 +48,8 @@ def sweep(  # noqa: PLR0913 - each is one fact of the test card
         dwell and fades.
     """
     checked_band([low, high], rate)
-    if low >= high or kind not in ("logarithmic", "linear"):
-        raise ValueError(
-            f"a {kind!r} sweep from {low:g} to {high:g} rad/s: the frequency must rise, "
-            "and the kind be 'logarithmic' or 'linear'."
-        )
+    if low >= high:
+        raise ValueError(f"a sweep from {low:g} to {high:g} rad/s: the frequency must rise.")
     hold = dwell * 2 * math.pi / low
     if min(fade_in, fade_out) < 0 or duration < fade_in + fade_out or duration <= hold:
         raise ValueError(
@@ -69,12 +61,9 @@ def sweep(  # noqa: PLR0913 - each is one fact of the test card
     time = np.arange(round_up(duration * rate) + 1) / rate
     span = duration - hold
     late = np.maximum(time - hold, 0)
-    if kind == "logarithmic":
-        rise = math.log(high / low)
-        # The integral of a frequency that grows exponentially; expm1 keeps digits at the start.
-        phase = low * span / rise * np.expm1(rise * late / span)
-    else:
-        phase = low * late + (high - low) * late**2 / (2 * span)
+    rise = math.log(high / low)
+    # The integral of a frequency that grows exponentially; expm1 keeps digits at the start.
+    phase = low * span / rise * np.expm1(rise * late / span)
     values = (
         amplitude
         * _fades(time, duration, fade_in, fade_out)
@@ -85,13 +74,12 @@ def sweep(  # noqa: PLR0913 - each is one fact of the test card
         "low": low,
         "high": high,
         "duration": duration,
-        "kind": kind,
         "amplitude": amplitude,
         "fade_in": fade_in,
         "fade_out": fade_out,
         "dwell": dwell,
     }
-    maneuver = Maneuver(signal, f"{kind} sweep", 0.0, 0.0, duration, low, high, amplitude, 0.0)
+    maneuver = Maneuver(signal, "logarithmic sweep", 0.0, 0.0, duration, low, high, amplitude, 0.0)
     return Excitation(time, {signal: values}, {signal: unit}, rate, (maneuver,), settings)
 
 

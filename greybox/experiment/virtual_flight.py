@@ -317,12 +317,9 @@ def _divergence(
 ) -> str:
     labels = [*map(repr, names), *(f"the state {n!r}" for n in loop.system.states)]
     row = int(np.flatnonzero(wrong)[-1])  # a state, if one is wrong
-    cure = "give a controller"
-    if loop.controllers:
-        cure = "give gains that stabilize the plant, or a smaller excitation"
     return (
         f"the flight of {loop.label} diverges: {labels[row]} is {values[row]:.3g} at "
-        f"{moment:.2f} s; {cure}."
+        f"{moment:.2f} s; give a controller that stabilizes the plant, or a smaller excitation."
     )
 
 

@@ -58,13 +58,7 @@ def page(
     margins: Sequence[Margins] = (),
 ) -> str:
     """Return the page of these results, and of the margins of their loops, as HTML."""
-    measured = [answer.points for answer in margins if answer.points is not None]
-    loops: list[Child] = []
-    for answer in margins:
-        loops.append(tag("pre", str(answer)))
-        if answer.loop is not None:
-            points = [loop for loop in measured if loop.input == answer.signal]
-            loops.append(figure_grid(loop_figures(answer, *points)))
+    loops = [(tag("pre", str(loop)), figure_grid(loop_figures(loop))) for loop in margins]
     appended = [_section("Stability margins", loops)] if loops else []
     fits = [entry.fit for entry in entries if entry.fit is not None]
     # A single result needs no comparison, and its sections are those of the page.

@@ -5,7 +5,6 @@ from functools import partial
 
 import numpy as np
 
-from greybox.data.frequency_response import FrequencyResponse
 from greybox.experiment.drawn_loops import DRAWN
 from greybox.experiment.loop_numbers import loop_frequencies, step_responses
 from greybox.experiment.margins import Margins
@@ -18,9 +17,7 @@ SHOWN = (1e-2, 1e2)  # gains of the broken loop that are drawn
 CURVES = 25  # draws in the Nichols and Nyquist diagrams, where a band has no direction
 
 
-def loop(
-    margins: Margins, *measured: FrequencyResponse, axes: GivenAxes | None = None
-) -> AxesArray:
+def loop(margins: Margins, axes: GivenAxes | None = None) -> AxesArray:
     """Draw the broken loop (magnitude, phase, Nichols, Nyquist) and the step of its setpoint.
 
     Shaded are bands at the level of the margins; in the Nichols and Nyquist diagrams thin curves
@@ -29,8 +26,7 @@ def loop(
     Parameters
     ----------
     margins : Margins
-    *measured : FrequencyResponse
-        The same broken loop as it was measured, with negative feedback: points.
+        Its `points` are drawn, too.
     axes : array-like of Axes, optional
         Four for the broken loop, and one more for the step. By default a new figure is made.
 
@@ -38,12 +34,11 @@ def loop(
     -------
     numpy.ndarray of Axes, shape (n,)
     """
-    figures = loop_figures(margins, *measured)
-    size, has_legend = (4.2, 3.6), bool(measured)
-    return draw(figures, axes, legend=has_legend, columns=3, size=size, title=margins.plant)
+    figures = loop_figures(margins)
+    return draw(figures, axes, legend=True, columns=3, size=(4.2, 3.6), title=margins.plant)
 
 
-def loop_figures(margins: Margins, *measured: FrequencyResponse) -> list[Figure]:
+def loop_figures(margins: Margins) -> list[Figure]:
     """Return the Bode, Nichols and Nyquist diagrams, and the step if there is a setpoint."""
     loops, signal = margins.require_loop(), margins.signal
     omega = loop_frequencies(loops)
@@ -60,7 +55,7 @@ def loop_figures(margins: Margins, *measured: FrequencyResponse) -> list[Figure]
         _plane(phase, decibel, (-180.0, 0.0)),
         _plane(gain.real, gain.imag, (-1.0, 0.0)),
     ]
-    for k, data in enumerate(measured, start=2):
+    for k, data in enumerate(margins.points, start=2):
         numbers = data.response
         size, angle = data.decibels, data.degrees
         # Both phases in the same turn.
@@ -79,13 +74,10 @@ def loop_figures(margins: Margins, *measured: FrequencyResponse) -> list[Figure]
         Figure("Nichols diagram", "Phase, °", [nichols]),
         Figure("Nyquist diagram", "Real part", [nyquist], limits=(-2.5, 1.5), is_plane=True),
     ]
-    if margins.setpoint:
+    for settling in (row.value for row in margins.margins if row.name == "settling time"):
         time, steps = step_responses(loops, margins.setpoint, margins.response)
-        # The slowest pole may have no part in the step.
-        settled = {row.name: row.value for row in margins.margins}.get("settling time", math.inf)
-        time = time[time <= 4 * settled]
-        steps = steps[:, : len(time)]
-        series = [*_banded(margins, time, steps), rule(1.0)]
+        is_shown = time <= 4 * settling  # the slowest pole may have no part in the step
+        series = [*_banded(margins, time[is_shown], steps[:, is_shown]), rule(1.0)]
         label = f"{margins.response} over its final value"
         figures.append(Figure(f"Step of {margins.setpoint}", "Time, s", [Panel(label, series)]))
     return figures

@@ -106,7 +106,7 @@ def test_a_loop_that_is_not_stable_fails(capsys, pitch):
         (("--log", sitl_pitch.LOG, *LOOP), "leave out one of them"),
         (("--log", sitl_pitch.LOG, "--at", "w=1"), "no operating point"),
         (("--controller", "controller:Attitude"), "did you mean 'AttitudeController'"),
-        ((*LOOP, "--set", "K_Q=1"), "no controller has it"),
+        ((*LOOP, "--set", "K_Q=1"), "has no gain 'K_Q'"),
         ((*LOOP[:2], "--signals", "q"), "OWN=PLANT"),
         (LOOP[:2], "no 'q' to measure"),
         ((*LOOP, "--broken-at", "w"), "the loop has no signal 'w'"),

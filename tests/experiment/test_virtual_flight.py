@@ -500,7 +500,7 @@ def test_a_flight_that_diverges_says_when_and_what():
     wild = AttitudeController({"K_P": -0.5})
     with pytest.raises(
         ValueError,
-        match=r"LinearTilt diverges: the state 'v' is \S+e\+\d+ at \d+\.\d\d s; give gains",
+        match=r"LinearTilt diverges: the state 'v' is \S+e\+\d+ at \d+\.\d\d s; give a controller",
     ):
         gb.virtual_flight(
             LinearTilt(), TRUTH, controller=wild, excitation={"reference": np.full(80000, 0.1)}
