@@ -422,9 +422,9 @@ def _unit(signal: str, model: Model, controllers: Sequence[Controller]) -> str:
 
 
 def _stated(margin: Margin) -> str:
-    if math.isfinite(margin.value):
-        return f"a {margin.name} of {_with_interval(margin)} {margin.unit}"
-    return f"an {'infinite' if margin.value > 0 else 'unmeasured'} {margin.name}"
+    if math.isnan(margin.value):
+        return f"an unmeasured {margin.name}"
+    return f"a {margin.name} of {_with_interval(margin)} {margin.unit}"
 
 
 def _with_interval(margin: Margin) -> str:
