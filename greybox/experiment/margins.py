@@ -156,7 +156,7 @@ class Margins:
                 f"{loop} is unstable with a probability of {100 * self.instability:.1f} %: "
                 "the data do not show that it is safe."
             )
-        phase, gain = (_stated(self[f"{kind} margin"]) for kind in ("phase", "gain"))
+        phase, gain = _stated(self["phase margin"]), _stated(self["gain margin"])
         beyond = "; the crossover is extrapolated" if self["crossover"].is_extrapolated else ""
         return f"{loop} has {phase} and {gain}{beyond}."
 
