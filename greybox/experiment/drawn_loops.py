@@ -153,8 +153,7 @@ def _lengths(fit: Fit, steps: Array, drawn: Callable[[Array], Array]) -> Array:
     # There the cost is no parabola, not even a lopsided one.
     is_odd = np.abs(rates - 1) > 1 / 3
     rates[is_odd] = 1 / _roots(ratio, ends[is_odd], expected[is_odd])
-    along, against = rates.reshape(2, -1)
-    rate = np.where(coordinates > 0, along, against)
+    rate = np.where(coordinates > 0, *rates.reshape(2, -1))
     return np.sqrt(2 * predicted / np.sum((coordinates * rate) ** 2, axis=1))
 
 
@@ -166,10 +165,9 @@ def _roots(ratio: Callable[[Array, Array], Array], steps: Array, predicted: Arra
         rows = places.astype(int)
         return ratio(lengths[:, None] * steps[rows], predicted[rows]) - 1
 
-    limits = np.zeros(len(steps)), np.full(len(steps), LONGEST)
-    root = elementwise.find_root(
-        excess, limits, args=(np.arange(len(steps)),), tolerances={"xatol": 0.01}
-    )
+    places = np.arange(len(steps))
+    ends = 0.0 * places, LONGEST + 0.0 * places
+    root = elementwise.find_root(excess, ends, args=(places,), tolerances={"xatol": 0.01})
     # Where the cost remains low, a bound is met, or the data say nothing.
     return np.nan_to_num(root.x, nan=LONGEST)
 

@@ -156,9 +156,8 @@ class Margins:
                 f"{loop} is unstable with a probability of {100 * self.instability:.1f} %: "
                 "the data do not show that it is safe."
             )
-        phase, gain = _stated(self["phase margin"]), _stated(self["gain margin"])
         beyond = "; the crossover is extrapolated" if self["crossover"].is_extrapolated else ""
-        return f"{loop} has {phase} and {gain}{beyond}."
+        return f"{loop} has {_stated(self['phase margin'])} and {_stated(self['gain margin'])}{beyond}."
 
     def require_loop(self) -> SampledLoop:
         """Return the loop; ValueError for margins of a measured response."""
@@ -341,12 +340,11 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
 
     groups = {f"broken at {signal}": partial(broken_loop_numbers, signal=signal)}
     if setpoint and follows(loop, setpoint, response):
-        integrals = _INTEGRALS.get(_unit(response, model, controllers))
         groups[f"{setpoint} to {response}"] = partial(
             closed_loop_numbers,
             setpoint=setpoint,
             response=response,
-            integrals=integrals,
+            integrals=_INTEGRALS.get(_unit(response, model, controllers)),
             boundary=np.array(sorted(boundary), dtype=float).T,
         )
     fitted = fit.parts[part] if fit else None
