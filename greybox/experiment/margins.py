@@ -157,7 +157,8 @@ class Margins:
                 "the data do not show that it is safe."
             )
         beyond = "; the crossover is extrapolated" if self["crossover"].is_extrapolated else ""
-        return f"{loop} has {_stated(self['phase margin'])} and {_stated(self['gain margin'])}{beyond}."
+        phase, gain = (_stated(self[name]) for name in MAIN[:2])
+        return f"{loop} has {phase} and {gain}{beyond}."
 
     def require_loop(self) -> SampledLoop:
         """Return the loop; ValueError for margins of a measured response."""
