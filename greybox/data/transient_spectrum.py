@@ -67,13 +67,9 @@ class TransientSpectrum:
         omega = finite_array("omega", self.omega)
         # Off this grid constants leak into the integrals, and errors are correlated.
         lines = omega * self.duration / (2 * np.pi)
-        off = np.abs(lines - np.round(lines)) > 1e-6 * np.maximum(lines, 1)  # more than rounding
-        if (
-            omega.size == 0
-            or np.any(off)
-            or np.any(np.round(lines) < 1)
-            or np.any(np.diff(omega) <= 0)
-        ):
+        whole = np.round(lines)
+        is_whole = np.abs(lines - whole) <= 1e-6 * np.maximum(lines, 1)  # up to rounding
+        if not (omega.size and is_whole.all() and np.all(np.diff(whole, prepend=0) >= 1)):
             raise ValueError(
                 f"omega must be increasing multiples of {2 * np.pi / self.duration:.6g} rad/s, 2π "
                 "over the duration: use gb.spectral.transient_spectrum(record, ...)."

@@ -8,6 +8,7 @@ International System of Units, NIST Special Publication 811 (2008), appendix B.
 """
 
 import re
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -194,7 +195,7 @@ def to_si(unit: str) -> Conversion:
     # pymavlink writes multipliers before a unit, as in ``1e-07 deg``.
     leading = LEADING.match(text)
     factor = float(leading[1]) if leading else 1.0
-    powers: dict[str, int] = {}
+    powers = Counter[str]()
     for name, power in _powers(text[leading.end() :] if leading else text).items():
         if name.lower() in POUNDS:
             raise ValueError(f"{name} may be a pound of mass or of force, write lbm or lbf")
@@ -204,7 +205,7 @@ def to_si(unit: str) -> Conversion:
             raise ValueError(f"the unit {unit!r} is not known")
         factor *= named.factor**power
         for si, exponent in _powers(named.si).items():
-            powers[si] = powers.get(si, 0) + exponent * power
+            powers[si] += exponent * power
     if not powers:
         raise ValueError(f"the unit {unit!r} is not known")
 
@@ -224,10 +225,10 @@ def are_of_one_kind(a: Conversion, b: Conversion) -> bool:
     # Derived units may be written in several ways: N/kg and m/s² are one kind.
     kinds = []
     for conversion in (a, b):
-        powers: dict[str, int] = {}
+        powers = Counter[str]()
         for name, power in _powers(conversion.si).items():
             for base, exponent in _powers(IN_BASE_UNITS.get(name, name)).items():
-                powers[base] = powers.get(base, 0) + power * exponent
+                powers[base] += power * exponent
         kinds.append(
             {name: power for name, power in powers.items() if power and name not in ("rad", "1")}
         )
@@ -248,7 +249,7 @@ def _named(name: str) -> _Unit | None:
 def _powers(text: str) -> dict[str, int]:
     """Return the names in a product with their exponents; empty if the text is not a product."""
     plain = text.translate(str.maketrans(SUPERSCRIPTS, PLAIN))
-    powers: dict[str, int] = {}
+    powers = Counter[str]()
     # Signs of the exponents: -1 behind a slash. A slash before parentheses holds for all in them.
     side = 1
     group = 0
@@ -260,7 +261,7 @@ def _powers(text: str) -> dict[str, int]:
         at = token.end()
         if token["name"]:
             power = int(token["power"] or token["inner"] or 1)
-            powers[token["name"]] = powers.get(token["name"], 0) + (group or 1) * side * power
+            powers[token["name"]] += (group or 1) * side * power
             side = 1
         elif token["mark"] == "/":
             side = -1

@@ -24,6 +24,13 @@ CONTROLLER_MESSAGES = (
 )
 
 
+def loop_text(controller: str) -> str:
+    """Return whether the loop was closed, and by what this shows in the log."""
+    if controller:
+        return f"closed loop ({controller} is in the log)"
+    return "open loop (the log shows no controller)"
+
+
 def controller_in(recording: Recording, controls: Sequence[str], measured: Sequence[str]) -> str:
     """Return the signal or message that shows a controller of the axis; empty without one.
 

@@ -141,7 +141,6 @@ def measure_manoeuvre(
     if controller:
         choices.append(
             f"closed loop ({controller} is in the log): output noise returns to the inputs, which "
-            "are taken as known: "
-            "if it is not small, the estimates are biased."
+            "are taken as known: if it is not small, the estimates are biased."
         )
     return ManoeuvreMeasurement(manoeuvres, chosen, record, spectrum, tuple(choices))

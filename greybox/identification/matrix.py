@@ -9,7 +9,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.files.text_table import counted, number, one_line, text_table
-from greybox.identification.loop import controller_in
+from greybox.identification.loop import controller_in, loop_text
 from greybox.identification.measurement import named_signals
 from greybox.logs.prepare import prepare
 from greybox.spectral.orthogonal_multisines import response_matrix
@@ -96,16 +96,10 @@ def measure_matrix(
     used = math.floor((len(record) / record.rate) / period + 1e-9)
     said = [
         f"from {record.time[0]:.2f} to {record.time[-1]:.2f} s at {record.rate:.5g} Hz: "
-        f"{counted(used, 'period')} of "
-        f"{period:g} s, after {settle:g} s of settling."
+        f"{counted(used, 'period')} of {period:g} s, after {settle:g} s of settling."
     ]
     measured = [signals[name] for name in (*u, *y)]
-    controller = controller_in(recording, measured[: len(u)], measured)
-    loop = (
-        f"closed loop ({controller} is in the log)"
-        if controller
-        else "open loop (no controller is seen in the log)"
-    )
+    loop = loop_text(controller_in(recording, measured[: len(u)], measured))
     by = f"the excitations {', '.join(excitations)} tell" if e else "the inputs themselves tell"
     said.append(
         f"{loop}: averages over whole periods; {by} which lines are whose, instrument=... names "

@@ -18,7 +18,7 @@ from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
 from greybox.data.units import known_unit
 from greybox.files.text_table import counted, number, one_line
-from greybox.identification.loop import controller_in
+from greybox.identification.loop import controller_in, loop_text
 from greybox.identification.orders import LinearFit, Orders, best_response, linear_fits
 from greybox.identification.systematic_errors import (
     motor_saturation,
@@ -42,8 +42,7 @@ RESERVED = (INSTRUMENT, SETPOINT)
 
 FEEDBACK = (
     "In a loop, output noise returns through the controller to the input, and biases the direct "
-    "estimate toward minus "
-    "the inverse of the controller"
+    "estimate toward minus the inverse of the controller"
 )
 
 
@@ -264,12 +263,10 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         for name in (control, output):
             recording.locate(name)
         raise ValueError(
-            f"{recording.source or 'the log'} was flown in closed loop ({controller} is in it) "
-            "and no excitation is "
-            "known, so that a direct estimate tends to minus the inverse of the controller, "
-            "whatever its coherence: "
-            "give the injected signal, instrument=SIGNAL, or open_loop=True if you know that the "
-            "loop was open."
+            f"{recording.source or 'the log'} was flown in closed loop ({controller} is in it) and "
+            "no excitation is known, so that a direct estimate tends to minus the inverse of the "
+            "controller, whatever its coherence: give the injected signal, instrument=SIGNAL, or "
+            "open_loop=True if you know that the loop was open."
         )
     # All on one time base, so that a gap in one of them is a gap of the estimate.
     signals = {u: control, y: output}
@@ -611,13 +608,7 @@ def _choices(
     signals: Mapping[str, str],
     response: FrequencyResponse | None,
 ) -> tuple[str, ...]:
-    if settings.open_loop:
-        loop = "open loop, as stated"
-    elif controller:
-        loop = f"closed loop ({controller} is in the log)"
-    else:
-        loop = "open loop (the log shows no controller)"
-
+    loop = "open loop, as stated" if settings.open_loop else loop_text(controller)
     if used and used[0].kind == "sine":
         estimate = (
             "amplitudes at the frequency of the excitation, whose ratio feedback does not bias."

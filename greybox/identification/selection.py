@@ -128,8 +128,7 @@ class Selection:
             return f"{self.reason} Its residuals are {size}."
         return (
             f"No structure explains the data: the residuals of the best one are {size}. Its "
-            "parameters describe no "
-            f"vehicle. ({self.reason})"
+            f"parameters describe no vehicle. ({self.reason})"
         )
 
     def __repr__(self) -> str:

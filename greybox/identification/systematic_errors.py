@@ -152,8 +152,7 @@ def _thinned(
     relative = np.linalg.norm(common, axis=0)
     text = (
         f"{thinned}: {_size(relative)} are added to the standard errors, as an error that all "
-        "frequencies and a fitted "
-        f"gain have in common; to log every pass, {thinned.cure}."
+        f"frequencies and a fitted gain have in common; to log every pass, {thinned.cure}."
     )
     return SystematicError(
         "thinned log", relative, Finding("logging", "note", float(relative.max()), text), common

@@ -32,11 +32,6 @@ AXES = {
 }
 
 
-def is_filtered_rate(signal: str) -> bool:
-    """Return whether a signal is an angular velocity behind the filters of the gyro."""
-    return signal.rpartition(".")[0].partition("[")[0] in FILTERED
-
-
 def named_filters(recording: Recording) -> dict[str, tuple[KnownFilter, ...]]:
     """Return the filters of the gyro whose parameters are known, by name."""
     parameters = recording.metadata.get("parameters", {})

@@ -7,8 +7,7 @@ several takes ``axes=None``, an array-like of as many Axes as it has panels, and
 numpy array (n,) of Axes. Without axes it makes a figure of its own, which is ``ax.figure``. pyplot
 does not know that figure: show it as the last line of a notebook cell
 (``gb.plotting.bode(fit)[0].figure``), or save it with ``savefig``. With axes it draws into these
-alone: the legend is inside, and ``legend=False`` leaves it out. `plot` composes several diagrams
-and returns the Figure.
+alone, with the legend inside. `plot` composes several diagrams and returns the Figure.
 
 | file | contents |
 | --- | --- |

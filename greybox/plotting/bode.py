@@ -28,7 +28,6 @@ def bode(
     *fits: Fit | FrequencyResponse,
     labels: Sequence[str] = (),
     axes: GivenAxes | None = None,
-    legend: bool = True,
     level: float | None = 0.95,
 ) -> AxesArray:
     """Draw the Bode diagram: magnitude in dB and unwrapped phase in degrees over omega in rad/s.
@@ -53,8 +52,6 @@ def bode(
     axes : array-like of Axes, optional
         For magnitude and phase, then for the coherence, if it is known, and the errors of fits; two
         or more. By default a new figure is made.
-    legend : bool
-        Draw a legend, below a new figure or in the first of the given axes.
     level : float or None
         Confidence level of the bands; None draws none.
 
@@ -72,7 +69,7 @@ def bode(
     # With two axes a user wants magnitude and phase, whatever else there is to draw.
     if axes is not None:
         figure = replace(figure, panels=figure.panels[: flat_axes(axes).size])
-    return draw([figure], axes, legend=legend)
+    return draw([figure], axes)
 
 
 def bode_figure(

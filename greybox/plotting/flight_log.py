@@ -24,7 +24,6 @@ def traces(
     periods: float = 4,
     *,
     axes: GivenAxes | None = None,
-    legend: bool = True,
 ) -> AxesArray:
     """Draw every signal of a record over time, one panel for each unit.
 
@@ -41,8 +40,6 @@ def traces(
         Number of periods of the lowest frequency of `segment`.
     axes : array-like of Axes, optional
         One for each unit, in the order of the signals. By default a new figure is made.
-    legend : bool
-        Draw a legend.
 
     Returns
     -------
@@ -74,7 +71,7 @@ def traces(
     if segment is not None and segment.kind == "sine":
         subject += f", {segment.omega:.4g} rad/s"
     figure = Figure("Traces", "Time, s", panels, subject=subject)
-    return draw([figure], axes, legend=legend, size=(9.0, 2.0))
+    return draw([figure], axes, size=(9.0, 2.0))
 
 
 def recording(
@@ -82,7 +79,6 @@ def recording(
     segments: Sequence[Segment] = (),
     *,
     axes: GivenAxes | None = None,
-    legend: bool = True,
 ) -> AxesArray:
     """Draw setpoints and angles of a log, or its first signals, with its test segments shaded.
 
@@ -95,8 +91,6 @@ def recording(
     axes : array-like of Axes, optional
         One for each angle of the log, or for each of its first six signals. By default a new
         figure is made.
-    legend : bool
-        Draw a legend.
 
     Returns
     -------
@@ -122,7 +116,7 @@ def recording(
         subject=recording.source or "recording",
         spans=spans_of(segments),
     )
-    return draw([figure], axes, legend=legend, size=(10.0, 1.8))
+    return draw([figure], axes, size=(10.0, 1.8))
 
 
 def signal_line(name: str, time: Array, values: Array, color: int) -> Series:

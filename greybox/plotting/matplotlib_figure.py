@@ -231,8 +231,9 @@ def _draw_rule(ax: Axes, series: Series) -> None:
 
 def _draw_regions(ax: Axes, series: Series) -> None:
     color = color_of(series.color)
+    dash = DASHES[series.style % len(DASHES)]
     look: dict[str, Any] = {"facecolors": "none", "edgecolors": color, "linewidths": 0.8}
-    look |= {"alpha": 0.6, "zorder": 2}
+    look |= {"linestyles": dash, "alpha": 0.6, "zorder": 2}
     if not series.is_hollow:
         # A pale opaque color: transparent ellipses would become dark where they overlap.
         pale = tuple(1 - BAND_ALPHA * (1 - part) for part in to_rgb(color))
@@ -310,7 +311,7 @@ def _look(series: Series) -> dict[str, Any]:
     """Return the keywords of matplotlib's `plot`."""
     color = color_of(series.color)
     look = {"color": color, "label": plain(series.name) or "_"}
-    if series.kind in ("line", "rule"):
+    if series.kind in ("line", "rule", "regions"):
         dash = DASHES[series.style % len(DASHES)]
         # Long records swing so fast that wide lines would fill the panel. What was measured is gray
         # and must show beside the thin lines on it.

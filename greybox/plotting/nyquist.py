@@ -18,7 +18,6 @@ def nyquist(
     *fits: Fit | FrequencyResponse,
     labels: Sequence[str] = (),
     axes: GivenAxes | None = None,
-    legend: bool = True,
     level: float | None = 0.95,
 ) -> AxesArray:
     """Draw the Nyquist diagram: measured points, numbered by frequency in rad/s, and fitted curves.
@@ -38,8 +37,6 @@ def nyquist(
         One legend entry for each of `fits`, e.g. ``("published", "refitted")``.
     axes : Axes or array-like of Axes, optional
         One for each input-output pair. By default a new figure is made.
-    legend : bool
-        Draw a legend, below a new figure or inside the given axes.
     level : float or None
         Confidence level of the regions; None draws none.
 
@@ -57,7 +54,7 @@ def nyquist(
         require_level(level)
     figures = nyquist_figures(fits, labels, level)
     columns = columns_of(len(figures))
-    return draw(figures, axes, columns=columns, size=(5.2, 5.0), title=title(fits), legend=legend)
+    return draw(figures, axes, columns=columns, size=(5.2, 5.0), title=title(fits))
 
 
 def nyquist_figures(

@@ -55,19 +55,15 @@ def contour(contour: Contour, axes: Axes | None = None) -> Axes:
     ]
     if hollow.size:
         series.append(Series("open end", "points", *hollow, is_hollow=True))
-    # The limits come from the region alone: the ellipse may be many times as long.
-    ends = np.nanmin([x, y], axis=1), np.nanmax([x, y], axis=1)
-    room = 0.05 * (ends[1] - ends[0])
-    limits = [(low, high) for low, high in zip(ends[0] - room, ends[1] + room, strict=True)]
+    # Regions leave the limits to the other series: the ellipse may be many times as long.
     if np.all(np.isfinite(contour.covariance)):
-        series.append(Series("standard errors", "line", *contour.ellipse().T, color=GRAY, style=1))
+        ellipse = contour.ellipse().T
+        series.append(Series("standard errors", "regions", *ellipse, INK, 1, is_hollow=True))
 
     estimate = contour.estimate[:, None]
     series.append(Series("estimate", "points", *estimate, color=INK))
     across, upward = map(_label, contour.names, contour.units)
-    figure = Figure(
-        "Region", across, [Panel(upward, series, limits=limits[1])], "Region", limits=limits[0]
-    )
+    figure = Figure("Region", across, [Panel(upward, series)], "Region")
     return draw([figure], axes, size=(5.0, 2.9))[0]
 
 

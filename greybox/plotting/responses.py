@@ -112,12 +112,13 @@ def drawn_responses(
         0 < len(distinct) < len([part for part in group if part.curve is not None])
         for group, distinct in zip(parts, curves, strict=True)
     )
-    colors = {} if is_shared else {checksum: k for k, checksum in enumerate(data)}
+    is_plain = is_shared or len(data) <= 1
+    colors = {} if is_plain else {checksum: k for k, checksum in enumerate(data)}
     drawn = []
     for i, name in enumerate(names):
         plain_color = i if len(data) <= 1 else (INK if i == 0 else GRAY)
         for part, curve in curves[i]:
-            color = colors.get(part.checksum, plain_color) if len(data) > 1 else plain_color
+            color = colors.get(part.checksum, plain_color)
             look = {"fit": part.fit, "band": _band(part, level)}
             pair = part.pair if all(part.pair) else only
             drawn.append(DrawnResponse(curve, name, color, i, False, part.checksum, pair, **look))

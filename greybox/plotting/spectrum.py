@@ -15,7 +15,7 @@ from greybox.plotting.signals import chosen, shown_unit
 
 
 def spectrum(
-    item: Fit | TransientSpectrum, part: int = 0, axes: GivenAxes | None = None, legend: bool = True
+    item: Fit | TransientSpectrum, part: int = 0, axes: GivenAxes | None = None
 ) -> AxesArray:
     """Draw the transforms of a manoeuvre over omega in rad/s.
 
@@ -30,8 +30,6 @@ def spectrum(
         Number of the manoeuvre in a fit to several.
     axes : array-like of Axes, optional
         Two for each output and one for each input. By default a new figure is made.
-    legend : bool
-        Draw a legend, below a new figure or in the first of the given axes.
 
     Returns
     -------
@@ -43,7 +41,7 @@ def spectrum(
     TypeError, ValueError
         For an item that cannot be drawn, a fit without a manoeuvre, or a wrong number of axes.
     """
-    return draw([spectrum_figure(item, part)], axes, legend=legend, size=(7.0, 2.5))
+    return draw([spectrum_figure(item, part)], axes, size=(7.0, 2.5))
 
 
 def spectrum_figure(item: Fit | TransientSpectrum, part: int = 0) -> Figure:

@@ -14,7 +14,7 @@ from greybox.solve.runs import SCREENED, Run
 COLORED = 5  # minima with a color of their own; the others are gray
 
 
-def starts(fit: Fit, ax: Axes | None = None, legend: bool = True) -> Axes:
+def starts(fit: Fit, ax: Axes | None = None) -> Axes:
     """Draw the final cost of every run, sorted and colored by the minimum that it reached.
 
     Failed runs are crosses at the right; their height means nothing. The scale is logarithmic
@@ -25,15 +25,13 @@ def starts(fit: Fit, ax: Axes | None = None, legend: bool = True) -> Axes:
     fit : Fit
     ax : Axes, optional
         By default a new figure is made.
-    legend : bool
-        Draw a legend, below a new figure or inside the given axes.
 
     Returns
     -------
     Axes
         In a notebook, ``gb.plotting.starts(fit).figure`` shows the figure.
     """
-    return draw([starts_figure(fit)], ax, legend=legend)[0]
+    return draw([starts_figure(fit)], ax)[0]
 
 
 def starts_figure(fit: Fit) -> Figure:

@@ -47,7 +47,6 @@ def time_history(
     record: int = 0,
     labels: Sequence[str] = (),
     axes: GivenAxes | None = None,
-    legend: bool = True,
 ) -> AxesArray:
     """Draw measured and fitted outputs over time, below each its residuals, and the inputs.
 
@@ -65,8 +64,6 @@ def time_history(
     axes : array-like of Axes, optional
         Two for each output, for its values and its residuals, and one for each input. By default
         a new figure is made.
-    legend : bool
-        Draw a legend, below a new figure or in the first of the given axes.
 
     Returns
     -------
@@ -79,7 +76,7 @@ def time_history(
         For items that cannot be drawn, a fit without a record, items of different data, or a wrong
         number of labels or axes.
     """
-    return draw([history_figure(items, record, labels)], axes, legend=legend, size=(9.5, 1.9))
+    return draw([history_figure(items, record, labels)], axes, size=(9.5, 1.9))
 
 
 def history_figure(

@@ -85,7 +85,7 @@ def information_rows(
 
 
 def relative_rms(fit: Fit) -> float:
-    """Return the size of the relative residuals of all responses, in percent."""
+    """Return the size (rms) of the residuals of all responses over that of the data."""
     with np.errstate(divide="ignore", invalid="ignore"):  # zeros among the data have none
         shares = [np.abs(part.response / part.data.response - 1) for part in fit.responses]
     return rms(np.concatenate(shares))

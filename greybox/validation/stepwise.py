@@ -1,12 +1,12 @@
 """Terms of a model chosen from a list of candidates: added and removed one at a time, by a test.
 
 A term is a parameter. It is absent if the parameter is zero, or has another stated value. Each step
-adds the term with the smallest p-value, if that is below the size of the test divided by the number
+adds the term with the smallest p-value, if that is below 5 % divided by the number
 of terms tried. It then removes terms that are no longer needed. Finally every rejected term takes
 the place of each chosen one, to find terms that the data cannot tell apart.
 
-Source: Klein and Morelli (2006), Aircraft System Identification, section 5.4; the size is shared as
-by Bonferroni.
+Source: Klein and Morelli (2006), Aircraft System Identification, section 5.4, with the
+correction of Bonferroni.
 """
 
 import math
@@ -70,8 +70,6 @@ class StepwiseSelection:
     alike : mapping of str to mapping of str to float
         For each chosen term those that could replace it, with the increase in AIC: less than 2, so
         the data do not tell them apart.
-    size : float
-        Size of the tests.
     """
 
     candidates: tuple[str, ...]
@@ -80,7 +78,6 @@ class StepwiseSelection:
     without: Fit
     trials: tuple[Trial, ...]
     alike: Mapping[str, Mapping[str, float]]
-    size: float
 
     @property
     def verdict(self) -> str:
@@ -105,7 +102,7 @@ class StepwiseSelection:
             change = [str(trial.step), trial.change, trial.term]
             rows.append([*change, number(trial.cost, 4), p, f"{trial.limit:.2g}", outcome])
         table = text_table(["step", "", "term", "cost", "p", "limit", ""], rows, left=(1, 2, 6))
-        title = f"{self.fit.name}: stepwise selection at {100 * self.size:g} % (Bonferroni)"
+        title = f"{self.fit.name}: stepwise selection at {100 * SIGNIFICANT:g} % (Bonferroni)"
         lines = [title, "", self.verdict, "", table, ""]
         for term, rivals in self.alike.items():
             texts = listed([f"{rival} (AIC {above:+.2f})" for rival, above in rivals.items()])
@@ -117,7 +114,6 @@ def stepwise(
     problem: AnyProblem,
     candidates: Sequence[str] | Mapping[str, float],
     *,
-    size: float = SIGNIFICANT,
     starts: int = 4,
 ) -> StepwiseSelection:
     """Choose terms of a model from a list of candidates, by adding and removing them one at a time.
@@ -131,21 +127,17 @@ def stepwise(
     candidates : sequence of str, or mapping of name to value
         Parameters, by their names in the problem, and the value of each where its term is absent:
         zero by default.
-    size : float
-        Size of the tests, see `nested_test`.
     starts : int
         Sobol points from which every structure is fitted, beside the previous estimate.
 
     Raises
     ------
     ValueError
-        For candidates that are not parameters of the problem, a size out of range, or a structure
-        without any candidate that has no fit.
+        For candidates that are not parameters of the problem, or a structure without any candidate
+        that has no fit.
     """
     absent = dict(candidates) if isinstance(candidates, Mapping) else dict.fromkeys(candidates, 0.0)
     require_known(absent, problem.parameters, "parameter", repr(problem.name))
-    if not 0 < size < 1:
-        raise ValueError(f"size is {size}: give a probability, e.g. {SIGNIFICANT}.")
     fits = _Fits(problem, absent, starts, {})
     current: Terms = frozenset()
     without = fits.fitted(current, None)
@@ -161,7 +153,7 @@ def stepwise(
         step += 1
         left_out = [name for name in absent if name not in current]
         # Bonferroni: the smallest of many p-values is small by chance.
-        tried = [fits.trial(step, "add", n, current, size / len(left_out)) for n in left_out]
+        tried = [fits.trial(step, "add", n, current, SIGNIFICANT / len(left_out)) for n in left_out]
         best = _best([t for t in tried if t.p_value < t.limit])
         trials += [replace(t, done=t is best) for t in tried]
         if best is None or current | {best.term} in seen:
@@ -170,7 +162,7 @@ def stepwise(
         seen.add(current)
         while len(current) > 1:
             chosen = [name for name in absent if name in current]
-            tried = [fits.trial(step, "remove", n, current, size) for n in chosen]
+            tried = [fits.trial(step, "remove", n, current, SIGNIFICANT) for n in chosen]
             idle = [t for t in tried if t.p_value > t.limit and current - {t.term} not in seen]
             worst = max(idle, key=lambda t: t.p_value, default=None)
             trials += [replace(t, done=t is worst) for t in tried]
@@ -185,7 +177,6 @@ def stepwise(
         without=without,
         trials=tuple(trials),
         alike=fits.alike(current),
-        size=size,
     )
 
 

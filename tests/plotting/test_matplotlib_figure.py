@@ -161,9 +161,7 @@ def test_a_coherence_needs_a_third_panel(user_axes, sweep, pitch):
 
 
 def test_a_bode_diagram_drawn_over_another_shows_the_frequencies_of_both(user_axes):
-    drawn = gb.plotting.bode(
-        gb.frequency_response(Tilt(), TRUTH, [1.0, 2.0]), axes=user_axes[0], legend=False
-    )
+    drawn = gb.plotting.bode(gb.frequency_response(Tilt(), TRUTH, [1.0, 2.0]), axes=user_axes[0])
     gb.plotting.bode(gb.frequency_response(Tilt(), TRUTH, [5.0, 90.0]), axes=drawn)
     low, high = drawn[0].get_xlim()
     assert low < 1
@@ -171,7 +169,7 @@ def test_a_bode_diagram_drawn_over_another_shows_the_frequencies_of_both(user_ax
 
 
 def test_a_nyquist_diagram_takes_one_panel_for_each_pair(user_axes, rotors, pitch):
-    _, second = gb.plotting.nyquist(rotors, pitch, axes=user_axes[:, 0], legend=False)
+    _, second = gb.plotting.nyquist(rotors, pitch, axes=user_axes[:, 0])
     assert second is user_axes[1, 0]
     assert len(points(second)) == len(curves(second)) == 1
     with pytest.raises(ValueError, match=r"has 2 panels .*, but `axes` has 3"):
@@ -181,17 +179,13 @@ def test_a_nyquist_diagram_takes_one_panel_for_each_pair(user_axes, rotors, pitc
 def test_starts_go_into_one_panel(user_axes, pitch):
     assert gb.plotting.starts(pitch, ax=user_axes[0, 1]) is user_axes[0, 1]
     assert user_axes[0, 1].get_legend() is not None
-    assert gb.plotting.starts(pitch, ax=user_axes[0, 0], legend=False).get_legend() is None
 
 
 def test_a_log_goes_into_given_panels(user_axes):
     assert gb.plotting.traces(RECORD, axes=user_axes[0]).tolist() == user_axes[0].tolist()
     assert [ax.get_xlabel() for ax in user_axes[0]] == ["Time, s", "Time, s"]
     log = Recording({"table": RECORD}, "made.csv")
-    assert (
-        gb.plotting.recording(log, axes=user_axes[0], legend=False).tolist()
-        == user_axes[0].tolist()
-    )
+    assert gb.plotting.recording(log, axes=user_axes[0]).tolist() == user_axes[0].tolist()
     with pytest.raises(ValueError, match=r"Log has 2 panels .*, but `axes` has 1"):
         gb.plotting.recording(log, axes=user_axes[0, 0])
 

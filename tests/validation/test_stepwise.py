@@ -123,8 +123,6 @@ def test_parts_of_a_sum_and_records_have_terms_too():
 def test_mistakes_are_told():
     with pytest.raises(ValueError, match="has no parameter 'c7'"):
         gb.stepwise(problem({}), ["c7"])
-    with pytest.raises(ValueError, match="size is 5: give a probability"):
-        gb.stepwise(problem({}), ["c1"], size=5)
     with pytest.raises(ValueError, match=r"fixed gives 'K' the value 100000 outside its bounds"):
         gb.stepwise(problem({}), {"K": 1e5})
 

@@ -32,12 +32,6 @@ FIXED, THROTTLE = 0, 1
 DOUBLE, TRIPLE = 1, 16  # bits of INS_HNTCH_OPTS
 
 
-def is_filtered_rate(signal: str) -> bool:
-    """Return whether a signal, such as ``"IMU[0].GyrY"``, is logged behind the gyro's filters."""
-    message, _, field = signal.rpartition(".")
-    return field in GYRO_RATES.get(message.partition("[")[0], ())
-
-
 def named_filters(recording: Recording, axis: str = "") -> dict[str, tuple[KnownFilter, ...]]:
     """Return the known filters of the gyro and of the rate controller of an axis, by name."""
     parameters = recording.metadata.get("parameters", {})
