@@ -1,13 +1,16 @@
 """Signals of an axis, and filters that a log names, for all flight controllers together."""
 
 from greybox.data.record import Recording
-from greybox.logs import betaflight, px4
 from greybox.logs.ardupilot import filters as of_ardupilot
 from greybox.logs.ardupilot.signals import AXES as ARDUPILOT_AXES
 from greybox.logs.axis_signals import AxisSignals
+from greybox.logs.betaflight import AXES as BETAFLIGHT_AXES
 from greybox.logs.known_filters import KnownFilter
+from greybox.logs.px4 import AXES as PX4_AXES
+from greybox.logs.px4 import FILTERED
+from greybox.logs.px4 import named_filters as px4_filters
 
-CONTROLLERS = (ARDUPILOT_AXES, px4.AXES, betaflight.AXES)
+CONTROLLERS = (ARDUPILOT_AXES, PX4_AXES, BETAFLIGHT_AXES)
 AXES = {
     axis: AxisSignals(
         *(
@@ -36,7 +39,7 @@ def passed_filters(recording: Recording, signal: str) -> tuple[KnownFilter, ...]
     message, _, field = signal.rpartition(".")
     # All instances of a message, IMU[0] and IMU[1], have the same fields.
     message = message.partition("[")[0]
-    if message not in px4.FILTERED and field not in of_ardupilot.GYRO_RATES.get(message, ()):
+    if message not in FILTERED and field not in of_ardupilot.GYRO_RATES.get(message, ()):
         return ()
     filters = named_filters(recording)
     return (*filters.get("gyro-notch", ()), *filters.get("gyro-filter", ()))
@@ -44,4 +47,4 @@ def passed_filters(recording: Recording, signal: str) -> tuple[KnownFilter, ...]
 
 def named_filters(recording: Recording, axis: str = "") -> dict[str, tuple[KnownFilter, ...]]:
     """Return the filters whose parameters the log has by name, such as ``gyro-filter``."""
-    return px4.named_filters(recording) | of_ardupilot.named_filters(recording, axis)
+    return px4_filters(recording) | of_ardupilot.named_filters(recording, axis)

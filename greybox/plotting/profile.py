@@ -57,8 +57,8 @@ def contour(contour: Contour, axes: Axes | None = None) -> Axes:
         series.append(Series("open end", "points", *hollow, is_hollow=True))
     # Regions leave the limits to the other series: the ellipse may be many times as long.
     if np.all(np.isfinite(contour.covariance)):
-        ellipse = contour.ellipse().T
-        series.append(Series("standard errors", "regions", *ellipse, INK, 1, is_hollow=True))
+        look = {"color": INK, "style": 1, "is_hollow": True}
+        series.append(Series("standard errors", "regions", *contour.ellipse().T, **look))
 
     estimate = contour.estimate[:, None]
     series.append(Series("estimate", "points", *estimate, color=INK))
