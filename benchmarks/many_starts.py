@@ -35,11 +35,10 @@ def work(folder, starts):
     (member,) = study.members
     assert read_members(study.folder)[0].runs >= starts
     stored = (study.folder / DATABASE).stat().st_size / 1e6
-    saved = member.file.stat().st_size / 1e6
     print(
         f"{starts:7d} starts: {seconds:6.1f} s ({used:.1f} s of the processor), peak {peak():.0f} "
         f"MB, "
-        f"runs {stored:.2f} MB, fit {saved:.2f} MB, {member.answer['agreeing']} agree",
+        f"study {stored:.2f} MB, {member.answer['agreeing']} agree",
         end="",
     )
 

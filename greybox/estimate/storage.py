@@ -4,6 +4,8 @@ The text ``/fit`` has every field of a `Fit` in JSON, except the numbers of its 
 datasets, such as ``/covariance``, ``/runs/cost`` or ``/parts/0/data/omega``, see
 `greybox.estimate.stored_values`.
 
+In the database of a study the arrays are in the JSON (`to_bytes`).
+
 The file is sealed, see `greybox.files.sealed_files`. NaN means "not known". A file may come from
 anyone: nothing in it is executed, nothing that it names is imported, and what is loaded fits
 together (SECURITY.md).
@@ -22,7 +24,8 @@ from greybox.estimate.fitted_part import AnyFittedPart, FittedResponse, FittedSp
 from greybox.estimate.result import Fit
 from greybox.estimate.stored_values import fields_of, read, require, write
 from greybox.files.safe_files import HDF5
-from greybox.files.sealed_files import Node, open_sealed, write_sealed
+from greybox.files.sealed_files import DAMAGES, Node, open_sealed, write_sealed
+from greybox.files.text_table import printable
 from greybox.formulation.prior import normal_prior
 from greybox.modeling.model import Model
 from greybox.modeling.model_file import models_of, module_from_file
@@ -83,6 +86,29 @@ def load(
 
     cure = "install a newer greybox" if layout > LAYOUT else "fit again"
     raise ValueError(f"{path} has layout {layout} and this version reads {LAYOUT}: {cure}.")
+
+
+def to_bytes(fit: Fit) -> bytes:
+    """Return a fit as JSON with its arrays."""
+    return json.dumps([LAYOUT, fit.checksum, write(replace(fit, runs=Runs.of(fit.runs)))]).encode()
+
+
+def from_bytes(data: bytes, models: Sequence[Any] = ()) -> Fit:
+    """Return the fit of `to_bytes`; `models` as in `load`.
+
+    Raises
+    ------
+    ValueError
+        If it is damaged, or was written by another version.
+    """
+    try:
+        layout, checksum, values = json.loads(data)
+        require(layout == LAYOUT, f"it has layout {layout} and this version reads {LAYOUT}")
+        fit = read(values, Fit)
+        _require_consistent(fit, checksum)
+    except DAMAGES as error:
+        raise ValueError(f"the stored fit is damaged ({printable(str(error))}).") from None
+    return replace(fit, given=tuple(model for entry in models for model in _models(entry)))
 
 
 def _models(entry: Model | type[Model] | ModuleType | str | Path) -> Sequence[Model | type[Model]]:

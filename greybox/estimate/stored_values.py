@@ -37,11 +37,16 @@ def fields_of(kind: type) -> dict[str, Any]:
     return {field.name: hints[field.name] for field in stored}
 
 
-def write(value: Any, file: Node, path: str = "") -> Any:
-    """Return a value for JSON, and write the arrays in it to datasets below a path."""
+def write(value: Any, file: Node | None = None, path: str = "") -> Any:
+    """Return a value for JSON, and write the arrays in it to datasets below a path.
+
+    Without a file they are shape and numbers in the JSON.
+    """
     if isinstance(value, np.ndarray) and value.dtype != object:
         # Two real parts: not every reader of HDF5 knows the compound type of complex numbers.
         parts = np.array([value.real, value.imag]) if np.iscomplexobj(value) else value
+        if file is None:
+            return {"shape": parts.shape, "numbers": parts.ravel().tolist()}
         file[path] = parts
         return None
     if dataclasses.is_dataclass(value):
@@ -54,7 +59,7 @@ def write(value: Any, file: Node, path: str = "") -> Any:
     return value.item() if isinstance(value, np.generic) else value
 
 
-def read(value: Any, kind: Any, place: Stored | None) -> Any:
+def read(value: Any, kind: Any, place: Stored | None = None) -> Any:
     """Return a value of an annotated kind from JSON, and from the group or dataset at its path.
 
     Raises
@@ -98,7 +103,7 @@ def _alike(kinds: tuple[Any, ...], value: Any, place: Stored | None) -> Any:
         if dataclasses.is_dataclass(kind):
             is_alike = isinstance(value, dict) and {*value} == {*fields_of(kind)}  # type: ignore[arg-type]
         elif _item(kind) is not None:
-            is_alike = place is not None
+            is_alike = place is not None or isinstance(value, dict)
         else:
             is_alike = (value is None) == (kind is type(None))
         if is_alike:
@@ -112,7 +117,10 @@ def _array(value: Any, item: Any, place: Stored | None) -> Any:
         require(isinstance(value, list), f"{value!r:.40} is not a list")
         return np.array([_scalar(text, str) for text in value], dtype=object)
 
-    values = None if place is None else place.values
+    if isinstance(value, dict):
+        values = np.array(value["numbers"]).reshape(value["shape"])
+    else:
+        values = None if place is None else place.values
     if not isinstance(values, np.ndarray):
         raise ValueError("numbers are missing")
     if issubclass(item, np.complexfloating):

@@ -115,15 +115,6 @@ def _tree(items: list[dict[str, Any]], arrays: Iterator[Any]) -> Stored:
     return root
 
 
-def is_sealed(path: Path, kind: str) -> bool:
-    """Return whether there is such a file of this kind, unchanged since it was sealed."""
-    try:
-        _require_seal(path, kind)
-    except (OSError, ValueError):
-        return False
-    return True
-
-
 def _require_seal(path: Path, kind: str) -> None:
     with path.open("rb") as file:
         head = file.read(BLOCK)

@@ -170,8 +170,7 @@ class ResponseSolver(LocalSolver):
 
     def run_together(self, starts: Array) -> list[Outcome]:
         """Bring all starts (r, p) to minima together; IPOPT continues those that do not arrive."""
-        # One step on few points takes 0.3 ms, ten times an iteration of IPOPT.
-        if len(starts) < 6 or self.together == 1:
+        if len(starts) == 1 or self.together == 1:
             return super().run_together(starts)
 
         began = time.perf_counter()

@@ -7,6 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor
+from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
@@ -18,7 +19,7 @@ from greybox.compiled.compiled_problem import AnyProblem
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fit import SolverChoice, fingerprint, fit_keeping
-from greybox.estimate.storage import save
+from greybox.estimate.storage import to_bytes
 from greybox.estimate.summary import summary
 from greybox.files.text_table import counted, printable
 from greybox.formulation.problem import Problem
@@ -37,7 +38,7 @@ from greybox.solve.kept_runs import KeptRunsError
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.multistart import BATCHED
 from greybox.solve.response_solver import ResponseSolver
-from greybox.study.store import StoredRuns, StudyMember, add_members, locked, write_answer
+from greybox.study.store import StoredRuns, StudyMember, add_members, locked
 from greybox.study.study import Study, read_study
 
 # Errors of a user's input, whose messages say enough; of others the class is named, too.
@@ -172,15 +173,20 @@ def batch(
     with locked(folder), limited(limits):
         # Members are added before the first fit: a reader sees the whole study from the start.
         stored = add_members(folder, [member.name for member in listed])
+        runs = StoredRuns(folder)
         try:
             hidden = None if progress else True  # None: on a terminal only
             bar = tqdm(total=len(listed), disable=hidden, delay=2, unit="fit", leave=False)
-            with listening(), bar:
+            with listening(), bar, ExitStack() as ending:
+                ending.callback(runs.write)
                 for member in listed:
                     if is_search_over():
                         break
-                    _fit_member(member, folder, stored[member.name], executor, bar)
+                    _fit_member(member, runs, stored[member.name], executor, bar)
                     bar.update()
+                    runs.look()
+                    if runs.trouble:
+                        break  # a full disk, which the last attempt names
         except KeyboardInterrupt as pressed:
             raise BatchInterrupted(read_study(folder, models)) from pressed
         return read_study(folder, models)
@@ -198,19 +204,19 @@ def require_distinct(members: Sequence[Member]) -> None:
 
 
 def _fit_member(
-    member: Member, folder: Path, stored: StudyMember, executor: Executor | None, bar: Any
+    member: Member, runs: StoredRuns, stored: StudyMember, executor: Executor | None, bar: Any
 ) -> None:
     """Fit a member, unless it is done; an error of its own is its answer."""
     if _is_done(member, stored):
         return
-    runs = StoredRuns(folder, member.name)
+    runs.begin(member.name, is_new=not stored.stored_runs)
 
     def report(done: int, count: int) -> None:
         text = f"{member.name}: {done} of {counted(count, 'start')}"
         bar.set_description_str(text)
 
-    # Write the runs whatever ends the fit, but an answer only if the search was not cut: the next
-    # call would take it for the answer from all starts.
+    # The runs are written whatever ends the fit, but an answer only if the search was not cut: the
+    # next call would take it for the answer from all starts.
     result, error = None, ""
     try:
         result = fit_keeping(
@@ -231,19 +237,14 @@ def _fit_member(
         message = " ".join(str(raised).split())
         is_sentence = message and isinstance(raised, SENTENCES)
         error = message if is_sentence else f"{type(raised).__name__}: {message}".rstrip(": ")
-    finally:
-        with responding(Response.FINISH):
-            runs.write()
     if is_search_over():  # its runs are stored, and the next call resumes it
         return
 
     marks = {"fingerprint": runs.fingerprint, "asked": _asked(member), "finished": time.time()}
     answer = {**(summary(result) if result else _stated(member.problem)), **marks}
     with responding(Response.FINISH):
-        if result is not None:
-            save(result, stored.file)
-        # The answer says that the member is done, so it comes last.
-        write_answer(folder, member.name, {**answer, "error": error} if error else answer)
+        fit = to_bytes(result) if result else b""
+        runs.finish({**answer, "error": error} if error else answer, fit)
 
 
 def _stated(problem: AnyProblem) -> dict[str, Any]:

@@ -440,8 +440,7 @@ def _made(
                 raise KeyboardInterrupt
         finally:
             if runs is not None:
-                with responding(Response.FINISH):
-                    runs.write()
+                runs.write()
     return outcomes
 
 

@@ -1,18 +1,18 @@
 """A study on disk: a folder in which one process writes at a time, and all may read.
 
-``study.sqlite``  an SQLite database: members and their answers, and every run as it is made.
-``001-NAME.h5``   the fit of a member, as `greybox.save` writes it.
+``study.sqlite``  an SQLite database: members with answers and fits, and every run as it is made.
 ``lock``          locked by the process that writes.
 
 What is damaged is set aside by the next process that writes, and made again (`mend`).
 
 A single fit with ``--out`` and a bootstrap keep their runs in such a folder, too, as those of one
-member. SQLite commits are atomic: `kill -9` leaves all runs up to the last commit. Runs and answers
-are JSON texts with a checksum, so nothing in a folder from a stranger is executed.
+member. SQLite commits are atomic: `kill -9` leaves all runs and answers up to the last commit.
+Runs are JSON texts with a checksum, answers and fits are compressed ones, so nothing in a folder
+from a stranger is executed. A commit takes some milliseconds of the disk: what small members leave
+is written together.
 """
 
 import json
-import re
 import sqlite3
 import time
 import warnings
@@ -20,15 +20,14 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
 from greybox.estimate.result import Fit
+from greybox.estimate.stored_values import read, write
 from greybox.files.arrays import Array
-from greybox.files.sealed_files import is_sealed
+from greybox.files.packed import packed, unpacked
 from greybox.files.text_table import counted, one_line, printable
 from greybox.solve.interruption import Response, responding
 from greybox.solve.kept_runs import KeptRuns, KeptRunsError
@@ -42,10 +41,10 @@ FACTORS = ("model", "data", "criterion", "delay", "seed", "fixed", "at")
 DATABASE = "study.sqlite"
 LOCK = "lock"
 APPLICATION = 0x67_72_65_79  # "grey": SQLite files name the program that wrote them
-LAYOUT = 1
+LAYOUT = 2
 TABLES = (
     "CREATE TABLE members (id INTEGER PRIMARY KEY, name TEXT UNIQUE, "
-    "fingerprint TEXT DEFAULT '', answer TEXT, checksum INTEGER)",
+    "fingerprint TEXT DEFAULT '', answer BLOB, fit BLOB, checksum INTEGER)",
     "CREATE TABLE runs (member INTEGER, number INTEGER, run TEXT, checksum INTEGER, "
     "PRIMARY KEY (member, number))",
     f"PRAGMA application_id = {APPLICATION}",
@@ -59,12 +58,13 @@ OURS = (
 # Rows with wrong checksums, by what is said of them, and what is done about them. A member has a
 # checksum from its first run on: of its fingerprint until there is an answer.
 DAMAGED_RUNS = (
-    "runs LEFT JOIN members ON id = member WHERE name IS NULL OR ifnull(runs.checksum, -1) != "
-    "crc32(CAST(ifnull(run, '') || char(10) || name || char(10) || number AS BLOB))"
+    "runs LEFT JOIN members ON id = member WHERE name IS NULL OR "
+    "ifnull(runs.checksum, -1) != crc32(CAST(run AS BLOB), CAST(name AS BLOB), number)"
 )
 DAMAGED_ANSWERS = (
     "members WHERE checksum != "
-    "crc32(CAST(coalesce(answer, fingerprint, '') || char(10) || name AS BLOB))"
+    "iif(answer IS NULL, crc32(CAST(fingerprint AS BLOB), CAST(name AS BLOB)), "
+    "crc32(CAST(answer AS BLOB), CAST(fit AS BLOB), CAST(name AS BLOB)))"
 )
 DAMAGES = {
     "damaged run": (
@@ -188,20 +188,17 @@ class StudyMember:
         return int(self.answer["starts"]) if self.status == "done" else self.stored_runs
 
     @property
-    def file(self) -> Path:
-        """The file of its fit, once it is done."""
-        # The number keeps files apart whose names differ only in characters that are left out.
-        short = re.sub(r"[^A-Za-z0-9_.-]+", "-", self.name).strip("-.")[:60]
-        return self.folder / f"{self.number:03d}-{short}.h5"
-
-    @property
     def fit(self) -> Fit | None:
-        """The whole fit, read from its file; None if there is none, and `reason` says why."""
+        """The whole fit, read from the study; None if there is none, and `reason` says why."""
         if self.status != "done":
             return None
-        from greybox.estimate.storage import load  # noqa: PLC0415  (slow import)
+        from greybox.estimate.storage import from_bytes  # noqa: PLC0415  (slow import)
 
-        return load(self.file, self.models)
+        query = "SELECT checksum, answer, fit, name FROM members WHERE id = ?"
+        with _database(self.folder) as database:
+            row = database.execute(query, (self.number,)).fetchone()
+        _require_whole(self.folder, *row)
+        return from_bytes(unpacked(row[2], unpacked(row[1])), self.models)
 
     def __repr__(self) -> str:
         return one_line(self, self.name, self.status, counted(self.runs, "run"))
@@ -228,19 +225,41 @@ def read_members(folder: Path) -> list[StudyMember]:
         raise FileNotFoundError(f"{folder} is not a study: it has no file {DATABASE}.")
     with _database(folder) as database:
         rows = database.execute(
-            "SELECT id, name, answer, checksum, (SELECT COUNT(*) FROM runs WHERE member = id) "
-            "FROM members ORDER BY id"
+            "SELECT id, name, answer, fit, checksum, "
+            "(SELECT COUNT(*) FROM runs WHERE member = id) FROM members ORDER BY id"
         )
         return [
             StudyMember(
                 folder,
                 int(number),
                 printable(str(name)),
-                {} if answer is None else _decoded(folder, answer, checksum, name),
+                {} if answer is None else _StoredAnswer(folder, checksum, answer, fit, name),
                 count,
             )
-            for number, name, answer, checksum, count in rows
+            for number, name, answer, fit, checksum, count in rows
         ]
+
+
+class _StoredAnswer(Mapping[str, Any]):
+    """An answer that is unpacked when it is read: as values ten thousand take 300 MB."""
+
+    def __init__(self, folder: Path, checksum: int, answer: Any, *others: Any) -> None:
+        _require_whole(folder, checksum, answer, *others)
+        self._packed = answer
+
+    def __getitem__(self, key: str) -> Any:
+        return _values(self._packed)[key]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(_values(self._packed))
+
+    def __len__(self) -> int:
+        return len(_values(self._packed))
+
+
+@lru_cache(16)  # members are used in turn, and several numbers of each
+def _values(answer: bytes) -> dict[str, Any]:
+    return dict(json.loads(unpacked(answer)))
 
 
 def add_members(folder: Path, names: Sequence[str]) -> dict[str, StudyMember]:
@@ -251,34 +270,27 @@ def add_members(folder: Path, names: Sequence[str]) -> dict[str, StudyMember]:
     return {member.name: member for member in read_members(folder)}
 
 
-def write_answer(folder: Path, name: str, answer: Mapping[str, Any] | None) -> None:
-    """Write the answer of a member, which is then done; None removes it."""
-    text = None if answer is None else json.dumps(answer, allow_nan=False)
-    with _database(folder) as database:
-        database.execute(
-            "UPDATE members SET answer = ?, checksum = ? WHERE name = ?",
-            (text, text and _checksum(text, name), name),
-        )
-
-
 class StoredRuns(KeptRuns):
-    """The runs of one member of a study.
+    """The runs of a member of a study; those of the members of a batch are written together.
 
     Attributes
     ----------
     fingerprint : str
         Key of the problem and its solver, once the search has begun.
     trouble : str
-        Why the last runs were not written; empty if they were.
+        Why the last changes were not written; empty if they were.
     """
 
-    def __init__(self, folder: Path, name: str) -> None:
+    def __init__(self, folder: Path, name: str = "") -> None:
         self._folder = folder
-        self._name = name
-        self._unwritten: list[tuple[int, Array, Outcome]] = []
-        self._written_at = time.monotonic()
-        self.fingerprint = ""
-        self.trouble = ""
+        self.fingerprint = self.trouble = ""
+        self._changes: list[tuple[str, tuple[Any, ...]]] = []
+        self._work, self._written_at = 0.0, time.monotonic()
+        self.begin(name)
+
+    def begin(self, name: str, *, is_new: bool = False) -> None:
+        """Go on to a member; a new one has no runs on disk."""
+        self._name, self._is_new, self._has_begun = name, is_new, False
 
     def known(self, fingerprint: str) -> Mapping[int, tuple[Array, Outcome]]:
         """Return the runs on disk by the number of their start.
@@ -289,7 +301,7 @@ class StoredRuns(KeptRuns):
             If they were made for another problem, or the database is damaged.
         """
         self.fingerprint = fingerprint
-        if not is_study(self._folder):
+        if self._is_new or not is_study(self._folder):
             return {}
         query = (
             "SELECT number, run, runs.checksum, fingerprint FROM runs, members "
@@ -298,11 +310,11 @@ class StoredRuns(KeptRuns):
         try:
             with _database(self._folder) as database:
                 rows = database.execute(query, (self._name,)).fetchall()
-            runs = {
-                int(number): _stored_run(_decoded(self._folder, text, checksum, self._name, number))
-                for number, text, checksum, _ in rows
-            }
-        except (ValueError, TypeError, AttributeError) as error:
+            runs = {}
+            for number, text, checksum, _ in rows:
+                _require_whole(self._folder, checksum, text, self._name, number)
+                runs[int(number)] = _stored_run(text)
+        except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
             raise KeptRunsError(_damaged(self._folder)) from error
         if any(row[-1] != fingerprint for row in rows):
             raise KeptRunsError(
@@ -313,54 +325,62 @@ class StoredRuns(KeptRuns):
         return runs
 
     def add(self, number: int, start: Array, outcome: Outcome) -> None:
-        """Keep a run."""
-        self._unwritten.append((number, start, outcome))
+        """Store a run."""
+        name = self._name
+        if not self._has_begun:
+            self._has_begun = True
+            checksum = _checksum(self.fingerprint, name)
+            self._change("INSERT OR IGNORE INTO members (name) VALUES (?)", name)
+            self._change(
+                "UPDATE members SET fingerprint = ?, checksum = "
+                "CASE WHEN answer IS NULL THEN ? ELSE checksum END WHERE name = ?",
+                *(self.fingerprint, checksum, name),
+            )
+        text = json.dumps(write((start, outcome)))
+        row = name, number, text, _checksum(text, name, number)
+        self._change(f"INSERT OR REPLACE INTO runs VALUES ({MEMBER}, ?, ?, ?)", *row)
+        self._work += outcome.seconds
         self.look()
 
+    def finish(self, answer: Mapping[str, Any], fit: bytes = b"") -> None:
+        """Store the answer of the member, which is then done, and its fit."""
+        text = json.dumps(answer, allow_nan=False).encode()
+        values = packed(text), packed(fit, text)
+        statement = "UPDATE members SET answer = ?, fit = ?, checksum = ? WHERE name = ?"
+        self._change(statement, *values, _checksum(*values, self._name), self._name)
+
+    def _change(self, statement: str, *values: Any) -> None:
+        self._changes.append((statement, values))
+
     def look(self) -> None:
-        """Write the runs if they are older, or took longer, than `UNWRITTEN`."""
+        """Write what is older, or took longer, than `UNWRITTEN`."""
         # A commit takes some milliseconds. After every run of a response, which takes no longer,
         # the disk would cost as much time as the solver.
         age = time.monotonic() - self._written_at
-        work = sum(outcome.seconds for _, _, outcome in self._unwritten)
-        if max(age, work) >= UNWRITTEN:
+        if max(age, self._work) >= UNWRITTEN:
             with suppress(OSError):  # a full disk: the next run tries again
                 self.write()
 
     def write(self) -> None:
-        """Write all runs that are not on disk yet.
+        """Write all that is not on disk yet, also after Ctrl-C.
 
         Raises
         ------
         OSError
-            If they cannot be written; those on disk remain.
+            If it cannot be written; what is on disk remains.
         """
         # The time of the attempt: a full disk is not tried again for every run.
         self._written_at = time.monotonic()
-        if not self._unwritten:
+        if not self._changes:
             return
-        # Serialize before the transaction, which locks the database.
-        texts = [(number, _run_text(start, outcome)) for number, start, outcome in self._unwritten]
-        rows = [
-            (self._name, number, text, _checksum(text, self._name, number))
-            for number, text in texts
-        ]
         try:
-            with _database(self._folder, create=True) as database:
-                database.execute("INSERT OR IGNORE INTO members (name) VALUES (?)", (self._name,))
-                database.execute(
-                    "UPDATE members SET fingerprint = ?, checksum = "
-                    "CASE WHEN answer IS NULL THEN ? ELSE checksum END WHERE name = ?",
-                    (self.fingerprint, _checksum(self.fingerprint, self._name), self._name),
-                )
-                database.executemany(
-                    f"INSERT OR REPLACE INTO runs VALUES ({MEMBER}, ?, ?, ?)", rows
-                )
+            with responding(Response.FINISH), _database(self._folder, create=True) as database:
+                for change in self._changes:
+                    database.execute(*change)
         except OSError as error:
             self.trouble = str(error)
             raise
-        self.trouble = ""
-        self._unwritten = []
+        self.trouble, self._changes, self._work = "", [], 0.0
 
     @property
     def count(self) -> int:
@@ -373,7 +393,7 @@ class StoredRuns(KeptRuns):
 
     def remove(self) -> None:
         """Remove all runs."""
-        self._unwritten = []
+        self._changes = []
         if is_study(self._folder):
             with _database(self._folder) as database:
                 database.execute(f"DELETE FROM runs WHERE member = {MEMBER}", (self._name,))
@@ -394,7 +414,7 @@ def runs_beside(path: Path) -> Iterator[StoredRuns]:
         try:
             yield runs
         except BaseException:
-            with responding(Response.FINISH), suppress(OSError):
+            with suppress(OSError):
                 runs.write()
             raise
         finally:
@@ -411,53 +431,26 @@ def folder_beside(path: Path) -> Path:
     return path.with_name(f"{path.name}.runs")
 
 
-def _run_text(start: Array, outcome: Outcome) -> str:
-    """Return a run as JSON, in which Python writes floats exactly."""
-    fields = {name: getattr(outcome, name) for name in Outcome.__slots__}
-    return json.dumps({"start": start, **fields}, default=lambda value: value.tolist())
-
-
-def _stored_run(fields: dict[str, Any]) -> tuple[Array, Outcome]:
-    start = np.array(fields.pop("start"), dtype=float)
-    estimate = np.array(fields.pop("estimate"), dtype=float)
-    status = printable(fields.pop("status"))
-    signature, nodes = fields.pop("signature"), fields.pop("nodes")
-    if start.ndim != 1 or estimate.ndim != 1 or fields["stage"] not in STAGES:
+def _stored_run(text: str) -> tuple[Array, Outcome]:
+    start, outcome = read(json.loads(text), tuple[Array, Outcome])
+    if start.ndim != 1 or outcome.estimate.ndim != 1 or outcome.stage not in STAGES:
         raise ValueError
-
-    return start, Outcome(
-        estimate,
-        status,
-        signature=None if signature is None else np.array(signature, dtype=float),
-        nodes=None if nodes is None else tuple(np.array(states, dtype=float) for states in nodes),
-        **fields,
-    )
+    return start, outcome
 
 
 STAGES = (SCREENED, IMPROVED, POLISHED)
 
 
-def _decoded(folder: Path, text: str, checksum: int, *place: str | int) -> dict[str, Any]:
-    """Return the object in a text that is stored at this place.
-
-    Raises
-    ------
-    ValueError
-        If it is damaged.
-    """
+def _require_whole(folder: Path, checksum: int, *values: Any) -> None:
+    """Raise ValueError if values are damaged, which end with the place where they are stored."""
     # The checksum finds damage by accident; what a stranger wrote is checked where it is used.
-    try:
-        values = json.loads(text) if checksum == _checksum(text, *place) else None
-    except (TypeError, AttributeError, RecursionError):
-        values = None
-    if not isinstance(values, dict):
+    if checksum != _checksum(*values):
         raise ValueError(_damaged(folder))
-    return values
 
 
-def _checksum(text: str, *place: str | int) -> int:
-    """Return the checksum of a text, and of the member and the number to which it belongs."""
-    return zlib.crc32("\n".join([text, *map(str, place)]).encode())
+def _checksum(*values: bytes | str | float | None) -> int:
+    """Return the checksum of values of SQLite."""
+    return zlib.crc32(b"\n".join(v if isinstance(v, bytes) else str(v).encode() for v in values))
 
 
 @contextmanager
@@ -506,9 +499,10 @@ def _require_layout(connection: sqlite3.Connection, path: Path, *, create: bool)
             connection.execute(statement)
     elif tables != TABLES[:2]:
         layout = connection.execute("PRAGMA user_version").fetchone()[0]
+        cure = "update greybox" if layout > LAYOUT else "begin another study"
         raise ValueError(
-            f"{path} has layout {layout}, and this version reads layout {LAYOUT}: update greybox."
-            if layout > LAYOUT
+            f"{path} has layout {layout}, and this version reads layout {LAYOUT}: {cure}."
+            if layout not in (0, LAYOUT)
             else _damaged(path.parent)
         )
 
@@ -533,7 +527,7 @@ def mend(folder: Path) -> list[str]:
     """Remove what is damaged in a study that is locked, and return it as texts.
 
     A database that SQLite finds damaged is kept beside a new one with everything that can be read.
-    In it, runs and answers with wrong checksums are deleted, and answers whose fit is not whole.
+    In it, runs and answers with wrong checksums are deleted.
     """
     if not is_study(folder):
         return []
@@ -548,17 +542,13 @@ def mend(folder: Path) -> list[str]:
         damage.append(f"the database was damaged and is kept as {damaged.name}")
 
     with _database(folder) as database:
-        database.create_function("crc32", 1, zlib.crc32)
+        database.create_function("crc32", -1, _checksum)
         for what, (rows, cure) in DAMAGES.items():
             counts = database.execute(f"SELECT name, COUNT(*) FROM {rows} GROUP BY name")
             damage += [f"{name}: removed {counted(count, what)}" for name, count in counts]
             database.execute(cure)
         # The checksum of an answer that is gone.
         database.execute("UPDATE members SET checksum = NULL WHERE answer IS NULL")
-    for member in read_members(folder):
-        if member.status == "done" and not is_sealed(member.file, "fit"):
-            damage.append(f"{member.name}: {member.file.name} is damaged or missing")
-            write_answer(folder, member.name, None)
     return [*map(printable, damage)]
 
 
@@ -582,21 +572,12 @@ def _salvage(damaged: Path, folder: Path) -> None:
     with suppress(sqlite3.DatabaseError), _opened(folder / DATABASE) as database, database:
         database.execute("ATTACH DATABASE ? AS damaged", (str(damaged),))
         for table in ("members", "runs"):
-            _copy(database, table, 0, most)
+            for row in range(most):
+                # A damaged page costs its rows alone.
+                with suppress(sqlite3.DatabaseError):
+                    database.execute(
+                        f"INSERT OR IGNORE INTO {table} SELECT * FROM damaged.{table} NOT INDEXED "
+                        "WHERE rowid = ?",
+                        (row,),
+                    )
         database.execute("DELETE FROM members WHERE typeof(name) != 'text'")
-
-
-def _copy(database: sqlite3.Connection, table: str, low: int, high: int) -> None:
-    """Copy the rows of a table between two numbers, without the parts that are damaged."""
-    try:
-        database.execute(
-            f"INSERT OR IGNORE INTO {table} SELECT * FROM damaged.{table} NOT INDEXED "
-            "WHERE rowid BETWEEN ? AND ?",
-            (low, high),
-        )
-    except sqlite3.DatabaseError:
-        # Fewer are on a page, and would take as long as the others together.
-        if high - low > 8:
-            middle = (low + high) // 2
-            _copy(database, table, low, middle)
-            _copy(database, table, middle + 1, high)

@@ -9,6 +9,7 @@ import pytest
 from command_line import OWN, RECORD, refused, run
 
 import greybox as gb
+from greybox.study.store import StudyMember
 
 QUICK = "--starts", "4"
 
@@ -64,10 +65,9 @@ def test_of_a_large_study_the_first_members_are_read_and_drawn(
 ):
     monkeypatch.setattr(sys.modules["greybox.html_report.report"], "DETAILED", 1)
     loaded = []
-    load = gb.load
+    fit = StudyMember.fit.fget
     monkeypatch.setattr(
-        "greybox.estimate.storage.load",
-        lambda path, *a: loaded.append(path.stem) or load(path, *a),
+        StudyMember, "fit", property(lambda member: loaded.append(member.name) or fit(member))
     )
     page = tmp_path / "study.html"
     assert run(capsys, "report", results / "study", "--out", page)[0] == 0
@@ -76,7 +76,7 @@ def test_of_a_large_study_the_first_members_are_read_and_drawn(
     assert f"{worse['cost']:.6g}" in text  # the tables have the numbers of all members
     assert f"{worse['estimate']['a4']:.0f} ±" in text
     assert "Below are details of 1 result;" in text
-    assert loaded == ["001-good-one"]
+    assert loaded == ["good one"]
 
 
 def test_profiles_are_in_the_page(capsys, results, tmp_path):

@@ -91,10 +91,10 @@ def test_members_are_the_fits_that_gb_fit_makes(finished):
 def test_what_is_done_is_not_made_again(tmp_path, made, finished):
     first = gb.study.read_study(finished)
     shutil.copytree(finished, tmp_path, dirs_exist_ok=True)
-    files = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.h5")}
+    database = (tmp_path / "study.sqlite").read_bytes()
     again = gb.batch(members(), tmp_path, progress=False)
     assert made == []
-    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.h5")} == files
+    assert (tmp_path / "study.sqlite").read_bytes() == database
     assert str(again).splitlines()[1:] == str(first).splitlines()[1:]
 
 
@@ -108,10 +108,11 @@ def test_what_is_damaged_is_made_again_and_nothing_else(tmp_path, made, finished
     database = tmp_path / "study.sqlite"
     if damage == "answer and run":
         with closing(sqlite3.connect(database)) as connection, connection:
-            connection.execute("UPDATE members SET answer = answer || ' ' WHERE id = 1")
+            connection.execute("UPDATE members SET answer = answer || 'x' WHERE id = 1")
             connection.execute("UPDATE runs SET run = '' WHERE member = 1 AND number = 3")
     elif damage == "fit":
-        (tmp_path / "001-response.h5").write_bytes(b"")
+        with closing(sqlite3.connect(database)) as connection, connection:
+            connection.execute("UPDATE members SET fit = NULL WHERE id = 1")
     else:
         database.write_bytes(b"\xff" * 5000)
     with pytest.warns(UserWarning, match="what is missing is made again"):

@@ -7,7 +7,7 @@ import pytest
 
 from greybox.solve.runs import Outcome
 from greybox.study.batch import require_distinct
-from greybox.study.store import StoredRuns, StudyMember, add_members, write_answer
+from greybox.study.store import StoredRuns, StudyMember, add_members
 from greybox.study.study import Study, read_study
 
 ANSWER = {
@@ -33,9 +33,12 @@ ANSWER = {
 def study_of(folder, **answers):
     """A study on disk, of members that have such an answer, or none yet."""
     add_members(folder, list(answers))
+    runs = StoredRuns(folder)
     for name, answer in answers.items():
         if answer is not None:
-            write_answer(folder, name, answer)
+            runs.begin(name)
+            runs.finish(answer)
+    runs.write()
 
 
 def test_a_member_is_done_failed_or_unfinished_by_what_is_on_disk(tmp_path):
