@@ -10,6 +10,7 @@ Begin with `text_table`.
 | `delimited_text` | tables of numbers in files: separator, decimal mark, comments, facts |
 | `heading` | name and unit of a column |
 | `json_numbers` | values in JSON, without NaN and infinity |
+| `packed` | compressed bytes |
 | `progress` | progress bars |
 | `optional_package` | imports of optional packages |
 | `safe_files` | atomic writes, and clear errors of reading |
