@@ -1,8 +1,7 @@
 """Whether a model explains its data, and if not, what it may lack."""
 
-import itertools
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -56,7 +55,7 @@ class Cause:
         Share of the misfit that it explains, to first order.
     p_value : float
         Probability of such a share if the model explains the data, times the number of terms that
-        were tried.
+        were tried for records, or for responses.
     p_correlated : float
         The same if errors of neighboring points of a response may be correlated.
     """
@@ -117,8 +116,7 @@ class Misfit:
     @property
     def likely(self) -> tuple[Cause, ...]:
         """The causes that are named: up to three, where the model may not explain the data."""
-        likely = (cause for cause in self.causes if cause.p_value < FALSE_ALARMS)
-        return tuple(itertools.islice(likely, NAMED))
+        return tuple([cause for cause in self.causes if cause.p_value < FALSE_ALARMS][:NAMED])
 
     @property
     def verdict(self) -> str:
@@ -216,14 +214,6 @@ def assessed_misfit(
     tried, lefts, causes = tried + timed[0], lefts + timed[1], causes + timed[2]
     if not lefts:
         return None
-    causes = [
-        replace(
-            cause,
-            p_value=min(cause.p_value * tried, 1.0),
-            p_correlated=min(cause.p_correlated * tried, 1.0),
-        )
-        for cause in causes
-    ]
     # What explains most comes first, among what is significant.
     causes.sort(key=lambda cause: (cause.p_value >= FALSE_ALARMS, -cause.share))
     left, noise = max(lefts, key=lambda pair: pair[0] - pair[1])
@@ -296,7 +286,15 @@ def _of_group(
             p_beside = p_value_of_scores(score, beside_it, fitted, columns)
             chances = p_value, max(p_value, p_beside)
         share = min(decrease / total, 1.0) if total > 0 else 0.0
-        causes.append(Cause(*terms[key].described(value), value, error, share, *chances))
+        causes.append(
+            Cause(
+                *terms[key].described(value),
+                value,
+                error,
+                share,
+                *np.minimum(tried * np.array(chances), 1.0).tolist(),
+            )
+        )
     best_keys = [key for _, key, _ in ranked[:TOGETHER]]
     return tried, [part.left(best_keys) for part in parts], causes, p_common
 

@@ -158,7 +158,9 @@ def terms_of_record(record: DisturbedRecord, candidates: Mapping[str, Formula]) 
         for kind, row in values.items():
             yield Term(kind, lambda k=k, row=row: record.by_output(k, row), b=b)
         for u, a in zip(record.inputs, part.system.inputs, strict=True):
-            yield Term("direct", lambda k=k, u=u: record.by_output(k, u), a, b)
+            # A controller answers at once: the noise of a sample is in the input at the same time.
+            past = record.by_stretch(_delayed, u, part.data.stretches[0].step)
+            yield Term("direct", lambda k=k, past=past: record.by_output(k, past), a, b)
 
     is_state_space = isinstance(part.problem.model, StateSpace)
     yield from _of_equations(record, candidates) if is_state_space else _of_feedback(record)
@@ -175,7 +177,7 @@ def terms_of_record(record: DisturbedRecord, candidates: Mapping[str, Formula]) 
 
 
 def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Term]:
-    rate = _rate(record, u)
+    rate = record.by_stretch(_backward, u)
     change = float(np.std(u) / max(np.std(rate), 1e-300))
     about = u - np.median(u)
 
@@ -251,9 +253,14 @@ def dynamic_equations(part: RecordPart) -> dict[int, set[str]]:
 
 def _rate(record: DisturbedRecord, row: Array) -> Array:
     if record.is_predicted:
-        return record.by_stretch(lambda y, step: np.diff(y, prepend=y[0]) / step, row)
+        return record.by_stretch(_backward, row)
     # A stretch may have one sample.
     return record.by_stretch(lambda y, step: np.gradient(np.append(y, y[-1]), step)[:-1], row)
+
+
+def _backward(piece: Array, step: float) -> Array:
+    """Return the rate, without later values: these may answer to the noise of today."""
+    return np.diff(piece, prepend=piece[0]) / step
 
 
 def _delayed(piece: Array, step: float, T: float) -> Array:

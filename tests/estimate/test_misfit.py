@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 from scipy.signal import lfilter
 
 import greybox as gb
@@ -129,6 +130,21 @@ def test_a_delay_that_a_predictor_lacks_is_named_in_gusts():
     assert not fit.misfit.explains
     assert "delay of u" in fit.misfit.likely[0].text
     assert not any("as in gusts" in text for text in fit.warnings)
+
+
+def test_noise_that_a_controller_answers_is_no_misfit():
+    # The command of a sample contains the noise of that sample, like a direct effect.
+    n, random = 1500, np.random.default_rng(2)
+    noise, u, x, past = 0.02 * random.normal(size=n), np.zeros(n), np.zeros(n), np.zeros(2)
+    step = expm(STEP * np.array([[0, 1, 0], [-25, -2, 25], [0, 0, 0]]))[:2]
+    wanted = np.repeat(random.uniform(-1, 1, n // 25), 25)
+    for i in range(n):
+        x[i] = past[0] + noise[i]
+        u[i] = 0.2 * wanted[i] - x[i]
+        past = step @ [*past, u[i]]
+
+    flight = gb.Record(STEP * np.arange(n), {"u": u, "x": x}, hold={"u": np.inf})
+    assert gb.fit(gb.Problem(Spring(), flight), starts=1, progress=False).misfit.explains
 
 
 class Resonance(gb.TransferFunction):
