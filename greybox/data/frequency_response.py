@@ -254,6 +254,10 @@ class FrequencyResponse:
         }
         return replace(self, **arrays)
 
+    def between(self, low: float, high: float) -> "FrequencyResponse":
+        """Return the points from `low` to `high`, rad/s."""
+        return self.where((low <= self.omega) & (self.omega <= high))
+
     def times_s(self, output: str = "") -> "FrequencyResponse":
         """Multiply by jω, e.g. from an angle to its rate; `output` names the new signal."""
         return self.times(1j * self.omega, output, "/s")

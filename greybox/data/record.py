@@ -407,7 +407,7 @@ def share_samples(a: Record, b: Record) -> bool:
     # Without a common file, only equal values at equal times show a common measurement.
     _, rows, other_rows = np.intersect1d(a.time, b.time, assume_unique=True, return_indices=True)
     alike = [
-        np.isclose(a[name][rows], b[name][other_rows], rtol=0.0, atol=0.0, equal_nan=True)
+        np.isclose(a[name][rows], b[name][other_rows], 0.0, 0.0, equal_nan=True)
         for name in a.signals
         if name in b.signals
     ]

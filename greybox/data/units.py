@@ -277,8 +277,13 @@ def _powers(text: str) -> dict[str, int]:
 
 def _written(powers: dict[str, int]) -> str:
     """Return a product of powers as people write it: kg·m², 1/s, kg/(m·s); 1 for a pure number."""
+    superscripts = str.maketrans(PLAIN, SUPERSCRIPTS)
     above, below = (
-        [_power(n, sign * k) for n, k in powers.items() if sign * k > 0 and n != "1"]
+        [
+            name + (str(sign * power).translate(superscripts) if sign * power > 1 else "")
+            for name, power in powers.items()
+            if sign * power > 0 and name != "1"
+        ]
         for sign in (1, -1)
     )
     numerator = "·".join(above) or "1"
@@ -286,11 +291,3 @@ def _written(powers: dict[str, int]) -> str:
         return numerator
     denominator = "·".join(below)
     return f"{numerator}/({denominator})" if len(below) > 1 else f"{numerator}/{denominator}"
-
-
-def _power(name: str, exponent: int) -> str:
-    return (
-        name
-        if exponent == 1
-        else name + str(exponent).translate(str.maketrans(PLAIN, SUPERSCRIPTS))
-    )

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from greybox.files.safe_files import replacing
+from greybox.files.safe_files import replacing, require_file
 from greybox.files.subprocess_reader import read_in_subprocess
 from greybox.files.text_table import printable
 
@@ -87,8 +87,7 @@ def open_sealed(path: Path, kind: str) -> Iterator[Stored]:
     ValueError
         If it is of another kind, was changed after it was sealed, or cannot be read.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"there is no file {path}.")
+    require_file(path)
     # The checksum comes before the HDF5 library, which damage could crash.
     _require_seal(path, kind)
     head, arrays = read_in_subprocess("sealed", path)

@@ -24,9 +24,8 @@ WIDE = 12  # columns of estimates above which structures have tables of their ow
 
 def comparison_section(entries: Sequence[Entry], comparison: Comparison | None) -> list[Element]:
     """Return estimates, tests and figures of all results."""
-    converged = [e for e in entries if e.fit is not None and e.fit.converged]
-    labels = [entry.label for entry in converged]
-    fits = [entry.fit for entry in converged if entry.fit is not None]
+    converged = [(e.label, e.fit) for e in entries if e.fit is not None and e.fit.converged]
+    labels, fits = [label for label, _ in converged], [fit for _, fit in converged]
     # More curves than colors cannot be told apart.
     few = 2 <= len(fits) <= OVERLAID
     content = list(_estimates(entries))

@@ -92,7 +92,7 @@ def measure_matrix(
     record = record.between(start + settle, end)
     responses = response_matrix(record, period, u, y, excitations=e, name=record.name)
     if band is not None:
-        responses = tuple(r.where((r.omega >= band[0]) & (r.omega <= band[1])) for r in responses)
+        responses = tuple(response.between(*band) for response in responses)
     used = math.floor((len(record) / record.rate) / period + 1e-9)
     said = [
         f"from {record.time[0]:.2f} to {record.time[-1]:.2f} s at {record.rate:.5g} Hz: "

@@ -457,9 +457,7 @@ def _estimated(
             pieces, settings.period, u, y, instrument=instrument, name=record.name
         )
         if settings.band is not None:
-            measured = measured.where(
-                (measured.omega >= settings.band[0]) & (measured.omega <= settings.band[1])
-            )
+            measured = measured.between(*settings.band)
     else:
         estimate = partial(
             spectral_response,

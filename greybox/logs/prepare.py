@@ -342,6 +342,6 @@ def _known_filters(recording: Recording, names: Sequence[str]) -> tuple[Any, ...
     """Return the filters stated by the record, or else those of the flight controller."""
     for name in names:
         record, field = recording.locate(name)
-        if field in record.filters:
-            return record.filters[field]
-    return next((filters for name in names if (filters := passed_filters(recording, name))), ())
+        if filters := record.filters.get(field, passed_filters(recording, name)):
+            return filters
+    return ()

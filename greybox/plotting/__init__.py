@@ -22,7 +22,7 @@ alone, with the legend inside. `plot` composes several diagrams and returns the 
 | `loops` | the loop of margins, with bands; safe gains |
 | `study` | members of a study: trends, estimates, costs, maps of structures |
 | `flight_log` | logs and their tests |
-| `signals` | units, symbols, labels and shaded tests |
+| `signals` | units, symbols and labels |
 | `long_lines` | draws no more points than can be seen |
 | `overview` | one figure of a whole fit |
 """

@@ -8,13 +8,14 @@ import numpy as np
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment
 from greybox.files.arrays import Array
-from greybox.plotting.figure import Figure, Panel, Series
+from greybox.plotting.figure import GRAY, Figure, Panel, Series
 from greybox.plotting.long_lines import drawn_line, pieces
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
-from greybox.plotting.signals import shown_unit, spans_of
+from greybox.plotting.signals import shown_unit
 
 # Setpoint and angle of each axis, as ArduPilot logs them.
 ATTITUDE = (("ATT.DesRoll", "ATT.Roll"), ("ATT.DesPitch", "ATT.Pitch"), ("ATT.DesYaw", "ATT.Yaw"))
+ORANGE = 1  # color of tests that are not usable
 PANELS = 6  # signals of a log without attitudes: more would not fit a page
 
 
@@ -114,7 +115,7 @@ def recording(
         "Time, s (gray: tests; orange: not usable)" if segments else "Time, s",
         [_panel(recording, signals, 2 * k) for k, signals in enumerate(names)],
         subject=recording.source or "recording",
-        spans=spans_of(segments),
+        spans=[(s.start, s.end, GRAY if s.usable else ORANGE) for s in segments],
     )
     return draw([figure], axes, size=(10.0, 1.8))
 

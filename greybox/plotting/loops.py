@@ -45,7 +45,7 @@ def loop_figures(margins: Margins) -> list[Figure]:
     size = np.abs(loops.first.broken_at(signal, omega)[0])
     omega = omega[(size > SHOWN[0]) & (size < SHOWN[1])]
     gain = loops.broken_at(signal, omega)
-    decibel, phase = 20 * np.log10(np.abs(gain)), np.degrees(np.unwrap(np.angle(gain), axis=1))
+    decibel, phase = 20 * np.log10(np.abs(gain)), np.degrees(np.unwrap(np.angle(gain)))
     phase -= 360 * np.round((phase - phase[0]).mean(axis=1, keepdims=True) / 360)
     # In the turn that has -180 degrees in its middle, at the gain nearest to one.
     phase -= 360 * math.ceil(phase[0, np.abs(decibel[0]).argmin()] / 360)

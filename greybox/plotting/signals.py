@@ -1,16 +1,13 @@
-"""Signals as a person reads them: degrees for radians, Greek letters; and tests as shaded spans."""
+"""Signals as a person reads them: degrees for radians, and Greek letters."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import TypeVar
 
 from greybox.data.record import Record
-from greybox.data.test_segment import Segment
 from greybox.files.text_table import in_greek
-from greybox.plotting.figure import GRAY
 
 Item = TypeVar("Item")
-ORANGE = 1  # color of tests that are not usable, and of samples at a limit
 
 
 def shown_unit(unit: str) -> tuple[float, str]:
@@ -24,11 +21,6 @@ def signal_label(record: Record, name: str) -> str:
     """Return the symbol of a signal and the unit that a person reads."""
     unit = shown_unit(record.units.get(name, ""))[1]
     return f"{in_greek(name)}, {unit}" if unit else in_greek(name)
-
-
-def spans_of(tests: Iterable[Segment]) -> list[tuple[float, float, int]]:
-    """Return when tests were flown, in orange where they are not usable."""
-    return [(test.start, test.end, GRAY if test.usable else ORANGE) for test in tests]
 
 
 def chosen(items: Sequence[Item], number: int, kind: str) -> Item:

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.data.record import GAP, Record
+from greybox.data.record import Record
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, IntArray
 from greybox.plotting.figure import GRAY, INK, Figure, Panel, Series, band, rule
-from greybox.plotting.long_lines import COLUMNS, drawn_line, pieces
+from greybox.plotting.long_lines import COLUMNS, drawn_line
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.signals import chosen, distinct_labels, shown_unit, signal_label
 from greybox.simulation.prediction import Prediction
@@ -105,7 +105,7 @@ def history_figure(
     for name in inputs:
         data = next(history.data for history in drawn if name in history.data.signals)
         values = shown_unit(data.units.get(name, ""))[0] * data[name]
-        series = _drawn("", data, values, _gapless(data), columns, INK)
+        series = _drawn("", data, values, data.independent_pieces, columns, INK)
         panels.append(Panel(signal_label(data, name), series, height=0.5))
 
     data = drawn[0].data
@@ -127,7 +127,7 @@ def _output_panels(drawn: Mapping[str, History], name: str, columns: int) -> lis
     factor, unit = shown_unit(data.units.get(name, ""))
     measured = factor * data[name]
     is_finite = np.isfinite(measured)
-    outputs = _drawn("measured", data, measured, _gapless(data), columns, GRAY)
+    outputs = _drawn("measured", data, measured, data.independent_pieces, columns, GRAY)
     # Dots show which samples there are; many of them look like a line, and take longer to draw.
     if is_finite.sum() <= DOTS:
         dots = _along(data)[is_finite], measured[is_finite]
@@ -161,15 +161,8 @@ def _history(item: Fit | Prediction, record: int) -> History:
     part = chosen(item.records, record, "record")
     inputs = tuple(name for name in part.data.signals if name not in part.outputs)
     label = f"fit of {part.label}"
-    return History(label, part.data, part.simulated, part.outputs, inputs, _gapless(part.data))
-
-
-def _gapless(data: Record) -> list[IntArray]:
-    """Return the rows between the gaps; rows without a time are not joined."""
-    # A line between two rows would suggest that something happened between them.
-    if not data.has_time:
-        return [np.array([row]) for row in range(len(data))]
-    return pieces(data.time, GAP * data.step)
+    pieces = part.data.independent_pieces
+    return History(label, part.data, part.simulated, part.outputs, inputs, pieces)
 
 
 def _along(data: Record) -> Array:

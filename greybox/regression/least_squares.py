@@ -82,10 +82,6 @@ def solve(slopes: Array, right: Array, low: Array, high: Array) -> Array:
     sizes = np.linalg.norm(matrix, axis=0)
     # The least-norm solution of columns of length one does not depend on units.
     sizes[sizes == 0] = 1.0
-    # Usually no bound is active, and the plain solution is the answer.
-    free = np.linalg.lstsq(matrix / sizes, right, rcond=None)[0] / sizes
-    if np.all((free >= low) & (free <= high)):
-        return free
     bounded = lsq_linear(
         matrix / sizes, right, (low * sizes, high * sizes), method="bvls", max_iter=1000
     )

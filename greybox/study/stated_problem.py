@@ -148,7 +148,7 @@ def in_band(problem: AnyProblem, band: Any) -> AnyProblem:
         data = part.data
         if not isinstance(data, FrequencyResponse):
             raise ValueError(f"band=... is for frequency responses, and {part.name} is none.")
-        return part.with_(data=data.where((data.omega >= low) & (data.omega <= high)))
+        return part.with_(data=data.between(low, high))
 
     return problem.with_parts([within(part) for part in problem.parts])
 

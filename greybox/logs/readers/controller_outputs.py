@@ -81,12 +81,9 @@ def _holds(group: Messages, period: float) -> dict[str, float]:
     holds |= {name: HELD for name in group.columns if _is_among(KEPT, group.name, name)}
     if math.isnan(period):
         # Of an unknown loop, a log that is fast enough is assumed to have every pass.
-        steps = (
-            np.diff(group.time)
-            if group.time is not None and len(group) > 1
-            else np.full(1, math.inf)
-        )
-        if np.median(steps) > 1 / SLOWEST_LOOP:
+        if group.time is None or len(group) < 2:
+            return holds
+        if np.median(np.diff(group.time)) > 1 / SLOWEST_LOOP:
             return holds
         period = HELD
 

@@ -30,7 +30,7 @@ LONGEST = 30  # characters of a cell that is shown in a finding
 
 
 def read(
-    path: str | Path,
+    path: Path,
     messages: Collection[str] | None = None,
     stated: Mapping[str, str] | None = None,
     rate: float | None = None,
@@ -52,7 +52,7 @@ def read(
 
     Parameters
     ----------
-    path : str or Path
+    path : Path
     messages : collection of str, optional
         Not used: a table is one record, and all of it is read.
     stated : mapping of str to str, optional
@@ -76,7 +76,6 @@ def read(
     OSError
         If the file cannot be opened.
     """
-    path = Path(path)
     raw = path.read_bytes()
     text = read_delimited(path, without_settings(raw))
     if not text.lines:

@@ -29,12 +29,12 @@ TABLES = ("FMT", "FMTU", "UNIT", "MULT")
 CLOCKS = {"TimeUS": 1e6, "TimeMS": 1e3}  # ticks per second
 
 
-def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
+def read(path: Path, messages: Collection[str] | None = None) -> Recording:
     """Read a DataFlash log.
 
     Parameters
     ----------
-    path : str or Path
+    path : Path
     messages : collection of str, optional
         Types to read, e.g. ``("ATT", "RATE")``; all by default. Metadata are always read.
 
@@ -50,7 +50,6 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     OSError
         If the file cannot be opened.
     """
-    path = Path(path)
     messages = bare(messages)
     # Mapped: the system reads only the pages that are needed, and releases them again.
     with open(path, "rb") as file:

@@ -123,12 +123,12 @@ class _MessageLines:
         )
 
 
-def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
+def read(path: Path, messages: Collection[str] | None = None) -> Recording:
     """Read a DataFlash text log.
 
     Parameters
     ----------
-    path : str or Path
+    path : Path
     messages : collection of str, optional
         Types to read, e.g. ``("ATT", "RATE")``; all by default. Metadata are always read.
 
@@ -144,7 +144,6 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     OSError
         If the file cannot be opened.
     """
-    path = Path(path)
     messages = bare(messages)
     with path.open("rb") as file:
         checksum = hashlib.file_digest(file, "sha256").hexdigest()

@@ -38,7 +38,7 @@ class Contents(NamedTuple):
 
 
 def read(
-    path: str | Path,
+    path: Path,
     messages: Collection[str] | None = None,
     stated: Mapping[str, str] | None = None,
     rate: float | None = None,
@@ -57,7 +57,7 @@ def read(
 
     Parameters
     ----------
-    path : str or Path
+    path : Path
     messages : collection of str, optional
         Groups to read; all by default.
     stated : mapping of str to str, optional
@@ -78,7 +78,6 @@ def read(
     OSError
         If the file cannot be opened.
     """
-    path = Path(path)
     with open(path, "rb") as file:
         head = file.read(HEAD)
     is_hdf5 = SIGNATURE in head

@@ -24,12 +24,12 @@ ABOUT = ("HEARTBEAT", "PARAM_VALUE", "STATUSTEXT")  # the metadata are made of t
 SENDER = "sender"  # the text column that distinguishes senders and instances
 
 
-def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
+def read(path: Path, messages: Collection[str] | None = None) -> Recording:
     """Read a MAVLink telemetry log.
 
     Parameters
     ----------
-    path : str or Path
+    path : Path
     messages : collection of str, optional
         Kinds to read, e.g. ``("ATTITUDE",)``; all by default. Metadata are always read.
 
@@ -47,7 +47,6 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     OSError
         If the file cannot be opened.
     """
-    path = Path(path)
     messages = bare(messages)
     with open(path, "rb") as file:
         data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)

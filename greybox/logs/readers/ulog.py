@@ -43,12 +43,12 @@ RATES = {  # fields in rad/s
 }
 
 
-def read(path: str | Path, messages: Collection[str] | None = None) -> Recording:
+def read(path: Path, messages: Collection[str] | None = None) -> Recording:
     """Read a PX4 log.
 
     Parameters
     ----------
-    path : str or Path
+    path : Path
     messages : collection of str, optional
         Topics to read, e.g. ``("vehicle_attitude",)``; all by default. Metadata are always read.
 
@@ -67,7 +67,6 @@ def read(path: str | Path, messages: Collection[str] | None = None) -> Recording
     OSError
         If the file cannot be opened.
     """
-    path = Path(path)
     topics_wanted = bare(messages)
     if find_spec("pyulog") is None:
         raise ValueError(
