@@ -51,7 +51,7 @@ study STUDY
 --workers
 --scheduler
 """
-RESUME = "the same command continues"
+RESUME = "`greybox batch --resume {}` continues"
 
 
 def run(options: argparse.Namespace) -> Answer:
@@ -73,19 +73,20 @@ def run(options: argparse.Namespace) -> Answer:
         return _listed(members)
     if folder is None:
         raise UsageError("the following arguments are required: --out; see greybox batch --help.")
-    copy_inputs(path, folder, starts)
+    if not options.resume:
+        copy_inputs(path, folder, starts)
     try:
         with stated_executor(options) as executor:
             study = batch(members, folder, executor=executor, seconds=options.seconds)
     except BatchInterrupted as stopped:
-        answer = {**as_json(stopped.study), "error": f"interrupted; {RESUME}."}
+        answer = {**as_json(stopped.study), "error": f"interrupted; {RESUME.format(folder)}."}
         return answer, str(stopped.study)
     # Another process writes to the folder, or it is a file: the study has not failed.
     except (BlockingIOError, FileExistsError):
         raise
     # Lost workers or a full disk end the command, not the study: its stored runs remain.
     except (ExecutorLostError, OSError) as error:
-        return ({"error": f"{str(error).rstrip('.')}; {RESUME}."},)
+        return ({"error": f"{str(error).rstrip('.')}; {RESUME.format(folder)}."},)
     return _answer(study)
 
 
@@ -96,7 +97,7 @@ def _answer(study: Study) -> Answer:
     if missing:
         # A script must notice that members are missing, although the others have answers.
         names = ", ".join(member.name for member in missing)
-        hint = f"; {RESUME}" if study.count("unfinished") else ""
+        hint = f"; {RESUME.format(study.folder)}" if study.count("unfinished") else ""
         answer["error"] = (
             f"{len(missing)} of {len(study.members)} members have no answer: {names}{hint}."
         )

@@ -19,6 +19,7 @@ from greybox.files.text_table import counted
 from greybox.solve.interruption import (
     Response,
     TimeLimits,
+    building,
     is_search_over,
     limited,
     responding,
@@ -68,8 +69,9 @@ def run(options: argparse.Namespace) -> Answer:
     continues = options.out is not None and folder_beside(options.out).is_dir()
     require_fit_file(options.out, options.force or continues)
     require_figure(options.plot, options.force or continues)
-    make = _stated_fit(options)
     limits = TimeLimits.from_now(options.seconds, None)
+    with limited(limits), building():
+        make = _stated_fit(options)
     store = nullcontext() if options.out is None else runs_beside(options.out)
     with store as stored, stated_executor(options) as executor, limited(limits):
         return _answer(options, stored, *_fitted(partial(make, executor=executor), stored, options))

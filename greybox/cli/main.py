@@ -47,7 +47,7 @@ BEGIN = """\
 begin with:
   greybox list
   greybox fit pitch_hover
-  greybox new problem mine
+  greybox new mine
 `greybox COMMAND --help` has examples of each."""
 
 

@@ -1,4 +1,4 @@
-"""The command `greybox new`: a commented file to start from, of a model or of a problem."""
+"""The command `greybox new`: a commented file to start from, with a model and its problem."""
 
 import argparse
 import sys
@@ -6,7 +6,7 @@ from pathlib import Path
 
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, require_writable
-from greybox.cli.starting_files import model_file, problem_file
+from greybox.cli.starting_files import problem_file
 from greybox.files.safe_files import write_text
 
 # A file of one of these names would hide the package that it, or its user, imports.
@@ -15,13 +15,10 @@ PACKAGES = frozenset(
 )
 
 EXAMPLES = (
-    "model pitch",
-    "problem pitch",
-    "problem drag --in-time",
+    "pitch",
+    "drag --in-time",
 )
 OPTIONS = """
-kind {model,problem}
-    a model alone, or a model with data and a problem
 name NAME
     name of the file, NAME.py in this folder, and of its model
 --in-time
@@ -46,13 +43,9 @@ def run(options: argparse.Namespace) -> Answer:
         )
 
     require_writable(path, options.force)
-    write = model_file if options.kind == "model" else problem_file
-    write_text(path, write(path.name, _class_name(path.stem), in_time=options.in_time))
-    commands = [f"greybox list {path}", f"greybox fit --model {path} --data DATA.csv"]
-    if options.kind == "problem":
-        commands = [f"greybox fit {path}"]
-    lines = [f"next: {command}" for command in commands]
-    return {"file": str(path), "next": commands}, f"wrote {path}", *lines
+    write_text(path, problem_file(path.name, _class_name(path.stem), in_time=options.in_time))
+    command = f"greybox fit {path}"
+    return {"file": str(path), "next": [command]}, f"wrote {path}", f"next: {command}"
 
 
 def _class_name(stem: str) -> str:

@@ -13,7 +13,6 @@ from greybox.study.data_file import read_data
 from greybox.study.study import Study, read_study
 from greybox.validation.compare import compare
 from greybox.validation.comparison import Comparison
-from greybox.validation.same_data import labels_of
 
 EXAMPLES = (
     "pitch.h5",
@@ -62,17 +61,11 @@ def _held_out(options: argparse.Namespace, results: Sequence[Fit | Study]) -> Co
             raise UsageError("--columns and --rate go with --held-out.")
         return None
 
-    from greybox.html_report.report import members_of  # noqa: PLC0415  (imports matplotlib)
-
-    single = [result for result in results if isinstance(result, Fit)]
-    fits = dict(zip(labels_of(single), single, strict=True))
-    for study in results:
-        if isinstance(study, Study):
-            fits |= {entry.label: entry.fit for entry in members_of(study) if entry.fit}
+    first: Any = results[0]
     # All models must have the outputs that are compared, so the first one names the signals.
-    model = next(iter(fits.values())).model_of()
+    model = (first.done[0].fit if isinstance(first, Study) else first).model_of()
     records: list[Any] = [
         read_data(path, model, columns=options.columns, rate=options.rate)
         for path in options.held_out
     ]
-    return compare(*fits.values(), records=records, labels=list(fits))
+    return compare(*results, records=records)

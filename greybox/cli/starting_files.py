@@ -1,4 +1,4 @@
-"""The files that `greybox new` writes: commented, and running as they are, with made-up numbers."""
+"""The file that `greybox new` writes: commented, and running as it is, with made-up numbers."""
 
 TRANSFER_FUNCTION = '''\
 class {name}(gb.TransferFunction):
@@ -54,36 +54,12 @@ class {name}(gb.StateSpace):
         return (x.v,)
 '''
 
-MODEL = '''\
-"""Model structures of my own: what they are, and where they come from.
-
-    greybox list {file}
-    greybox fit --model {file} --data DATA.csv
-"""
-
-import greybox as gb
-
-
-{model}
-
-if __name__ == "__main__":  # python {file}
-{trial}
-'''
-
-TRANSFER_FUNCTION_TRIAL = """\
-    print(gb.modeling.rational({name}()))
-    response = gb.frequency_response({name}(), {{"K": 60.0}}, [1.0, 10.0])
-    for omega, value in zip(response.omega, response.response):
-        print(f"P(j {{omega:g}} rad/s) = {{value:.4g}}")"""
-
-STATE_SPACE_TRIAL = """\
-    print(gb.modeling.linearize({name}(), {{"c": 0.1}}, at={{"v": 5.0}}).A)"""
-
-PROBLEM = '''\
+BEGIN = '''\
 """What is fitted to what; this line is what `greybox fit` names.
 
     greybox fit {file}
     greybox fit {file} --out {stem}.h5 --plot {stem}.png
+    greybox fit --model {file} --data DATA.csv
 """
 
 import numpy as np
@@ -91,26 +67,11 @@ import numpy as np
 import greybox as gb
 
 
-{model}
-
-def data():
-{data}
-
-def problem():
-    """Return what `greybox fit` fits; it may change what the model declares."""
-    return gb.Problem(
-        {name}(),
-        data(),
-        # criterion={criterion},  # how the mismatch is measured; docs: "Choosing"
-        # fixed={{"{first}": {value}}},
-        # bounds={{"{first}": ({low}, {high})}},
-    )
-
-
-settings = {{"starts": {starts}, "seed": 0}}  # of the search; --starts and --seed go before them
 '''
 
-RESPONSE_DATA = '''\
+RESPONSE = '''
+
+def data():
     """Return the measured frequency response: here a made-up one, with 2 % noise."""
     # Yours, from a file with the columns omega_rad_s, alpha, beta:
     #     return gb.read_response("response.csv")
@@ -124,9 +85,25 @@ RESPONSE_DATA = '''\
     parts = np.random.default_rng(0).normal(size=(2, 20))
     noisy = exact.response * (1 + 0.02 * (parts[0] + 1j * parts[1]))
     return gb.FrequencyResponse(exact.omega, noisy, input="u", output="theta", name="made up")
+
+
+def problem():
+    """Return what `greybox fit` fits; it may change what the model declares."""
+    return gb.Problem(
+        {name}(),
+        data(),
+        # criterion=gb.RelativeLikelihood(),  # how the mismatch is measured; docs: "Choosing"
+        # fixed={{"a": 2.0}},
+        # bounds={{"a": (0, 5)}},
+    )
+
+
+settings = {{"starts": 50, "seed": 0}}  # of the search; --starts and --seed go before them
 '''
 
-RECORD_DATA = '''\
+RECORD = '''
+
+def data():
     """Return the measured record: here a made-up one, with noise of 0.05 m/s."""
     # Yours, from a table with the columns time [s], theta [rad], v [m/s]:
     #     return gb.read("flight.csv")["flight"]
@@ -140,35 +117,24 @@ RECORD_DATA = '''\
     v = gb.simulate({name}(), {{"c": 0.25}}, flown)["v"]
     noise = 0.05 * np.random.default_rng(0).normal(size=time.size)
     return flown.with_signals(v=v + noise, units={{"v": "m/s"}})
-'''
 
 
-def model_file(file: str, name: str, *, in_time: bool) -> str:
-    """Return a file with a model, a transfer function or an ODE (`in_time`)."""
-    model, trial = (
-        (STATE_SPACE, STATE_SPACE_TRIAL)
-        if in_time
-        else (TRANSFER_FUNCTION, TRANSFER_FUNCTION_TRIAL)
+def problem():
+    """Return what `greybox fit` fits; it may change what the model declares."""
+    return gb.Problem(
+        {name}(),
+        data(),
+        # criterion=gb.OutputError(),  # how the mismatch is measured; docs: "Choosing"
+        # fixed={{"c": 0.1}},
+        # bounds={{"c": (0.01, 1)}},
     )
-    return MODEL.format(file=file, model=model.format(name=name), trial=trial.format(name=name))
+
+
+settings = {{"starts": 5, "seed": 0}}  # of the search; --starts and --seed go before them
+'''
 
 
 def problem_file(file: str, name: str, *, in_time: bool) -> str:
     """Return a file with a model, data and a problem, for a response or a record (`in_time`)."""
-    # The suggested settings are those of the template's model, so that the file runs as it is.
-    model, data = (STATE_SPACE, RECORD_DATA) if in_time else (TRANSFER_FUNCTION, RESPONSE_DATA)
-    criterion = "gb.OutputError()" if in_time else "gb.RelativeLikelihood()"
-    first, value, low, high, starts = ("c", 0.1, 0.01, 1, 5) if in_time else ("a", 2.0, 0, 5, 50)
-    return PROBLEM.format(
-        file=file,
-        stem=file.removesuffix(".py"),
-        name=name,
-        model=model.format(name=name),
-        data=data.format(name=name),
-        criterion=criterion,
-        first=first,
-        value=value,
-        low=low,
-        high=high,
-        starts=starts,
-    )
+    text = STATE_SPACE + RECORD if in_time else TRANSFER_FUNCTION + RESPONSE
+    return (BEGIN + text).format(file=file, stem=file.removesuffix(".py"), name=name)

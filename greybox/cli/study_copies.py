@@ -1,13 +1,15 @@
 """Copies of the files of a study in its folder, so that it resumes wherever the folder is moved.
 
-``inputs/``            the files beside and below the study file that were read with it.
-``inputs/study.json``  the name of the study file, and the option ``--starts``.
+``inputs/``            the files that were read with the study, as they lie to one another.
+``inputs/study.json``  the place of the study file in it, and the option ``--starts``.
 
-A study file in Python, and the files with models that it names, read what they like. An audit hook
-of Python sees each file that is opened. Those elsewhere (``../flights``) are not copied.
+A study file in Python, and the files with models that it names, read what they like: an audit hook
+of Python sees each file that is opened, and those beside and below the study file are copied. Those
+elsewhere (``../flights``) are copied if greybox read them as data or as a model.
 """
 
 import json
+import os
 import shutil
 import sys
 from pathlib import Path
@@ -17,14 +19,22 @@ from greybox.files.safe_files import replacing, write_text
 INPUTS = Path("inputs")
 STATED = INPUTS / "study.json"
 
-_opened = set[str]()
+_opened = set[Path]()
+_read = set[Path]()  # by greybox
 
 
 def note_opened_files() -> None:
-    """Note every file that Python opens for reading from now on."""
-    sys.addaudithook(
-        lambda event, its: event == "open" and its[1] in ("r", "rb") and _opened.add(str(its[0]))
-    )
+    """Note every file that Python opens for reading from now on, and those that greybox reads."""
+    for files in (_opened, _read):
+        files.clear()
+    sys.addaudithook(_note)
+
+
+def _note(event: str, arguments: tuple) -> None:
+    if event == "greybox.read":
+        _read.add(Path(arguments[0]).resolve())
+    elif event == "open" and arguments[1] in ("r", "rb"):
+        _opened.add(Path(str(arguments[0])))
 
 
 def copy_inputs(study: Path, folder: Path, starts: int | None) -> None:
@@ -35,19 +45,26 @@ def copy_inputs(study: Path, folder: Path, starts: int | None) -> None:
     OSError
         If they cannot be written.
     """
-    base, folder = study.parent.resolve(), folder.resolve()
-    (folder / INPUTS).mkdir(parents=True, exist_ok=True)
-    write_text(folder / STATED, json.dumps([study.name, starts]))
+    study, folder = study.resolve(), folder.resolve()
     modules = {getattr(module, "__file__", None) or "/" for module in [*sys.modules.values()]}
-    for source in {Path(name).resolve() for name in _opened | modules}:
-        # Files of Python and of the folder itself are not part of the study.
-        is_other = any(map(source.is_relative_to, (sys.prefix, folder)))
-        is_file = source.is_file() and source.suffix != ".pyc"
-        if is_file and not is_other and source.is_relative_to(base):
-            place = folder / INPUTS / source.relative_to(base)
-            place.parent.mkdir(parents=True, exist_ok=True)
-            with replacing(place) as temporary:
-                shutil.copyfile(source, temporary)
+    opened = map(Path.resolve, {*_opened, *map(Path, modules)})
+    beside = {path for path in opened if path.is_relative_to(study.parent)}
+    # Files of Python and of the folder itself are not part of the study.
+    sources = {study} | {
+        path
+        for path in beside | _read
+        if path.is_file()
+        and path.suffix != ".pyc"
+        and not any(map(path.is_relative_to, (sys.prefix, folder)))
+    }
+    # Relative paths such as ../flights lead from the copy of the study to those of its data.
+    base = Path(os.path.commonpath([path.parent for path in sources]))
+    for source in sources:
+        place = folder / INPUTS / source.relative_to(base)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with replacing(place) as temporary:
+            shutil.copyfile(source, temporary)
+    write_text(folder / STATED, json.dumps([str(study.relative_to(base)), starts]))
 
 
 def stated_inputs(folder: Path):
@@ -59,4 +76,4 @@ def stated_inputs(folder: Path):
         If the folder has none.
     """
     name, starts = json.loads((folder / STATED).read_text())
-    return str((folder / STATED).with_name(name)), starts
+    return str(folder / INPUTS / name), starts

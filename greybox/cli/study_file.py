@@ -69,16 +69,11 @@ def read_study_file(path: Path, starts: int | None = None) -> list[Member]:
 
 def _stated_in_python(path: Path) -> list[Member]:
     module: Any = module_from_file(path)
-    function = getattr(module, "members", None)
-    if not callable(function):
-        raise UsageError(
-            f"{path} has no function members(): define it, and return a list of gb.study.Member."
-        )
-
-    members = function()
+    members = module.members() if hasattr(module, "members") else None
     if not isinstance(members, list | tuple) or not all(isinstance(m, Member) for m in members):
         raise UsageError(
-            f"members() in {path} returns {members!r:.60}: return a list of gb.study.Member."
+            f"members() in {path} is missing or returns {members!r:.60}: define it, and return a "
+            "list of gb.study.Member."
         )
 
     return list(members)

@@ -7,6 +7,7 @@ from concurrent.futures import Executor
 from contextlib import contextmanager
 
 from greybox.cli.options import UsageError
+from greybox.files.optional_package import required
 from greybox.solve.worker_pool import WorkerPool
 
 CONNECTING = 10  # s, until a scheduler that does not answer is given up
@@ -35,16 +36,12 @@ def stated_executor(options: argparse.Namespace) -> Iterator[Executor | None]:
 
 
 def _client(address: str):
-    try:
-        from distributed import Client  # noqa: PLC0415  (optional, and takes half a second)
-    except ModuleNotFoundError:
-        raise UsageError("--scheduler needs Dask: pip install 'greybox-id[dask]'.") from None
-
+    dask = required("distributed", "dask", "--scheduler")
     # The client would print tracebacks of a scheduler that is lost, for which there is a sentence.
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
     # Without a limit a wrong address would wait for ever.
     try:
-        return Client(address, timeout=CONNECTING)
+        return dask.Client(address, timeout=CONNECTING)
     except (OSError, ValueError) as error:
         reason = " ".join(str(error).split())[:200].rstrip(".")
         raise UsageError(

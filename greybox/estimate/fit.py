@@ -3,6 +3,7 @@
 import math
 import platform
 import time
+import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -49,6 +50,7 @@ from greybox.solve.executors import require_executor, runner_fingerprint
 from greybox.solve.interruption import (
     Response,
     TimeLimits,
+    building,
     current_limits,
     is_search_over,
     limited,
@@ -203,9 +205,25 @@ class SolverChoice:
             )
 
     def compiled(self, problem: AnyProblem) -> tuple[CompiledProblem, LocalSolver]:
-        """Return the compiled problem and its solver."""
-        nlp = compile_problem(with_enough_harmonics(problem), self.method)
-        return nlp, solver_for(nlp, self.options, self.search)
+        """Return the compiled problem and its solver.
+
+        Raises
+        ------
+        ValueError
+            If a formula does not trace, or divides by the number zero.
+        TimeoutError
+            If the time limit ends before.
+        """
+        try:
+            with building():
+                nlp = compile_problem(with_enough_harmonics(problem), self.method)
+                return nlp, solver_for(nlp, self.options, self.search)
+        except ZeroDivisionError as error:
+            place = traceback.extract_tb(error.__traceback__)[-1]
+            raise ValueError(
+                f"a formula of {problem.name!r} divides by zero, in line {place.lineno} of "
+                f"{place.filename}: change the constants in it."
+            ) from error
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 import os
 import secrets
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -56,6 +57,8 @@ def require_file(path: Path) -> None:
         For a path that does not exist (`FileNotFoundError`), a folder, and a pipe, which would
         block.
     """
+    # A study copies what it reads, see `cli/study_copies.py`.
+    sys.audit("greybox.read", str(path))
     if not path.exists():
         raise FileNotFoundError(f"there is no file {path}.")
     if path.is_dir():

@@ -12,8 +12,6 @@ from greybox.plotting.study import estimates_figure, structures_figure
 from greybox.study.store import StudyMember
 from greybox.study.study import Study
 
-RANKED = 500  # members up to which structures are compared: every fit is read for it
-
 
 def study_section(study: Study) -> Iterator[Element]:
     """Yield how many members are done and how good they are, and which structure is supported."""
@@ -23,7 +21,7 @@ def study_section(study: Study) -> Iterator[Element]:
     texts = (f"{grades[grade]} {text}" for grade, text in GRADES.items() if grades[grade])
     yield tag("p", f"{study.state}. Of the fits: {', '.join(texts)}.")
     figures = [structures_figure(study), estimates_figure(study, "cost")]
-    if len(study.groups("model")) > 1 and len(study.members) <= RANKED:
+    if len(study.groups("model")) > 1:
         comparison = study.ranking()
         yield from (tag("p", text) for text in (comparison.verdict, *comparison.statements) if text)
         figures.insert(0, structures_figure(comparison))

@@ -21,6 +21,7 @@ def module_from_file(path: Path) -> ModuleType:
     """
     if not path.is_file():
         raise FileNotFoundError(f"there is no file {path}.")
+    sys.audit("greybox.read", str(path))
     # The file may import its neighbors.
     folder = str(path.resolve().parent)
     if folder not in sys.path:

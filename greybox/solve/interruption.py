@@ -37,6 +37,10 @@ class Response(Enum):
 # The signals that end a program in order, with Python's own handlers of them.
 ENDING = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
 
+# A shorter time limit leaves this time to build a model, s: whether a small model has an answer
+# must not depend on how quickly it is built.
+BUILDING = 10.0
+
 # Seconds within which a second signal is the same Ctrl-C: the terminal sends it to all processes,
 # and programs such as timeout(1) forward it.
 ECHO = 0.5
@@ -113,6 +117,33 @@ def one_run(spent: float = 0.0, starts: int = 1) -> Iterator[None]:
         yield
     finally:
         _state.run_ends = previous
+
+
+@contextmanager
+def building() -> Iterator[None]:
+    """Raise TimeoutError within when the time of the search is up.
+
+    A user's formulas do not ask for the time. Only the main thread of a process can be interrupted
+    in them, and not on Windows.
+    """
+    left = _state.limits.end - time.time()
+    is_main = threading.current_thread() is threading.main_thread()
+    if math.isinf(left) or not is_main or not hasattr(signal, "setitimer"):
+        yield
+        return
+    previous = signal.signal(signal.SIGALRM, _stop_building)
+    signal.setitimer(signal.ITIMER_REAL, max(left, BUILDING))
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, previous)
+
+
+def _stop_building(*_: object) -> None:
+    raise TimeoutError(
+        "the time limit ended while the model was being built: give more time or a simpler model."
+    )
 
 
 def is_search_over() -> bool:

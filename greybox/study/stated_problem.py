@@ -216,15 +216,9 @@ def _with_criterion(problem: AnyProblem, name: Any) -> AnyProblem:
     served = {noun: kind for noun, (kind, criteria) in KINDS.items() if criterion in criteria}
     kinds = tuple(served.values())
     if not any(isinstance(part.data, kinds) for part in problem.parts):
-        suitable = [
-            suitable.name
-            for kind, criteria in KINDS.values()
-            if any(isinstance(part.data, kind) for part in problem.parts)
-            for suitable in criteria
-        ]
         raise ValueError(
             f"criterion={name} is for {' and '.join(served)} and {problem.name} has none: use "
-            f"{', '.join(dict.fromkeys(suitable))}, or leave it out."
+            f"another one of {', '.join(CRITERIA_BY_NAME)}, or leave it out."
         )
 
     return problem.with_parts(

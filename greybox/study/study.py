@@ -146,10 +146,18 @@ class Study:
             As in `greybox.compare`.
         """
         self._require_factor(by)
+        # Of members that differ in their seeds or delays only the best counts: reading a fit takes
+        # longer than comparing it.
+        best: dict[tuple[str, ...], StudyMember] = {}
+        for member in sorted(self.done, key=lambda member: -member.answer["cost"]):
+            answer, factors = member.answer, member.factors
+            if by in factors:
+                best[factors[by], *map(str, map(answer.get, ALIKE))] = member
+        chosen = set(best.values())
         fits = [
             (member.factors[by], member.factors["data"], fit)
             for member in self.done
-            if by in member.factors and (fit := member.fit)
+            if member in chosen and (fit := member.fit)
         ]
         return ranking(fits, records, window, lead)
 
@@ -212,6 +220,8 @@ def _require_readable(member: StudyMember) -> None:
         ) from None
 
 
+# Fits of a structure that are alike in these can be compared by their costs.
+ALIKE = ("data", "checksum", "criterion", "bounds")
 OVERVIEW = ("member", "status", "criterion", "delay", "starts", "converged", "agreeing", "minima")
 
 

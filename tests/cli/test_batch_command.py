@@ -192,7 +192,7 @@ def test_ctrl_c_and_sigterm_say_how_to_go_on(study, capsys, monkeypatch, number)
     )
     assert main(["batch", str(study), "--out", "out"]) == 128 + number
     shown = capsys.readouterr()
-    assert "greybox: interrupted; the same command continues." in shown.err
+    assert "greybox: interrupted; `greybox batch --resume out` continues." in shown.err
     assert "2 members: 2 unfinished" in shown.out
     monkeypatch.setattr(StoredRuns, "add", add)
     status, result, _ = answer(capsys, "batch", study, "--out", "out")
@@ -206,7 +206,7 @@ def test_a_study_that_its_time_limit_ends_goes_on(study, capsys):
     assert status == 1
     assert [member["status"] for member in result["members"]] == ["unfinished"] * 2
     assert result["error"].startswith("2 of 2 members have no answer: ")
-    assert result["error"].endswith("; the same command continues.")
+    assert result["error"].endswith("; `greybox batch --resume out` continues.")
     assert "greybox: 2 of 2 members" in message
     status, result, _ = answer(capsys, "batch", study, "--out", "out", "--seconds", 1e6)
     assert status == 0
@@ -224,12 +224,12 @@ def test_a_study_that_its_time_limit_ends_goes_on(study, capsys):
         (
             OSError("the disk is full."),
             1,
-            "the disk is full; the same command continues.",
+            "the disk is full; `greybox batch --resume out` continues.",
         ),
         (
             ExecutorLostError("the workers are gone."),
             1,
-            "the workers are gone; the same command continues.",
+            "the workers are gone; `greybox batch --resume out` continues.",
         ),
     ],
 )
@@ -253,7 +253,7 @@ def test_a_check_finds_what_is_damaged_and_resuming_makes_it_again(study, capsys
     assert status == 1
     assert [member["status"] for member in result["members"]] == ["unfinished", "done"]
     assert "removed 1 damaged answer" in message
-    assert "the same command continues" in message
+    assert "--resume out` continues" in message
     status, result, _ = answer(capsys, "batch", study, "--out", "out")
     assert status == 0
     for member, wanted in zip(result["members"], whole, strict=True):
@@ -262,17 +262,18 @@ def test_a_check_finds_what_is_damaged_and_resuming_makes_it_again(study, capsys
 
 def test_a_study_resumes_where_its_folder_is_moved(study, capsys, tmp_path):
     here = study.parent
-    (here / "data").mkdir()
+    flights = tmp_path / "flights"
+    flights.mkdir()
     lines = [f"{w},{3 / (1 + w * w)},{-3 * w / (1 + w * w)}" for w in (0.5, 1.0, 2.0, 4.0, 8.0)]
     table = "\n".join(["omega_rad_s,alpha,beta", *lines, ""])
-    (here / "data" / "bode.csv").write_text(table)
-    study.write_text(TWO_SEEDS + '[[member]]\nmodel = "mine.py:Lag"\ndata = "data/bode.csv"\n')
+    (flights / "bode.csv").write_text(table)
+    study.write_text(TWO_SEEDS + '[[member]]\nmodel = "mine.py:Lag"\ndata = "../flights/*.csv"\n')
     words = ("--out", "out", "--seconds", 1e-6, "--starts", 6)
     status, result, _ = answer(capsys, "batch", study, *words)
     assert status == 1
     moved = tmp_path / "elsewhere" / "study"
     shutil.copytree("out", moved)
-    for folder in (here, "out"):
+    for folder in (here, flights, "out"):
         shutil.rmtree(folder)
     del sys.modules["mine"]
 

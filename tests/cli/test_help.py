@@ -37,7 +37,7 @@ def test_the_help_says_where_to_begin(capsys):
     for name, parser in COMMANDS.items():
         assert re.search(rf"^    {name} +\w", out, re.MULTILINE), name
         assert all(option in parser.format_help() for option in ("--json", "--quiet", "--debug"))
-    assert "greybox new problem mine" in out
+    assert "greybox new mine" in out
 
 
 def test_quiet_prints_errors_alone(capsys, own):

@@ -77,6 +77,7 @@ def test_errors_are_json_too(capsys):
         ("def problem", "def stuff", "define problem()"),
         ("p.K / (p.T * s + 1)", "p.K / (p.tau * s + 1)", "has no 'tau'; it has K, T"),
         ("p.K / (p.T * s + 1)", "p.K / (p.T * undefined + 1)", "line 11: NameError"),
+        ("p.K / (p.T * s + 1)", "p.K / 0 / (1 / 0)", "line 11: ValueError: a formula of 'own_"),
         (
             "gb.Parameter(1.0, bounds=(0, 10)",
             "gb.Parameter(1.0, bounds=(10, 0)",

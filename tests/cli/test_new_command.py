@@ -1,7 +1,6 @@
 """Files to start from run as they are, and find the numbers that they were made with."""
 
 import json
-import subprocess
 import sys
 
 import pytest
@@ -14,14 +13,14 @@ TRUTH = {(): {"K": 60.0, "a": 2.0, "T": 0.06, "T_delay": 0.0}, ("--in-time",): {
 def folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     yield tmp_path
-    for name in ("fresh_problem_0", "fresh_problem_1", "fresh_model_0", "fresh_model_1"):
+    for name in ("fresh_problem_0", "fresh_problem_1"):
         sys.modules.pop(name, None)
 
 
 @pytest.mark.parametrize("kind", TRUTH)
-def test_a_problem_runs_as_it_is(capsys, kind):
+def test_a_problem_runs_as_it_is(capsys, folder, kind):
     name = f"fresh_problem_{len(kind)}"
-    status, out, _ = run(capsys, "new", "problem", name, *kind, "--json")
+    status, out, _ = run(capsys, "new", name, *kind, "--json")
     said = json.loads(out)
     assert status == 0
     assert said == {"file": f"{name}.py", "next": [f"greybox fit {name}.py"]}
@@ -32,20 +31,9 @@ def test_a_problem_runs_as_it_is(capsys, kind):
     for parameter, value in TRUTH[kind].items():
         error = found["standard_error"][parameter]
         assert abs(found["estimate"][parameter] - value) <= 3 * error, parameter
-
-
-@pytest.mark.parametrize("kind", TRUTH)
-def test_a_model_runs_as_it_is(capsys, folder, kind):
-    name = f"fresh_model_{len(kind)}"
-    assert run(capsys, "new", "model", f"{name}.py", *kind)[0] == 0
     status, out, _ = run(capsys, "list", f"{name}.py")
     assert status == 0
-    assert f"FreshModel{len(kind)}: " in out
-    if not kind:  # starting Python takes a second
-        printed = subprocess.run(
-            [sys.executable, f"{name}.py"], capture_output=True, text=True, check=True
-        ).stdout
-        assert "P(j 10 rad/s) = " in printed
+    assert f"FreshProblem{len(kind)}: " in out
     text = (folder / f"{name}.py").read_text()
     assert max(map(len, text.splitlines())) <= 120
     assert "{{" not in text
@@ -53,17 +41,13 @@ def test_a_model_runs_as_it_is(capsys, folder, kind):
 
 def test_nothing_is_overwritten_or_hidden(capsys, folder):
     (folder / "mine.py").write_text("precious")
-    assert "mine.py exists: give another name, or --force" in refused(
-        capsys, "new", "model", "mine"
-    )
+    assert "mine.py exists: give another name, or --force" in refused(capsys, "new", "mine")
     assert (folder / "mine.py").read_text() == "precious"
-    assert run(capsys, "new", "model", "mine", "--force")[0] == 0
+    assert run(capsys, "new", "mine", "--force")[0] == 0
     for name in ("numpy", "json.py", "greybox"):
-        assert "is the name of a Python package" in refused(capsys, "new", "problem", name)
-    assert "'2 pitch' cannot be the name of a Python file" in refused(
-        capsys, "new", "model", "2 pitch"
-    )
-    assert "the folder of missing" in refused(capsys, "new", "model", "missing/pitch")
+        assert "is the name of a Python package" in refused(capsys, "new", name)
+    assert "'2 pitch' cannot be the name of a Python file" in refused(capsys, "new", "2 pitch")
+    assert "the folder of missing" in refused(capsys, "new", "missing/pitch")
 
 
 @pytest.mark.parametrize(
@@ -76,5 +60,5 @@ def test_nothing_is_overwritten_or_hidden(capsys, folder):
     ],
 )
 def test_a_class_has_the_name_of_its_file(capsys, folder, name, expected):
-    assert run(capsys, "new", "model", f"{name}.py")[0] == 0
+    assert run(capsys, "new", f"{name}.py")[0] == 0
     assert f"\nclass {expected}(" in (folder / f"{name}.py").read_text()

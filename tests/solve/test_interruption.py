@@ -2,6 +2,7 @@
 
 import signal
 import threading
+import time
 
 import pytest
 
@@ -106,3 +107,17 @@ def test_what_arrives_half_a_second_later_is_pressed_again(monkeypatch, press_ct
         press_ctrl_c()
         with pytest.raises(KeyboardInterrupt):
             press_ctrl_c()
+
+
+def test_a_model_that_takes_longer_to_build_than_the_time_limit_is_given_up(monkeypatch):
+    monkeypatch.setattr(interruption, "BUILDING", 0.01)
+    limits = interruption.TimeLimits.from_now(0.02, None)
+    with (
+        pytest.raises(TimeoutError, match="while the model was being built"),
+        interruption.limited(limits),
+        interruption.building(),
+    ):
+        time.sleep(5)
+    with interruption.limited(limits), interruption.building():
+        pass
+    time.sleep(0.03)  # no alarm is left
