@@ -11,7 +11,7 @@ from greybox.cli.study_copies import copy_inputs, note_opened_files, stated_inpu
 from greybox.cli.study_file import find_study, read_study_file
 from greybox.cli.workers import stated_executor
 from greybox.files.safe_files import require_file
-from greybox.files.text_table import counted, text_table
+from greybox.files.text_table import counted, some, text_table
 from greybox.solve.executors import ExecutorLostError
 from greybox.study.batch import BatchInterrupted, Member, batch
 from greybox.study.progress import progress
@@ -96,7 +96,7 @@ def _answer(study: Study) -> Answer:
     missing = [member for member in study.members if member.status != "done"]
     if missing:
         # A script must notice that members are missing, although the others have answers.
-        names = ", ".join(member.name for member in missing)
+        names = some([member.name for member in missing])
         hint = f"; {RESUME.format(study.folder)}" if study.count("unfinished") else ""
         answer["error"] = (
             f"{len(missing)} of {len(study.members)} members have no answer: {names}{hint}."

@@ -95,8 +95,6 @@ def _explain(error: Exception, arguments: Sequence[str]) -> tuple[str, int]:
         place = f"{files[_full_path(last.filename)]}, line {last.lineno}"
         return f"{place}: {type(error).__name__}: {sentence}", BAD_INPUT
 
-    if isinstance(error, TimeoutError):
-        return sentence, FAILED
     # The library raises these for what a user gave; anything else is a defect of greybox.
     if isinstance(error, (ValueError, TypeError, LookupError, OSError, ModuleNotFoundError)):
         return sentence, BAD_INPUT

@@ -25,8 +25,8 @@ _read = set[Path]()  # by greybox
 
 def note_opened_files() -> None:
     """Note every file that Python opens for reading from now on, and those that greybox reads."""
-    for files in (_opened, _read):
-        files.clear()
+    _opened.clear()
+    _read.clear()
     sys.addaudithook(_note)
 
 

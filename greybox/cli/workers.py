@@ -43,7 +43,7 @@ def _client(address: str):
     try:
         return dask.Client(address, timeout=CONNECTING)
     except (OSError, ValueError) as error:
-        reason = " ".join(str(error).split())[:200].rstrip(".")
         raise UsageError(
-            f"no Dask scheduler answers at {address!r} ({reason}): start one with `dask scheduler`."
+            f"no Dask scheduler answers at {address!r} ({error!s:.200}): start one with "
+            "`dask scheduler`."
         ) from None

@@ -107,11 +107,8 @@ class BatchInterrupted(KeyboardInterrupt):
     """
 
     def __init__(self, study: Study) -> None:
-        super().__init__(study)
+        super().__init__(f"interrupted; the same batch resumes from {study.folder}")
         self.study = study
-
-    def __str__(self) -> str:
-        return f"interrupted; the same batch resumes from {self.study.folder}"
 
 
 def batch(

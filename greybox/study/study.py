@@ -149,15 +149,14 @@ class Study:
         # Of members that differ in their seeds or delays only the best counts: reading a fit takes
         # longer than comparing it.
         best: dict[tuple[str, ...], StudyMember] = {}
-        for member in sorted(self.done, key=lambda member: -member.answer["cost"]):
-            answer, factors = member.answer, member.factors
-            if by in factors:
-                best[factors[by], *map(str, map(answer.get, ALIKE))] = member
-        chosen = set(best.values())
+        for member in self.done:
+            key = (member.factors.get(by, ""), *(str(member.answer[name]) for name in ALIKE))
+            if member.answer["cost"] <= best.get(key, member).answer["cost"]:
+                best[key] = member
         fits = [
-            (member.factors[by], member.factors["data"], fit)
-            for member in self.done
-            if member in chosen and (fit := member.fit)
+            (key[0], member.factors["data"], fit)
+            for key, member in best.items()
+            if key[0] and (fit := member.fit)
         ]
         return ranking(fits, records, window, lead)
 

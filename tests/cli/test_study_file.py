@@ -113,14 +113,12 @@ def test_files_of_other_kinds_and_without_members_are_told(folder):
         match=r"study\.txt is not a known kind of study file: write study\.toml, or study\.py",
     ):
         read_study_file(folder / "study.txt")
-    with pytest.raises(
-        UsageError, match=r"members\(\) in .*lag_of_study\.py is missing"
-    ):
+    with pytest.raises(UsageError, match=r"members\(\) in .*lag_of_study\.py is missing"):
         read_study_file(folder / "lag_of_study.py")
     (folder / "other_study.py").write_text("def members():\n    return [1]\n")
     with pytest.raises(
         UsageError,
-        match=r"members\(\) in .*other_study\.py returns \[1\]: define it",
+        match=r"members\(\) in .*other_study\.py returns \[1\]",
     ):
         read_study_file(folder / "other_study.py")
     with pytest.raises(
