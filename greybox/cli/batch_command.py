@@ -96,10 +96,10 @@ def _answer(study: Study) -> Answer:
     missing = [member for member in study.members if member.status != "done"]
     if missing:
         # A script must notice that members are missing, although the others have answers.
-        names = some([member.name for member in missing])
         hint = f"; {RESUME.format(study.folder)}" if study.count("unfinished") else ""
         answer["error"] = (
-            f"{len(missing)} of {len(study.members)} members have no answer: {names}{hint}."
+            f"{len(missing)} of {len(study.members)} members have no answer: "
+            f"{some([member.name for member in missing])}{hint}."
         )
 
     return answer, str(study)

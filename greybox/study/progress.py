@@ -1,5 +1,7 @@
 """How far a study is, also while it runs."""
 
+import time
+
 from greybox.files.text_table import number, text_table
 from greybox.study.study import Study
 
@@ -14,7 +16,8 @@ def progress(study: Study) -> str:
     if left and len(ends) > 1:
         seconds = (ends[-1] - ends[0]) / (len(ends) - 1)
         lines.append(
-            f"about {number(left * seconds / 60, 2)} min left, at {number(seconds, 2)} s a member."
+            f"about {number(left * seconds / 60, 2)} min left, at {number(seconds, 2)} s a member; "
+            f"the last one ended {number(time.time() - ends[-1], 2)} s ago."
         )
     costs = [[m.name, number(m.answer["cost"], 6)] for m in study.done[-10:]]
     lines.append(text_table(["last members done", "cost"], costs))
