@@ -118,7 +118,7 @@ def test_files_of_other_kinds_and_without_members_are_told(folder):
     (folder / "other_study.py").write_text("def members():\n    return [1]\n")
     with pytest.raises(
         UsageError,
-        match=r"members\(\) in .*other_study\.py returns \[1\]",
+        match=r"members\(\) in .*other_study\.py is missing or returns \[1\]",
     ):
         read_study_file(folder / "other_study.py")
     with pytest.raises(
