@@ -172,7 +172,10 @@ def test_usage(study, tmp_path, capsys):
         (["batch", study], "the following arguments are required: --out"),
         (["batch", "none.toml", "--out", "out"], "there is no file none.toml"),
         (["batch", study, "--out", study], "Not a directory"),
-        (["batch", tmp_path / "files" / "mine.py", "--out", "out"], "mine.py is missing or returns None"),
+        (
+            ["batch", tmp_path / "files" / "mine.py", "--out", "out"],
+            "mine.py is missing or returns None",
+        ),
         (["compare", "none"], "none is not a study"),
     ]:
         status, result, _ = answer(capsys, *words)
