@@ -61,11 +61,10 @@ def _held_out(options: argparse.Namespace, results: Sequence[Fit | Study]) -> Co
             raise UsageError("--columns and --rate go with --held-out.")
         return None
 
-    first: Any = results[0]
     # All models must have the outputs that are compared, so the first one names the signals.
-    model = (first.done[0].fit if isinstance(first, Study) else first).model_of()
+    first: Any = results[0].done[0].fit if isinstance(results[0], Study) else results[0]
     records: list[Any] = [
-        read_data(path, model, columns=options.columns, rate=options.rate)
+        read_data(path, first.model_of(), columns=options.columns, rate=options.rate)
         for path in options.held_out
     ]
     return compare(*results, records=records)
