@@ -19,13 +19,14 @@ class RateController(gb.Controller):
     $$e_k = q^*_k - q_k, \qquad i_k = \mathrm{sat}(i_{k-1} + I\, s_I h e_k, i_{max}), \qquad f_k =
     F_2 F_1 q_k$$
 
-    $$u_k = \frac{1}{1000} \mathrm{sat}\left( T P\, s_P e_k + i_k - T D\, s_D \frac{f_k -
+    $$u_k = \frac{1}{1000} \mathrm{sat}\left( T_P P\, s_P e_k + i_k - T D\, s_D \frac{f_k -
     f_{k-1}}{h}, 500 \right)$$
 
     in deg/s, with P, I and D as the configurator shows them, and $s_P = 0.032029$, $s_I =
     0.244381$ (2.5 times as much for yaw), $s_D = 0.000529$. $F_1$ and $F_2$ are the low-pass
     filters of the D term: PT1 (type 0), biquad (1), PT2 (2) or PT3 (3). $T$ is the factor of
-    throttle PID attenuation (TPA), here a constant. D is that of quiet flight. Not modeled:
+    throttle PID attenuation (TPA), here a constant; it acts on P, as $T_P$, only if tpa_mode is PD.
+    D is that of quiet flight. Not modeled:
     feed-forward, I-term relax, anti-gravity, dynamic D, notches of the D term, the filter of yaw P.
 
     Source: Betaflight 4.5, flight/pid.c (pidController), pid.h, pid_init.c, common/filter.c.
@@ -39,6 +40,7 @@ class RateController(gb.Controller):
     D = gb.Parameter(30.0, bounds=(0, 250), unit="1", about="rollPID, third; d_min where lower")
     I_factor = gb.Parameter(1.0, bounds=(0, 5), unit="1", about="2.5 for yaw")
     TPA = gb.Parameter(1.0, bounds=(0, 1), unit="1", about="T, at the throttle of the flight")
+    TPA_P = gb.Parameter(1.0, bounds=(0, 1), unit="1", about="T_P: T if tpa_mode is PD, else 1")
     i_max = gb.Parameter(400.0, bounds=(0, 500), unit="1", about="iterm_limit")
     u_max = gb.Parameter(500.0, bounds=(100, 1000), unit="1", about="pidsum_limit")
     lpf1_type = gb.Parameter(PT1, bounds=(0, 3), unit="1", about="dterm_lpf1_type")
@@ -55,7 +57,7 @@ class RateController(gb.Controller):
         second = (x.f2_1, x.f2_2, x.f2_3)
         second, filtered = self._filtered(second, filtered, p.lpf2, int(p.lpf2_type))
         slope = (filtered - x.before) * self.rate
-        total = p.TPA * (p.P * SCALES["P"] * error - p.D * SCALES["D"] * slope) + integral
+        total = p.TPA_P * p.P * SCALES["P"] * error - p.TPA * p.D * SCALES["D"] * slope + integral
         total = gb.maximum(-p.u_max, gb.minimum(p.u_max, total))
         return (integral, filtered, *first, *second), (total / MIXER + u.mixer,)
 

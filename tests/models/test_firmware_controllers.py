@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose
 from scipy.signal import butter, iirnotch, lfilter
 
 import greybox as gb
+from greybox.experiment.sampled_loop import linear_controller
 from greybox.modeling.model import Names
 from greybox.models import betaflight, px4
 from greybox.models.ardupilot import (
@@ -170,12 +171,59 @@ def test_betaflight_is_its_pid_with_its_scales(kinds):
     delta = 2000 * np.diff(filtered, prepend=0)
     integral = 2.5 * 0.244381 * 80 / 2000 * np.cumsum(error)
     assert np.abs(integral).max() < 400
-    total = 0.8 * (0.032029 * 45 * error - 0.000529 * 30 * delta) + integral
-    values = {"I_factor": 2.5, "TPA": 0.8, "lpf1": 90.0, "lpf2": 90.0, "u_max": 500.0}
+    total = 0.7 * 0.032029 * 45 * error - 0.8 * 0.000529 * 30 * delta + integral
+    values = {"I_factor": 2.5, "TPA": 0.8, "TPA_P": 0.7, "lpf1": 90.0, "lpf2": 90.0, "u_max": 500.0}
     values |= dict(zip(("lpf1_type", "lpf2_type"), kinds, strict=True))
     controller = betaflight.RateController(values, rate=2000)
     given = run(controller, q=q, q_reference=targets)
     assert_allclose(given, np.clip(total, -500, 500) / 1000, atol=1e-10)
+
+
+def lag(cutoff, rate, z):
+    b, a = _lag(cutoff, rate)
+    return b[0] / (a[0] + a[1] / z)
+
+
+def of_copter(z, rate):
+    slope = lag(20.0, rate, z) * (1 - 1 / z) * rate
+    return -lag(2.5, rate, z) * (0.2 + 0.5 / rate / (1 - 1 / z) + 0.01 * slope)
+
+
+def of_px4(z, rate):
+    # The integral acts one sample later.
+    slope = lag(30.0, rate, z) * (1 - 1 / z) * rate
+    return -1.5 * (0.2 + 0.5 / rate / (z - 1) + 0.01 * slope)
+
+
+def of_betaflight(z, rate):
+    slope = lag(75.0, rate, z) * lag(150.0, rate, z) * (1 - 1 / z) * rate
+    integral = 80 * 0.244381 / rate / (1 - 1 / z)
+    return -np.degrees(1) / 1000 * (45 * 0.032029 + integral + 30 * 0.000529 * slope)
+
+
+GAINS_OF_LOOP = {"P": 0.2, "I": 0.5, "D": 0.01}
+LAWS = {
+    "copter": (RateController(GAINS_OF_LOOP | {"FLTE": 2.5}), of_copter),
+    "plane": (
+        PlaneRateController(GAINS_OF_LOOP | {"FLTE": 2.5, "scaler": 1.3}),
+        lambda z, rate: np.degrees(1.3**2 / 45) * of_copter(z, rate),
+    ),
+    "px4": (px4.RateController(GAINS_OF_LOOP | {"K": 1.5}, rate=250), of_px4),
+    "betaflight": (betaflight.RateController(rate=4000), of_betaflight),
+}
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_the_loop_has_the_transfer_function_of_the_firmware(name):
+    law, formula = LAWS[name]
+    # Outside the unit circle, the sum over the response to an impulse converges.
+    z = 1.05 * np.exp(1j * np.geomspace(0.01, 3, 7))
+    expected = formula(z, law.rate)
+    impulse = run(law, q=1e-6 * np.eye(1, 500)[0]) / 1e-6
+    assert_allclose(impulse @ z ** -np.arange(500)[:, None], expected, rtol=1e-7)
+    linear = linear_controller([law], ("q",), ("u",))
+    response = linear.response(z)[:, linear.commands.index("u"), 0]
+    assert_allclose(response, expected, rtol=1e-9)
 
 
 def test_filters_of_order_two_and_three_have_the_cutoff_that_they_name():
