@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.data.intersample import CONTINUOUS, HELD
+from greybox.data.intersample import CONTINUOUS
 from greybox.data.record import Record
 from greybox.experiment.controller import Controller, connected, run_controllers, sensors_of
 from greybox.experiment.excitation import Excitation
@@ -159,10 +159,8 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
         {n: units.get(n.removesuffix(ADDED), "") for n in log},
         name=name or f"virtual flight of {model.label}",
         metadata=metadata,
-        hold={
-            n: CONTINUOUS if n in loop.measured else HELD if n in system.inputs else 1 / clock
-            for n in log
-        },
+        # In seconds, which remain right where a log is thinned.
+        hold={n: CONTINUOUS if n in loop.measured else 1 / clock for n in log},
         findings=findings,
     )
 

@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import greybox as gb
+from greybox.data.intersample import Intersample, intersample
 from greybox.modeling.model import Names
 from greybox.models.controller import AttitudeController
 from greybox.models.tilt import PAPER_G, LinearTilt, NonlinearTilt, Tilt
@@ -491,6 +492,14 @@ def test_the_record_knows_the_truth():
     assert flown.name == "virtual flight of NonlinearTilt"
     assert list(flown.signals) == ["u", "reference", "q_reference", "theta", "v", "q"]
     assert flown.findings == ()
+
+
+def test_a_thinned_flight_still_says_how_long_its_control_was_held():
+    step = {"reference": np.full(400, 0.01)}
+    flight = gb.virtual_flight(LinearTilt(), TRUTH, step, controller=AttitudeController(rate=400))
+    assert intersample(flight.hold["u"], flight.step).held
+    thinned = flight.rows(slice(None, None, 4))
+    assert intersample(thinned.hold["u"], thinned.step) == Intersample(False, 0.5 / 400)
 
 
 # --- what goes wrong
