@@ -453,9 +453,14 @@ def safe_gains_of_log(fits, recording, gains, axis="pitch", *, signals=None, **r
 def disagreements(model, measured):
     """Return a sentence for each margin of the model that a measurement contradicts.
 
+    One sentence says so if the loop of the model is unstable, although it flew.
+
     Apart are values whose difference exceeds 1.5 times half the lengths of their 95 % intervals in
     quadrature, 3 standard errors: several margins are compared.
     """
+    if not model.is_stable:
+        what = "the model, the gains or the log are wrong"
+        return (f"The loop flew, but that of the model is unstable: {what}.",)
     sentences = []
     for answer in measured:
         for name in ("phase margin", "gain margin", "delay margin", "crossover"):

@@ -59,6 +59,10 @@ def test_an_open_loop_and_a_response_without_errors_are_refused():
     noise = 0.01 * np.random.default_rng(0).normal(size=20)
     with pytest.raises(ValueError, match="the loop was open"):
         broken_loop(gb.FrequencyResponse(omega, 1 + noise, "d", "u", variance=np.full(20, 1e-4)))
+    with pytest.raises(ValueError, match="the loop was open"):
+        broken_loop(
+            gb.FrequencyResponse(omega, 1 + 1e-9 * noise, "d", "u", variance=np.full(20, 1e-30))
+        )
     with pytest.raises(ValueError, match="no variance"):
         gb.margins(gb.FrequencyResponse(omega, 1 / (1j * omega), "u", "y"))
 
@@ -133,6 +137,9 @@ def test_a_model_of_another_plant_disagrees(answer):
     other = gb.margins(DampedAngle(), controllers(), {**PLANT, "K_phi": 60.0})
     notes = disagreements(other, answer.measured)
     assert any("disagree on the crossover" in note for note in notes)
+    unstable = gb.margins(DampedAngle(), controllers(), {**PLANT, "T_delay": 0.3})
+    (note,) = disagreements(unstable, answer.measured)
+    assert "that of the model is unstable" in note
 
 
 def test_gains_that_did_not_fly_are_refused(recording):
