@@ -28,6 +28,7 @@ from greybox.compiled.transcription.method import Transcription
 from greybox.files.arrays import Array
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
+from greybox.statistics.bounded_errors import bounded
 
 
 class RecordPart(SegmentedPart):
@@ -58,6 +59,7 @@ class RecordPart(SegmentedPart):
         )
         self.gains = model.gains
         # Outputs depend only on the inputs of the same sample.
+        self.has_bounded_errors = model.criterion.settings.get("errors") == "huber"
         self.is_static = not self.states and not self.system.delayed
         self.unknown_initial_states = int((~self.known_states[data.begins_stretch]).sum())
 
@@ -77,6 +79,13 @@ class RecordPart(SegmentedPart):
         # The spread, which only scales, stays that of the first outputs.
         counts = np.isfinite(data.measured).sum(axis=1)
         return self._with(data, replace(self.covariance, counts=counts))
+
+    def with_bounded_errors(self, trajectory: Trajectory) -> "RecordPart":
+        """Return the part with pseudo-values as outputs: large errors are bounded."""
+        model = self.data.unpadded(self.simulated_outputs(trajectory))
+        stretches = zip(self.data.stretches, model, strict=True)
+        errors = bounded([stretch.outputs - y for stretch, y in stretches])
+        return self.with_outputs([y + e for y, e in zip(model, errors, strict=True)])
 
     def _with(
         self, data: SampledData, covariance: ResidualCovariance, factor: int = 1

@@ -63,6 +63,7 @@ from greybox.solve.kept_runs import KeptRuns
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart, agreeing_runs
 from greybox.solve.multistart import BATCHED, SEARCHES, multistart, solver_for
+from greybox.solve.robust_errors import with_robust_errors
 from greybox.solve.runs import RUN_OVER, SEARCH_OVER
 
 
@@ -288,6 +289,7 @@ def fit_keeping(
         nlp, search, solver, error = refine_discretization(nlp, search, solver)
         # A batch stops at a loose tolerance; IPOPT confirms each minimum once.
         search = solver.polished(search)
+        nlp, search, solver = with_robust_errors(nlp, search, solver)
 
     if not search.runs:
         raise Interrupted(None)

@@ -12,6 +12,7 @@ from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.formulation.time_criteria import TimeCriterion
+from greybox.solve.robust_errors import with_pseudo_values
 
 # Only classes of greybox are looked up: a file must not name code that is then run.
 KINDS: dict[str, Any] = {c.class_path: type(c) for c in (*CRITERIA, *TIME_CRITERIA)}
@@ -38,7 +39,7 @@ def compiled_again(
             "fitted."
         )
 
-    return nlp
+    return with_pseudo_values(nlp, fit.minima[0].estimate)
 
 
 def problem_of(fit: Fit) -> AnyProblem:

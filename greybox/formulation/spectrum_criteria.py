@@ -68,12 +68,13 @@ def outputs_in_spectrum(
         "inputs": criterion.inputs != "record",
         "biases": bool(criterion.biases),
         "initial": bool(criterion.initial),
+        "errors": criterion.settings.get("errors", "normal") != "normal",
     }
     for option, is_used in options.items():
         if is_used:
             raise ValueError(
                 f"{option} of {kind} is for records and the data are a TransientSpectrum, which "
-                "knows how its inputs ran and contains no constants: leave it out."
+                "knows how its inputs ran and has no samples: leave it out."
             )
 
     outputs = modeled_outputs(model, spectrum.inputs, spectrum.outputs, "spectrum")

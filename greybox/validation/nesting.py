@@ -133,7 +133,9 @@ class _Part:
 
     def _settings(self) -> list[object]:
         part = self.part
-        settings = {name: v for name, v in part.settings.items() if name not in ADDED_SETTINGS}
+        # Only output error may have other errors than normal ones.
+        settings = {"errors": "normal"} | part.settings
+        settings = {name: v for name, v in settings.items() if name not in ADDED_SETTINGS}
         # Output error is prediction error with gains of zero.
         criterion = part.criterion_class.replace("PredictionError", "OutputError")
         others = [getattr(part, name, None) for name in ("at", "sine", "inputs")]

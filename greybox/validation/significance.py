@@ -1,4 +1,4 @@
-"""The sentences of a comparison: which model is closer to the data, and which terms are needed."""
+"""The sentences of a comparison: which model is closer to the data, and which predicts better."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -9,7 +9,7 @@ import numpy as np
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
-from greybox.files.text_table import counted, listed, number, with_error
+from greybox.files.text_table import counted, listed, number
 from greybox.simulation.prediction import Prediction
 from greybox.statistics.metrics import mean_test, whiteness
 from greybox.validation.common_likelihood import Likelihoods
@@ -59,8 +59,6 @@ def verdicts(
 
     if comparable and predictions:
         sentences += _residuals_not_white(fits, labels)
-    for k in range(len(fits)):
-        sentences += term_sentences(fits, labels, k, tests)
     if likelihoods is not None:
         sentences.append(_which_likelihood(labels, likelihoods))
     return tuple(sentences), tests
@@ -225,36 +223,6 @@ def _residuals_not_white(fits: Sequence[Fit], labels: Sequence[str]) -> Iterator
             f"AIC and BIC assume white residuals, but the residuals of {listed(colored)} are not "
             "white: differences overstate the evidence."
         )
-
-
-def term_sentences(
-    fits: Sequence[Fit], labels: Sequence[str], k: int, tests: Sequence[NestedTest]
-) -> Iterator[str]:
-    """Say whether these data determine every parameter that another fit does not have free."""
-    for name in fits[k].free:
-        without = [rival for i, rival in enumerate(fits) if i != k and name not in rival.free]
-        # Gains and biases describe the noise and the sensors: no structure is chosen by them.
-        if not without or name.startswith("K_") or name.endswith("_bias"):
-            continue
-        quantity = fits[k].by_name[name]
-        value, error = with_error(quantity.value, quantity.standard_error)
-        estimate = f"{name} = {value} ± {error} {quantity.unit}".rstrip() + f" ({labels[k]})"
-        # The value of the other models, where they agree on one.
-        held = {rival.estimate.get(name, 0.0) for rival in without}
-        reference = held.pop() if len(held) == 1 else 0.0
-        text = "zero" if reference == 0 else number(reference)
-        # A nested test of just this parameter decides; without one, two standard errors do.
-        p_values = [t.p_value for t in tests if t.large == labels[k] and t.terms == (name,)]
-        distance = abs(quantity.value - reference)
-        is_found = all(p < SIGNIFICANT for p in p_values)
-        if quantity.at_bound:
-            yield f"{estimate}: ended at its bound, not determined."
-        elif not math.isfinite(quantity.standard_error):
-            yield f"{estimate}: the data do not determine it."
-        elif is_found if p_values else distance >= 2.0 * quantity.standard_error:
-            yield f"{estimate}: distinguishable from {text}."
-        else:
-            yield f"{estimate}: not distinguishable from {text}."
 
 
 def _which_likelihood(labels: Sequence[str], likelihoods: Likelihoods) -> str:

@@ -1,7 +1,6 @@
 """The sentences of a comparison, and the tests behind them, against brute force and a known truth."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,10 +8,8 @@ from drag_flights import QUADRATIC, LinearDrag, QuadraticDrag, fitted, flight
 from scipy.stats import ttest_1samp
 
 import greybox as gb
-from greybox.files.text_table import number
 from greybox.validation import significance
 from greybox.validation.comparison import p_text
-from greybox.validation.nested_models import NestedTest
 
 
 @pytest.fixture(scope="module")
@@ -95,36 +92,6 @@ def test_a_few_large_errors_do_not_hide_which_model_is_better_in_nearly_all_wind
 )
 def test_support_by_aic_is_that_of_burnham_and_anderson(aic, words):
     assert significance.verdict_by_aic(("a", "b"), aic).startswith(words)
-
-
-def term(fit, held=None, tests=()):
-    """The sentence on the only parameter of a fit, beside a model that holds it at a value."""
-    (name,) = fit.free
-    rival = SimpleNamespace(free=(), estimate={} if held is None else {name: held})
-    (sentence,) = significance.term_sentences((fit, rival), ("a", "b"), 0, tests)
-    return sentence
-
-
-@pytest.mark.parametrize(
-    ("errors", "words"), [(1.9, "not distinguishable"), (2.1, "distinguishable")]
-)
-def test_a_term_is_found_beyond_two_standard_errors(fits, errors, words):
-    fit = fits[1]
-    (name,) = fit.free
-    held = fit.estimate[name] + errors * fit.standard_error[name]
-    assert term(fit, held).endswith(f"(a): {words} from {number(held)}.")
-    assert term(fit).endswith("(a): distinguishable from zero.")
-
-
-@pytest.mark.parametrize(("p_value", "words"), [(0.051, "(a): not dist"), (0.049, "(a): dist")])
-def test_the_test_of_a_term_alone_decides_where_there_is_one(fits, p_value, words):
-    (name,) = fits[1].free
-
-    def nested(p, *terms):
-        return NestedTest("b", "a", terms, 4.0, 1.0, 4.0, (1, 50.0), p)
-
-    tests = [nested(p_value, name), nested(0.9, name, "other")]  # the second says nothing of one
-    assert words in term(fits[1], tests=tests)
 
 
 def test_differences_below_a_thousandth_are_a_tie(fits):

@@ -11,7 +11,7 @@ Begin with `general`.
 | `prior_conflict` | Do the data contradict the a-priori knowledge? |
 | `unexplained` | Does the model explain the data, and what may it lack? |
 | `frequency_correlation` | Are the errors of neighboring frequencies independent? |
-| `outlying_points` | Which point of a response is an outlier? |
+| `outlying_points` | Which points of a response or samples of a record are outliers? |
 | `records` | Do the residuals in time look like noise, and were all samples compared? |
 | `discretization` | Is the integration accurate enough? |
 | `delay_approximation` | Is the Padé delay accurate enough? |

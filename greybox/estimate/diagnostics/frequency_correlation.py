@@ -11,6 +11,7 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import CorrelatedPoints
+from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transient_part import TransientPart
 from greybox.estimate.covariance import Accuracy
 from greybox.files.arrays import Array
@@ -31,10 +32,18 @@ FEWEST_LENGTHS = 8.0
 def correlated_frequencies(nlp: CompiledProblem, x: Array, accuracy: Accuracy) -> Iterator[str]:
     """Name the responses and manoeuvres whose errors at the estimate `x` (p,) are correlated."""
     for part, neighbors in zip(nlp.parts, accuracy.neighbors, strict=True):
-        if neighbors is not None:
+        if neighbors is not None and not (
+            isinstance(part, ResponsePart) and _is_covered(part, nlp.all_values(x))
+        ):
             yield from _of_response(part.problem, neighbors)
         elif isinstance(part, TransientPart):
             yield from _of_manoeuvre(part, nlp.scaling.to_solver(x), alone=len(nlp.parts) == 1)
+
+
+def _is_covered(part: ResponsePart, values: Array) -> bool:
+    """Tell whether estimated variances include more than the scatter, such as errors of a log."""
+    has_given_noise = part.criterion.known_noise and part.data.dof is not None
+    return has_given_noise and part.criterion.noise_ratio(part.response(values), part.data) < 0.4
 
 
 def _of_response(problem: Problem, neighbors: CorrelatedPoints) -> Iterator[str]:

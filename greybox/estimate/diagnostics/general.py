@@ -25,7 +25,7 @@ from greybox.estimate.diagnostics.identifiability import (
 )
 from greybox.estimate.diagnostics.noise_level import unlikely_noise
 from greybox.estimate.diagnostics.not_finite import not_finite_warnings
-from greybox.estimate.diagnostics.outlying_points import outlying_points
+from greybox.estimate.diagnostics.outlying_points import outlying_points, outlying_samples
 from greybox.estimate.diagnostics.prior_conflict import prior_conflicts
 from greybox.estimate.diagnostics.records import finding_warnings, record_warnings
 from greybox.estimate.diagnostics.unexplained import unexplained
@@ -74,7 +74,7 @@ def warnings(
         *record_warnings(
             nlp, answer.parts, trajectories, accuracy, feedback=feedback, explained=errors
         ),
-        *harmonic_warnings(nlp, best.estimate, accuracy),
+        *harmonic_warnings(nlp, best.estimate),
         *not_determined(nlp, accuracy),
         *held_without_error(nlp, accuracy),
         *no_degrees_of_freedom(nlp),
@@ -89,4 +89,5 @@ def warnings(
         *(correlated_frequencies(nlp, best.estimate, accuracy) if errors else ()),
         *discontinuous_costs(nlp),
         *outlying_points(nlp, best.estimate),
+        *(outlying_samples(answer.parts) if errors else ()),
     )

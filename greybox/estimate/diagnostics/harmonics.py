@@ -1,8 +1,8 @@
 """Whether the harmonics of a sine test are enough for the noise.
 
 Too few harmonics shift the response of a nonlinear model, and the parameters with it, without a
-trace in the residuals. The shift of the parameters follows to first order from the change of the
-response at the estimate; a shift far below the standard errors does not matter.
+trace in the residuals. No parameter moves by more standard errors than the response does as a
+whole, in multiples of the noise of a point.
 """
 
 from collections.abc import Iterator
@@ -11,75 +11,46 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.compiled.part import Information
-from greybox.estimate.covariance import Accuracy
-from greybox.files.arrays import Array, ComplexArray
+from greybox.compiled.response_part import ResponsePart
+from greybox.files.arrays import Array
 from greybox.files.text_table import counted
-from greybox.formulation.frequency_criteria import Criterion
-from greybox.formulation.problem import Problem
 from greybox.modeling.harmonic_balance import directly_found
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.sine import MOST_HARMONICS
+from greybox.statistics.metrics import rms
+
+# Multiple of the noise of a point from which a change matters: a tenth of a standard error adds
+# 0.5 % to the root mean square error.
+NOTICEABLE = 0.1
+ROUNDING = 1e-7
 
 
-def harmonic_warnings(nlp: CompiledProblem, x: Array, accuracy: Accuracy) -> Iterator[str]:
+def harmonic_warnings(nlp: CompiledProblem, x: Array) -> Iterator[str]:
     """Warn if more harmonics would change the estimate `x` (p,) noticeably."""
-    if accuracy.white is None:
-        return
-    variance = np.diag(accuracy.covariance)[: len(nlp.free)]
-    standard_error = np.where(variance > 0, np.sqrt(np.maximum(variance, 0.0)), np.inf)
-    all_values = nlp.all_values(x)
-    values = dict(zip(nlp.names, all_values.tolist(), strict=True))
-
+    values = nlp.all_values(x)
+    named = dict(zip(nlp.names, values.tolist(), strict=True))
     for part in nlp.parts:
-        sine = part.problem.amplitude
-        if sine is None or sine.harmonics is None or sine.harmonics >= MOST_HARMONICS:
+        problem, sine = part.problem, part.problem.amplitude
+        if not isinstance(part, ResponsePart) or sine is None or sine.harmonics is None:
             continue
-        harmonics = min(2 * sine.harmonics + 3, MOST_HARMONICS)
-        few = _response(part.problem, values, sine.harmonics)
-        many = _response(part.problem, values, harmonics)
-        change = float(np.abs(many / few - 1).max())
-        # NaN: no motion was found. A change of 1e-7 is rounding.
-        if not np.isfinite(change) or change < 1e-7:
-            continue
-
-        information = part.information(nlp.names, all_values, (), None, nlp.scaling.slope(x))
-        shift = np.abs(_shift(information, few, many, accuracy.white)) / standard_error
-        largest = int(np.argmax(np.nan_to_num(shift)))
-        # A tenth of a standard error adds 0.5 % to the root mean square error.
-        if shift[largest] > 0.1:
+        more = min(2 * sine.harmonics + 3, MOST_HARMONICS)
+        few = part.response(values)
+        many, _ = directly_found(
+            problem.model,
+            dict(problem.local_values(named)),
+            part.data.omega,
+            replace(sine, harmonics=more),
+            input=part.data.input,
+            output=part.data.output,
+            at=problem.at,
+            pade=delay_order(problem.delay),
+        )
+        # NaN where no motion was found.
+        change = np.abs(many / few - 1)
+        noise = rms(np.abs(part.data.response / few - 1))
+        if np.linalg.norm(change) > max(NOTICEABLE * noise, ROUNDING):
             count = counted(sine.harmonics, "harmonic is", "harmonics are")
             yield (
-                f"{count} too few for {part.problem.name!r}: with {harmonics} the response changes "
-                f"by up to {100 * change:.2g} % and {nlp.free[largest]} by {shift[largest]:.2g} "
-                f"standard errors; use Sine({sine.signal!r}, ..., harmonics={harmonics})."
+                f"{count} too few for {problem.name!r}: with {more} the response changes by up to "
+                f"{100 * change.max():.2g} %; use Sine({sine.signal!r}, ..., harmonics={more})."
             )
-
-
-def _response(problem: Problem, values: dict[str, float], harmonics: int | None) -> ComplexArray:
-    data = problem.response
-    response, _ = directly_found(
-        problem.model,
-        dict(problem.local_values(values)),
-        data.omega,
-        replace(problem.amplitude, harmonics=harmonics),
-        input=data.input,
-        output=data.output,
-        at=problem.at,
-        pade=delay_order(problem.delay),
-    )
-
-    return response
-
-
-def _shift(
-    information: Information, few: ComplexArray, many: ComplexArray, inverse: Array
-) -> Array:
-    """Return the Newton step (p,), to first order in the change of the response."""
-    problem = information.part.problem
-    criterion = problem.criterion
-    assert isinstance(criterion, Criterion)
-    residuals = criterion.jacobian(few, (many - few)[:, None], problem.response)[:, 0]
-    scale, _ = information.spread(1.0)
-    gradient = information.jacobian[:, : len(inverse)].T @ residuals
-    return -inverse @ (information.part.weight * scale * gradient)

@@ -41,6 +41,11 @@ def _of_response(
     if is_likely or 0.4 <= ratio <= 2.5:
         return
 
+    # Estimated variances may include systematic errors, which the parameters take up.
+    data = part.data
+    if ratio < 1 and not (data.dof is None and data.common_errors is None):
+        return
+
     meaning = "the variances are too large"
     if ratio > 1:
         meaning = (

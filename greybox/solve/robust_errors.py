@@ -1,0 +1,56 @@
+"""Robust fits of records: least squares on pseudo-values, which follow from the last residuals."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+from greybox.compiled.compiled_problem import CompiledProblem
+from greybox.compiled.part import Trajectory
+from greybox.compiled.record_part import RecordPart
+from greybox.files.arrays import Array
+from greybox.solve.discretization_error import with_finer_steps
+from greybox.solve.local_solver import LocalSolver
+from greybox.solve.minima import Multistart
+from greybox.solve.multistart import BATCHED, solver_for
+
+# Each fit of pseudo-values reduces the distance from the robust estimate about ten times.
+MOST_FITS = 30
+# Relative change of the cost between two fits that no standard error shows.
+ROUNDING = 1e-9
+
+
+def with_robust_errors(
+    nlp: CompiledProblem, search: Multistart, solver: LocalSolver
+) -> tuple[CompiledProblem, Multistart, LocalSolver]:
+    """Return the problem with pseudo-values instead of outliers, and its search and solver."""
+    measured, cost = nlp, math.nan
+    for _ in range(MOST_FITS if search.minima and _is_robust(nlp) else 0):
+        best = search.minima[0]
+        if abs(best.cost - cost) <= ROUNDING * max(abs(best.cost), 1.0):
+            break
+        cost = best.cost
+        nlp = _pseudo_values(measured, solver.profile(best.estimate, search.nodes).trajectories)
+        solver = solver.refined(nlp)
+        search = solver.polished(with_finer_steps(nlp, search, solver) or search)
+    return nlp, search, solver
+
+
+def with_pseudo_values(nlp: CompiledProblem, x: Array) -> CompiledProblem:
+    """Return a problem with the pseudo-values of its robust estimate `x` (p,)."""
+    moved = nlp
+    # Only the initial states remain to be fitted: a few rounds suffice.
+    for _ in range(5 if _is_robust(nlp) else 0):
+        moved = _pseudo_values(nlp, solver_for(moved, {}, BATCHED).profile(x).trajectories)
+    return moved
+
+
+def _is_robust(nlp: CompiledProblem) -> bool:
+    return any(isinstance(part, RecordPart) and part.has_bounded_errors for part in nlp.parts)
+
+
+def _pseudo_values(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> CompiledProblem:
+    parts = list(nlp.parts)
+    for k, (part, trajectory) in enumerate(zip(nlp.parts, trajectories, strict=True)):
+        if isinstance(part, RecordPart) and part.has_bounded_errors:
+            parts[k] = part.with_bounded_errors(trajectory)
+    return replace(nlp, parts=tuple(parts))

@@ -1,0 +1,67 @@
+"""Output error with bounded errors: Huber's estimate by another method, and spikes in a flight."""
+
+import numpy as np
+import pytest
+from calibration_rows import Line
+from hardening_spring import Spring, driven
+
+import greybox as gb
+
+ROBUST = gb.OutputError(errors="huber")
+
+
+def fitted(model, record, criterion):
+    return gb.fit(gb.Problem(model, record, criterion), starts=[{}], progress=False)
+
+
+def test_a_line_has_the_estimate_and_the_errors_of_hubers_m_estimator():
+    """By reweighted least squares; errors by equation (7.41) of Huber and Ronchetti."""
+    random = np.random.default_rng(5)
+    x, n = np.linspace(0, 4, 80), 80
+    y = 2 + 3 * x + 0.3 * random.standard_t(2, n)
+    X, beta = np.column_stack([np.ones(n), x]), np.zeros(2)
+    for _ in range(200):
+        residual = y - X @ beta
+        scale = 1.4826 * np.median(np.abs(residual))
+        weight = np.minimum(1, 1.345 * scale / np.abs(residual))
+        beta = np.linalg.solve(X.T @ (weight[:, None] * X), X.T @ (weight * y))
+    score = np.clip(residual, -1.345 * scale, 1.345 * scale)
+    slope = np.mean(np.abs(residual) <= 1.345 * scale)
+    variance = np.sum(score**2) / (n - 2) / slope**2
+    errors = np.sqrt(variance * np.diag(np.linalg.inv(X.T @ X)))
+
+    fit = fitted(Line(), gb.Record(None, {"x": x, "y": y}), ROBUST)
+    assert list(fit.estimate.values()) == pytest.approx(beta, rel=1e-4)
+    assert list(fit.standard_error.values()) == pytest.approx(errors, rel=1e-3)
+
+
+def test_spikes_are_named_and_bounding_them_restores_the_errors():
+    clean = driven(8.0, noise=0.05, seed=1)
+    spikes = np.where(np.arange(len(clean)) % 67 == 40, 2.0, 0.0)
+    record = clean.with_signals(position=clean["position"] + spikes)
+    without, plain, robust = (
+        fitted(Spring(), data, criterion)
+        for data, criterion in (
+            (clean, gb.OutputError()),
+            (record, gb.OutputError()),
+            (record, ROBUST),
+        )
+    )
+    named = [text for text in plain.warnings if "outliers" in text]
+    assert f"{np.count_nonzero(spikes)} outliers among the samples of position" in named[0]
+    assert f"{clean.time[40]:.4g}" in named[0]
+    assert not any("outlier" in text for text in (*without.warnings, *robust.warnings))
+    for name in without.free:
+        error = without.standard_error[name]
+        assert plain.standard_error[name] > 3 * error
+        assert robust.standard_error[name] == pytest.approx(error, rel=0.2)
+        assert abs(robust.estimate[name] - without.estimate[name]) < error
+    # What compiles the problem again uses the same bounded errors.
+    name = plain.free[0]
+    interval = gb.profile(robust, name)[name].interval
+    assert np.ptp(interval) == pytest.approx(np.ptp(robust.interval()[name]), rel=0.1)
+
+
+def test_an_unknown_kind_of_errors_is_refused():
+    with pytest.raises(ValueError, match="'huber'"):
+        gb.OutputError(errors="cauchy")
