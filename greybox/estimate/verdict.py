@@ -65,8 +65,6 @@ def _minimum(fit: Any) -> tuple[str, bool]:
     # Screened starts were not run, and can neither agree nor disagree.
     brought = [run for run in fit.runs if run.stage != SCREENED]
     count = counted(len(brought), "start")
-    if len(brought) == 1:
-        return "The fit was made from one start, so another minimum may have a lower cost.", False
     if fit.agreeing == 1:
         return (
             f"Only 1 of {count} reached the best minimum, so another one may have a lower cost.",

@@ -30,17 +30,6 @@ def fit_percent(measured: ArrayLike, predicted: ArrayLike) -> float:
     return 100 * (1 - float(np.linalg.norm(y - p)) / spread) if spread > 0 else math.nan
 
 
-def theil_coefficient(measured: ArrayLike, predicted: ArrayLike) -> float:
-    """Return rms(y - ŷ) / (rms y + rms ŷ): 0 for a perfect prediction, 1 for a useless one.
-
-    Flight mechanics asks for less than 0.25 to 0.3. Source: Theil (1966), Applied Economic
-    Forecasting, chapter 2; Jategaonkar (2006), Flight Vehicle System Identification, chapter 11.
-    """
-    y, p = _pairs(measured, predicted)
-    size = rms(y) + rms(p)
-    return 0.0 if size == 0 else rms(y - p) / size
-
-
 @dataclass(frozen=True, eq=False)
 class CorrelationTest:
     """A statistic with its degrees of freedom, and the probability of a larger one by chance.

@@ -8,12 +8,7 @@ import numpy as np
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
 from greybox.simulation.prediction import Prediction
-from greybox.statistics.metrics import (
-    fit_percent,
-    rms,
-    theil_coefficient,
-    whiteness,
-)
+from greybox.statistics.metrics import fit_percent, rms, whiteness
 from greybox.validation.common_likelihood import Likelihoods
 from greybox.validation.comparison import Row
 from greybox.validation.held_out import Predictions
@@ -128,7 +123,6 @@ def _measures(
     size = rms(np.concatenate(errors))
     measures = {
         ("fit", "%"): fit_percent(measured, predicted),
-        ("Theil's coefficient", ""): theil_coefficient(measured, predicted),
         ("error (rms)", with_output[0].data.units.get(output, "")): rms(measured - predicted),
     }
     if not any(p.data.has_time for p in with_output):

@@ -13,6 +13,8 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.estimate.fit import fit as fit_problem
 from greybox.estimate.result import Fit
@@ -21,7 +23,7 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Sobol
 from greybox.modeling.model import require_known
 from greybox.validation.comparison import EQUAL_AIC, SIGNIFICANT, p_text
-from greybox.validation.nested_models import cost_scale, nested_test_at
+from greybox.validation.nested_models import NestedTest, cost_scale, f_tail, nested_test_at
 
 Terms = frozenset[str]
 
@@ -70,6 +72,8 @@ class StepwiseSelection:
     alike : mapping of str to mapping of str to float
         For each chosen term those that could replace it, with the increase in AIC: less than 2, so
         the data do not tell them apart.
+    doubtful : mapping of str to float
+        p-values of chosen terms that are needed only if the errors are independent along frequency.
     """
 
     candidates: tuple[str, ...]
@@ -78,6 +82,7 @@ class StepwiseSelection:
     without: Fit
     trials: tuple[Trial, ...]
     alike: Mapping[str, Mapping[str, float]]
+    doubtful: Mapping[str, float]
 
     @property
     def verdict(self) -> str:
@@ -89,7 +94,14 @@ class StepwiseSelection:
             f"{listed(self.terms)} of {tried} {'is' if len(self.terms) == 1 else 'are'} supported"
         )
         costs = [number(fit.cost, 4) for fit in (self.fit, self.without)]
-        return f"{text}: cost {costs[0]} instead of {costs[1]} without."
+        text = f"{text}: cost {costs[0]} instead of {costs[1]} without."
+        if self.doubtful:
+            tests = listed([f"{term} ({p_text(p)})" for term, p in self.doubtful.items()])
+            text += (
+                f" If errors of neighboring points are correlated like the residuals, {tests} may "
+                "be there by chance."
+            )
+        return text
 
     def __repr__(self) -> str:
         return one_line(self, self.fit.name, ", ".join(self.terms) or "no term")
@@ -177,6 +189,7 @@ def stepwise(
         without=without,
         trials=tuple(trials),
         alike=fits.alike(current),
+        doubtful=fits.doubtful(current),
     )
 
 
@@ -211,8 +224,24 @@ class _Fits:
         p_value, why_not = math.nan, "no fit converged"
         if changed.converged:
             pair = (fit, changed) if change == "add" else (changed, fit)
-            p_value, why_not = _tested({term: self.absent[term]}, *pair)
+            test = _tested({term: self.absent[term]}, *pair)
+            p_value, why_not = (math.nan, test) if isinstance(test, str) else (test.p_value, "")
         return Trial(step, change, term, changed.cost, p_value, limit, why_not=why_not)
+
+    def doubtful(self, terms: Terms) -> dict[str, float]:
+        """Return the p-values of terms that only a test for independent errors finds."""
+        fit, p_values = self.cache[terms], {}
+        for term in (name for name in self.absent if name in terms):
+            small = self.fitted(terms - {term}, fit)
+            test = _tested({term: self.absent[term]}, small, fit)
+            if small.independent is None or isinstance(test, str):
+                continue
+            # The term may have taken up the correlated errors: those of the fit without it count.
+            alone = small.independent[0].diagonal()
+            variance = small.covariance.diagonal()[: len(alone)]
+            inflation = float(np.median(variance[alone > 0] / alone[alone > 0]))
+            p_values[term] = f_tail(test.statistic / inflation, 1, small.dof)
+        return {term: p for term, p in p_values.items() if p > SIGNIFICANT}
 
     def alike(self, terms: Terms) -> dict[str, dict[str, float]]:
         """Return the terms that could replace each chosen one, and the increase in AIC."""
@@ -237,19 +266,17 @@ def _best(trials: Sequence[Trial]) -> Trial | None:
     return next(alike, None)
 
 
-def _tested(removed: Mapping[str, float], small: Fit, large: Fit) -> tuple[float, str]:
-    """Return the p-value of a term, or NaN and why there is no test."""
-    # A missing term leaves residuals that look like errors correlated along frequency. With
-    # such errors allowed, no test would find the term: here they count as independent.
-    names = ("without", "with")
+def _tested(removed: Mapping[str, float], small: Fit, large: Fit) -> NestedTest | str:
+    """Return the test of a term, or why there is none."""
+    # A missing term leaves residuals that look like errors correlated along frequency. With such
+    # errors allowed, no test would find the term: here errors count as independent.
     try:
-        return nested_test_at(removed, small, large, names, independent=True).p_value, ""
+        return nested_test_at(removed, small, large, ("without", "with"), independent=True)
     except ValueError:
         [quantity] = [large.by_name[term] for term in removed]
         if quantity.at_bound:
-            return math.nan, "at its bound"
-        is_determined = math.isfinite(quantity.standard_error)
-        return math.nan, "no test" if is_determined else "not determined"
+            return "at its bound"
+        return "no test" if math.isfinite(quantity.standard_error) else "not determined"
 
 
 def with_terms(problem: AnyProblem, terms: Terms, absent: Mapping[str, float]) -> AnyProblem:

@@ -110,7 +110,7 @@ def told(**parts):
                 "runs": [SimpleNamespace(stage="screened"), SimpleNamespace(stage="polished")],
                 "agreeing": 1,
             },
-            "The fit was made from one start, so another minimum may have a lower cost.",
+            "Only 1 of 1 start reached the best minimum, so another one may have a lower cost.",
         ),
     ],
 )
