@@ -81,7 +81,9 @@ class RecordPart(SegmentedPart):
         return self._with(data, replace(self.covariance, counts=counts))
 
     def with_bounded_errors(self, trajectory: Trajectory) -> "RecordPart":
-        """Return the part with pseudo-values as outputs: large errors are bounded."""
+        """Return the part with pseudo-values as outputs, if its large errors are bounded."""
+        if not self.has_bounded_errors:
+            return self
         model = self.data.unpadded(self.simulated_outputs(trajectory))
         stretches = zip(self.data.stretches, model, strict=True)
         errors = bounded([stretch.outputs - y for stretch, y in stretches])

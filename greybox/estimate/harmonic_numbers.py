@@ -9,21 +9,15 @@ from greybox.modeling.harmonic_balance import enough_harmonics
 from greybox.modeling.pade_delay import delay_order
 
 
-def is_open(part: Problem) -> bool:
-    """Return whether the sine of a part leaves the number of harmonics open."""
-    return part.amplitude is not None and part.amplitude.harmonics is None
-
-
 def with_enough_harmonics(problem: AnyProblem) -> AnyProblem:
     """Return the problem with as many harmonics as matter at the start values, if left open."""
-    if not any(map(is_open, problem.parts)):
-        return problem
-    return problem.with_parts(
-        [_with_enough(part) if is_open(part) else part for part in problem.parts]
-    )
+    parts = [_with_enough(part) for part in problem.parts]
+    return problem if parts == [*problem.parts] else problem.with_parts(parts)
 
 
 def _with_enough(part: Problem) -> Problem:
+    if part.amplitude is None or part.amplitude.harmonics is not None:
+        return part
     data = part.response
     # The start values, not the estimate: the number of harmonics must not change during a fit.
     starts = {name: parameter.start for name, parameter in part.parameters.items()}

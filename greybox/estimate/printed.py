@@ -151,9 +151,10 @@ def error_statement(fit: Any) -> str:
     conditions = "; ".join(dict.fromkeys(part.condition for part in fit.parts))
     # With every parameter at a bound, there is no interval to compare.
     if fit.independent is not None and np.any(fit.covariance.diagonal() > 0):
+        width = t_quantile(0.95, fit.independent[1]) / t_quantile(0.95, fit.dof)
         conditions += (
             "; correlated along frequency like the residuals (intervals for independent errors "
-            f"would be {_narrower(fit):.2g} times as wide)"
+            f"would be {width / math.sqrt(fit.inflation):.2g} times as wide)"
         )
 
     interval = ""
@@ -169,15 +170,6 @@ def error_statement(fit: Any) -> str:
         else ", valid only if the model explains the data"
     )
     return f"±: standard error{interval}, for {conditions}{_bias_text(fit)}{valid}."
-
-
-def _narrower(fit: Any) -> float:
-    """Return the width of 95 % intervals for independent errors over that of the printed ones."""
-    covariance, dof = fit.independent
-    variances = fit.covariance.diagonal()[: len(covariance)]
-    is_known = variances > 0
-    ratio = np.median(covariance.diagonal()[is_known] / variances[is_known])
-    return math.sqrt(ratio) * t_quantile(0.95, dof) / t_quantile(0.95, fit.dof)
 
 
 def _bias_text(fit: Any) -> str:

@@ -309,6 +309,15 @@ class Fit:
         return self.directions.of([self.names.index(name) for name in names])
 
     @property
+    def inflation(self) -> float:
+        """Median of variances over those for errors that are independent along frequency."""
+        if self.independent is None:
+            return 1.0
+        alone = self.independent[0].diagonal()
+        variances = self.covariance.diagonal()[: len(alone)]
+        return float(np.median(variances[alone > 0] / alone[alone > 0]))
+
+    @property
     def checksum(self) -> str:
         """Checksums of the data of all parts."""
         return " ".join(part.data.checksum for part in self.parts)

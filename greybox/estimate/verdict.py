@@ -1,6 +1,5 @@
 """The verdict on a fit in a few sentences: model, minimum, residuals, parameters."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -8,7 +7,7 @@ import numpy as np
 
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
 from greybox.estimate.printed import closeness
-from greybox.files.text_table import counted, listed, percent, some
+from greybox.files.text_table import counted, percent, some
 from greybox.solve.runs import SCREENED
 
 Grade = Literal["good", "doubt", "poor", "failed"]
@@ -71,14 +70,7 @@ def _minimum(fit: Any) -> tuple[str, bool]:
             False,
         )
 
-    higher = len(fit.minima) - 1
-    remainder = (
-        f"; {counted(higher, 'other minimum has', 'other minima have')} a higher cost"
-        if higher
-        else ""
-    )
-
-    return f"{fit.agreeing} of {count} agree on the best minimum{remainder}.", True
+    return f"{fit.agreeing} of {count} agree on the best minimum.", True
 
 
 def _determined(fit: Any) -> tuple[str, bool]:
@@ -96,14 +88,12 @@ def _determined(fit: Any) -> tuple[str, bool]:
 
     texts = []
     if at_bound:
-        texts.append(f"{_names(at_bound)} ended at a bound")
+        texts.append(f"{some(at_bound)} ended at a bound")
     if judged.beyond:
-        guidelines = (
-            f"{100 * ERROR_GUIDELINE:.0f} % error, {100 * INSENSITIVITY_GUIDELINE:.0f} % "
-            "insensitivity"
+        texts.append(
+            f"{some(judged.beyond)} exceeded the guidelines ({100 * ERROR_GUIDELINE:.0f} % error, "
+            f"{100 * INSENSITIVITY_GUIDELINE:.0f} % insensitivity)"
         )
-        verb = "is" if len(judged.beyond) == 1 else "are"
-        texts.append(f"{_names(judged.beyond)} {verb} beyond the guidelines ({guidelines})")
 
     if texts:
         well = len(fit.free) - len({*at_bound, *judged.beyond})
@@ -117,15 +107,6 @@ def _determined(fit: Any) -> tuple[str, bool]:
 
     # NaN belongs to parameters at a bound, which were named above.
     worst = int(np.nanargmax(judged.error))
-    subject = (
-        "The free parameter is"
-        if len(fit.free) == 1
-        else f"All {len(fit.free)} free parameters are"
-    )
     most = f"{percent(float(judged.error[worst]))} % ({judged.names[worst]})"
 
-    return f"{subject} well determined, with standard errors of at most {most}.", True
-
-
-def _names(names: Sequence[str]) -> str:
-    return some(names) if len(names) > 4 else listed(names)
+    return f"The free parameters are well determined, with standard errors of at most {most}.", True

@@ -26,7 +26,7 @@ def with_robust_errors(
     measured, cost = nlp, math.nan
     for _ in range(MOST_FITS if search.minima and _is_robust(nlp) else 0):
         best = search.minima[0]
-        if abs(best.cost - cost) <= ROUNDING * max(abs(best.cost), 1.0):
+        if math.isclose(best.cost, cost, rel_tol=ROUNDING, abs_tol=ROUNDING):
             break
         cost = best.cost
         nlp = _pseudo_values(measured, solver.profile(best.estimate, search.nodes).trajectories)
@@ -49,8 +49,6 @@ def _is_robust(nlp: CompiledProblem) -> bool:
 
 
 def _pseudo_values(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> CompiledProblem:
-    parts = list(nlp.parts)
-    for k, (part, trajectory) in enumerate(zip(nlp.parts, trajectories, strict=True)):
-        if isinstance(part, RecordPart) and part.has_bounded_errors:
-            parts[k] = part.with_bounded_errors(trajectory)
+    pairs = zip(nlp.parts, trajectories, strict=True)
+    parts = (p.with_bounded_errors(t) if isinstance(p, RecordPart) else p for p, t in pairs)
     return replace(nlp, parts=tuple(parts))

@@ -222,21 +222,23 @@ def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[floa
     deviation = np.sqrt(variance)
     tails = (1 - np.array(LEVELS)) / 2
     unit = -stdtrit(dof, tails)
-    low, high = deviation.min() * unit, deviation.max() * unit
-
-    for _ in range(BISECTIONS):
-        middle = (low + high) / 2
-        outside = stdtr(dof, -middle[:, None] / deviation) @ weight
-        low, high = np.where(outside > tails, middle, low), np.where(outside > tails, high, middle)
-
-    inner, outer = (low + high) / 2
+    inner, outer = _bisected(
+        lambda size: stdtr(dof, -size[:, None] / deviation) @ weight > tails,
+        deviation.min() * unit,
+        deviation.max() * unit,
+    )
 
     # The ratio of both intervals falls as the degrees of freedom rise.
-    few, many = 1 / dof, 1.0
-    for _ in range(BISECTIONS):
-        middle = (few + many) / 2
-        ratio = stdtrit(1 / middle, tails)
-        few, many = (middle, many) if ratio[1] / ratio[0] < outer / inner else (few, middle)
+    def is_narrow(few: Array) -> Array:
+        quantiles = stdtrit(1 / few, tails)
+        return quantiles[1] / quantiles[0] < outer / inner
 
-    dof = 1 / few
-    return float((outer / stdtrit(dof, 1 - tails[1])) ** 2), float(dof)
+    dof = 1 / float(_bisected(is_narrow, np.array(1 / dof), np.array(1.0)))
+    return float((outer / stdtrit(dof, 1 - tails[1])) ** 2), dof
+
+
+def _bisected(is_below: Callable[[Array], Array], low: Array, high: Array) -> Array:
+    for _ in range(BISECTIONS):
+        middle = (low + high) / 2
+        low, high = np.where(is_below(middle), [middle, high], [low, middle])
+    return low

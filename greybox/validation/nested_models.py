@@ -104,7 +104,8 @@ def nested_test(small: Fit, large: Fit) -> NestedTest:
     Morelli, chapter 5; Self and Liang (1987), Journal of the American Statistical Association 82.
     """
     check_fits((small, large))
-    labels = _labels(small, large)
+    first, second = labels_of((small, large))
+    labels = first, second
     different = data_difference((small, large), labels) or other_samples((small, large), labels)
     if different:
         raise ValueError(f"{different}: a nested test needs fits of the same data.")
@@ -218,17 +219,6 @@ def _estimates_variance(part: FittedPart) -> bool:
     if isinstance(part, FittedResponse) or getattr(part.data, "has_time", False):
         return False
     return not isinstance(part.settings.get("noise"), Mapping)
-
-
-def _labels(small: Fit, large: Fit) -> tuple[str, str]:
-    """Return the names of the models; of one model with what the smaller fit holds."""
-    model = small.parts[0].label
-    held = [name for name in large.free if name not in small.free and name in small.estimate]
-    if model != large.parts[0].label or not held:
-        first, second = labels_of((small, large))
-        return first, second
-    texts = listed([f"{name} {small.by_name[name].kind}" for name in held])
-    return f"{model} with {texts}", model
 
 
 def _likelihood_ratio(small: Fit, large: Fit, labels: tuple[str, str]) -> float:

@@ -134,7 +134,7 @@ class _Part:
     def _settings(self) -> list[object]:
         part = self.part
         # Only output error may have other errors than normal ones.
-        settings = {"errors": "normal"} | part.settings
+        settings = {"errors": "normal", **part.settings}
         settings = {name: v for name, v in settings.items() if name not in ADDED_SETTINGS}
         # Output error is prediction error with gains of zero.
         criterion = part.criterion_class.replace("PredictionError", "OutputError")

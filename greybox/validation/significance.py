@@ -123,9 +123,10 @@ def prediction_verdict(
     models = " and ".join(labels)
     data = "their own data" if kind == IDENTIFICATION else "held-out data"
     if every.size < 3:  # with two windows the threshold of Student's t would be 12.7
-        has_time = first_predictions[0].data.has_time
-        cure = "a shorter window, or longer records" if has_time else "more rows"
-        return f"{windows} cannot show which of {models} predicts {data} better: give {cure}."
+        return (
+            f"{windows} cannot show which of {models} predicts {data} better: give a shorter "
+            "window, or more data."
+        )
     equal = f"{models} predict {data} equally well: their mean squared errors differ by"
     percent = f"{number(100 * abs(second - first) / max(first, second, 1e-300), 2)} %"
     # In a long record any difference is significant. One of 0.1 % (0.05 % in rms), or below the

@@ -13,8 +13,6 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.estimate.fit import fit as fit_problem
 from greybox.estimate.result import Fit
@@ -234,13 +232,9 @@ class _Fits:
         for term in (name for name in self.absent if name in terms):
             small = self.fitted(terms - {term}, fit)
             test = _tested({term: self.absent[term]}, small, fit)
-            if small.independent is None or isinstance(test, str):
-                continue
             # The term may have taken up the correlated errors: those of the fit without it count.
-            alone = small.independent[0].diagonal()
-            variance = small.covariance.diagonal()[: len(alone)]
-            inflation = float(np.median(variance[alone > 0] / alone[alone > 0]))
-            p_values[term] = f_tail(test.statistic / inflation, 1, small.dof)
+            if isinstance(test, NestedTest):
+                p_values[term] = f_tail(test.statistic / small.inflation, 1, small.dof)
         return {term: p for term, p in p_values.items() if p > SIGNIFICANT}
 
     def alike(self, terms: Terms) -> dict[str, dict[str, float]]:

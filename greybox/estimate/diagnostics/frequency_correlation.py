@@ -5,15 +5,16 @@ transform, or if the model misses a part of the response. Standard errors of res
 it (`greybox.statistics.neighbor_correlation`), those of manoeuvres do not.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.compiled.part import CorrelatedPoints
+from greybox.compiled.part import CorrelatedPoints, Trajectory
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.transient_part import TransientPart
 from greybox.estimate.covariance import Accuracy
+from greybox.estimate.diagnostics.noise_level import LEAST_RATIO
 from greybox.files.arrays import Array
 from greybox.files.text_table import counted
 from greybox.formulation.problem import Problem
@@ -29,21 +30,20 @@ UNLIKELY = 0.1
 FEWEST_LENGTHS = 8.0
 
 
-def correlated_frequencies(nlp: CompiledProblem, x: Array, accuracy: Accuracy) -> Iterator[str]:
-    """Name the responses and manoeuvres whose errors at the estimate `x` (p,) are correlated."""
-    for part, neighbors in zip(nlp.parts, accuracy.neighbors, strict=True):
-        if neighbors is not None and not (
-            isinstance(part, ResponsePart) and _is_covered(part, nlp.all_values(x))
-        ):
-            yield from _of_response(part.problem, neighbors)
-        elif isinstance(part, TransientPart):
-            yield from _of_manoeuvre(part, nlp.scaling.to_solver(x), alone=len(nlp.parts) == 1)
-
-
-def _is_covered(part: ResponsePart, values: Array) -> bool:
-    """Tell whether estimated variances include more than the scatter, such as errors of a log."""
-    has_given_noise = part.criterion.known_noise and part.data.dof is not None
-    return has_given_noise and part.criterion.noise_ratio(part.response(values), part.data) < 0.4
+def correlated_frequencies(
+    nlp: CompiledProblem, trajectories: Sequence[Trajectory], accuracy: Accuracy
+) -> Iterator[str]:
+    """Name the responses and manoeuvres whose errors at the estimate are correlated."""
+    for part, trajectory, neighbors in zip(
+        nlp.parts, trajectories, accuracy.neighbors, strict=True
+    ):
+        if isinstance(part, TransientPart):
+            yield from _of_manoeuvre(part, trajectory.z, alone=len(nlp.parts) == 1)
+        elif isinstance(part, ResponsePart) and neighbors is not None:
+            # Variances that include more than the scatter, such as errors of a log, need no words.
+            is_estimated = part.criterion.known_noise and part.data.dof is not None
+            if not (is_estimated and part.noise_ratio(trajectory) < LEAST_RATIO):
+                yield from _of_response(part.problem, neighbors)
 
 
 def _of_response(problem: Problem, neighbors: CorrelatedPoints) -> Iterator[str]:

@@ -28,6 +28,7 @@ from greybox.estimate.diagnostics.not_finite import not_finite_warnings
 from greybox.estimate.diagnostics.outlying_points import outlying_points, outlying_samples
 from greybox.estimate.diagnostics.prior_conflict import prior_conflicts
 from greybox.estimate.diagnostics.records import finding_warnings, record_warnings
+from greybox.estimate.diagnostics.repeated import once
 from greybox.estimate.diagnostics.unexplained import unexplained
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.result import Fit
@@ -86,8 +87,8 @@ def warnings(
         *several_estimates_of_one_response(nlp, search, accuracy),
         *coarse_pade(nlp, pade_errors),
         *unlikely_noise(nlp, trajectories),
-        *(correlated_frequencies(nlp, best.estimate, accuracy) if errors else ()),
+        *(correlated_frequencies(nlp, trajectories, accuracy) if errors else ()),
         *discontinuous_costs(nlp),
         *outlying_points(nlp, best.estimate),
-        *(outlying_samples(answer.parts) if errors else ()),
+        *(once(outlying_samples(answer.parts)) if errors else ()),
     )

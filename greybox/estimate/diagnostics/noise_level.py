@@ -11,6 +11,9 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.diagnostics.repeated import Finding, once
 from greybox.formulation.frequency_criteria import Criterion
 
+# Squared residuals over given variances below which these are doubted, or include other errors.
+LEAST_RATIO = 0.4
+
 
 def unlikely_noise(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> Iterator[str]:
     """Warn where the residuals are far from the noise that was given with the data."""
@@ -38,12 +41,11 @@ def _of_response(
     ratio = squares / dof
     is_likely = min(chdtr(dof, squares), chdtrc(dof, squares)) > level
     # Variances are hardly known better than to a factor of two.
-    if is_likely or 0.4 <= ratio <= 2.5:
+    if is_likely or LEAST_RATIO <= ratio <= 2.5:
         return
 
     # Estimated variances may include systematic errors, which the parameters take up.
-    data = part.data
-    if ratio < 1 and not (data.dof is None and data.common_errors is None):
+    if ratio < 1 and part.data.dof is not None:
         return
 
     meaning = "the variances are too large"

@@ -22,6 +22,7 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import ResponsePart
+from greybox.estimate.diagnostics.repeated import Finding
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
 from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted, listed, number
@@ -77,33 +78,30 @@ def outlying_points(nlp: CompiledProblem, x: Array) -> Iterator[str]:
         )
 
 
-def outlying_samples(parts: Sequence[FittedPart]) -> Iterator[str]:
+def outlying_samples(parts: Sequence[FittedPart]) -> Iterator[Finding]:
     """Name the outliers among the samples of records whose errors count as normal."""
     from scipy.special import erfc  # noqa: PLC0415  (takes a tenth of a second to import)
 
-    records = [part for part in parts if isinstance(part, FittedRecord)]
-    pairs = [(p, o) for p in records if p.settings.get("errors") != "huber" for o in p.outputs]
-    for part, output in pairs:
-        residual = part.residual(output)[None]
-        size = np.nan_to_num(np.abs(residual) / robust_deviation(residual))[0]
-        # The largest of many normal residuals is judged by their number.
-        chance = erfc(size / math.sqrt(2)) * np.count_nonzero(size) * len(pairs)
-        count = int(np.count_nonzero(chance < SIZE))
-        gain = np.nanmean(residual**2) / np.nanmean(bounded([residual])[0] ** 2)
-        if not count or not gain > NOTICEABLE:
+    for part in parts:
+        if not isinstance(part, FittedRecord) or part.settings.get("errors") != "normal":
             continue
-        places = part.data.time if part.data.has_time else np.arange(size.size)
-        largest = [f"{place:.4g}" for place in places[np.argsort(-size)[: min(count, 4)]]]
-        cure = "OutputError(errors='huber') bounds their effect, with standard errors"
-        if part.gains:
-            cure = "Without them (NaN), standard errors would be"
-        yield (
-            f"{counted(count, 'outlier')} among the samples of {output} in "
-            f"{part.data.name or part.name!r}, up to {number(float(size.max()), 2)} standard "
-            f"deviations from the model, the largest at {listed(largest)}"
-            f"{' s' if part.data.has_time else ''}. {cure} about {100 * (1 - gain**-0.5):.0f} % "
-            "smaller."
-        )
+        for output in part.outputs:
+            residual = part.residual(output)[None]
+            size = np.nan_to_num(np.abs(residual) / robust_deviation(residual))[0]
+            # The largest of many normal residuals is judged by their number.
+            count = int(np.sum(erfc(size / math.sqrt(2)) * np.count_nonzero(size) < SIZE))
+            gain = np.nanmean(residual**2) / np.nanmean(bounded([residual])[0] ** 2)
+            if not count or not gain > NOTICEABLE:
+                continue
+            largest = [f"{t:.4g}" for t in part.data.time[np.argsort(-size)[: min(count, 4)]]]
+            name = part.data.name or part.name
+            text = (
+                f"{counted(count, 'outlier')} among the samples of {output} in {name!r}, up to "
+                f"{number(float(size.max()), 2)} standard deviations from the model, the largest "
+                f"at {listed(largest)} s: OutputError(errors='huber') bounds their effect, with "
+                f"standard errors about {100 * (1 - gain**-0.5):.0f} % smaller."
+            )
+            yield output, name, text
 
 
 def largest_deviation(part: ResponsePart, values: Array, free: int) -> Deviation | None:
