@@ -13,6 +13,7 @@ Begin with `multistart`.
 | `transcribed_program` | records as one sparse program for IPOPT |
 | `ipopt` | IPOPT on one program |
 | `discretization_error` | finer integration steps |
+| `robust_errors` | fits in which large errors are bounded |
 | `runs`, `minima` | the results of runs; distinct minima |
 | `executors`, `worker_pool`, `kept_runs` | runs in other processes; processes here; stored runs |
 | `interruption` | Ctrl-C, and how long a search may take |

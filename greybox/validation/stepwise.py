@@ -94,10 +94,9 @@ class StepwiseSelection:
         costs = [number(fit.cost, 4) for fit in (self.fit, self.without)]
         text = f"{text}: cost {costs[0]} instead of {costs[1]} without."
         if self.doubtful:
-            tests = listed([f"{term} ({p_text(p)})" for term, p in self.doubtful.items()])
             text += (
-                f" If errors of neighboring points are correlated like the residuals, {tests} may "
-                "be there by chance."
+                " If errors of neighboring points are correlated like the residuals, "
+                f"{listed(list(self.doubtful))} may be there by chance."
             )
         return text
 

@@ -77,7 +77,7 @@ def test_the_answer_says_that_the_standard_errors_account_for_it_or_are_rough():
     ]
     assert told.endswith("account for the first, not for the second.")
     (rough,) = [
-        t for t in fitted(0.9, gb.RelativeError(), 3, n=12).warnings if "along frequency" in t
+        t for t in fitted(0.9, gb.RelativeError(), 5, n=12).warnings if "along frequency" in t
     ]
     assert rough.endswith("and the standard errors are rough.")
 

@@ -221,3 +221,16 @@ def test_a_point_that_a_parameter_of_its_own_fits_is_not_judged():
         ratio, _ = deletion_ratios(residual, own, least=least)
         mean = max((squares.sum() - squares[3] - squares[0]) / 8, least)
         assert ratio[0] == pytest.approx(squares[0] / 2 / mean)
+
+
+def test_variances_that_include_more_than_the_scatter_are_not_doubted():
+    """As those of a thinned log; without degrees of freedom, they are somebody's statement."""
+    exact = np.abs(gb.frequency_response(Lag(), TRUTH, OMEGA).response)
+    warned = []
+    for columns in ({"dof": np.full(20, 100.0)}, {}):
+        columns = {"variance": (0.2 * exact) ** 2, **columns}
+        data = measured(Lag(), OMEGA, TRUTH, noise=0.02, seed=1, columns=columns)
+        fit = gb.fit(gb.Problem(Lag(), data, gb.MaximumLikelihood()), starts=3)
+        warned.append([text for text in fit.warnings if "residuals of" in text])
+    assert not warned[0]
+    assert any("too large" in text for text in warned[1])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from declared_models import measured
 from drag_flights import QUADRATIC, Drag, flight
+from scipy.signal import lfilter
 from scipy.stats import f
 
 import greybox as gb
@@ -166,3 +167,28 @@ def test_of_equal_costs_the_first_term_of_the_list_is_added(names):
     found = gb.stepwise(stated, names, starts=1)
     assert found.terms == names[:1]
     assert list(found.alike[names[0]]) == [names[1]]
+
+
+class Lead(gb.TransferFunction):
+    """A lag with a zero that may be absent."""
+
+    input, output = "u", "y"
+    K = gb.Parameter(1.0, bounds=(0.1, 10))
+    T = gb.Parameter(0.2, bounds=(0.01, 5))
+    c = gb.Parameter(0.0, bounds=(-1, 1))
+
+    def response(self, s, p):
+        return p.K * (1 + p.c * s) / (p.T * s + 1)
+
+
+@pytest.mark.parametrize(("rho", "zero", "doubtful"), [(0.8, 0.0, ["c"]), (0.0, 0.1, [])])
+def test_a_term_that_correlated_errors_bring_in_is_doubted(rho, zero, doubtful):
+    omega = np.geomspace(0.5, 20, 16)
+    white = np.random.default_rng(4).normal(size=(66, 2)) @ [1, 1j] / np.sqrt(2)
+    errors = lfilter([np.sqrt(1 - rho**2)], [1, -rho], white)[50:]
+    exact = gb.frequency_response(Lead(), {"K": 2.0, "T": 0.5, "c": zero}, omega).response
+    data = gb.FrequencyResponse(omega, exact * (1 + 0.05 * errors), "u", "y")
+    selection = gb.stepwise(gb.Problem(Lead(), data, gb.RelativeLikelihood()), ["c"], starts=1)
+    assert selection.terms == ("c",)
+    assert list(selection.doubtful) == doubtful
+    assert ("c may be there by chance" in selection.verdict) == bool(doubtful)

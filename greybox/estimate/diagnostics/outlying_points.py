@@ -93,7 +93,7 @@ def outlying_samples(parts: Sequence[FittedPart]) -> Iterator[Finding]:
             gain = np.nanmean(residual**2) / np.nanmean(bounded([residual])[0] ** 2)
             if not count or not gain > NOTICEABLE:
                 continue
-            largest = [f"{t:.4g}" for t in part.data.time[np.argsort(-size)[: min(count, 4)]]]
+            largest = [f"{t:.4g}" for t in part.data.time[np.argsort(-size)[:count][:4]]]
             name = part.data.name or part.name
             text = (
                 f"{counted(count, 'outlier')} among the samples of {output} in {name!r}, up to "
