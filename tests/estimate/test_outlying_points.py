@@ -227,8 +227,8 @@ def test_variances_that_include_more_than_the_scatter_are_not_doubted():
     """As those of a thinned log; without degrees of freedom, they are somebody's statement."""
     exact = np.abs(gb.frequency_response(Lag(), TRUTH, OMEGA).response)
     warned = []
-    for columns in ({"dof": np.full(20, 100.0)}, {}):
-        columns = {"variance": (0.2 * exact) ** 2, **columns}
+    for dof in ({"dof": np.full(20, 100.0)}, {}):
+        columns = {"variance": (0.2 * exact) ** 2, **dof}
         data = measured(Lag(), OMEGA, TRUTH, noise=0.02, seed=1, columns=columns)
         fit = gb.fit(gb.Problem(Lag(), data, gb.MaximumLikelihood()), starts=3)
         warned.append([text for text in fit.warnings if "residuals of" in text])
