@@ -1,9 +1,10 @@
-"""Files of a user's own."""
+"""Files of a user's own, and a saved fit with its controller."""
 
 import sys
 
 import pytest
 from command_line import OWN
+from saved_rate_loop import saved_rate_loop
 
 
 @pytest.fixture
@@ -22,3 +23,9 @@ def own(tmp_path, monkeypatch):
 
     yield write
     sys.modules.pop(f"own_{own.number}", None)
+
+
+@pytest.fixture(scope="session")
+def rate_loop(tmp_path_factory):
+    """Return the arguments of a saved fit and of its controller."""
+    return saved_rate_loop(tmp_path_factory.mktemp("fits"))

@@ -26,7 +26,8 @@ LOG = str(files("greybox.problems") / "data" / "sitl_pitch.BIN")
 
 def test_response_fit_and_figure_are_written(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    status, out, _ = run(capsys, "identify", LOG, "--starts", "2", "--json")
+    structure = ("--structures", "rate:DampedAngle", "--starts", "2")
+    status, out, _ = run(capsys, "identify", LOG, *structure, "--json")
     answer = json.loads(out)
     assert status == 0
     assert answer["files"] == ["sitl_pitch_response.csv", "sitl_pitch_fit.h5", "sitl_pitch.png"]

@@ -15,25 +15,13 @@ LOOP = ("--controller", "controller:AttitudeController", "--signals", "q=theta_d
 @pytest.fixture(scope="module")
 def pitch(tmp_path_factory):
     path = tmp_path_factory.mktemp("fits") / "pitch.h5"
-    gb.save(gb.fit(pitch_hover.problem(), starts=8, profiles=False, progress=False), path)
+    gb.save(gb.fit(pitch_hover.problem(), starts=2, profiles=False, progress=False), path)
     return path
 
 
 def test_the_command_answers_as_the_function_does(capsys, pitch):
-    status, out, _ = run(
-        capsys,
-        "margins",
-        pitch,
-        *LOOP,
-        "--set",
-        "K_P=0.1",
-        "--rate",
-        "200",
-        "--broken-at",
-        "u",
-        "theta",
-        "--json",
-    )
+    settings = ("--set", "K_P=0.1", "--rate", "200", "--broken-at", "u", "theta")
+    status, out, _ = run(capsys, "margins", pitch, *LOOP, *settings, "--json")
     assert status == 0
     controller = AttitudeController({"K_P": 0.1}, rate=200, signals={"q": "theta_dot"})
     expected = gb.margins(gb.load(pitch), controller, broken_at="theta").to_dict()
@@ -69,29 +57,30 @@ def test_measured_points_are_on_the_page(capsys, tmp_path):
     assert name not in at_attitude.split("<pre>")[0]
 
 
-def test_the_loop_is_drawn(capsys, pitch, tmp_path):
+def test_the_loop_is_drawn(capsys, rate_loop, tmp_path):
     drawn = tmp_path / "loop.png"
-    _, out, _ = run(capsys, "margins", pitch, *LOOP, "--plot", drawn)
+    _, out, _ = run(capsys, "margins", *rate_loop, "--plot", drawn)
     assert drawn.stat().st_size > 10_000
     assert "loop.png" in out
 
 
-def test_several_fits_are_shown_in_a_table_and_on_a_page(capsys, pitch, tmp_path):
+def test_several_fits_are_shown_in_a_table_and_on_a_page(capsys, rate_loop, tmp_path):
     page = tmp_path / "page.html"
     other = tmp_path / "forward.h5"
-    other.write_bytes(pitch.read_bytes())
-    _, out, _ = run(capsys, "margins", pitch, other, *LOOP, "--report", page)
+    fit, *loop = rate_loop
+    other.write_bytes(fit.read_bytes())
+    _, out, _ = run(capsys, "margins", fit, other, *loop, "--report", page)
     header, _, *rows = out.splitlines()[:4]
     assert "phase margin, deg" in header
-    assert [row.split()[0] for row in rows] == [str(pitch), str(other)]
+    assert [row.split()[0] for row in rows] == [str(fit), str(other)]
     text = page.read_text(encoding="utf-8")
     assert "Stability margins" in text
     assert text.count("<strong>Nichols diagram") == 2
-    assert "a single RESULT" in refused(capsys, "margins", pitch, other, "--log", sitl_pitch.LOG)
+    assert "a single RESULT" in refused(capsys, "margins", fit, other, "--log", sitl_pitch.LOG)
 
 
-def test_a_loop_that_is_not_stable_fails(capsys, pitch):
-    status, out, _ = run(capsys, "margins", pitch, *LOOP, "--set", "K_P=5")
+def test_a_loop_that_is_not_stable_fails(capsys, rate_loop):
+    status, out, _ = run(capsys, "margins", *rate_loop, "--set", "K_P=9")
     assert status == 1
     assert "unstable" in out
 

@@ -2,56 +2,30 @@
 
 import json
 
-import numpy as np
 import pytest
 from command_line import refused, run
 
 import greybox as gb
-from greybox.models.rate import BasicRate
 from greybox.problems import sitl_pitch
 
-CONTROLLER = """
-import greybox as gb
 
-class RateLoop(gb.Controller):
-    inputs, outputs = ("p",), ("u",)
-    K_P = gb.Parameter(0.05, bounds=(0, 10))
-
-    def update(self, x, u, p):
-        return (), (p.K_P * (u.reference - u.p),)
-"""
-
-
-@pytest.fixture(scope="module")
-def loop(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("fits")
-    (folder / "mine.py").write_text(CONTROLLER, encoding="utf-8")
-    omega = np.geomspace(2, 60, 30)
-    exact = gb.frequency_response(BasicRate(), {}, omega)
-    errors = 1 + 0.03 * np.random.default_rng(0).normal(size=(2, 30)).T @ [1, 1j]
-    data = gb.FrequencyResponse(omega, exact.response * errors, "u", "p", name="battery 1")
-    path = folder / "roll.h5"
-    gb.save(gb.fit(gb.Problem(BasicRate(), data), starts=2, progress=False), path)
-    return path, "--controller", f"{folder / 'mine.py'}:RateLoop"
-
-
-def test_the_best_gains_are_written_for_the_ground_station(capsys, loop, tmp_path):
+def test_the_best_gains_are_written_for_the_ground_station(capsys, rate_loop, tmp_path):
     out = tmp_path / "roll.param"
     words = ("--gains", "K_P=0.01:0.5", "--names", "K_P=ATC_RAT_RLL_P", "--parameters", out)
-    status, text, _ = run(capsys, "tune", *loop, *words, "--json")
+    status, text, _ = run(capsys, "tune", *rate_loop, *words, "--json")
     assert status == 0
     answer = json.loads(text)
     best = answer["best"]["K_P"]
     assert answer["today"] == {"K_P": 0.05}
     name, value = out.read_text(encoding="utf-8").strip().split(",")
     assert (name, float(value)) == ("ATC_RAT_RLL_P", pytest.approx(best, rel=1e-6))
-    assert "exists" in refused(capsys, "tune", *loop, *words)
+    assert "exists" in refused(capsys, "tune", *rate_loop, *words)
 
 
-def test_gains_whose_crossover_was_not_measured_are_refused(capsys, loop, tmp_path):
+def test_gains_whose_crossover_was_not_measured_are_refused(capsys, rate_loop, tmp_path):
     out = tmp_path / "roll.param"
     words = ("--gains", "K_P=0.001:0.003", "--phase-margin", "30", "--parameters", out)
-    status, text, _ = run(capsys, "tune", *loop, *words)
+    status, text, _ = run(capsys, "tune", *rate_loop, *words)
     assert status == 1
     assert text.startswith("Refused")
     assert "fly sines at 0.15" in text
@@ -67,8 +41,8 @@ def test_gains_whose_crossover_was_not_measured_are_refused(capsys, loop, tmp_pa
         (("--gains", "K_P=0:1", "--parameters", "x.txt"), ".param"),
     ],
 )
-def test_what_does_not_fit_is_refused(capsys, loop, words, message):
-    assert message in refused(capsys, "tune", *loop, *words)
+def test_what_does_not_fit_is_refused(capsys, rate_loop, words, message):
+    assert message in refused(capsys, "tune", *rate_loop, *words)
 
 
 def test_the_controllers_of_a_log_have_the_gains_of_the_firmware(capsys, tmp_path):
