@@ -92,6 +92,7 @@ def colored_errors(
         duration=longest * step,
         is_long_enough=times >= FEWEST_TIMES,
         spectrum=None if effect.spectrum is None else effect.spectrum.enlarged(larger),
+        process_noise=effect.process_noise,
     )
 
 

@@ -128,6 +128,8 @@ class ColoredErrors:
         to be known.
     spectrum : ErrorSpectrum or None
         Of the errors, enlarged for what the fit took from them; None where all residuals are zero.
+    process_noise : float
+        -2 log of the evidence for other errors, less that for white process noise.
     """
 
     meat: Array
@@ -136,6 +138,7 @@ class ColoredErrors:
     duration: float
     is_long_enough: bool
     spectrum: ErrorSpectrum | None
+    process_noise: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

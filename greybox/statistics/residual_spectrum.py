@@ -76,6 +76,8 @@ class ColoredInformation:
         Whether the spectrum is corrected for what the fit took from the errors.
     spectrum : ErrorSpectrum or None
         Spectrum of the errors; None where all residuals are zero.
+    process_noise : float
+        -2 log of the evidence for other errors, less that for white process noise.
     """
 
     meat: Array
@@ -84,6 +86,7 @@ class ColoredInformation:
     correlation_times: Array
     corrected: bool
     spectrum: ErrorSpectrum | None
+    process_noise: float = 0.0
 
 
 def colored_information(
@@ -147,6 +150,7 @@ def colored_information(
         correlation_times=times,
         corrected=corrected,
         spectrum=ErrorSpectrum(spectra.grid.omega, density, deviation),
+        process_noise=mixture.score,
     )
 
 
@@ -187,7 +191,7 @@ class AveragedSpectrum:
     uncertainty : float
         Variance of its logarithm.
     score : float
-        -2 log of the evidence.
+        -2 log of the evidence; of the average of all, that for process noise over that for others.
     """
 
     density: NDArray[Any]
@@ -353,6 +357,7 @@ class ResidualSpectra:
             np.exp(np.tensordot(weight, [average.typical for average in candidates], 1)),
             float(weight @ taken),
             float(weight @ (between + [average.uncertainty for average in candidates])),
+            0.0 if self.noise_parts is None else float(score[:-1].min() - score[-1]),
         )
 
     def independent_outputs(self, alone: Sequence[AveragedSpectrum]) -> AveragedSpectrum:

@@ -13,6 +13,7 @@ Begin with `general`.
 | `frequency_correlation` | Are the errors of neighboring frequencies independent? |
 | `outlying_points` | Which points of a response or samples of a record are outliers? |
 | `records` | Do the residuals in time look like noise, and were all samples compared? |
+| `gusts` | Do the data show process noise, such as gusts? |
 | `discretization` | Is the integration accurate enough? |
 | `delay_approximation` | Is the Padé delay accurate enough? |
 | `harmonics` | Does a sine test have enough harmonics? |

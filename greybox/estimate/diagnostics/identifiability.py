@@ -16,7 +16,7 @@ from greybox.solve.minima import Minimum
 
 def not_determined(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str]:
     """Name the combinations that the data determine poorly or not at all, the worst three first."""
-    absent = _absent_noise(nlp, accuracy)
+    absent = _sizes_of_noise(nlp) & set(accuracy.at_bound)
     combinations = [c for c in accuracy.combinations if not set(c.names) <= absent]
     # Infinite indices first: without them fixed, no standard error exists.
     combinations.sort(key=lambda c: -c.index)
@@ -74,15 +74,14 @@ def _not_determined(combination: Combination) -> str:
     )
 
 
-def _absent_noise(nlp: CompiledProblem, accuracy: Accuracy) -> set[str]:
-    """Return the sizes of process noise that ended at zero: their effect is of second order."""
-    sizes = {
+def _sizes_of_noise(nlp: CompiledProblem) -> set[str]:
+    """Return the sizes of process noise: where one is zero, its effect is of second order."""
+    return {
         part.outside(f"w_{state}")
         for part in nlp.problem.parts
         if isinstance(part.criterion, TimeCriterion)
         for state in part.criterion.driven()
     }
-    return sizes & set(accuracy.at_bound)
 
 
 def held_without_error(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str]:
@@ -117,13 +116,12 @@ def no_degrees_of_freedom(nlp: CompiledProblem) -> Iterator[str]:
 def at_bounds(nlp: CompiledProblem, best: Minimum, accuracy: Accuracy) -> Iterator[str]:
     """Name parameters at bounds and active constraints: the standard errors treat both as known."""
     without_effect = [c.names[0] for c in accuracy.combinations if len(c.names) == 1]
-    absent = _absent_noise(nlp, accuracy)
-    if absent:
-        yield (
-            f"{listed(sorted(absent))} ended at zero, where the likelihood is stationary: give a "
-            "start above zero. If it ends there again, these data show no process noise of that "
-            "size, and OutputError, or process_noise without it, says as much with fewer unknowns."
-        )
+    sizes = _sizes_of_noise(nlp)
+    absent = sizes & set(accuracy.at_bound)
+    # Where all are zero, `gusts` compares likelihoods.
+    if absent and absent < sizes:
+        names = listed(sorted(absent))
+        yield f"{names} ended at zero, where the likelihood is stationary: give a start above zero."
 
     for name in accuracy.at_bound:
         if name in without_effect or name in absent:
