@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import cache, partial
 from importlib.metadata import version
 from types import MappingProxyType
 from typing import Any
@@ -65,6 +65,8 @@ from greybox.solve.minima import Multistart, agreeing_runs
 from greybox.solve.multistart import BATCHED, SEARCHES, multistart, solver_for
 from greybox.solve.robust_errors import with_robust_errors
 from greybox.solve.runs import RUN_OVER, SEARCH_OVER
+
+_version = cache(version)  # reading it takes 2 ms
 
 
 class Interrupted(KeyboardInterrupt):
@@ -397,7 +399,7 @@ def assemble(
         starts=starts,
         seconds=0.0,
         versions={
-            "greybox": version("greybox-id"),
+            "greybox": _version("greybox-id"),
             "casadi": ca.CasadiMeta.version(),
             "numpy": np.__version__,
             "python": platform.python_version(),
