@@ -7,7 +7,7 @@ those whose misfit exceeds the noise, how often the right cause is among the fir
 models that are called wrong in white, colored and drifting noise, and the time over that of the fit
 alone. Records last 10 to 300 s, of plants with time constants of 0.3 to 1 s; the noise is 0.5 to
 10 % of the signal. Errors of right responses are independent, correlated along frequency, or ten
-times larger at the highest frequencies. One draw takes six minutes.
+times larger at the highest frequencies. One draw takes ten minutes.
 """
 
 # ruff: noqa: D102  (formulas of models)

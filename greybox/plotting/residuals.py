@@ -1,32 +1,31 @@
-"""The residuals of a fitted record: their distribution, and what they are correlated with."""
+"""The residuals of a fitted record: where they are, and what they are correlated with."""
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 
-from greybox.data.record import Record
 from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
 from greybox.files.text_table import in_greek
-from greybox.plotting.figure import GRAY, INK, Figure, Panel, Series, band, rule
+from greybox.plotting.figure import GRAY, Figure, Panel, Series, rule
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.signals import chosen, shown_unit
-from greybox.statistics.metrics import CorrelationTest, cross_correlation, whiteness
+from greybox.statistics.metrics import CorrelationTest, whiteness
 from greybox.validation.comparison import p_text
 
-MOST_INPUTS = 3  # with a panel for each output: the inputs with the clearest correlation
+PARTS = 10  # of the range of a signal, and of a record
 
 
 def residuals(fit: Fit, record: int = 0, *, axes: GivenAxes | None = None) -> AxesArray:
     """Draw the residuals of every output of a fitted record.
 
-    A histogram with the normal distribution of the same mean and variance, the autocorrelation,
-    and the correlation with inputs. Correlations are over the lag in samples, with the band that
-    contains 99 % of them if there is no correlation, and the p-value of all together. For inputs,
-    both signals were filtered by the filter that whitens the residuals; of more than three inputs
-    those with the smallest p-values are drawn. Constant inputs are omitted. Rows without a time
-    have no correlations.
+    Their means over time, inputs and the fitted output, their coherence with inputs, and their
+    autocorrelation. What the model lacks shows in a part of the record, as a shape over a signal,
+    or as coherence at some frequencies. Correlations are over the lag in samples, with the band
+    that contains 99 % of them if there is no correlation, and the p-value of all together.
+    Constant inputs are omitted. Rows without a time have no coherence and no correlations.
 
     Parameters
     ----------
@@ -66,77 +65,76 @@ def residuals(fit: Fit, record: int = 0, *, axes: GivenAxes | None = None) -> Ax
 
 
 def residual_figures(part: FittedRecord) -> list[Figure]:
-    """Return the histogram of the residuals of every output and, in time, their correlations."""
+    """Return the residuals of every output over signals, frequency and, in time, their lag."""
     figures = []
     record = f", {part.data.name}" if part.data.name else ""
     for output in part.outputs:
-        figures.append(_histogram(part, output, record))
-        tests = _tests(part, output)
-        if tests:
-            p_values = (f"with {name or 'themselves'} {p_text(t.p_value)}" for name, t in tests)
+        # A constant input cannot have caused anything.
+        measured = {name: u for name, u in part.data.signals.items() if np.nanstd(u) > 0}
+        inputs = {name: u for name, u in measured.items() if name not in part.outputs}
+        signals = {"time, s": part.data.time} if part.data.has_time else {}
+        signals |= {**inputs, f"fitted {output}": part.simulated[output]}
+        figures += [_means(part, output, *signal) for signal in signals.items()]
+        # Without a time, neighboring rows have no order, and a lag means nothing.
+        if part.data.has_time:
+            figures += [_coherence(part, output, inputs)] if inputs else []
+            pieces = [part.residual(output)[rows] for rows in part.data.independent_pieces]
+            test = whiteness(pieces, fitted=part.innovation_parameters(output))
             figures.append(
                 Figure(
                     f"Residuals of {in_greek(output)}{record}",
                     "Lag, samples",
-                    [_correlations(output, name, test) for name, test in tests],
+                    [_correlations(output, test)],
                     caption="Band: 99 % of single correlations if there is none. Probability of "
-                    f"these correlations by chance: {', '.join(p_values)}.",
+                    f"these correlations by chance: {p_text(test.p_value)}.",
                     is_whole=True,
-                    limits=(0.0, len(tests[0][1].correlations) + 1.0),
+                    limits=(0.0, len(test.correlations) + 1.0),
                 )
             )
 
     return figures
 
 
-def _tests(part: FittedRecord, output: str) -> list[tuple[str, CorrelationTest]]:
-    """Return the correlations with the residuals themselves, of the name "", and with inputs."""
-    # Without a time, neighboring rows have no order, and a lag means nothing.
-    if not part.data.has_time:
-        return []
-    pieces = _pieces(part.data, part.residual(output))
-    inputs = {}
-    for name in part.data.signals:
-        values = part.data[name]
-        # A constant input has no correlation with anything.
-        if name not in part.outputs and np.unique(values[np.isfinite(values)]).size > 1:
-            test = cross_correlation(pieces, _pieces(part.data, values))
-            if not math.isnan(test.p_value):
-                inputs[name] = test
-
-    clearest = sorted(inputs, key=lambda name: inputs[name].p_value)[:MOST_INPUTS]
-    itself = whiteness(pieces, fitted=part.innovation_parameters(output))
-    return [("", itself), *((name, test) for name, test in inputs.items() if name in clearest)]
-
-
-def _pieces(record: Record, values: Array) -> list[Array]:
-    return [values[rows] for rows in record.independent_pieces]
-
-
-def _histogram(part: FittedRecord, output: str, record: str) -> Figure:
+def _means(part: FittedRecord, output: str, name: str, values: Array) -> Figure:
+    """Return the means of the residuals in parts of the range of a signal."""
     factor, unit = shown_unit(part.data.units.get(output, ""))
     e = factor * part.residual(output)
-    e = e[np.isfinite(e)]
-    # The square root of the count is the usual number of bins. With more than 40 their heights
-    # would be mostly chance.
-    bins = int(np.clip(np.sqrt(e.size), 5, 40))
-    density, edges = np.histogram(e, bins, density=bool(e.size))
-    steps = np.repeat(density, 2)
-    series = [band("", np.repeat(edges, 2)[1:-1], 0 * steps, steps)]
-    spread = float(e.std()) if e.size else 0.0
-    if spread > 0:
-        x = np.linspace(e.min(), e.max(), 200)
-        normal = np.exp(-0.5 * ((x - e.mean()) / spread) ** 2) / (spread * math.sqrt(2 * math.pi))
-        series.append(Series("normal distribution", "line", x, normal, INK))
-
+    present = np.flatnonzero(np.isfinite(e + values))
+    # The same number of samples in every part.
+    parts = np.array_split(present[np.argsort(values[present], kind="stable")], PARTS)
+    parts = [rows for rows in parts if rows.size]
+    x, mean, error = np.array(
+        [(values[r].mean(), e[r].mean(), 2 * e[r].std() / math.sqrt(r.size)) for r in parts]
+    ).T
+    label = f"Residual of {in_greek(output)}{f', {unit}' if unit else ''}"
+    series = [rule(), Series("", "points", x, mean, low=mean - error, high=mean + error)]
     return Figure(
-        f"Distribution of the residuals of {in_greek(output)}{record}",
-        f"Residual of {in_greek(output)}{f', {unit}' if unit else ''}",
-        [Panel("Density", series)],
+        f"{label} over {in_greek(name)}",
+        in_greek(name),
+        [Panel(label, series)],
+        caption="Means, with two standard errors of white residuals.",
     )
 
 
-def _correlations(output: str, name: str, test: CorrelationTest) -> Panel:
+def _coherence(part: FittedRecord, output: str, inputs: Mapping[str, Array]) -> Figure:
+    from scipy.signal import coherence  # noqa: PLC0415  (takes a tenth of a second to import)
+
+    piece = max(part.data.independent_pieces, key=len)
+    e, step = np.nan_to_num(part.residual(output)[piece]), part.data.step
+    # Half overlapping segments count as so many.
+    series = [rule(1 - 0.01 ** (1 / PARTS), "99 % by chance")]
+    for color, (name, u) in enumerate(inputs.items()):
+        f, values = coherence(np.nan_to_num(u[piece]), e, 1 / step, nperseg=2 * len(e) // PARTS)
+        series.append(Series(in_greek(name), "line", 2 * np.pi * f[1:], values[1:], color))
+    return Figure(
+        f"Coherence of the residuals of {in_greek(output)} with inputs",
+        "Frequency, rad/s",
+        [Panel("Coherence", series, limits=(0.0, 1.0))],
+        is_logarithmic=True,
+    )
+
+
+def _correlations(output: str, test: CorrelationTest) -> Panel:
     values = test.correlations
     lags = np.arange(1.0, len(values) + 1)
     bound = np.full(lags.size, test.bound)
@@ -147,6 +145,5 @@ def _correlations(output: str, name: str, test: CorrelationTest) -> Panel:
         rule(),
         Series("", "points", lags, values, low=np.minimum(values, 0), high=np.maximum(values, 0)),
     ]
-    label = f"Correlation with {in_greek(name)}" if name else "Autocorrelation"
     title = f"{in_greek(output)}, {p_text(test.p_value)}"
-    return Panel(label, series, height=0.7, limits=(-most, most), title=title)
+    return Panel("Autocorrelation", series, height=0.7, limits=(-most, most), title=title)
