@@ -53,11 +53,10 @@ def residuals(fit: Fit, record: int = 0, *, axes: GivenAxes | None = None) -> Ax
 
     # One row for each output, so that its panels stand side by side.
     figures = residual_figures(part)
-    panels = sum(len(figure.panels) for figure in figures)
     return draw(
         figures,
         axes,
-        columns=panels // len(part.outputs),
+        columns=len(figures) // len(part.outputs),
         size=(3.1, 2.4),
         title=part.data.name or fit.name,
         legend=False,
@@ -70,8 +69,8 @@ def residual_figures(part: FittedRecord) -> list[Figure]:
     record = f", {part.data.name}" if part.data.name else ""
     for output in part.outputs:
         # A constant input cannot have caused anything.
-        measured = {name: u for name, u in part.data.signals.items() if np.nanstd(u) > 0}
-        inputs = {name: u for name, u in measured.items() if name not in part.outputs}
+        causes = part.data.signals.keys() - part.outputs
+        inputs = {name: part.data[name] for name in sorted(causes) if np.ptp(part.data[name])}
         signals = {"time, s": part.data.time} if part.data.has_time else {}
         signals |= {**inputs, f"fitted {output}": part.simulated[output]}
         figures += [_means(part, output, *signal) for signal in signals.items()]
@@ -85,10 +84,8 @@ def residual_figures(part: FittedRecord) -> list[Figure]:
                     f"Residuals of {in_greek(output)}{record}",
                     "Lag, samples",
                     [_correlations(output, test)],
-                    caption="Band: 99 % of single correlations if there is none. Probability of "
-                    f"these correlations by chance: {p_text(test.p_value)}.",
+                    caption="Band: 99 % of single correlations if there is none.",
                     is_whole=True,
-                    limits=(0.0, len(test.correlations) + 1.0),
                 )
             )
 
@@ -101,7 +98,7 @@ def _means(part: FittedRecord, output: str, name: str, values: Array) -> Figure:
     e = factor * part.residual(output)
     present = np.flatnonzero(np.isfinite(e + values))
     # The same number of samples in every part.
-    parts = np.array_split(present[np.argsort(values[present], kind="stable")], PARTS)
+    parts = np.array_split(present[np.argsort(values[present])], PARTS)
     parts = [rows for rows in parts if rows.size]
     x, mean, error = np.array(
         [(values[r].mean(), e[r].mean(), 2 * e[r].std() / math.sqrt(r.size)) for r in parts]
@@ -120,11 +117,13 @@ def _coherence(part: FittedRecord, output: str, inputs: Mapping[str, Array]) -> 
     from scipy.signal import coherence  # noqa: PLC0415  (takes a tenth of a second to import)
 
     piece = max(part.data.independent_pieces, key=len)
-    e, step = np.nan_to_num(part.residual(output)[piece]), part.data.step
+    e = np.nan_to_num(part.residual(output)[piece])
     # Half overlapping segments count as so many.
     series = [rule(1 - 0.01 ** (1 / PARTS), "99 % by chance")]
     for color, (name, u) in enumerate(inputs.items()):
-        f, values = coherence(np.nan_to_num(u[piece]), e, 1 / step, nperseg=2 * len(e) // PARTS)
+        f, values = coherence(
+            np.nan_to_num(u[piece]), e, 1 / part.data.step, nperseg=2 * len(e) // PARTS
+        )
         series.append(Series(in_greek(name), "line", 2 * np.pi * f[1:], values[1:], color))
     return Figure(
         f"Coherence of the residuals of {in_greek(output)} with inputs",

@@ -29,7 +29,7 @@ def test_residuals_have_means_over_signals_and_correlations(spring, record):
     assert [figure.label for figure in figures] == labels
     (e,) = spring.residuals[0]
     means = named(figures[1].panels[0], "", "points")
-    order = np.argsort(record["force"], kind="stable")
+    order = np.argsort(record["force"])
     assert means.y == pytest.approx([e[rows].mean() for rows in np.array_split(order, 10)])
     assert np.all(means.low < means.y)
 
