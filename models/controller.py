@@ -77,3 +77,69 @@ class AttitudeController(gb.Controller):
         demand = p.K_P * error + integral + p.K_D * derivative + u.mixer
         limited = gb.where(abs(demand) >= p.u_max, 1, 0)
         return (error, derivative, integral, limited), (_limited(demand, p.u_max), q_reference)
+
+
+class LinearLaw(gb.Controller):
+    r"""A linear system from the error to the control, as a controller of a loop.
+
+    $$u(z) = C(z) \, (r(z) - y(z))$$
+
+    A system in continuous time is made discrete at the rate of the loop by Tustin's rule. The
+    signals are `reference`, `y` and `u`; name them as the plant does, by `signals`.
+
+    Source: Franklin, Powell, Workman (1998), Digital Control of Dynamic Systems, section 6.1.
+
+    Parameters
+    ----------
+    system : python-control system or Model
+        Of one input and one output: a `control.TransferFunction` or `control.StateSpace`, whose
+        sampling time is that of the loop, if it has one; or a model without a delay, such as a
+        `TransferFunction` of your own, at its declared values.
+    rate : float, Hz
+    signals : mapping of str to str, optional
+
+    Raises
+    ------
+    ValueError
+        For another sampling time, or several inputs or outputs.
+    """
+
+    inputs, outputs = ("y",), ("u",)
+
+    def __init__(self, system, *, rate, signals=None):
+        from scipy.signal import cont2discrete  # noqa: PLC0415  (slow import)
+
+        # A model is converted, which refuses delays.
+        if not hasattr(system, "isdtime"):
+            system = gb.interop.to_control(system, kind="state-space")
+        if isinstance(system.dt, float) and system.dt > 0 and abs(system.dt * rate - 1) > 1e-6:
+            raise ValueError(
+                f"the system has a sampling time of {system.dt:g} s, and the loop one of "
+                f"{1 / rate:g} s: give rate={1 / system.dt:g}."
+            )
+        if (system.ninputs, system.noutputs) != (1, 1):
+            raise ValueError(
+                f"the system has {system.ninputs} inputs and {system.noutputs} outputs: give one "
+                "of its pairs, system[0, 0]."
+            )
+        if hasattr(system, "num"):
+            import control  # noqa: PLC0415  (an optional package)
+
+            system = control.ss(system)
+        blocks = (system.A, system.B, system.C, system.D)
+        if not system.isdtime(strict=True):
+            blocks = cont2discrete(blocks, 1 / rate, method="bilinear")[:4]
+        self.blocks = blocks
+        self.states = tuple(f"x{k}" for k in range(len(blocks[0])))
+        super().__init__(rate=rate, signals=signals)
+
+    def update(self, x, u, p):
+        A, B, C, D = self.blocks
+        error = u.reference - u.y
+        states = [getattr(x, name) for name in self.states]
+
+        def row(state, direct):
+            return sum((a * value for a, value in zip(state, states, strict=True)), direct * error)
+
+        following = tuple(row(A[k], B[k, 0]) for k in range(len(states)))
+        return following, (row(C[0], D[0, 0]),)

@@ -7,6 +7,7 @@ from rate_control import RATE, RateDynamics, RateLoop
 from scipy.optimize import brentq
 
 import greybox as gb
+from greybox.models.controller import LinearLaw
 
 
 class Measured(RateDynamics):
@@ -189,6 +190,32 @@ def test_a_loop_of_little_gain_rejects_no_disturbance():
 
     answer = gb.margins(Measured(), Proportional({"K_P": 0.01}))
     assert answer["disturbance rejection bandwidth"].value == 0
+
+
+def test_a_system_of_python_control_and_a_transfer_function_are_controllers():
+    class Law(gb.TransferFunction):
+        input, output = "e", "u"
+
+        def response(self, s, p):
+            return (0.15 * s + 0.3) / s
+
+    stated = gb.margins(Measured(), RateLoop({"K_P": 0.15, "K_I": 0.3}))
+    sampled = control.tf([0.15, 0.3 / RATE - 0.15], [1, -1], 1 / RATE)
+    law = LinearLaw(sampled, rate=RATE, signals={"y": "q"})
+    for name in ("phase margin", "gain margin", "bandwidth", "overshoot"):
+        exact = pytest.approx(stated[name].value, rel=1e-9)
+        assert gb.margins(Measured(), law)[name].value == exact, name
+
+    # By Tustin's rule, half a sample of the error is integrated at once.
+    tustin = RateLoop({"K_P": 0.15 + 0.3 / RATE / 2, "K_I": 0.3})
+    expected = gb.margins(Measured(), tustin)["phase margin"].value
+    for system in (Law(), control.tf([0.15, 0.3], [1, 0])):
+        law = LinearLaw(system, rate=RATE, signals={"y": "q"})
+        assert gb.margins(Measured(), law)["phase margin"].value == pytest.approx(expected)
+    with pytest.raises(ValueError, match="give rate=100"):
+        LinearLaw(sampled, rate=50)
+    with pytest.raises(ValueError, match="2 inputs"):
+        LinearLaw(control.ss([[0.0]], [[1.0, 1.0]], [[1.0]], [[0.0, 0.0]]), rate=50)
 
 
 def test_python_control_takes_the_broken_loop():
