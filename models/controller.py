@@ -1,6 +1,8 @@
 """The cascaded attitude controller in discrete time, which stabilizes the vehicle."""
 
 import greybox as gb
+from greybox.experiment.controller import sensors_of
+from greybox.experiment.sampled_loop import linear_controller
 
 
 def _limited(value, limit):
@@ -107,7 +109,7 @@ class LinearLaw(gb.Controller):
     inputs, outputs = ("y",), ("u",)
 
     def __init__(self, system, *, rate, signals=None):
-        from scipy.signal import cont2discrete  # noqa: PLC0415  (slow import)
+        import control  # noqa: PLC0415  (an optional package)
 
         # A model is converted, which refuses delays.
         if not hasattr(system, "isdtime"):
@@ -122,15 +124,11 @@ class LinearLaw(gb.Controller):
                 f"the system has {system.ninputs} inputs and {system.noutputs} outputs: give one "
                 "of its pairs, system[0, 0]."
             )
-        if hasattr(system, "num"):
-            import control  # noqa: PLC0415  (an optional package)
-
-            system = control.ss(system)
-        blocks = (system.A, system.B, system.C, system.D)
         if not system.isdtime(strict=True):
-            blocks = cont2discrete(blocks, 1 / rate, method="bilinear")[:4]
-        self.blocks = blocks
-        self.states = tuple(f"x{k}" for k in range(len(blocks[0])))
+            system = control.sample_system(system, 1 / rate, method="bilinear")
+        system = control.ss(system)
+        self.blocks = (system.A, system.B, system.C, system.D)
+        self.states = tuple(f"x{k}" for k in range(len(system.A)))
         super().__init__(rate=rate, signals=signals)
 
     def update(self, x, u, p):
@@ -143,3 +141,30 @@ class LinearLaw(gb.Controller):
 
         following = tuple(row(A[k], B[k, 0]) for k in range(len(states)))
         return following, (row(C[0], D[0, 0]),)
+
+
+def control_system(controllers):
+    """Return a controller, or several in series, as a `control.StateSpace` at the rate of the loop.
+
+    Its inputs are what the controllers measure and their setpoints, its outputs their outputs. They
+    are linearized about their initial states; the signs are those of the controllers, so that the
+    feedback of the loop is positive.
+    """
+    import control  # noqa: PLC0415  (an optional package)
+
+    chain = [controllers] if isinstance(controllers, gb.Controller) else controllers
+    sensors = sensors_of(chain)
+    linear = linear_controller(chain, sensors, ())
+    driven = [law.outside(name) for law in chain for name in law.outputs]
+    inputs = [*sensors, *(name for name in linear.commands if name not in driven)]
+    columns = [(*sensors, *linear.commands).index(name) for name in inputs]
+    rows = [linear.commands.index(name) for name in driven]
+    return control.ss(
+        linear.F,
+        linear.G[:, columns],
+        linear.H[rows],
+        linear.J[rows][:, columns],
+        1 / chain[0].rate,
+        inputs=inputs,
+        outputs=driven,
+    )

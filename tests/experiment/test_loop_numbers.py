@@ -7,7 +7,7 @@ from rate_control import RATE, RateDynamics, RateLoop
 from scipy.optimize import brentq
 
 import greybox as gb
-from greybox.models.controller import LinearLaw
+from greybox.models.controller import AttitudeController, LinearLaw, control_system
 
 
 class Measured(RateDynamics):
@@ -216,6 +216,23 @@ def test_a_system_of_python_control_and_a_transfer_function_are_controllers():
         LinearLaw(sampled, rate=50)
     with pytest.raises(ValueError, match="2 inputs"):
         LinearLaw(control.ss([[0.0]], [[1.0, 1.0]], [[1.0]], [[0.0, 0.0]]), rate=50)
+
+
+def test_python_control_takes_controllers():
+    z = np.exp(1j * np.array([0.02, 0.3, 2.0]))
+    law = control_system(RateLoop({"K_P": 0.15, "K_I": 0.3}))
+    assert (law.input_labels, law.output_labels) == (["q", "reference"], ["u"])
+    formula = 0.15 + 0.3 / RATE / (z - 1)
+    assert law(z)[0] == pytest.approx(np.array([-formula, formula]))
+    angle = LinearLaw(
+        control.tf([4.5], [1]), rate=400, signals={"y": "theta", "u": "rate", "reference": "wanted"}
+    )
+    inner = AttitudeController({"K_theta": 0.0}, rate=400)
+    cascade = control_system([angle, inner])
+    assert set(cascade.input_labels) == {"theta", "q", "wanted", "reference", "mixer"}
+    row = cascade(z)[cascade.output_labels.index("u")]
+    gains = dict(zip(cascade.input_labels, row, strict=True))
+    assert gains["wanted"] == pytest.approx(-4.5 * gains["q"])
 
 
 def test_python_control_takes_the_broken_loop():
