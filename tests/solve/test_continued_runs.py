@@ -19,7 +19,7 @@ def lanczos():
 
 def test_more_starts_of_one_rule_never_report_a_higher_cost():
     costs = [
-        gb.fit(lanczos(), starts=n, seed=4, progress=False, profiles=False).cost for n in (1, 3)
+        gb.fit(lanczos(), starts=n, seed=4, progress=False, profiles=False).cost for n in (1, 2)
     ]
     assert all(np.isfinite(costs))
     assert costs[1] <= costs[0] + 1e-6
