@@ -20,8 +20,7 @@ Begin with `fit`.
 | `misfit` | whether the model explains the data, and what it may lack |
 | `misfit_test` | the same of a fit that is at hand, with terms of your own |
 | `missing_terms` | the terms that are tried for that |
-| `profile`, `profiles` | likelihood profiles, and their values |
-| `held_quantity` | minima with a parameter or another quantity held |
+| `profile`, `profiles` | likelihood profiles, by minima with a quantity held; and their values |
 | `harmonic_numbers` | how many harmonics a sine test needs |
 | `diagnostics` | the folder of warnings |
 | `verdict`, `summary` | the answer in a few sentences, and as plain values for JSON |

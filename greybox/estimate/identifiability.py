@@ -207,23 +207,22 @@ def identifiability(
         error[places] = errors / np.abs(inside.at)
         insensitivity[places] = alone / np.abs(inside.at)
 
+    r = inside.correlation
+    pairs = [pair for pair in combinations(range(len(places)), 2) if abs(r[pair]) > CORRELATED]
+    correlated = tuple(
+        (inside_names[i], inside_names[j], float(r[i, j]))
+        for i, j in sorted(pairs, key=lambda pair: -abs(r[pair]))
+    )
+
     return Identifiability(
         names=tuple(names),
         error=error,
         insensitivity=insensitivity,
         at_bound=tuple(at_bound),
-        correlated=tuple(_correlated(inside_names, inside.correlation)),
+        correlated=correlated,
         condition=_condition(matrix),
         combinations=tuple(_combinations(inside_names, [units[k] for k in places], inside, errors)),
     )
-
-
-def _correlated(names: Sequence[str], matrix: Array) -> Iterator[tuple[str, str, float]]:
-    pairs = [
-        (i, j) for i, j in combinations(range(len(names)), 2) if abs(matrix[i, j]) > CORRELATED
-    ]
-    for i, j in sorted(pairs, key=lambda pair: -abs(matrix[pair])):
-        yield names[i], names[j], float(matrix[i, j])
 
 
 def _condition(matrix: Array) -> float:

@@ -5,9 +5,8 @@ Begin with `problem`.
 | file | contents |
 | --- | --- |
 | `problem` | a model, data and a criterion, with fixed, free, tied and renamed parameters |
-| `sum` | `Sum`: problems solved at once, whose costs add and whose data occur once |
+| `sum` | `Sum`: problems solved at once, whose costs add; each record has its own biases |
 | `several` | one problem for several records |
-| `sensor_biases` | each record of a sum has its own biases |
 | `criterion` | what all criteria share |
 | `frequency_criteria` | the criteria for frequency responses |
 | `time_criteria`, `spectrum_criteria` | the criteria for records and for spectra of manoeuvres |

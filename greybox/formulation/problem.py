@@ -368,10 +368,7 @@ class Problem(Addable):
         """The problem itself, as the only part."""
         return (self,)
 
-    @property
-    def as_added(self) -> tuple["Problem", ...]:
-        """The problem itself."""
-        return (self,)
+    as_added = parts
 
     def outside(self, name: str) -> str:
         """Return the name of a parameter in the answer."""

@@ -74,21 +74,19 @@ class Parameter:
             )
 
         if self.starts is not None:
-            self._check_box(low, high)
+            first, last = number_pair(self.starts, "starts")
+            if not (math.isfinite(first) and math.isfinite(last) and first <= last):
+                raise ValueError(
+                    f"starts {self.starts} must be two finite numbers (low, high) with low <= high."
+                )
+            if first < low or last > high:
+                raise ValueError(
+                    f"starts ({first:g}, {last:g}) reach outside bounds ({low:g}, {high:g}): "
+                    "narrow the start box or widen the bounds."
+                )
+
         if self.prior is not None:
             normal_prior(self.prior, "prior")
-
-    def _check_box(self, low: float, high: float) -> None:
-        first, last = number_pair(self.starts, "starts")
-        if not (math.isfinite(first) and math.isfinite(last) and first <= last):
-            raise ValueError(
-                f"starts {self.starts} must be two finite numbers (low, high) with low <= high."
-            )
-        if first < low or last > high:
-            raise ValueError(
-                f"starts ({first:g}, {last:g}) reach outside bounds ({low:g}, {high:g}): narrow "
-                "the start box or widen the bounds."
-            )
 
     @property
     def box(self) -> tuple[float, float]:

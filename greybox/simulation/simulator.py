@@ -269,7 +269,14 @@ class Simulator:
     def _accurate(self, step: float, run: Callable[[SampleStep], _Run]) -> _Run:
         """Run with more and more substeps until halved ones change no sample noticeably."""
         chosen = self._integrator.substeps is not None
-        self._substeps = self._substeps or self._first_substeps(step)
+        if not self._substeps:
+            # By the poles near rest: not at zero itself, where the slope of |v| v vanishes and that
+            # of a root is infinite.
+            model = self._model
+            states = np.full((len(model.system.states), 1), 1e-3)
+            inputs = np.zeros((len(model.system.inputs), 1))
+            poles = self._initial.poles(states, inputs, model.p)
+            self._substeps = stable_substeps(poles, step, reach=FIRST_REACH, most=MOST_AT_FIRST)
         while True:
             result = run(self._step(self._substeps))
             if chosen or not result.states.size or self._substeps >= MOST_SUBSTEPS:
@@ -281,14 +288,6 @@ class Simulator:
             error = error if error > TOLERANCE else np.inf
             factor = substep_growth(error, TOLERANCE, self._integrator.order)
             self._substeps = min(MOST_SUBSTEPS, self._substeps * factor)
-
-    def _first_substeps(self, step: float) -> int:
-        """Return the substeps of a sample by the poles near rest."""
-        system = self._model.system
-        # Not at zero itself, where the slope of |v| v vanishes and that of a root is infinite.
-        states = np.full((len(system.states), 1), 1e-3)
-        poles = self._initial.poles(states, np.zeros((len(system.inputs), 1)), self._model.p)
-        return stable_substeps(poles, step, reach=FIRST_REACH, most=MOST_AT_FIRST)
 
     def _local_error(self, result: _Run) -> float:
         """Return the largest change of a state in one sample by halved substeps, over its size."""

@@ -19,7 +19,7 @@ from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.shared_runs import SharedRuns
 from greybox.solve.interruption import one_run, stop_requested
 from greybox.solve.kept_runs import KeptRuns, Memory
-from greybox.solve.local_solver import LocalSolver, Screened
+from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Minimum, Multistart, agreeing_runs, find_minima
 from greybox.solve.response_solver import ResponseSolver
 from greybox.solve.runs import CUT_SHORT, NOT_FINITE, SCREENED, Outcome, Run, Runs
@@ -92,7 +92,11 @@ def multistart(
 
     results: dict[int, tuple[Array, Outcome]] = {}
     runs, minima, lowest = Runs.of(()), (), math.inf
-    for wave in _waves(screened, few, len(starts)):
+    waves: list[Sequence[int]] = [range(len(starts))]
+    if screened is not None:
+        first = screened.order[:few].tolist()
+        waves = [first, sorted({*range(len(starts))} - {*first})]
+    for wave in waves:
         # The first start of all always runs alone: a longer search then includes what a search from
         # this start alone tries.
         alone = len(wave) if shared is None else int(wave[0] == 0)
@@ -120,14 +124,6 @@ def multistart(
         runs = _listed(starts, screened.costs, dict(zip(rows, runs, strict=True)))
         minima = tuple(replace(m, runs=tuple(rows[k] for k in m.runs)) for m in minima)
     return Multistart(runs, minima, time.perf_counter() - began, nodes, ends)
-
-
-def _waves(screened: Screened | None, few: int, count: int) -> list[Sequence[int]]:
-    """Return the numbers of the promising starts, and those of the others; or all of them."""
-    if screened is None:
-        return [range(count)]
-    first = screened.order[:few].tolist()
-    return [first, sorted(set(range(count)) - set(first))]
 
 
 def _continued(

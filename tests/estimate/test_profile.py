@@ -262,7 +262,7 @@ def test_profiles_by_newtons_method_are_those_by_gauss_newton_steps(monkeypatch)
         gb.SquaredRelativeError(),
     )
     found = gb.profile(fit, list(fit.free)[:2])
-    monkeypatch.setattr("greybox.estimate.held_quantity.ResponseSolver.serves", lambda nlp: False)
+    monkeypatch.setattr("greybox.estimate.profile.ResponseSolver.serves", lambda nlp: False)
     wanted = gb.profile(fit, list(fit.free)[:2])
     for one, other in zip(found.profiles, wanted.profiles, strict=True):
         assert one.interval == pytest.approx(other.interval, rel=1e-3)

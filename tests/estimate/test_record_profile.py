@@ -87,7 +87,9 @@ def test_refits_with_the_parameter_fixed_cost_as_much_at_both_ends(windy):
     limit = student.ppf(0.975, found.dof)
 
     def rise(value):
-        held = fit(gb.Problem(Spring(), record, WIND, fixed={"w_v": value}))
+        problem = gb.Problem(Spring(), record, WIND, fixed={"w_v": value})
+        near = {name: found.estimate[name] for name in found.free if name != "w_v"}
+        held = fit(problem, [near])
         return np.sqrt(2 * (held.cost - found.cost))
 
     # Correlated prediction errors make the standard error larger than the curvature says.

@@ -5,7 +5,7 @@ import pytest
 from spring_lag_tilt import HELD, SPRING, Spring, assert_true, fit, spring
 
 import greybox as gb
-from greybox.formulation.sensor_biases import with_numbered_biases
+from greybox.formulation.sum import with_numbered_biases
 
 BIASED = gb.OutputError(inputs="held", biases=("x",))
 
