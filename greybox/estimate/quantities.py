@@ -26,6 +26,7 @@ class Formula(NamedTuple):
     evaluate: Callable[[Mapping[str, Any]], Any]
 
 
+@one_thread_at_a_time
 def quantities(
     nlp: CompiledProblem, accuracy: Accuracy, estimate: Mapping[str, float]
 ) -> tuple[tuple[Quantity, ...], Array, Array]:
@@ -35,20 +36,27 @@ def quantities(
     derived quantities are of first order. NaN where the data do not determine a quantity.
     """
     follow = formulas(nlp.problem)
-    values, gradients = _evaluated(nlp, follow, estimate)
-    # A parameter is its own derivative, so one propagation of errors serves all lines.
-    slopes = np.vstack([np.eye(len(nlp.names)), gradients])
+    # Exact derivatives: finite differences would limit the errors of ratios of close values.
+    symbols = ca.SX.sym("x", len(nlp.names))
+    named = dict(zip(nlp.names, ca.vertsplit(symbols), strict=True))
+    every = ca.vertcat(symbols, *[ca.SX(formula.evaluate(named)) for formula in follow])
+    rows = ca.densify(ca.horzcat(every, ca.jacobian(every, symbols)))
+    function = ca.Function("quantities", [symbols], [rows])
+    values, slopes = np.split(function([estimate[name] for name in nlp.names]).full(), [1], axis=1)
+
+    # One propagation of errors serves all lines.
     errors = propagate(accuracy, slopes)
-    columns = np.column_stack([errors, degrees(accuracy, slopes), slopes @ accuracy.bias]).tolist()
+    numbers = (values, errors, degrees(accuracy, slopes), slopes @ accuracy.bias)
+    columns = np.column_stack(numbers).tolist()
 
     # Free parameters come first: `Fit.free` and all matrices of a fit rely on this order.
     lines = []
-    for name, (error, dof, bias) in zip(nlp.names, columns, strict=False):
+    for name, (value, error, dof, bias) in zip(nlp.names, columns, strict=False):
         declared = nlp.problem.parameters[name]
         lines.append(
             Quantity(
                 name,
-                estimate[name],
+                value,
                 error,
                 kind="fixed" if declared.fixed else "free",
                 unit=declared.unit,
@@ -60,8 +68,7 @@ def quantities(
                 bias=bias,
             )
         )
-    following = zip(follow, values.tolist(), columns[len(lines) :], strict=True)
-    for formula, value, (error, dof, bias) in following:
+    for formula, (value, error, dof, bias) in zip(follow, columns[len(lines) :], strict=True):
         limit = f"of the tied {formula.name}"
         at_bound = any(label.endswith(limit) for label in accuracy.active)
         lines.append(
@@ -89,21 +96,6 @@ def quantities(
 def expressions(problem: AnyProblem, values: Mapping[str, Any]) -> dict[str, ca.SX]:
     """Return every parameter and formula by name, from symbols or numbers of the parameters."""
     return {**values, **{f.name: ca.SX(f.evaluate(values)) for f in formulas(problem)}}
-
-
-@one_thread_at_a_time
-def _evaluated(
-    nlp: CompiledProblem, formulas: list[Formula], estimate: Mapping[str, float]
-) -> tuple[Array, Array]:
-    """Return the values (f,) and gradients (f, k) with respect to all values."""
-    # Exact derivatives: finite differences would limit the errors of ratios of close values.
-    symbols = ca.SX.sym("x", len(nlp.names))
-    named = dict(zip(nlp.names, ca.vertsplit(symbols), strict=True))
-    stacked = ca.vertcat(ca.SX(0, 1), *[ca.SX(formula.evaluate(named)) for formula in formulas])
-    columns = ca.densify(ca.horzcat(stacked, ca.jacobian(stacked, symbols)))
-    function = ca.Function("quantities", [symbols], [columns])
-    values_and_slopes = function([estimate[name] for name in nlp.names]).full()
-    return values_and_slopes[:, 0], values_and_slopes[:, 1:]
 
 
 def _from_part(part: Problem, function: Callable[[Any], Any], values: Mapping[str, Any]) -> Any:
