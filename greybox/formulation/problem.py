@@ -368,7 +368,10 @@ class Problem(Addable):
         """The problem itself, as the only part."""
         return (self,)
 
-    as_added = parts
+    @property
+    def as_added(self) -> tuple["Problem", ...]:
+        """The problem itself."""
+        return self.parts
 
     def outside(self, name: str) -> str:
         """Return the name of a parameter in the answer."""
