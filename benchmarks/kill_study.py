@@ -1,9 +1,10 @@
-"""Kill a study again and again, and see what was lost: nothing that was finished for two seconds.
+"""Kill a study again and again, and see what was lost: nothing that was on disk.
 
 ``python benchmarks/kill_study.py --kills 30 --out benchmarks/results/kill_study.txt`` runs a study
 of responses and records on two workers and ends it by `kill -9` at random moments: the process that
-runs the study, or one of its workers. After every kill all files are opened and the runs on disk
-are counted; at the end the resumed study is held against one that was never interrupted.
+runs the study, or one of its workers. Large members have thousands of runs; ``--small`` small ones
+take milliseconds each, and are written together. After every kill the runs and the answers on disk
+are read and counted; at the end the resumed study is held against one that was never interrupted.
 """
 
 import argparse
@@ -23,11 +24,22 @@ import greybox as gb
 from greybox.estimate.fit import fingerprint
 from greybox.models.tilt import LinearTilt
 from greybox.problems import pitch_hover, rotors
-from greybox.study.store import StoredRuns, is_study, read_members
+from greybox.study.store import DATABASE, StoredRuns, is_study, read_members
 
-# Of the time of the study in one process, after which it is killed: thirty kills go through all of
-# it on two workers.
+# Of the time of the study in one process, after which it is killed once it has written: thirty
+# kills go through all of it on two workers.
 SHARES = 0.003, 0.04
+
+
+class Lag(gb.TransferFunction):
+    """A first-order lag."""
+
+    K = gb.Parameter(1.0, bounds=(0.1, 10))
+    tau = gb.Parameter(0.5, bounds=(0.05, 5))
+
+    def response(self, s, p):
+        """Return the response."""
+        return p.K / (p.tau * s + 1)
 
 
 def record(seed):
@@ -45,39 +57,56 @@ def record(seed):
     return gb.Record(time_s, {"u": control, **signals})
 
 
-def members(starts):
-    """Return the members of the study."""
+def small(seed):
+    """Return a response of 20 points with errors of 2 %."""
+    random, omega = np.random.default_rng(seed), np.logspace(-1, 2, 20)
+    noise = random.standard_normal(20) + 1j * random.standard_normal(20)
+    data = gb.FrequencyResponse(omega, 2 / (0.3j * omega + 1) * (1 + 0.02 * noise))
+    return gb.study.Member(gb.Problem(Lag(), data), 5, name=f"small {seed}")
+
+
+def members(starts, count):
+    """Return the members of the study, large ones among small ones."""
+    few = [small(seed) for seed in range(count)]
     return [
+        *few[: count // 2],
         gb.study.Member(pitch_hover.problem(), starts, name="pitch", search="multistart"),
         gb.study.Member(gb.Problem(LinearTilt(), record(1)), max(starts // 20, 2), name="flight"),
         gb.study.Member(rotors.problem(), starts, name="rotors", search="multistart"),
         gb.study.Member(
             pitch_hover.problem(), starts, seed=1, name="pitch again", search="multistart"
         ),
+        *few[count // 2 :],
     ]
 
 
-def work(folder, starts):
+def work(folder, starts, count):
     """Run the study, on two workers."""
     with gb.solve.WorkerPool(2) as workers:
         print("begins", flush=True)
-        gb.batch(members(starts), folder, executor=workers, progress=False)
+        gb.batch(members(starts, count), folder, executor=workers, progress=False)
     print("done", flush=True)
 
 
-def kept(folder, starts):
-    """Read every run and every fit, and return how many runs are kept."""
+def kept(folder, listed):
+    """Read every run and every fit on disk, and return how many there are."""
     if not is_study(folder):
-        return 0
-    count = 0
+        return 0, 0
+    count = answers = 0
     stored = {member.name: member for member in read_members(folder)}
-    for member in members(starts):
+    for member in listed:
         if member.name in stored and stored[member.name].runs:
             runs = StoredRuns(folder, member.name).known(fingerprint(member.problem, member.by))
             count += len(list(runs.values()))
         if member.name in stored and stored[member.name].answer:
             assert stored[member.name].fit is not None
-    return count
+            answers += 1
+    return count, answers
+
+
+def written_at(folder):
+    """Return when the database was written to, s since 1970; zero without one."""
+    return (folder / DATABASE).stat().st_mtime if is_study(folder) else 0.0
 
 
 def children(pid):
@@ -88,17 +117,28 @@ def children(pid):
     return [int(word) for word in found.stdout.split()]
 
 
+def is_equal(fit, other):
+    """Tell whether two fits and all of their runs are equal to the last bit."""
+    same = all(
+        np.array_equal(run.estimate, twin.estimate) and run.status == twin.status
+        for run, twin in zip(fit.runs, other.runs, strict=True)
+    )
+    values = fit.estimate, fit.standard_error, fit.cost
+    return same and values == (other.estimate, other.standard_error, other.cost)
+
+
 def main():
     """Kill, count, compare."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--kills", type=int, default=30)
     parser.add_argument("--starts", type=int, default=4000)
+    parser.add_argument("--small", type=int, default=60)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--work", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.work is not None:
-        work(options.work, options.starts)
+        work(options.work, options.starts, options.small)
         return
     rng = random.Random(options.seed)
     lines = [
@@ -112,16 +152,22 @@ def main():
 
     with tempfile.TemporaryDirectory() as place:
         began = time.perf_counter()
-        alone = gb.batch(members(options.starts), Path(place) / "alone", progress=False)
+        listed = members(options.starts, options.small)
+        alone = gb.batch(listed, Path(place) / "alone", progress=False)
         took = time.perf_counter() - began
         say(f"never interrupted, in one process: {took:.1f} s, {alone!r}")
         folder = Path(place) / "killed"
         command = [sys.executable, __file__, "--work", folder, "--starts", str(options.starts)]
-        before = 0
+        command += ["--small", str(options.small)]
+        before = 0, 0
         for kill in range(1, options.kills + 1):
             with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
                 assert process.stdout is not None
                 process.stdout.readline()
+                # The start of the workers would take most of the time: wait for the first write.
+                written = written_at(folder)
+                while written_at(folder) == written and process.poll() is None:
+                    time.sleep(0.01)
                 time.sleep(rng.uniform(*SHARES) * took)
                 workers = children(process.pid)
                 if workers and rng.random() < 0.3:
@@ -132,31 +178,19 @@ def main():
                     what = ""
                 ended = process.poll() is not None
                 process.kill()
-            now = kept(folder, options.starts)
+            now = kept(folder, listed)
             say(
-                f"kill {kill:2d}: {what}coordinator{' (had ended)' if ended else ''}, {now} runs "
-                f"on disk"
+                f"kill {kill:2d}: {what}coordinator{' (had ended)' if ended else ''}, {now[0]} "
+                f"runs and {now[1]} answers on disk"
             )
-            assert now >= before, "runs were lost"
+            assert all(map(int.__ge__, now, before)), "runs or answers were lost"
             before = now
         began = time.perf_counter()
-        study = gb.batch(members(options.starts), folder, progress=False)
+        study = gb.batch(listed, folder, progress=False)
         say(f"resumed: {time.perf_counter() - began:.1f} s, {study!r}")
-        for member, wanted in zip(study.members, alone.members, strict=True):
-            fit, other = member.fit, wanted.fit
-            same = all(
-                np.array_equal(run.estimate, twin.estimate) and run.status == twin.status
-                for run, twin in zip(fit.runs, other.runs, strict=True)
-            )
-            equal = (
-                same
-                and fit.estimate == other.estimate
-                and fit.standard_error == other.standard_error
-            )
-            say(
-                f"{member.name}: {len(fit.runs)} runs, "
-                f"{'equal to the last bit' if equal else 'DIFFERENT'}"
-            )
+        pairs = zip(study.members, alone.members, strict=True)
+        different = sum(not is_equal(member.fit, twin.fit) for member, twin in pairs)
+        say(f"{different} of {len(listed)} members different in any bit")
     if options.out is not None:
         options.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
 

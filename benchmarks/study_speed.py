@@ -14,6 +14,7 @@ and more than t / c workers are of no use: then split the study into several fol
 """
 
 import argparse
+import os
 import platform
 import subprocess
 import sys
@@ -147,7 +148,8 @@ def main():
         return
     head = f"study_speed.py, greybox {version('greybox-id')}, {time.strftime('%Y-%m-%d')}, "
     columns = ["members of", "by", "ms", "processor ms", "resume ms", "bytes", "MB", "efficiency"]
-    lines = [f"{head}{platform.machine()}, {options.members} members", "  ".join(columns)]
+    load = f"load {os.getloadavg()[0]:.1f}"
+    lines = [f"{head}{platform.machine()}, {options.members} members, {load}", "  ".join(columns)]
     for kind in options.kinds:
         alone = None
         for by in ("serial", "processes", *(["dask"] if options.dask else [])):

@@ -1,6 +1,7 @@
 """The command `greybox batch`: many fits, stored in a folder as they are made."""
 
 import argparse
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, attributes, save_figure
 from greybox.cli.study_copies import copy_inputs, note_opened_files, stated_inputs
 from greybox.cli.study_file import find_study, read_study_file
+from greybox.cli.terminal import write
 from greybox.cli.workers import stated_executor
 from greybox.files.safe_files import require_file
 from greybox.files.text_table import counted, some, text_table
@@ -75,6 +77,7 @@ def run(options: argparse.Namespace) -> Answer:
         raise UsageError("the following arguments are required: --out; see greybox batch --help.")
     if not options.resume:
         copy_inputs(path, folder, starts)
+    write(str(_listed(members)[-1]), sys.stderr)
     try:
         with stated_executor(options) as executor:
             study = batch(members, folder, executor=executor, seconds=options.seconds)

@@ -55,28 +55,23 @@ OURS = (
     f"WHERE application_id = {APPLICATION} AND user_version = {LAYOUT}"
 )
 
-# Rows with wrong checksums, by what is said of them, and what is done about them. A member has a
-# checksum from its first run on: of its fingerprint until there is an answer.
+# Rows with wrong checksums, by what is said of them, and what is done about them.
 DAMAGED_RUNS = (
     "runs LEFT JOIN members ON id = member WHERE name IS NULL OR "
-    "ifnull(runs.checksum, -1) != crc32(CAST(run AS BLOB), CAST(name AS BLOB), number)"
+    "ifnull(runs.checksum, -1) != "
+    "crc32(CAST(run AS BLOB), CAST(name AS BLOB), number, CAST(fingerprint AS BLOB))"
 )
 DAMAGED_ANSWERS = (
-    "members WHERE checksum != "
-    "iif(answer IS NULL, crc32(CAST(fingerprint AS BLOB), CAST(name AS BLOB)), "
-    "crc32(CAST(answer AS BLOB), CAST(fit AS BLOB), CAST(name AS BLOB)))"
+    "members WHERE answer IS NOT NULL AND "
+    "checksum != crc32(CAST(answer AS BLOB), CAST(fit AS BLOB), CAST(name AS BLOB))"
 )
 DAMAGES = {
     "damaged run": (
         DAMAGED_RUNS,
         f"DELETE FROM runs WHERE rowid IN (SELECT runs.rowid FROM {DAMAGED_RUNS})",
     ),
-    "damaged key of its runs": (
-        f"{DAMAGED_ANSWERS} AND answer IS NULL",
-        f"DELETE FROM runs WHERE member IN (SELECT id FROM {DAMAGED_ANSWERS} AND answer IS NULL)",
-    ),
     "damaged answer": (
-        f"{DAMAGED_ANSWERS} AND answer IS NOT NULL",
+        DAMAGED_ANSWERS,
         f"UPDATE members SET answer = NULL WHERE id IN (SELECT id FROM {DAMAGED_ANSWERS})",
     ),
 }
@@ -311,8 +306,8 @@ class StoredRuns(KeptRuns):
             with _database(self._folder) as database:
                 rows = database.execute(query, (self._name,)).fetchall()
             runs = {}
-            for number, text, checksum, _ in rows:
-                _require_whole(self._folder, checksum, text, self._name, number)
+            for number, text, checksum, key in rows:
+                _require_whole(self._folder, checksum, text, self._name, number, key)
                 runs[int(number)] = _stored_run(text)
         except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
             raise KeptRunsError(_damaged(self._folder)) from error
@@ -329,15 +324,11 @@ class StoredRuns(KeptRuns):
         name = self._name
         if not self._has_begun:
             self._has_begun = True
-            checksum = _checksum(self.fingerprint, name)
             self._change("INSERT OR IGNORE INTO members (name) VALUES (?)", name)
-            self._change(
-                "UPDATE members SET fingerprint = ?, checksum = "
-                "CASE WHEN answer IS NULL THEN ? ELSE checksum END WHERE name = ?",
-                *(self.fingerprint, checksum, name),
-            )
+            statement = "UPDATE members SET fingerprint = ? WHERE name = ?"
+            self._change(statement, self.fingerprint, name)
         text = json.dumps(write((start, outcome)))
-        row = name, number, text, _checksum(text, name, number)
+        row = name, number, text, _checksum(text, name, number, self.fingerprint)
         self._change(f"INSERT OR REPLACE INTO runs VALUES ({MEMBER}, ?, ?, ?)", *row)
         self._work += outcome.seconds
         self.look()
@@ -394,9 +385,7 @@ class StoredRuns(KeptRuns):
     def remove(self) -> None:
         """Remove all runs."""
         self._changes = []
-        if is_study(self._folder):
-            with _database(self._folder) as database:
-                database.execute(f"DELETE FROM runs WHERE member = {MEMBER}", (self._name,))
+        (self._folder / DATABASE).unlink(missing_ok=True)
 
 
 @contextmanager
@@ -547,8 +536,6 @@ def mend(folder: Path) -> list[str]:
             counts = database.execute(f"SELECT name, COUNT(*) FROM {rows} GROUP BY name")
             damage += [f"{name}: removed {counted(count, what)}" for name, count in counts]
             database.execute(cure)
-        # The checksum of an answer that is gone.
-        database.execute("UPDATE members SET checksum = NULL WHERE answer IS NULL")
     return [*map(printable, damage)]
 
 

@@ -248,7 +248,9 @@ def test_a_batch_that_ends_says_how_it_goes_on(study, capsys, monkeypatch, error
 
 def test_a_check_finds_what_is_damaged_and_resuming_makes_it_again(study, capsys):
     study.write_text(TWO_SEEDS)
-    whole = answer(capsys, "batch", study, "--out", "out")[1]["members"]
+    _, result, message = answer(capsys, "batch", study, "--out", "out")
+    whole = result["members"]
+    assert message.startswith("2 members, 24 starts\n")
     assert answer(capsys, "batch", "--check", "out")[0] == 0
     with closing(sqlite3.connect("out/study.sqlite")) as database, database:
         database.execute("UPDATE members SET fit = substr(fit, 5) WHERE id = 1")
