@@ -127,8 +127,8 @@ def is_equal(fit, other):
     return same and values == (other.estimate, other.standard_error, other.cost)
 
 
-def main():
-    """Kill, count, compare."""
+def arguments():
+    """Return the options of the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--kills", type=int, default=30)
     parser.add_argument("--starts", type=int, default=4000)
@@ -136,7 +136,12 @@ def main():
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path)
     parser.add_argument("--work", type=Path, help=argparse.SUPPRESS)
-    options = parser.parse_args()
+    return parser.parse_args()
+
+
+def main():
+    """Kill, count, compare."""
+    options = arguments()
     if options.work is not None:
         work(options.work, options.starts, options.small)
         return
