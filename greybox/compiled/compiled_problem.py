@@ -107,6 +107,8 @@ class CompiledProblem:
 
     def costs(self, x: Array) -> Array:
         """Return the costs (r,) of the frequency responses without smoothing, for x (r, p)."""
+        if not len(x):
+            return np.zeros(0)
         return self._weights @ np.asarray(self.response_cost(self.all_values(x).T))
 
     @property

@@ -113,7 +113,16 @@ def simulate(
     for stretch, start in zip(stretches, states, strict=True):
         signals, without_error = simulator.free_run(stretch, start, fitted_initial)
         unknown |= dict.fromkeys(without_error)
-        _require_bounded(signals, record.time[stretch.rows], estimated)
+        modeled = {name: row for name, row in signals.items() if not name.endswith(ERROR)}
+        bad = diverged(modeled)
+        if bad.any():
+            when = int(np.argmax(bad))
+            name = next(name for name, row in modeled.items() if not abs(row[when]) < DIVERGED)
+            raise ValueError(
+                f"the simulation of {estimated.label} diverges at "
+                f"{record.time[stretch.rows][when]:.6g} s, {name} first: predict an unstable model "
+                f"over windows instead, gb.predict(..., horizon=...), or {DOMAINS}."
+            )
         for name in columns.keys() & signals.keys():
             columns[name][stretch.rows] = signals[name]
 
@@ -300,19 +309,6 @@ def _model_and_record(
         )
     require_signals(record, estimated.system.inputs, estimated.label)
     return estimated, record
-
-
-def _require_bounded(simulated: Mapping[str, Array], time: Array, model: ModelAtEstimate) -> None:
-    signals = {name: values for name, values in simulated.items() if not name.endswith(ERROR)}
-    bad = diverged(signals)
-    if not bad.any():
-        return
-    when = int(np.argmax(bad))
-    name = next(name for name, values in signals.items() if not abs(values[when]) < DIVERGED)
-    raise ValueError(
-        f"the simulation of {model.label} diverges at {time[when]:.6g} s, {name} first: predict an "
-        f"unstable model over windows instead, gb.predict(..., horizon=...), or {DOMAINS}."
-    )
 
 
 def _initial_states(
