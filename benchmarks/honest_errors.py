@@ -1,0 +1,258 @@
+"""Whether intervals hold or the answer says why not, where noise is not as assumed.
+
+python benchmarks/honest_errors.py [--fits 200] [--output benchmarks/results/honest_errors.txt]
+
+Records of three plants are fitted by output error and responses of two plants by two criteria. The
+noise is white and normal ("right"), or something else: gusts, drift, one half louder, heavy tails,
+spikes, outputs with common errors; along frequency correlated, of unequal size, heavy tails. A fit
+holds if the intervals of all parameters contain the truth, at a level that makes this 95 % of fits
+(Bonferroni). It speaks if it has any warning but that on the number of starts. Of 200 fits with
+other noise at least 190 should hold or speak, and of 200 right ones at most 10 should speak.
+"""
+
+import argparse
+import datetime as dt
+import platform
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.linalg import expm
+from scipy.signal import lfilter
+
+import greybox as gb
+
+SAMPLES, STEP = 400, 0.03
+OMEGA = np.geomspace(0.4, 40, 24)
+RIGHT = "right"
+Random = np.random.Generator
+
+
+class Motor(gb.StateSpace):
+    """A direct-current motor with its speed and current."""
+
+    states = outputs = ("w", "i")
+    inputs = ("e",)
+    J = gb.Parameter(2.0, bounds=(0.01, 50))
+    B = gb.Parameter(1.0, bounds=(-5, 20))
+    R = gb.Parameter(3.0, bounds=(0.01, 50))
+    K = gb.Parameter(2.0, bounds=(0.01, 20))
+
+    def derivative(self, x: Any, u: Any, p: Any) -> Any:
+        """Return the derivative."""
+        return (p.K * x.i - p.B * x.w, p.J * u.e - p.R * x.i - p.K * x.w)
+
+    def output(self, x: Any, u: Any, p: Any) -> Any:
+        """Return the outputs."""
+        return (x.w, x.i)
+
+
+class ShortPeriod(gb.StateSpace):
+    """Angle of attack and pitch rate of an airplane, with its normal acceleration."""
+
+    states, inputs = ("alpha", "q"), ("de",)
+    outputs = ("alpha", "q", "az")
+    Z = gb.Parameter(-1.0, bounds=(-8, 1))
+    M_alpha = gb.Parameter(-6.0, bounds=(-60, 10))
+    M_q = gb.Parameter(-1.5, bounds=(-12, 2))
+    M_de = gb.Parameter(-10.0, bounds=(-90, 0))
+
+    def derivative(self, x: Any, u: Any, p: Any) -> Any:
+        """Return the derivative."""
+        return (p.Z * x.alpha + x.q, p.M_alpha * x.alpha + p.M_q * x.q + p.M_de * u.de)
+
+    def output(self, x: Any, u: Any, p: Any) -> Any:
+        """Return the outputs."""
+        return (x.alpha, x.q, 5.1 * p.Z * x.alpha)
+
+
+class RollRate(gb.StateSpace):
+    """The roll rate of a vehicle whose actuator is a lag."""
+
+    states, inputs, outputs = ("p", "a"), ("u",), ("p",)
+    L_p = gb.Parameter(-2.0, bounds=(-30, 3))
+    L_a = gb.Parameter(20.0, bounds=(1, 200))
+    T = gb.Parameter(0.15, bounds=(0.02, 1))
+
+    def derivative(self, x: Any, u: Any, p: Any) -> Any:
+        """Return the derivative."""
+        return (p.L_p * x.p + p.L_a * x.a, (u.u - x.a) / p.T)
+
+    def output(self, x: Any, u: Any, p: Any) -> Any:
+        """Return the output."""
+        return (x.p,)
+
+
+class TwoLags(gb.TransferFunction):
+    """Two lags."""
+
+    input, output = "u", "y"
+    K = gb.Parameter(2.0, bounds=(0.01, 100))
+    T_1 = gb.Parameter(0.3, bounds=(0.1, 10))
+    T_2 = gb.Parameter(0.05, bounds=(0.001, 0.1))
+
+    def response(self, s: Any, p: Any) -> Any:
+        """Return the response."""
+        return p.K / ((p.T_1 * s + 1) * (p.T_2 * s + 1))
+
+
+class Oscillator(gb.TransferFunction):
+    """A damped oscillation with a delay."""
+
+    input, output = "u", "y"
+    w = gb.Parameter(5.0, bounds=(1, 30))
+    zeta = gb.Parameter(0.5, bounds=(0.02, 2))
+    tau = gb.Parameter(0.02, bounds=(0, 0.2))
+
+    def response(self, s: Any, p: Any) -> Any:
+        """Return the response."""
+        return p.w**2 / (s**2 + 2 * p.zeta * p.w * s + p.w**2) * gb.exp(-s * p.tau)
+
+
+TRUTH: dict[Any, Mapping[str, float]] = {
+    Motor: {"J": 3.0, "B": 0.8, "R": 4.0, "K": 2.5},
+    ShortPeriod: {"Z": -1.6, "M_alpha": -9.0, "M_q": -2.2, "M_de": -14.0},
+    RollRate: {"L_p": -3.0, "L_a": 30.0, "T": 0.08},
+    TwoLags: {"K": 4.0, "T_1": 0.5, "T_2": 0.03},
+    Oscillator: {"w": 7.0, "zeta": 0.35, "tau": 0.035},
+}
+
+
+def autoregression(white: Any, rho: float) -> Any:
+    """Return stationary errors of variance one from white ones (..., n), of which 100 are lost."""
+    return lfilter([np.sqrt(1 - rho**2)], [1, -rho], white)[..., 100:]
+
+
+IN_TIME: dict[str, Callable[[Random, int], Any]] = {
+    RIGHT: lambda random, k: random.normal(size=(k, SAMPLES)),
+    "gusts": lambda random, k: random.normal(size=(k, SAMPLES)),  # in the states, see `record`
+    "drift": lambda random, k: (
+        random.normal(size=(k, SAMPLES))
+        + 0.15 * np.cumsum(random.normal(size=(k, SAMPLES)), axis=1)
+    ),
+    "one half louder": lambda random, k: (
+        random.normal(size=(k, SAMPLES)) * np.where(np.arange(SAMPLES) < SAMPLES // 2, 1.0, 4.0)
+    ),
+    "heavy tails": lambda random, k: random.standard_t(3, (k, SAMPLES)),
+    "spikes": lambda random, k: (
+        random.normal(size=(k, SAMPLES))
+        + 20 * random.normal(size=(k, SAMPLES)) * (random.random((k, SAMPLES)) < 0.02)
+    ),
+    "common errors": lambda random, k: (
+        0.3 * random.normal(size=(k, SAMPLES)) + random.normal(size=SAMPLES)
+    ),
+    "slow errors": lambda random, k: autoregression(random.normal(size=(k, SAMPLES + 100)), 0.9),
+}
+
+
+def circular(random: Random, n: int) -> Any:
+    """Return circular errors of variance one."""
+    return random.normal(size=(n, 2)) @ [1, 1j] / np.sqrt(2)
+
+
+ALONG_FREQUENCY: dict[str, Callable[[Random, int], Any]] = {
+    RIGHT: circular,
+    "correlated": lambda random, n: autoregression(circular(random, n + 100), 0.7),
+    "unequal sizes": lambda random, n: circular(random, n) * np.geomspace(0.3, 3, n),
+    "heavy tails, response": lambda random, n: (
+        circular(random, n) / np.sqrt(random.chisquare(3, n) / 3)
+    ),
+}
+
+
+def record(model: Any, kind: str, random: Random) -> gb.Record:
+    """Return a record of a plant under steps of random sign, with errors of 5 % of its outputs."""
+    truth = TRUTH[model]
+    linear = gb.modeling.linearize(model(), truth)
+    n = len(linear.A)
+    augmented = np.zeros((n + 1, n + 1))
+    augmented[:n, :n], augmented[:n, n:] = linear.A, linear.B
+    augmented = expm(STEP * augmented)
+    u = np.repeat(random.choice([-1.0, 1.0], SAMPLES // 16 + 1), 16)[:SAMPLES]
+    outputs = np.zeros((SAMPLES, len(model.outputs)))
+    gust = np.zeros((SAMPLES, n))
+    if kind == "gusts":
+        size = 0.3 * np.abs(linear.B).max() * STEP
+        gust[:, -1] = size * autoregression(random.normal(size=SAMPLES + 100), 0.94)
+    x = np.zeros(n)
+    for t in range(SAMPLES):
+        outputs[t] = linear.C @ x + linear.D[:, 0] * u[t]
+        x = augmented[:n, :n] @ x + augmented[:n, n] * u[t] + gust[t]
+    size = 0.05 * outputs.std(axis=0)
+    rows = outputs.T + size[:, None] * IN_TIME[kind](random, len(size))
+    signals = {model.inputs[0]: u, **dict(zip(model.outputs, rows, strict=True))}
+    return gb.Record(np.arange(SAMPLES) * STEP, signals)
+
+
+def fitted_record(kind: str, seed: int) -> tuple[gb.Fit, Mapping[str, float]]:
+    """Fit a record of one of three plants by output error."""
+    model = (Motor, ShortPeriod, RollRate)[seed % 3]
+    data = record(model, kind, np.random.default_rng([seed, len(kind)]))
+    problem = gb.Problem(model(), data, gb.OutputError(inputs="held"))
+    return gb.fit(problem, [{}], profiles=False, progress=False), TRUTH[model]
+
+
+def fitted_response(kind: str, seed: int) -> tuple[gb.Fit, Mapping[str, float]]:
+    """Fit a response of one of two plants by one of two criteria."""
+    model = (TwoLags, Oscillator)[seed % 2]
+    random = np.random.default_rng([seed, len(kind)])
+    exact = gb.frequency_response(model(), TRUTH[model], OMEGA).response
+    measured = exact * (1 + 0.05 * ALONG_FREQUENCY[kind](random, OMEGA.size))
+    data = gb.FrequencyResponse(OMEGA, measured, "u", "y")
+    criterion = (gb.RelativeError(), gb.RelativeLikelihood())[seed // 2 % 2]
+    problem = gb.Problem(model(), data, criterion)
+    return gb.fit(problem, [{}], profiles=False, progress=False), TRUTH[model]
+
+
+def holds(fit: gb.Fit, truth: Mapping[str, float]) -> bool:
+    """Tell whether the intervals of all parameters contain the truth."""
+    intervals = fit.interval(1 - 0.05 / len(truth))
+    return all(intervals[name][0] <= value <= intervals[name][1] for name, value in truth.items())
+
+
+def said(fit: gb.Fit) -> list[str]:
+    """Return the warnings but that on the number of starts."""
+    return [text for text in fit.warnings if not text.startswith("one start only")]
+
+
+def main() -> None:
+    """Count and print."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--fits", type=int, default=200)
+    parser.add_argument("--output", type=Path)
+    options = parser.parse_args()
+
+    cells = [(kind, fitted_record) for kind in IN_TIME]
+    cells += [(kind, fitted_response) for kind in ALONG_FREQUENCY]
+    others = sum(kind != RIGHT for kind, _ in cells)
+    lines = [
+        f"greybox {gb.__version__}, Python {platform.python_version()}, numpy {np.__version__}, "
+        f"{dt.date.today()}",
+        f"{'noise':<24}{'fits':>6}{'hold':>6}{'speak':>7}{'hold or speak':>15}",
+    ]
+    total = {True: np.zeros(4, int), False: np.zeros(4, int)}
+    for kind, fitted in cells:
+        is_right = kind == RIGHT
+        count = options.fits // 2 if is_right else -(-options.fits // others)
+        counts = np.zeros(4, int)
+        for seed in range(count):
+            fit, truth = fitted(kind, seed)
+            hold, speak = holds(fit, truth), bool(said(fit))
+            counts += [1, hold, speak, hold or speak]
+        total[is_right] += counts
+        name = f"{kind}, {'record' if fitted is fitted_record else 'response'}"
+        name = name if is_right else kind
+        lines.append(f"{name:<24}{counts[0]:>6}{counts[1]:>6}{counts[2]:>7}{counts[3]:>15}")
+        print(lines[-1], flush=True)
+    for is_right, name in ((True, "right noise, all"), (False, "other noise, all")):
+        counts = total[is_right]
+        lines.append(f"{name:<24}{counts[0]:>6}{counts[1]:>6}{counts[2]:>7}{counts[3]:>15}")
+
+    print("\n".join(lines))
+    if options.output:
+        options.output.write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()
