@@ -111,14 +111,12 @@ class DeterminedCombination:
         Such as ``a3/a2``.
     names, powers : tuple of str, tuple of int
         Its members, with their powers in a product and their signs in a sum.
-    is_product : bool
     value, standard_error : float
     """
 
     formula: str
     names: tuple[str, ...]
     powers: tuple[int, ...]
-    is_product: bool
     value: float
     standard_error: float
 
@@ -325,7 +323,7 @@ def _named(
     else:
         formula = f" {'+' if powers[1] > 0 else '-'} ".join(members)
         result = float(row @ value)
-    return DeterminedCombination(formula, members, powers, is_product, result, error)
+    return DeterminedCombination(formula, members, powers, result, error)
 
 
 def _power(name: str, power: int) -> str:

@@ -1,4 +1,4 @@
-"""The verdict on a fit in a few sentences: model, minimum, residuals, parameters."""
+"""The verdict on a fit in a few sentences: model, minimum, parameters."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -6,7 +6,6 @@ from typing import Any, Literal
 import numpy as np
 
 from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUIDELINE
-from greybox.estimate.printed import closeness
 from greybox.files.text_table import counted, percent, some
 from greybox.solve.runs import SCREENED
 
@@ -23,8 +22,8 @@ class Verdict:
         Poor if the model does not explain the data. In doubt if there is a warning, if the error of
         a parameter is beyond its guideline, or if only one start reached the minimum.
     sentences : tuple of str
-        Whether the model explains the data, where that can be decided; then its minimum, its
-        residuals, its parameters. For a failed fit, the reasons of the failure.
+        Whether the model explains the data, where that can be decided; then its minimum, and its
+        parameters. For a failed fit, the reasons of the failure.
     """
 
     grade: Grade
@@ -34,29 +33,18 @@ class Verdict:
 def verdict(fit: Any) -> Verdict:
     """Return the verdict on a `Fit`."""
     if not fit.converged:
-        ended = (
-            ""
-            if fit.best_effort is None
-            else "The values below are those at which the best run ended."
-        )
-        sentences = ("There is no estimate: " + fit.status + ".", *fit.warnings[:1], ended)
-        return Verdict("failed", tuple(text for text in sentences if text))
+        return Verdict("failed", (f"There is no estimate: {fit.status}.", *fit.warnings[:1]))
 
-    # First whether this is the minimum, then how close, then how certain: each needs the one
-    # before.
+    # First whether this is the minimum, then how certain: the second needs the first.
     minimum, found_again = _minimum(fit)
     determined, well = _determined(fit)
     grade: Grade = "good" if found_again and well and not fit.warnings else "doubt"
     # No start agrees on the minimum of a model that explains nothing, wherever they end.
     if fit.agreeing == 0 or (fit.misfit is not None and not fit.misfit.explains):
         grade = "poor"
-    texts = [text for _, text in closeness(fit)]
-    close = f"How closely the model follows the data: {'; '.join(texts)}."
     explained = () if fit.misfit is None else (f"The model {fit.misfit.verdict}.",)
 
-    return Verdict(
-        grade, (*explained, minimum, close if texts else "Nothing was compared.", determined)
-    )
+    return Verdict(grade, (*explained, minimum, determined))
 
 
 def _minimum(fit: Any) -> tuple[str, bool]:

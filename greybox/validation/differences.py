@@ -84,9 +84,7 @@ class Differences:
         return "\n".join([self.verdict, "", text_table(header, rows, left=(0, 4, 6))])
 
 
-def differences(
-    first: Fit, second: Fit, names: Sequence[str] | None = None, *, labels: Sequence[str] = ()
-) -> Differences:
+def differences(first: Fit, second: Fit, names: Sequence[str] | None = None) -> Differences:
     """Test which parameters of two fits to different data differ beyond their errors.
 
     Every parameter is tested by Welch's t, since the errors of two flights differ in size, and all
@@ -99,8 +97,6 @@ def differences(
     first, second : Fit
     names : sequence of str, optional
         Parameters and derived quantities; by default all free parameters that both have.
-    labels : sequence of str, optional
-        For the two columns; by default the names of the problems.
 
     Raises
     ------
@@ -115,8 +111,8 @@ def differences(
         raise ValueError(
             "the fits share data, so that their errors are not independent: use gb.compare."
         )
-    titles = tuple(labels) or (first.name, second.name)
-    if len(titles) != 2 or titles[0] == titles[1]:
+    titles = (first.name, second.name)
+    if titles[0] == titles[1]:
         titles = labels_of((first, second))
     shared = [name for name in first.free if name in second.free] if names is None else list(names)
     for fit, title in zip((first, second), titles, strict=True):

@@ -234,3 +234,14 @@ def test_variances_that_include_more_than_the_scatter_are_not_doubted():
         warned.append([text for text in fit.warnings if "residuals of" in text])
     assert not warned[0]
     assert any("too large" in text for text in warned[1])
+
+
+@pytest.mark.parametrize(("growth", "is_named"), [(30.0, True), (1.0, False)])
+def test_errors_that_grow_with_frequency_are_named(growth, is_named):
+    omega = np.geomspace(0.5, 20, 30)
+    data = measured(Lag(), omega, TRUTH, noise=0.0)
+    random = np.random.default_rng(2)
+    errors = 0.02 * random.normal(size=(30, 2)) @ [1, 1j] * np.geomspace(1, growth, 30)
+    data = gb.FrequencyResponse(omega, data.response * (1 + errors), "u", "y")
+    fit = gb.fit(gb.Problem(Lag(), data, gb.SquaredRelativeError()), starts=3)
+    assert any("changes with frequency" in text for text in fit.warnings) == is_named

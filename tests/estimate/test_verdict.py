@@ -15,14 +15,13 @@ def fit():
     return lag()
 
 
-def test_a_good_fit_in_four_sentences(fit):
+def test_a_good_fit_in_three_sentences(fit):
     good = replace(fit, warnings=())
     judged = verdict(good)
     assert judged.grade == "good"
     assert "explains the data" in judged.sentences[0]
     assert judged.sentences[1] == "3 of 3 starts agree on the best minimum."
-    assert ": residual " in judged.sentences[2]
-    assert judged.sentences[3].startswith(
+    assert judged.sentences[2].startswith(
         "The free parameters are well determined, with standard errors of at most "
     )
 
@@ -47,12 +46,12 @@ def test_what_is_not_determined_is_named(fit):
     assert judged.grade == "doubt"
     assert (
         "0 are well determined: b0 and a0 exceeded the guidelines (20 % error"
-        in judged.sentences[3]
+        in judged.sentences[2]
     )
 
     bound = tuple(replace(q, at_bound=q.name == "a0") for q in fit.quantities)
     assert (
-        "a0 ended at a bound" in verdict(replace(fit, quantities=bound, warnings=())).sentences[3]
+        "a0 ended at a bound" in verdict(replace(fit, quantities=bound, warnings=())).sentences[2]
     )
 
 
@@ -157,7 +156,7 @@ def quantity(name, at_bound):
 )
 def test_how_well_the_parameters_are_determined(parts, sentence, well):
     judged = told(**parts)
-    assert judged.sentences[2] == sentence
+    assert judged.sentences[1] == sentence
     assert (judged.grade == "good") == well
 
 
@@ -169,11 +168,7 @@ def test_a_warning_leaves_a_fit_in_doubt():
         status="no start converged",
         warnings=("one", "two"),
     )
-    assert failed.sentences == (
-        "There is no estimate: no start converged.",
-        "one",
-        "The values below are those at which the best run ended.",
-    )
+    assert failed.sentences == ("There is no estimate: no start converged.", "one")
     assert told(converged=False, best_effort=None, status="x").sentences == (
         "There is no estimate: x.",
     )

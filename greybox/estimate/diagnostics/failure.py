@@ -7,7 +7,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.estimate.covariance import assess
 from greybox.estimate.diagnostics.identifiability import not_determined
-from greybox.files.text_table import counted, listed
+from greybox.files.text_table import counted
 from greybox.solve.local_solver import LocalSolver, Profile
 from greybox.solve.minima import Multistart, best_unfinished
 from greybox.solve.runs import CUT_SHORT, Run
@@ -32,14 +32,7 @@ def failure_warnings(
     if profile is None:
         return
 
-    accuracy = assess(nlp, run.estimate, profile.trajectories)
-    if accuracy.at_bound:
-        yield (
-            f"{listed(accuracy.at_bound)} ended at a bound in that run: widen it if the physics "
-            "allow, or fix the parameter."
-        )
-
-    yield from not_determined(nlp, accuracy)
+    yield from not_determined(nlp, assess(nlp, run.estimate, profile.trajectories))
 
 
 def _cure(run: Run) -> str:

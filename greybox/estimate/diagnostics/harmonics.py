@@ -31,7 +31,7 @@ def harmonic_warnings(nlp: CompiledProblem, x: Array) -> Iterator[str]:
     named = dict(zip(nlp.names, values.tolist(), strict=True))
     for part in nlp.parts:
         problem, sine = part.problem, part.problem.amplitude
-        if not isinstance(part, ResponsePart) or sine is None or sine.harmonics is None:
+        if not isinstance(part, ResponsePart) or sine is None or not sine.harmonics:
             continue
         more = min(2 * sine.harmonics + 3, MOST_HARMONICS)
         few = part.response(values)

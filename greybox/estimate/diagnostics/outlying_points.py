@@ -25,7 +25,7 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.diagnostics.repeated import Finding
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
 from greybox.files.arrays import Array, ComplexArray
-from greybox.files.text_table import counted, listed, number
+from greybox.files.text_table import listed, number
 from greybox.statistics.bounded_errors import bounded, robust_deviation
 from greybox.statistics.column_space import column_basis
 
@@ -38,6 +38,7 @@ NOTICEABLE = 1.25
 
 # Share of a point's residual that is a rounding error.
 ROUNDING = 1e-9
+TINY = 1e-300
 
 
 @dataclass(frozen=True, order=True)
@@ -60,7 +61,7 @@ class Deviation:
 
 
 def outlying_points(nlp: CompiledProblem, x: Array) -> Iterator[str]:
-    """Name the outliers among the points of responses at `x` (p,), the most unlikely first."""
+    """Name outliers of responses at `x` (p,), and errors whose sizes are not as assumed."""
     values = nlp.all_values(x)
     responses = [part for part in nlp.parts if isinstance(part, ResponsePart)]
     points = sum(len(part.data) for part in responses)
@@ -75,6 +76,22 @@ def outlying_points(nlp: CompiledProblem, x: Array) -> Iterator[str]:
             f"{100 * deviation.relative:.2g} % from the model: fewer than one in "
             f"{number(float(one_in), 2)} fits to clean data have such a point. Fit again without "
             "it, response.where(...), to see its effect."
+        )
+    for part in responses:
+        yield from _unequal_sizes(part, values)
+
+
+def _unequal_sizes(part: ResponsePart, values: Array) -> Iterator[str]:
+    """Say whether errors grow or shrink with frequency more than assumed, by their ranks."""
+    model = part.response(values)
+    size = np.maximum(part.criterion.error_size(model, part.data), TINY)
+    ranks = np.argsort(np.argsort([part.data.omega, np.abs(part.data.response - model) / size]))
+    r = float(np.corrcoef(*ranks)[0, 1]) if len(size) > 1 else 0.0
+    if math.erfc(abs(r) * math.sqrt((len(size) - 1) / 2)) < SIZE:
+        yield (
+            f"the size of the errors of {part.problem.name!r} changes with frequency beyond what "
+            f"the criterion assumes (rank correlation {r:.2f}), so that intervals may be wrong: "
+            "give variances and MaximumLikelihood(), or fit a part of the band."
         )
 
 
@@ -94,14 +111,13 @@ def outlying_samples(parts: Sequence[FittedPart]) -> Iterator[Finding]:
             if not count or not gain > NOTICEABLE:
                 continue
             largest = [f"{t:.4g}" for t in part.data.time[np.argsort(-size)[:count][:4]]]
-            name = part.data.name or part.name
             text = (
-                f"{counted(count, 'outlier')} among the samples of {output} in {name!r}, up to "
+                f"outliers are among the samples of {output} in {part.name!r} ({count}), up to "
                 f"{number(float(size.max()), 2)} standard deviations from the model, the largest "
                 f"at {listed(largest)} s: OutputError(errors='huber') bounds their effect, with "
                 f"standard errors about {100 * (1 - gain**-0.5):.0f} % smaller."
             )
-            yield output, name, text
+            yield output, part.name, text
 
 
 def largest_deviation(part: ResponsePart, values: Array, free: int) -> Deviation | None:
