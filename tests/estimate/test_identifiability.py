@@ -469,7 +469,7 @@ def test_what_the_data_see_less_than_a_hundred_thousandth_of_has_no_effect(varia
 
 
 def test_the_table_has_a_line_for_each_parameter_and_what_is_told_of_several():
-    together = DeterminedCombination("a/b", ("a", "b"), (1, -1), True, 2.5, 0.025)
+    together = DeterminedCombination("a/b", ("a", "b"), (1, -1), 2.5, 0.025)
     pair = (("a", "b", -0.98765),)
     found = Identifiability(
         ("a", "bb", "c"),

@@ -32,7 +32,10 @@ def failure_warnings(
     if profile is None:
         return
 
-    yield from not_determined(nlp, assess(nlp, run.estimate, profile.trajectories))
+    accuracy = assess(nlp, run.estimate, profile.trajectories)
+    for name in accuracy.at_bound:
+        yield f"{name} ended at a bound in that run: widen it if the physics allow, or fix it."
+    yield from not_determined(nlp, accuracy)
 
 
 def _cure(run: Run) -> str:
