@@ -372,7 +372,7 @@ def assemble(
     )
     misfit = directions = None
     if search.minima:
-        misfit = assessed_misfit(nlp, best, trajectories, accuracy.correlation, {})
+        misfit = assessed_misfit(nlp, best, trajectories, {})
         at = np.array([line.value for line in lines[: len(slopes)]])
         directions = known_directions(nlp, accuracy, at, slopes)
     if directions is not None and directions.unseen.any():

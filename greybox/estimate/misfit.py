@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.disturbances import DisturbedRecord
-from greybox.compiled.part import ColoredErrors, Trajectory
+from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.record_sensitivity import sensitivity
 from greybox.compiled.response_part import ResponsePart
@@ -17,6 +17,12 @@ from greybox.estimate.diagnostics.outlying_points import SIZE, largest_deviation
 from greybox.estimate.missing_terms import Formula, Term, terms_of_record, terms_of_response
 from greybox.files.arrays import Array, BoolArray
 from greybox.files.text_table import number, text_table, with_error
+from greybox.statistics.autoregressive_test import (
+    Outputs,
+    autoregressive_p_values,
+    whitened,
+    whitening_filters,
+)
 from greybox.statistics.column_space import beside, column_basis
 from greybox.statistics.score_test import (
     chance,
@@ -156,8 +162,9 @@ class Misfit:
 class _Regression:
     """A part as a regression of its residuals on what the fit and missing terms take from them.
 
-    `rows` makes columns (N, c) of values, white or only weighted; `changes` returns the values for
-    terms; `separate` those of the residuals and of the slopes of a response that is fitted alone.
+    `rows` makes columns (N, c) of values, for tests or only weighted; `changes` returns the values
+    for terms; `separate` those of the residuals and of the slopes of a response that is fitted
+    alone; `outputs` has the rows of every output of a record, by stretches.
     """
 
     measured: Numbers
@@ -167,21 +174,22 @@ class _Regression:
     changes: Callable[[Sequence[Term]], Numbers]
     rows: Callable[[Any, bool], Array]
     separate: Callable[[], tuple[Array, Array]] | None = None
+    outputs: Outputs = ()
 
-    def columns(self, keys: Sequence[Key], *, white: bool = True) -> Array:
+    def columns(self, keys: Sequence[Key], *, tested: bool = True) -> Array:
         """Return the rows (N, c) of terms, zero for those that this part does not have."""
         present = [k for k, key in enumerate(keys) if key in self.terms]
         values = np.repeat(0 * self.residuals, len(keys), axis=1)
         if present:
             values[:, present] = self.changes([self.terms[keys[k]] for k in present])
-        return self.rows(values, white)
+        return self.rows(values, tested)
 
     def left(self, keys: Sequence[Key]) -> tuple[float, float]:
         """Return the shares of the squares that are left without and with terms."""
         measured, residuals, fitted = (
             self.rows(values, False) for values in (self.measured, self.residuals, self.fitted)
         )
-        remaining = beside(residuals, np.hstack([fitted, self.columns(keys, white=False)]))
+        remaining = beside(residuals, np.hstack([fitted, self.columns(keys, tested=False)]))
         squares = max(float(np.sum(measured**2)), np.finfo(float).tiny)
         return float(np.sum(residuals**2)) / squares, float(np.sum(remaining**2)) / squares
 
@@ -190,19 +198,18 @@ def assessed_misfit(
     nlp: CompiledProblem,
     x: Array,
     trajectories: Sequence[Trajectory],
-    correlation: Sequence[ColoredErrors | None],
     candidates: Mapping[str, Formula],
 ) -> Misfit | None:
     """Return whether a model explains its data at `x` (p,); None where that cannot be told.
 
-    `correlation` has the spectra of the errors of records, `candidates` the terms of the user.
+    `candidates` has the terms of the user.
     """
     responses, records = [], []
-    for part, trajectory, colored in zip(nlp.parts, trajectories, correlation, strict=True):
+    for part, trajectory in zip(nlp.parts, trajectories, strict=True):
         if isinstance(part, ResponsePart):
             responses.append(_of_response(part, nlp.all_values(x), nlp.free))
         elif isinstance(part, RecordPart) and part.model.has_time and not part.model.is_prior:
-            records.append((part, trajectory, colored))
+            records.append((part, trajectory))
 
     most = max(MOST // max(len(records), 1), FEWEST)
     records = [_of_record(*record, candidates, most) for record in records]
@@ -237,30 +244,29 @@ def _of_group(
     }
     if not terms:
         return 0, [], [], 1.0
-    white = [part.rows(part.residuals, True) for part in parts]
-    residuals = np.vstack(white)
+    tested = [part.rows(part.residuals, True) for part in parts]
+    residuals = np.vstack(tested)
     fitted = np.vstack([part.rows(part.fitted, True) for part in parts])
-    keys, best, tried = [*terms], {}, 0
-    size = max(COLUMNS // len(residuals), 1)
-    for chosen in (keys[first : first + size] for first in range(0, len(keys), size)):
-        columns = np.vstack([part.columns(chosen) for part in parts])
-        tests = score_tests(residuals[:, 0], fitted, columns, in_time=in_time)
-        numbers = np.array([tests.decrease, tests.p_value, tests.value, tests.error]).T.tolist()
-        for k in np.flatnonzero(np.isfinite(tests.p_value)):
-            tried += 1
-            family = chosen[k][0]
-            if family not in best or numbers[k] > best[family][0]:
-                best[family] = numbers[k], chosen[k], columns[:, [k]]
+    outputs = _stacked_outputs(parts, [len(rows) for rows in tested])
+    filters = whitening_filters(residuals[:, 0], outputs)
 
-    ranked = sorted(best.values(), key=lambda test: test[0], reverse=True)
+    def white(values: Array) -> Array:
+        return whitened(values, filters, outputs) if in_time else values
+
+    tried, ranked = _ranked(parts, [*terms], white, residuals, fitted)
     together = np.hstack([fitted, *(column for *_, column in ranked[:TOGETHER])])
     without, left = (
-        float(np.sum(beside(residuals, columns) ** 2)) for columns in (fitted, together)
+        float(np.sum(beside(white(residuals), white(columns)) ** 2))
+        for columns in (fitted, together)
     )
-    total = len(residuals) * (1 - left / without) if without > 0 else 0.0
+    total = len(white(residuals)) * (1 - left / without) if without > 0 else 0.0
+    p_values = [p_value for (_, p_value, *_), *_ in ranked]
+    if in_time and ranked:
+        best_columns = np.hstack([column for *_, column in ranked])
+        p_values = autoregressive_p_values(residuals[:, 0], fitted, best_columns, outputs).tolist()
 
     # Real and imaginary parts follow one another in every response.
-    lengths = [len(rows) // 2 for rows in white for _ in "ri"]
+    lengths = [len(rows) // 2 for rows in tested for _ in "ri"]
     p_common, score, separate, apart = 1.0, None, residuals, fitted
     if not in_time and ranked:
         score = correlated_score(residuals, fitted, lengths)
@@ -273,7 +279,7 @@ def _of_group(
     is_common = p_common >= FALSE_ALARMS
 
     causes = []
-    for (decrease, p_value, value, error), key, column in ranked:
+    for ((decrease, _, value, error), key, column), p_value in zip(ranked, p_values, strict=True):
         chances = p_value, p_value
         if terms[key].kind == "own" and not is_common:
             # What other values could explain, too, is no noise.
@@ -299,6 +305,39 @@ def _of_group(
     return tried, [part.left(best_keys) for part in parts], causes, p_common
 
 
+def _ranked(
+    parts: Sequence[_Regression],
+    keys: list[Key],
+    white: Callable[[Array], Array],
+    residuals: Array,
+    fitted: Array,
+) -> tuple[int, list[tuple[list[float], Key, Array]]]:
+    """Return the number of terms, and the best of every family with its test and its column."""
+    best, tried = {}, 0
+    residuals, fitted = white(residuals)[:, 0], white(fitted)
+    size = COLUMNS // max(len(residuals), 1) + 1
+    for chosen in (keys[first : first + size] for first in range(0, len(keys), size)):
+        columns = np.vstack([part.columns(chosen) for part in parts])
+        tests = score_tests(residuals, fitted, white(columns))
+        numbers = np.array([tests.decrease, tests.p_value, tests.value, tests.error]).T.tolist()
+        for k in np.flatnonzero(np.isfinite(tests.p_value)).tolist():
+            tried += 1
+            family = chosen[k][0]
+            if family not in best or numbers[k] > best[family][0]:
+                best[family] = numbers[k], chosen[k], columns[:, [k]]
+    return tried, sorted(best.values(), key=lambda test: test[0], reverse=True)
+
+
+def _stacked_outputs(parts: Sequence[_Regression], lengths: Sequence[int]) -> Outputs:
+    """Return the rows of the outputs of all parts, whose rows follow one another."""
+    firsts = np.cumsum([0, *lengths[:-1]])
+    return [
+        [first + rows for rows in stretches]
+        for first, part in zip(firsts, parts, strict=True)
+        for stretches in part.outputs
+    ]
+
+
 def _separate(parts: Sequence[_Regression]) -> tuple[Array, Array]:
     """Return the residuals (N, 1) of parts with values of their own, and the columns (N, ·)."""
     residuals, columns = zip(*(part.separate() for part in parts if part.separate), strict=True)
@@ -319,7 +358,6 @@ def _numbered(terms: Any) -> dict[Key, Term]:
 def _of_record(
     part: RecordPart,
     trajectory: Trajectory,
-    colored: ColoredErrors | None,
     candidates: Mapping[str, Formula],
     most: int,
 ) -> _Regression:
@@ -331,25 +369,28 @@ def _of_record(
     slopes = sensitivity(part, trajectory, weight)
     noise = np.linalg.inv(weight.T @ weight)
     present = [row > 0 for row in data.unpadded(record.present.astype(float))]
-    spectrum = None if colored is None else colored.spectrum
 
-    def rows_of_stretch(values: Array, measured: BoolArray, white: bool) -> Array:
-        values = values.swapaxes(0, 1)
-        if white and spectrum is not None:
-            result = np.nan_to_num(spectrum.whitened(np.where(measured, values, np.nan)))
-        else:
-            result = np.where(measured, weight @ values, 0.0)
+    def rows_of_stretch(values: Array, measured: BoolArray) -> Array:
+        result = np.where(measured, weight @ values.swapaxes(0, 1), 0.0)
         return result.reshape(len(result), measured.size).T
 
     by_initial = data.unpadded(np.einsum("ab,bmn->amn", noise, slopes.by_initial))
-    initial = [rows_of_stretch(*pair, True) for pair in zip(by_initial, present, strict=True)]
+    initial = [rows_of_stretch(*pair) for pair in zip(by_initial, present, strict=True)]
 
-    def rows(values: Array, white: bool) -> Array:
+    def rows(values: Array, tested: bool) -> Array:
         pairs = zip(data.unpadded(values), present, strict=True)
-        stretches = [rows_of_stretch(row, measured, white) for row, measured in pairs]
+        stretches = [rows_of_stretch(*pair) for pair in pairs]
         # The initial states of every stretch take their share first.
-        return np.vstack([*map(beside, stretches, initial)] if white else stretches)
+        return np.vstack([*map(beside, stretches, initial)] if tested else stretches)
 
+    firsts = np.cumsum([0, *(row.size for row in present[:-1])])
+    outputs = [
+        [
+            first + k * row.shape[1] + np.flatnonzero(row[k])
+            for first, row in zip(firsts, present, strict=True)
+        ]
+        for k in range(len(present[0]))
+    ]
     measured = np.where(record.present, data.measured, np.nan)
     count = np.maximum(record.present.sum(axis=1, keepdims=True), 1)
     return _Regression(
@@ -359,6 +400,7 @@ def _of_record(
         _numbered(terms_of_record(record, candidates)),
         lambda terms: record.followed_by([term.effect() for term in terms]),
         rows,
+        outputs=outputs,
     )
 
 

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from greybox.compiled.compiled_problem import AnyProblem
-from greybox.estimate.covariance import assess
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.misfit import Misfit, assessed_misfit
 from greybox.estimate.missing_terms import Formula
@@ -43,5 +42,4 @@ def misfit(
     nlp = compiled_again(fit, problem)
     x = fit.minima[0].estimate
     trajectories = solver_for(nlp, {}, BATCHED).profile(x, None).trajectories
-    accuracy = assess(nlp, x, trajectories)
-    return assessed_misfit(nlp, x, trajectories, accuracy.correlation, candidates)
+    return assessed_misfit(nlp, x, trajectories, candidates)

@@ -55,7 +55,7 @@ class ScoreTests:
     decrease: Array
 
 
-def score_tests(residuals: Array, fitted: Array, terms: Array, *, in_time: bool) -> ScoreTests:
+def score_tests(residuals: Array, fitted: Array, terms: Array) -> ScoreTests:
     """Test c terms one by one.
 
     Parameters
@@ -66,9 +66,6 @@ def score_tests(residuals: Array, fitted: Array, terms: Array, *, in_time: bool)
         What the fit may have taken from them.
     terms : (N, c) array
         What unit terms would add to the model's outputs.
-    in_time : bool
-        Whether the rows follow one another in time, and the residuals are white only as far as
-        their spectrum was estimated at the frequencies of the term.
     """
     basis = column_basis(fitted)
     before = np.linalg.norm(terms, axis=0)
@@ -79,31 +76,16 @@ def score_tests(residuals: Array, fitted: Array, terms: Array, *, in_time: bool)
     residuals = beside(residuals, basis)
 
     count = len(residuals)
-    variance = np.full(terms.shape[1], float(residuals @ residuals) / count)
-    numbers = np.full(terms.shape[1], float(count))
-    if in_time:
-        power = _power(rows) / np.maximum(_power(rows).sum(axis=0), 1e-300)
-        # Each frequency has two numbers.
-        numbers = 2 / np.maximum((power**2).sum(axis=0), 1e-300)
-        local = _power(residuals[:, None])[:, 0] @ power / 2
-        variance = np.maximum(variance, local)
-    remaining = numbers - basis.shape[1]
+    remaining = count - basis.shape[1]
+    squares = float(residuals @ residuals)
     along = rows.T @ residuals
-    overall = max(float(residuals @ residuals) / count, np.finfo(float).tiny)
+    share = np.minimum(along**2 / max(squares, np.finfo(float).tiny), 1 - 1e-12)
+    tested = is_new & (remaining > FEWEST) & (squares > 0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.minimum(along**2 / (numbers * variance), 1.0)
-        error = np.sqrt(variance * (1 - share) * numbers / remaining) / (length * before)
+        error = np.sqrt(squares * (1 - share) / max(remaining, 1)) / (length * before)
         value = along / (length * before)
-        p_value = chance(1 - np.minimum(share, 1 - 1e-12), remaining - 1)
-    tested = is_new & (remaining > FEWEST) & (variance > 0)
-    return ScoreTests(value, error, np.where(tested, p_value, np.nan), along**2 / overall)
-
-
-def _power(rows: Array) -> Array:
-    """Return the power (frequencies, c) of columns (N, c); it adds up to their sum of squares."""
-    power = np.abs(np.fft.rfft(rows, axis=0)) ** 2 / len(rows)
-    power[1 : (len(rows) + 1) // 2] *= 2
-    return power
+    p_value = np.where(tested, chance(1 - share, max(remaining - 1, 1)), np.nan)
+    return ScoreTests(value, error, p_value, count * share)
 
 
 def correlated_score(residuals: Array, fitted: Array, lengths: Sequence[int]) -> float:

@@ -239,3 +239,33 @@ def test_an_output_that_turbulence_moves_has_its_criterion():
     fit = gb.fit(flight, starts=1, progress=False, profiles=False)
     (text,) = (text for text in fit.warnings if "almost none" in text)
     assert "in turbulence, use PredictionError(disturbance={'v': 'colored'})" in text
+
+
+class Cart(gb.StateSpace):
+    """A cart on a rail, whose position is measured: friction, and perhaps drag."""
+
+    states, inputs, outputs = ("x", "v"), ("F",), ("x",)
+    m, b, c = (gb.Parameter(v, bounds=(0.0, 20.0)) for v in (2.0, 1.5, 0.8))
+
+    def derivative(self, x, u, p):
+        return (x.v, (u.F - p.b * x.v - p.c * abs(x.v) * x.v) / p.m)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+@pytest.mark.parametrize("drift", [0.0, 0.02], ids=["white", "drifting"])
+@pytest.mark.parametrize("missing", [True, False], ids=["no drag", "right"])
+def test_a_missing_term_that_makes_the_position_drift_is_seen(missing, drift):
+    random = np.random.default_rng(1)
+    time = 0.02 * np.arange(1000)
+    flight = gb.Record(time, {"F": np.repeat(random.uniform(-6, 6, 40), 25)}, hold={"F": np.inf})
+    x = gb.simulate(Cart(), {}, flight)["x"] + 0.005 * random.normal(size=1000)
+    # Errors of 2 cm that last 2 s.
+    slow = lfilter([np.sqrt(1 - 0.99**2)], [1, -0.99], random.normal(size=2000))[1000:]
+    flight = flight.with_signals(x=x + drift * slow)
+    problem = gb.Problem(Cart(), flight, fixed={"c": 0.0} if missing else {})
+    misfit = gb.fit(problem, starts=1).misfit
+    assert misfit.explains == (not missing)
+    if missing:
+        assert any("v) * v" in cause.text for cause in misfit.causes[:2])

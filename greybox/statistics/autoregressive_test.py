@@ -1,0 +1,154 @@
+"""Whether records lack a term: the likelihood with and without it, beside autoregressive errors.
+
+A term that is missing makes the residuals drift, and errors that drift hide the term. A spectrum of
+such residuals contains what the term left in them, so that a test with this spectrum sees little.
+Here the errors are an autoregression whose coefficients are estimated without the term and again
+with it: the term must shorten the residuals by more than it could by chance.
+
+An estimated autoregression is too short-lived if the errors drift through the whole record, and a
+slow term would then look significant. So the differences of the samples are tested, too, for which
+such a drift is short: the larger probability counts.
+
+Sources: Cochrane and Orcutt (1949), Application of least squares regression to relationships
+containing auto-correlated error terms, Journal of the American Statistical Association 44;
+Vogelsang (1999), Sources of nonmonotonic power when testing for a shift in mean of a dynamic time
+series, Journal of Econometrics 88.
+"""
+
+import itertools
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from greybox.files.arrays import Array, IntArray
+from greybox.statistics.score_test import REMAINS, chance
+
+HIGHEST_ORDER = 20
+SAMPLES = 8  # of an output for each order
+ROUNDING = 1e-12  # of the power
+TINY = 1e-300
+
+# Of every output: the rows of its measured samples, for each stretch in order of time.
+Outputs = Sequence[Sequence[IntArray]]
+
+
+def whitened(values: Array, filters: Sequence[Array], outputs: Outputs) -> Array:
+    """Return rows (M, c) of values (N, c) less what the samples before them predict.
+
+    Each stretch loses as many rows at its beginning as its filter (q + 1,) has orders.
+    """
+    pieces = [
+        sliding_window_view(values[rows], len(weights), axis=0) @ weights[::-1]
+        for weights, stretches in zip(filters, outputs, strict=True)
+        for rows in stretches
+        if len(rows) >= len(weights)
+    ]
+    return np.vstack([values[:0], *pieces])
+
+
+def autoregressive_p_values(
+    residuals: Array, fitted: Array, terms: Array, outputs: Outputs
+) -> Array:
+    """Return the probabilities (c,) that terms (N, c) explain so much of errors by chance.
+
+    Parameters
+    ----------
+    residuals : (N,) array
+    fitted : (N, p) array
+        What the fit may have taken from them.
+    terms : (N, c) array
+        What unit terms would add to the model's outputs.
+    outputs : sequence of sequence of (n,) arrays of int
+    """
+    values = np.column_stack([residuals, terms, fitted])
+    pieces = [[np.diff(values[rows], axis=0) for rows in stretches] for stretches in outputs]
+    lengths = [len(piece) for stretches in pieces for piece in stretches]
+    ends = itertools.pairwise(np.cumsum([0, *lengths]).tolist())
+    numbered = [[np.arange(*next(ends)) for _ in stretches] for stretches in pieces]
+    changes = np.vstack([piece for stretches in pieces for piece in stretches])
+    count = 1 + terms.shape[1]
+    return np.maximum(_p_values(values, count, outputs), _p_values(changes, count, numbered))
+
+
+def _p_values(values: Array, count: int, outputs: Outputs) -> Array:
+    """Return the probabilities; of values (N, ·), the residuals come first, then the terms."""
+    filters = whitening_filters(values[:, 0], outputs)
+    orders = [len(weights) - 1 for weights in filters]
+    white = whitened(values, filters, outputs)
+    length = np.linalg.norm(white, axis=0)
+
+    # Generalized least squares: what the fitted parameters can take.
+    scale = np.where(length > 0, length, 1.0)[count:]
+    taken = np.linalg.lstsq(white[:, count:] / scale, white[:, :count], rcond=None)[0]
+    beside = values[:, :count] - values[:, count:] / scale @ taken
+    white = white[:, :count] - white[:, count:] / scale @ taken
+    remains = np.linalg.norm(white, axis=0)
+    is_new = (remains > REMAINS * length[:count])[1:]
+    squares = np.where(is_new, remains[1:], 1.0) ** 2
+    factor = np.where(is_new, white[:, 1:].T @ white[:, 0] / squares, 0.0)
+
+    counts = np.array(
+        [
+            sum(max(len(rows) - order, 0) for rows in stretches)
+            for order, stretches in zip(orders, outputs, strict=True)
+        ]
+    )
+
+    def score(errors: Array) -> float:
+        filters = whitening_filters(errors, outputs, orders)
+        return -2 * float(counts @ np.log([weights[0] for weights in filters]))
+
+    without = score(beside[:, 0])
+    decrease = [
+        without - score(beside[:, 0] - a * beside[:, k]) if a else 0.0
+        for k, a in enumerate(factor, start=1)
+    ]
+    remaining = max(len(white) - white.shape[1] + count - sum(orders) - 1, 1)
+    return chance(np.exp(-np.maximum(decrease, 0.0) / max(len(white), 1)), remaining)
+
+
+def whitening_filters(
+    residuals: Array, outputs: Outputs, orders: Sequence[int] | None = None
+) -> list[Array]:
+    """Return the filters (q + 1,) that make residuals (N,) white, of unit variance, by output.
+
+    They follow by least squares, which the ends of a record do not disturb; by default with the
+    orders of the least AICc.
+    """
+    return [
+        _filter([residuals[rows] for rows in stretches], None if orders is None else orders[k])
+        for k, stretches in enumerate(outputs)
+    ]
+
+
+def _filter(pieces: Sequence[Array], order: int | None) -> Array:
+    if order is None:
+        total = sum(map(len, pieces))
+        # Short stretches would lose all of their samples.
+        highest = min(HIGHEST_ORDER, total // SAMPLES, total // (2 * max(len(pieces), 1)))
+        order = _order(*_moments(pieces, highest))
+    moments, _ = _moments(pieces, order)
+    weights = np.append(1.0, -np.linalg.solve(moments[1:, 1:], moments[1:, 0]))
+    return weights / np.sqrt(weights @ moments @ weights)
+
+
+def _order(moments: Array, count: int) -> int:
+    # A triangular root with the sample behind its lags: what each further lag explains of it.
+    last = np.roll(np.arange(len(moments)), -1)
+    explained = np.linalg.cholesky(moments[np.ix_(last, last)])[-1, :-1] ** 2
+    variance = moments[0, 0] - np.append(0.0, np.cumsum(explained))
+    unknowns = 1 + np.arange(len(variance))
+    penalty = 2 * unknowns * count / np.maximum(count - unknowns - 1, 1)
+    return int(np.argmin(count * np.log(variance) + penalty))
+
+
+def _moments(pieces: Sequence[Array], order: int) -> tuple[Array, int]:
+    """Return mean products (q + 1, q + 1) of samples and their lags, and the number of samples."""
+    views = [
+        sliding_window_view(piece, order + 1)[:, ::-1] for piece in pieces if len(piece) > order
+    ]
+    windows = np.vstack([np.zeros((0, order + 1)), *views])
+    moments = windows.T @ windows / max(len(windows), 1)
+    # Residuals without errors have no inverse.
+    return moments + (ROUNDING * np.trace(moments) + TINY) * np.eye(order + 1), len(windows)
