@@ -16,23 +16,11 @@ INCLUDED = ("paper",)  # studies by name, each in a file of greybox.problems
 
 
 def find_study(text: str) -> Path:
-    """Return the study file of an included name, or the path that `text` is.
-
-    Raises
-    ------
-    UsageError
-        If it is neither.
-    """
+    """Return the study file of an included name, or the path that `text` is."""
     # A file of the user goes before an included study of the same name.
     path = Path(text)
     if text in INCLUDED and not path.is_file():
         return Path(str(importlib.import_module(f"greybox.problems._{text}_study").__file__))
-    if not path.suffix and not path.exists():
-        raise UsageError(
-            f"there is no included study {text!r}: the included one is {', '.join(INCLUDED)}; "
-            "or give study.toml."
-        )
-
     return path
 
 

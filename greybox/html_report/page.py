@@ -69,8 +69,8 @@ def page(
     content = [overview(entries), *comparison_section(entries, comparison)]
     if any(entry.fit is None and not entry.error for entry in entries):
         text = (
-            f"Below are details of {counted(len(fits), 'result')}; greybox report FILE shows those "
-            "of another member, whose file is in the folder of the study."
+            f"Below are details of {counted(len(fits), 'result')}. For those of another member "
+            "save its fit, gb.save(study[NAME].fit, FILE), and write a page about this file."
         )
         content.insert(0, tag("p", text))
 

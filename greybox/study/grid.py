@@ -86,12 +86,18 @@ def combined(choices: Mapping[str, Any], folder: Path) -> list[dict[str, Any]]:
     held = _files(axes.pop("held", []), folder)
     joint = [axes.pop("joint")] if "joint" in axes else []
     lists: list[list[Any]] = []
-    for item in [*axes.pop("data", []), *joint]:
+    stated = [*axes.pop("data", []), *joint]
+    for item in stated:
         is_joint = isinstance(item, list | tuple)
         files = [file for file in _files(item if is_joint else [item], folder) if file not in held]
         lists += [files] if is_joint else [[file] for file in files]
 
-    axes = {"data": lists, **axes} if lists else axes
+    axes = {"data": lists, **axes} if stated else axes
+    for key, values in axes.items():
+        if not values:
+            raise ValueError(
+                f"{key} is empty: give at least one value that held does not leave out."
+            )
     # Of the paths of files, names have what differs.
     paths = [file for files in lists for file in files if isinstance(file, str)]
     place = os.path.commonpath([Path(path).parent for path in paths]) if paths else ""

@@ -121,11 +121,6 @@ def test_files_of_other_kinds_and_without_members_are_told(folder):
         match=r"members\(\) in .*other_study\.py is missing or returns \[1\]",
     ):
         read_study_file(folder / "other_study.py")
-    with pytest.raises(
-        UsageError,
-        match=r"there is no included study 'papers': the included one is paper; or give",
-    ):
-        find_study("papers")
     assert find_study("study.toml").name == "study.toml"
     assert find_study("paper").name == "_paper_study.py"
 

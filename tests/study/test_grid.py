@@ -53,7 +53,9 @@ def test_what_a_grid_cannot_mean_is_a_sentence():
         gb.study.grid(Tilt(), FIRST, seeds=[0])
     with pytest.raises(ValueError, match="needs data"):
         gb.study.grid(Tilt())
-    assert gb.study.grid(Tilt(), FIRST, seed=[]) == []
+    for key, empty in {"seed": {"seed": []}, "data": {"held": FIRST}}.items():
+        with pytest.raises(ValueError, match=f"{key} is empty: give at least one value"):
+            gb.study.grid(Tilt(), FIRST, **empty)
 
 
 def test_the_default_number_of_starts():
