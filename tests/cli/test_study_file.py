@@ -216,7 +216,7 @@ def test_several_grids_share_the_keys_above_them(flights):
     [
         ('data = "flights/*.txt"', "'flights/*.txt' matches no file in"),
         ("data = []", "data"),
-        ('data = "own.csv"\nseed = []', "members is empty"),
+        ('data = "own.csv"\nseed = []', "seed is empty: give at least one value"),
         ('data = "own.csv"\nband = [20, 30]', "member 'own': "),
         ('data = "own.csv"\nmethod = "collocation"', "member 'own': method=... is for records"),
         ('data = "none.csv"', "'none.csv' matches no file in"),
