@@ -130,7 +130,8 @@ def estimates_figure(study: Study, quantity: str) -> Figure:
         y = np.array([rows[member] for member, _, _ in group])
         series.append(Series(model, "points", x, y, k, k, notes=notes, **look))
     names = [member.name for member in rows][::-1] if len(rows) <= NAMED else [""]
-    panel = Panel("", series, max(1.0, min(len(rows), NAMED) / 10), ticks=names)
+    height, limits = max(1.0, min(len(rows), NAMED) / 10), (0.5, len(rows) + 0.5)
+    panel = Panel("", series, height, limits=limits, ticks=names)
     x = [value for _, value, _ in values]
     is_logarithmic = quantity == "cost" and min(x) > 0 and max(x) > 30 * min(x)
     label = _label(study, quantity)

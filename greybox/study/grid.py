@@ -95,8 +95,10 @@ def combined(choices: Mapping[str, Any], folder: Path) -> list[dict[str, Any]]:
     axes = {"data": lists, **axes} if stated else axes
     for key, values in axes.items():
         if not values:
-            cure = f"give at least one value{' besides those of held' if key == 'data' else ''}"
-            raise ValueError(f"{key} is empty: {cure}.")
+            raise ValueError(
+                f"{key} is empty: give at least one value"
+                f"{' besides those of held' if key == 'data' else ''}."
+            )
     # Of the paths of files, names have what differs.
     paths = [file for files in lists for file in files if isinstance(file, str)]
     place = os.path.commonpath([Path(path).parent for path in paths]) if paths else ""

@@ -2,12 +2,12 @@
 
 import time
 
-from greybox.files.text_table import number, text_table
+from greybox.files.text_table import number
 from greybox.study.study import Study
 
 
 def progress(study: Study) -> str:
-    """Return the counts, the time left, the last costs, and the failures so far."""
+    """Return the counts, the time left, and the failures so far."""
     times = (float(member.answer.get("finished", 0.0)) for member in study.members)
     ends = sorted(filter(None, times))[-20:]
     # The last twenty members say how long those that are left take.
@@ -19,6 +19,4 @@ def progress(study: Study) -> str:
             f"about {number(left * seconds / 60, 2)} min left, at {number(seconds, 2)} s a member; "
             f"the last one ended {number(time.time() - ends[-1], 2)} s ago."
         )
-    costs = [[m.name, number(m.answer["cost"], 6)] for m in study.done[-10:]]
-    lines.append(text_table(["last members done", "cost"], costs))
     return "\n\n".join(filter(None, [*lines, study.failures]))

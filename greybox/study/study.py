@@ -5,6 +5,7 @@ Begin with `read_study`.
 
 import csv
 import io
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -163,11 +164,15 @@ class Study:
     @property
     def failures(self) -> str:
         """The members without an estimate by reason, with the cure; empty if none failed."""
-        reasons: dict[str, list[str]] = {}
+        # Reasons that differ only in their numbers are one, with those of the first member.
+        reasons: dict[str, list[StudyMember]] = {}
         for member in self.members:
             if member.status == "failed":
-                reasons.setdefault(member.reason, []).append(member.name)
-        rows = [[str(len(names)), some(names), reason] for reason, names in reasons.items()]
+                reasons.setdefault(re.sub(r"[-\d.]+", "", member.reason), []).append(member)
+        rows = [
+            [str(len(members)), some([member.name for member in members]), members[0].reason]
+            for members in reasons.values()
+        ]
         return text_table(["failed", "members", "reason and cure"], rows, (1, 2)) if rows else ""
 
     def __repr__(self) -> str:
