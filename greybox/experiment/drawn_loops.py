@@ -152,7 +152,8 @@ def _lengths(fit: Fit, steps: Array, drawn: Callable[[Array], Array]) -> Array:
     rates = ratio(ends, expected)
     # There the cost is no parabola, not even a lopsided one.
     is_odd = np.abs(rates - 1) > 1 / 3
-    rates[is_odd] = 1 / _roots(ratio, ends[is_odd], expected[is_odd])
+    roots = _roots(ratio, ends[is_odd], expected[is_odd])
+    rates[is_odd] = 1 / np.maximum(roots, 1 / LONGEST)
     rate = np.where(coordinates > 0, *rates.reshape(2, -1))
     return np.sqrt(2 * predicted / np.sum((coordinates * rate) ** 2, axis=1))
 

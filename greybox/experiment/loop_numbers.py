@@ -202,6 +202,7 @@ def follows(loop: SampledLoop, setpoint: str, response: str) -> bool:
     return bool(size[0] > 1e-6 * size.max())
 
 
+@np.errstate(all="ignore")  # draws may be unstable, or without gain
 def closed_loop_numbers(
     loop: SampledLoop, omega: Array, setpoint: str, response: str, **attitude: Any
 ) -> Numbers:
@@ -275,12 +276,12 @@ def _pole_numbers(loop: SampledLoop, setpoint: str, response: str) -> Numbers:
 
     A, B, C, _ = (block[0] for block in loop.first.closed(setpoint, response))
     z, left, right = map(np.asarray, eig(A, left=True, right=True))
-    with np.errstate(all="ignore"):  # past controls are poles at zero, which may be multiple
-        part = (C @ right) * (left.conj().T @ B) / np.sum(left.conj() * right, axis=0) / (1 - z)
-        # A pole at one is a position that no controller holds.
-        part[(np.abs(z) < 1e-3) | (np.abs(z - 1) < 1e-7)] = 0
-        dominant = np.log(z[np.abs(part).argmax()]) / loop.period
-        poles = np.log(loop.poles) / loop.period
+    part = (C @ right) * (left.conj().T @ B) / np.sum(left.conj() * right, axis=0) / (1 - z)
+    # Past controls are poles at zero, which may be multiple; a pole at one is a position that no
+    # controller holds.
+    part[(np.abs(z) < 1e-3) | (np.abs(z - 1) < 1e-7)] = 0
+    dominant = np.log(z[np.abs(part).argmax()]) / loop.period
+    poles = np.log(loop.poles) / loop.period
     dominant = dominant.real + 1j * abs(dominant.imag)
     nearest = np.nanargmin(np.abs(poles - dominant), axis=1)[:, None]
     pole = np.take_along_axis(poles, nearest, 1)[:, 0]
@@ -297,8 +298,7 @@ def _step_numbers(loop: SampledLoop, setpoint: str, response: str) -> Numbers:
     The rise is from 10 % to 90 % of the final response, which is settled within 2 % of it.
     """
     time, steps = step_responses(loop, setpoint, response)
-    with np.errstate(invalid="ignore"):  # an unstable loop may reach neither
-        rise = crossings(steps - 0.9, time).first.value - crossings(steps - 0.1, time).first.value
+    rise = crossings(steps - 0.9, time).first.value - crossings(steps - 0.1, time).first.value
     outside = np.abs(steps - 1) - TOLERANCE
     settling = np.where(outside[:, -1] < 0, crossings(outside, time).last.value, math.inf)
     numbers = {
