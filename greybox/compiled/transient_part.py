@@ -52,6 +52,12 @@ REWEIGHTINGS = 50
 # below cannot be told from rounding, as of a state that no output sees.
 UNSEEN = 1e-10
 
+# Lines over which the size of the errors is averaged: with 4, the weights fall to zero over 4 lines
+# on either side.
+NEARBY = 4
+# Share of an error that a fit leaves at least: below, what remains is rounding.
+LEAST_LEFT = 0.1
+
 
 @dataclass(frozen=True, eq=False)
 class Along:
@@ -353,21 +359,30 @@ class TransientPart(Part):
         mean, _, change = self.derivatives(at, slope)
         mean, variance, reach = self.fisher_root(at, mean, change)
         jacobian = np.vstack([mean.reshape(-1, len(values)), variance])
-        # What the errors show may be other than what was given, or correlated between outputs.
-        products = at.errors @ at.errors.T
-        weight = at.covariance.weight(products)
-        observed = weight @ products @ weight.T / (2 * len(self.data))
-        numbers = self.numbers - len(self.states)
-        # Ends that are fitted along make the errors smaller than they were.
-        lost = len(self.states) / max(numbers, 1)
-        meat = (
-            np.einsum("ka,klx,aly->xy", observed, mean, mean) * (1 + lost) + variance.T @ variance
+        # The errors may be larger at some frequencies than at others, as in turbulence, and
+        # correlated between outputs: their covariance is that of the errors at lines nearby. What
+        # the fit took from them is put back: MacKinnon and White (1985), Journal of Econometrics
+        # 29 (HC3).
+        weighted = at.covariance.weight(at.errors @ at.errors.T) @ at.errors
+        remaining = beside(np.eye(weighted.size), mean.reshape(-1, len(values))).diagonal()
+        shape = len(self.outputs), 2, len(self.data)
+        errors = (weighted.ravel() / np.maximum(remaining, LEAST_LEFT)).reshape(shape)
+        lines = np.arange(len(self.data))
+        nearby = np.maximum(NEARBY - np.abs(lines[:, None] - lines), 0)
+        nearby = nearby / nearby.sum(axis=0) / 2
+        slopes = mean.reshape(*shape, len(values))
+        meat = np.einsum(
+            "icl,jcl,lm,idmx,jdmy->xy", errors, errors, nearby, slopes, slopes, optimize=True
         )
+        meat += variance.T @ variance
 
-        def spread(correction: float) -> tuple[float, Array]:
-            return 1.0, meat * correction**2
-
-        return Information(self, jacobian, numbers, spread, reach)
+        return Information(
+            self,
+            jacobian,
+            self.numbers - len(self.states),
+            lambda correction: (1.0, meat),
+            reach,
+        )
 
 
 def compile_spectrum(problem: Problem, expressions: Mapping[str, Any], z: ca.SX) -> TransientPart:

@@ -29,7 +29,8 @@ class EquationError(TimeCriterion):
 
     rule: ClassVar[str] = "equation error"
     condition: ClassVar[str] = (
-        "white errors of the differential equation over the band, and known inputs"
+        "errors of the differential equation whose size changes slowly over the band, as in light "
+        "turbulence, and known inputs"
     )
 
     def __post_init__(self) -> None:

@@ -17,7 +17,10 @@ from greybox.modeling.parameter import Parameter, is_finite_number
 from greybox.modeling.state_space import StateSpace
 
 ROWS_CONDITION = "independent errors of equal variance in each output"
-SPECTRUM_CONDITION = "white errors of the outputs over the band, and known inputs"
+SPECTRUM_CONDITION = (
+    "errors of the outputs whose size changes slowly over the band, as in light turbulence, and "
+    "known inputs"
+)
 
 
 @dataclass(frozen=True, eq=False)

@@ -140,9 +140,6 @@ def test_the_cost_is_that_of_normal_errors(made, equation_error):
 
 
 def test_the_information_of_the_values_is_that_of_the_search(made):
-    """At white errors their spread is that of the likelihood, but for the end terms that were
-    fitted along.
-    """
     nlp, part, z, trajectory = made
     x = nlp.scaling.to_parameters(z)
     found = part.information(tuple(nlp.free), x, tuple(range(len(x))), trajectory, np.zeros((0, 0)))
@@ -154,10 +151,9 @@ def test_the_information_of_the_values_is_that_of_the_search(made):
     )
     assert found.numbers == part.numbers - len(part.states)
     one, meat = found.spread(1.0)
-    ratio = np.linalg.eigvals(np.linalg.solve(information, meat)).real
     assert one == 1
-    assert np.all((ratio > 0.5) & (ratio < 1.7))
-    assert_allclose(found.spread(2.0)[1], 4 * meat)
+    # The errors themselves show what a fit took from them.
+    assert_allclose(found.spread(2.0)[1], meat)
 
 
 def test_errors_by_output_follow_the_parameters(made):
@@ -184,18 +180,16 @@ def fixed_ends(part, z, ends):
     return at.errors + at.basis @ (at.ends - ends)
 
 
-def test_the_spread_is_that_of_white_errors_but_for_the_end_terms(made, equation_error):
-    """What the outputs' variances say, the last rows, has no end terms."""
+def test_the_spread_follows_the_size_of_the_errors_over_the_band(made, equation_error):
     nlp, part, z, trajectory = made
     x = nlp.scaling.to_parameters(z)
     found = part.information(tuple(nlp.free), x, tuple(range(len(x))), trajectory, np.zeros((0, 0)))
     mean, variance = np.split(found.jacobian, [part.numbers])
-    if (
-        len(part.outputs) == 1 or trajectory.detail.covariance.full
-    ):  # of others, the correlation shows in it
-        wanted = (
-            mean.T @ mean * part.numbers / (part.numbers - len(part.states)) + variance.T @ variance
-        )
-        assert_allclose(found.spread(1.0)[1], wanted, rtol=1e-6, atol=1e-9 * np.abs(wanted).max())
+    meat = found.spread(1.0)[1] - variance.T @ variance
+    assert np.all(np.linalg.eigvalsh(meat) > -1e-9 * np.abs(meat).max())
+    # Twelve lines or more have some with larger errors than others, all of the size of the noise.
+    bread = mean.T @ mean
+    ratio = np.trace(np.linalg.solve(bread, meat)) / len(bread)
+    assert 0.3 < ratio < 6
     assert variance.any() == equation_error
     assert part.has_states

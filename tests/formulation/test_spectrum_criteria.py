@@ -52,7 +52,8 @@ def test_outputs_are_compared_in_the_order_of_the_model(criterion, outputs, comp
     erring = "differential equation" if isinstance(criterion, gb.EquationError) else "outputs"
     assert (
         criterion.condition_on(data)
-        == f"white errors of the {erring} over the band, and known inputs"
+        == f"errors of the {erring} whose size changes slowly over the band, as in light turbulence, "
+        "and known inputs"
     )
 
 
