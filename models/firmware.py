@@ -13,7 +13,7 @@ from greybox.experiment.controller import sensors_of
 from greybox.experiment.measured_loop import broken_loop
 from greybox.experiment.sampled_loop import DOT, linear_controller
 from greybox.files.text_table import text_table
-from greybox.logs.ardupilot import SYSTEMID_AXES
+from greybox.logs.ardupilot.signals import SYSTEMID_AXES
 from greybox.logs.axis_signals import NAMES
 from greybox.logs.flight_controllers import AXES, named_filters
 from greybox.logs.named_columns import in_si

@@ -4,7 +4,7 @@ import math
 
 from greybox.experiment.excitation import Excitation
 from greybox.experiment.sweep import DWELL
-from greybox.logs.ardupilot import SYSTEMID_AXES
+from greybox.logs.ardupilot.signals import SYSTEMID_AXES
 
 AXES = {"roll": 1, "pitch": 2, "yaw": 3}  # of the SINE message, and the first three of SID_AXIS
 FLOWN_AXES = SYSTEMID_AXES[:13]  # those that inject into an attitude loop or the mixer

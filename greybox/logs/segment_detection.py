@@ -12,7 +12,7 @@ from greybox.data.record import GAP, Record, Recording, require_time
 from greybox.data.test_segment import Segment
 from greybox.data.units import known_unit
 from greybox.files.arrays import Array, IntArray
-from greybox.logs.ardupilot import ATTITUDE_SETPOINTS, SYSTEMID_AXES, SYSTEMID_DELAY
+from greybox.logs.ardupilot.signals import ATTITUDE_SETPOINTS, SYSTEMID_AXES, SYSTEMID_DELAY
 from greybox.logs.betaflight import AXES as BETAFLIGHT_AXES
 from greybox.logs.flight_controllers import AXES, axis_of
 from greybox.logs.injected_tests import injected_tests

@@ -9,9 +9,3 @@ Begin with `signals`.
 | `motors` | resolution and limits of the motor outputs |
 | `truncated_angles` | half a hundredth of a degree that the log cuts off |
 """
-
-from greybox.logs.ardupilot.filters import named_filters as named_filters
-from greybox.logs.ardupilot.signals import ATTITUDE_SETPOINTS as ATTITUDE_SETPOINTS
-from greybox.logs.ardupilot.signals import AXES as AXES
-from greybox.logs.ardupilot.signals import SYSTEMID_AXES as SYSTEMID_AXES
-from greybox.logs.ardupilot.signals import SYSTEMID_DELAY as SYSTEMID_DELAY

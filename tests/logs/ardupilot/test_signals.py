@@ -1,5 +1,5 @@
 from greybox.experiment.scripts import FLOWN_AXES
-from greybox.logs.ardupilot import SYSTEMID_AXES
+from greybox.logs.ardupilot.signals import SYSTEMID_AXES
 from greybox.logs.flight_controllers import axis_of
 
 
