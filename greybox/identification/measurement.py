@@ -274,8 +274,9 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     signals |= {SETPOINT: settings.setpoint} if settings.setpoint else {}
     signals |= named_signals(settings.conditioned)
 
-    start = min((segment.start for segment in used), default=-math.inf)
-    end = max((segment.end for segment in used), default=math.inf)
+    spans = [(segment.start, segment.end) for segment in used]
+    start = min((start for start, _ in spans), default=-math.inf)
+    end = max((end for _, end in spans), default=math.inf)
     record = prepare(recording, signals, _rate(recording, settings, used), start=start, end=end)
     # Time stamps of the log itself: those of the record are uniform.
     raw, _ = recording.locate(output)
@@ -289,7 +290,8 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
 
     quality, response, detail, linear = quality_of(None), None, "", {}
     # Between tests the vehicle is flown by hand, in closed loop and without an instrument.
-    pieces = [record.between(s.start, s.end) for s in used] or [record]
+    spans = spans or [(float(record.time[0]), float(record.time[-1]))]
+    pieces = [record.between(*span) for span in spans]
     if quality.usable:
         try:
             response, detail, points, linear = _estimated(
@@ -300,9 +302,6 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
             response = with_systematic_errors(response, errors)
             # The table of sines shows the errors that the response has, systematic ones included.
             detail = points.with_variance(response.variance).table if points else detail
-            spans = [(segment.start, segment.end) for segment in used] or [
-                (record.time[0], record.time[-1])
-            ]
             quality = quality_of(response).with_findings(
                 *_on_points(points),
                 *_beyond_sweep(response, used),

@@ -151,7 +151,7 @@ def _discretized(system: Dynamics, p: Array, step: float) -> tuple[ca.Function, 
     z = ca.vertcat(x, u)
     f = system.derivative(x, u, p)
     linearized = ca.Function("linearized", [z], [f, ca.jacobian(f, z)])
-    at_zero, jacobian = (np.asarray(value) for value in linearized(np.zeros(n + m)))
+    at_zero, jacobian = map(np.asarray, linearized(np.zeros(n + m)))
 
     # A sign or a limiter is linear for CasADi, whose derivatives are constant.
     if ca.is_linear(f, z) and not has_switches(f):

@@ -154,8 +154,10 @@ def structures(results: Study | Comparison, ax: Axes | None = None) -> Axes:
 
 def structures_figure(results: Study | Comparison) -> Figure:
     """Return a map of marks of three classes, which print well."""
-    classes = BIC if isinstance(results, Comparison) else AGREEING
-    cells = _evidence(results) if isinstance(results, Comparison) else _shares(results)
+    if isinstance(results, Comparison):
+        title, classes, cells = "Evidence", BIC, _evidence(results)
+    else:
+        title, classes, cells = "Starts that agree", AGREEING, _shares(results)
     columns, rows = (list(dict.fromkeys(key[k] for key in cells)) for k in (0, 1))
     low, series = -np.inf, []
     for name, (high, color, style) in classes.items():
@@ -170,7 +172,6 @@ def structures_figure(results: Study | Comparison) -> Figure:
     height = max(0.6, len(rows) / 10)
     limits = (0.5, len(rows) + 0.5), (0.5, len(columns) + 0.5)
     panel = Panel("", series, height, limits=limits[0], ticks=rows[::-1])
-    title = "Evidence" if isinstance(results, Comparison) else "Starts that agree"
     return Figure(
         f"{title} by structure and data set", "", [panel], limits=limits[1], ticks=columns
     )

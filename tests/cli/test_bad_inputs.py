@@ -57,6 +57,7 @@ def test_it_is_refused_with_the_cure(capsys, tables, words, fragments):
     assert sorted(tables.iterdir()) == before
 
 
+@pytest.mark.usefixtures("few_structures")
 def test_a_parameter_that_no_structure_has_is_refused(capsys, tables):
     wide = np.random.default_rng(0).normal(size=TIME.size)
     table = np.transpose((TIME, wide, wide + 0.01 * SINE))

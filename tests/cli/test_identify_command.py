@@ -124,6 +124,7 @@ def test_the_single_commands_of_a_family_give_the_same(capsys, tmp_path, monkeyp
     assert again["estimate"] == pytest.approx(answer["fit"]["estimate"], rel=1e-5)
 
 
+@pytest.mark.usefixtures("few_structures")
 def test_the_single_commands_say_what_was_stated(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     stated = ["--axis", "pitch", "--settle", "1.0", "--band", "1.5", "15"]

@@ -30,7 +30,8 @@ def saved(tmp_path_factory):
     flight(folder / "first.csv", 0)
     flight(folder / "second.csv", 1)
     log = gb.read(folder / "first.csv")
-    found = gb.identify(log, input="u=stick", output="p=gyro", whole=True)
+    lag = Polynomial(1, 0, input="u", output="p")
+    found = gb.identify(log, input="u=stick", output="p=gyro", whole=True, structures=[lag])
     gb.save(found.fit, folder / "fit.h5")
     return folder
 

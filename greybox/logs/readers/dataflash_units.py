@@ -69,9 +69,9 @@ class UnitTables:
             label = unit(*labels) if len(labels) == 1 else ""
             # A format letter that scales has been applied to the numbers already.
             scaled = label and i < len(scales) and layout.scale(i) is None
-            columns[name] = (
-                _prefixed(label, self._multipliers.get(scales[i], 1.0)) if scaled else label
-            )
+            multiplier = self._multipliers.get(scales[i], 1.0) if scaled else 1.0
+            # The prefix of 1.0 is empty.
+            columns[name] = MULT_TO_PREFIX.get(multiplier, f"{multiplier:.4g} ") + label
         return Units(columns, _instance(layout, units))
 
 
@@ -88,11 +88,6 @@ def with_usual_units(groups: list[Messages]) -> tuple[list[Messages], tuple[str,
 def _pairs(table: Messages | None, key: str, value: str) -> Iterable[tuple[float, Any]]:
     """Return the pairs of two columns; empty if a column is missing."""
     return zip(column(table, key), column(table, value), strict=False)
-
-
-def _prefixed(label: str, multiplier: float) -> str:
-    prefix = MULT_TO_PREFIX.get(multiplier)
-    return f"{multiplier:.4g} {label}" if prefix is None else prefix + label
 
 
 def _instance(layout: Layout, units: str) -> str:
