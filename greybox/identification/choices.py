@@ -140,8 +140,8 @@ def motion(recording: Recording, signal: str, tests: Sequence[Segment]) -> float
     spreads = [0.0]
     for test in tests:
         values = record[field][(record.time >= test.start) & (record.time <= test.end)]
-        values = values[np.isfinite(values)]
-        spreads.append(float(np.std(np.unwrap(values, period=turn))) if values.size else 0.0)
+        values = np.unwrap(values[np.isfinite(values)], period=turn)
+        spreads += [float(np.std(values))] if values.size else []
     return max(spreads)
 
 

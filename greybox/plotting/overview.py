@@ -28,15 +28,14 @@ def plot(fit: Fit) -> MatplotlibFigure:
     """
     # The complex plane needs a square. Beside time histories there is no room for it.
     nyquist = [] if fit.records or fit.spectra else nyquist_figures((fit,))
-    histories = [history_figure((fit,), k) for k in range(len(fit.records))]
-    spectra = [spectrum_figure(fit, k) for k in range(len(fit.spectra))]
-    diagrams = [*histories, *spectra, starts_figure(fit)]
+    blocks = [[history_figure((fit,), k)] for k in range(len(fit.records))]
+    blocks += [[spectrum_figure(fit, k)] for k in range(len(fit.spectra))]
+    blocks.append([starts_figure(fit)])
 
     columns = columns_of(len(nyquist))
     width = 2.8 + 3.4 * columns if nyquist else 9.5
     # The Bode diagram has two to five stacked panels, as high as all others together.
     widths = (width, 6.2) if fit.responses else (width,)  # inches
-    blocks = [[figure] for figure in diagrams]
     heights = [height_of(block, 2.0) for block in blocks]
     if nyquist:
         blocks.insert(0, nyquist)

@@ -43,12 +43,13 @@ def metadata(kinds: Mapping[str, Kind], times: Mapping[str, Array]) -> dict[str,
     if "STATUSTEXT" in kinds:
         written = kinds["STATUSTEXT"].texts["text"]
         texts = tuple(zip(times["STATUSTEXT"].tolist(), written, strict=True))
+    firmware = _firmware(beats, [text for _, text in texts])
     about = {
-        **_firmware(beats, [text for _, text in texts]),
+        **firmware,
         "parameters": _parameters(kinds.get("PARAM_VALUE"), beats),
         "texts": texts,
+        "modes": _modes(beats, firmware.get("vehicle", "")),
     }
-    about["modes"] = _modes(beats, about.get("vehicle", ""))
     return {key: value for key, value in about.items() if value}
 
 

@@ -80,10 +80,9 @@ def read(path: Path, messages: Collection[str] | None = None) -> Recording:
     )
     recording = named_arrays.recording(path, contents, None, contents.about["parameters"])
     topics = {name: name.partition("[")[0] for name in recording}
-    about = {
-        **_about(contents.about),
-        **(modes_of(recording[STATUS]) if STATUS in topics.values() else {}),
-    }
+    about = _about(contents.about)
+    if STATUS in topics.values():
+        about |= modes_of(recording[STATUS])
     by_name = {
         name: with_angles(topics[name], record)
         for name, record in recording.items()
