@@ -57,6 +57,15 @@ def condense(
         hessian[record] += change[:, 1:]
         gradient[record] += change[:, 0]
 
+    # The decrease that the quadratic model predicts for the node step alone. It is that of the
+    # undamped system, because the prediction is compared with the true merit.
+    step = x[:, :, 0]
+    curved = float((step * (b.node_hessian @ x[:, :, :1])[:, :, 0]).sum())
+    lost = float((b.node_gradient * step).sum()) + 0.5 * curved
+    relaxed = variance > 0
+    gaps = (variance * multiplier[:, :, 0])[:, relaxed] ** 2 - trajectory.gaps[:, relaxed] ** 2
+    lost += 0.5 * float((gaps / variance[relaxed]).sum())
+
     hessian = (hessian + hessian.transpose(0, 2, 1)) / 2
     slope = trajectory.detail.slope
     slopes = np.broadcast_to(slope, (segments.number, *slope.shape[-2:]))
@@ -64,26 +73,13 @@ def condense(
     return Condensed(
         hessian=by_z.T @ (hessian @ slopes).reshape(by_z.shape),
         gradient=by_z.T @ gradient.ravel(),
-        node_step=x[:, :, 0],
+        node_step=step,
         node_sensitivity=x[:, :, 1:] @ slopes[segments.records],
         multiplier=multiplier[:, :, 0],
         multiplier_sensitivity=multiplier[:, :, 1:] @ slopes[segments.records],
         damping=node_damping,
-        # Of the undamped system: the prediction is compared with the true merit.
-        decrease=_predicted_decrease(b, x[:, :, 0], multiplier[:, :, 0], trajectory.gaps, variance),
+        decrease=max(-lost, 0.0),
     )
-
-
-def _predicted_decrease(
-    b: Linearization, step: Array, multiplier: Array, gaps: Array, variance: Array
-) -> float:
-    """Return the merit decrease that the quadratic model predicts for the node step alone."""
-    curved = float((step * (b.node_hessian @ step[:, :, None])[:, :, 0]).sum())
-    change = float((b.node_gradient * step).sum()) + 0.5 * curved
-    relaxed = variance > 0
-    gaps_after = (variance * multiplier)[:, relaxed]
-    change += 0.5 * float(((gaps_after**2 - gaps[:, relaxed] ** 2) / variance[relaxed]).sum())
-    return max(-change, 0.0)
 
 
 def _node_curvature(b: Linearization, variance: Array, data: SampledData) -> Array:

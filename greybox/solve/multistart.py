@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 from types import MappingProxyType
@@ -121,7 +121,14 @@ def multistart(
     ends = () if minima else tuple(outcome.nodes for _, outcome in results.values())
     if screened is not None and not stop_requested():
         # Starts that were only compared are listed too, so that the answer counts them.
-        runs = _listed(starts, screened.costs, dict(zip(rows, runs, strict=True)))
+        made = dict(zip(rows, runs, strict=True))
+        only_compared = {"status": SCREENED, "converged": False, "stage": SCREENED}
+        runs = Runs.of(
+            replace(made[k], index=k)
+            if k in made
+            else Run(k, start, start, float(screened.costs[k]), **only_compared)
+            for k, start in enumerate(starts)
+        )
         minima = tuple(replace(m, runs=tuple(rows[k] for k in m.runs)) for m in minima)
     return Multistart(runs, minima, time.perf_counter() - began, nodes, ends)
 
@@ -142,17 +149,6 @@ def _continued(
             later = solver.continued(outcome)
         memory.keep(-1 - number, outcome.estimate, later)
     return later
-
-
-def _listed(starts: Iterable[Array], costs: Array, made: Mapping[int, Run]) -> Runs:
-    """Return the runs that were made by number, and for every other start its cost."""
-    only_compared = {"status": SCREENED, "converged": False, "stage": SCREENED}
-    return Runs.of(
-        replace(made[k], index=k)
-        if k in made
-        else Run(k, start, start, float(costs[k]), **only_compared)
-        for k, start in enumerate(starts)
-    )
 
 
 def _certified(

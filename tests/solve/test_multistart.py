@@ -148,7 +148,7 @@ def test_a_start_at_which_the_model_is_not_finite_is_moved_no_farther_than_it_mu
         def judged(self, estimates):
             return None
 
-    multistart(nlp, Bounded(nlp), np.array([home, away]))
+    multistart(nlp, Bounded(nlp, batched=False), np.array([home, away]))
     moved = [nlp.scaling.to_solver(start) for start in began]
     assert any(np.allclose(z, 0.2) for z in moved)
     assert any(np.allclose(z, 0.2 + 0.6 / 4) for z in moved)  # 0.8 and 0.5 are too far, 0.35 is not
