@@ -12,15 +12,13 @@ from greybox.modeling.model_file import module_from_file
 from greybox.study.batch import Member, require_distinct
 from greybox.study.grid import members_of
 
-INCLUDED = ("paper",)  # studies by name, each in a file of greybox.problems
-
 
 def find_study(text: str) -> Path:
     """Return the study file of an included name, or the path that `text` is."""
     # A file of the user goes before an included study of the same name.
     path = Path(text)
-    if text in INCLUDED and not path.is_file():
-        return Path(str(importlib.import_module(f"greybox.problems._{text}_study").__file__))
+    if text == "paper" and not path.is_file():
+        return Path(str(importlib.import_module("greybox.problems._paper_study").__file__))
     return path
 
 

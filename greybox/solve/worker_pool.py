@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
@@ -107,6 +108,8 @@ def _new_process() -> Executor:
     import multiprocessing  # noqa: PLC0415  (only those who use it wait for it)
     from concurrent.futures import ProcessPoolExecutor  # noqa: PLC0415  (as above)
 
+    # Python's helper outlives a program that is killed, and would print a line about semaphores.
+    sys.warnoptions.append("ignore:resource_tracker")
     # Forked processes would share the locks of threads that they do not have.
     return ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _prepare_worker)
 
