@@ -102,28 +102,29 @@ def correlated_score(residuals: Array, fitted: Array, lengths: Sequence[int]) ->
     lengths : sequence of int
         Numbers of rows in which neighbors are correlated.
     """
-    numbers, firsts = len(residuals), np.cumsum([0, *lengths[:-1]])
-    values, whitened = np.hstack([residuals, column_basis(fitted)]), []
+    numbers, firsts = len(residuals), np.cumsum(lengths) - lengths
+    values = np.hstack([column_basis(fitted), residuals])
+    whitened, determinants = [], []
     for rho in CORRELATIONS:
         # Less what the neighbor predicts.
         white = (values - rho * np.roll(values, 1, axis=0)) / np.sqrt(1 - rho**2)
         white[firsts] = values[firsts]
-        whitened.append((white, (numbers - len(lengths)) * np.log(1 - rho**2)))
+        whitened.append(white)
+        determinants.append((numbers - len(lengths)) * np.log(1 - rho**2))
     place = np.concatenate([np.arange(length) / length for length in lengths])
     for share, ratio in itertools.product(SHARES, RATIOS):
         size = np.where(place < share, 1.0, ratio)
-        whitened.append((values / size[:, None], 2 * np.log(size).sum()))
+        whitened.append(values / size[:, None])
+        determinants.append(2 * np.log(size).sum())
 
-    def scores(white: Array, determinant: float) -> tuple[float, float]:
-        columns = white[:, 1:]
-        squares = np.sum(beside(white[:, :1], columns) ** 2)
-        log_squares = np.log(max(squares, np.finfo(float).tiny))
-        # Many columns leave small residuals, which would look equal: their number is counted.
-        restricted = (numbers - columns.shape[1]) * log_squares + determinant
-        restricted += np.linalg.slogdet(columns.T @ columns)[1]
-        return restricted, numbers * log_squares + determinant
-
-    return min(itertools.starmap(scores, whitened))[1]
+    # The last diagonal element is the length of what the columns leave of the residuals.
+    triangles = np.linalg.qr(np.array(whitened), mode="r")
+    diagonal = np.abs(np.diagonal(triangles, axis1=1, axis2=2))
+    logarithms = 2 * np.log(np.maximum(diagonal, np.finfo(float).tiny))
+    scores = numbers * logarithms[:, -1] + determinants
+    # Many columns leave small residuals, which would look equal: their number is counted.
+    counted = logarithms[:, :-1].sum(axis=1) - (values.shape[1] - 1) * logarithms[:, -1]
+    return float(scores[np.argmin(scores + counted)])
 
 
 def p_value_of_scores(without: float, beside: float, fitted: Array, more: Array) -> float:
