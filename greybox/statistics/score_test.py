@@ -102,7 +102,7 @@ def correlated_score(residuals: Array, fitted: Array, lengths: Sequence[int]) ->
     lengths : sequence of int
         Numbers of rows in which neighbors are correlated.
     """
-    numbers, firsts = len(residuals), np.cumsum(lengths) - lengths
+    numbers, firsts = len(residuals), np.cumsum(np.array(lengths)) - lengths
     values = np.hstack([column_basis(fitted), residuals])
     whitened, determinants = [], []
     for rho in CORRELATIONS:
