@@ -102,7 +102,7 @@ def correlated_score(residuals: Array, fitted: Array, lengths: Sequence[int]) ->
     lengths : sequence of int
         Numbers of rows in which neighbors are correlated.
     """
-    numbers, firsts = len(residuals), np.cumsum(np.array(lengths)) - lengths
+    numbers, firsts = len(residuals), np.cumsum([0, *lengths[:-1]])
     values = np.hstack([column_basis(fitted), residuals])
     whitened, determinants = [], []
     for rho in CORRELATIONS:
@@ -124,7 +124,7 @@ def correlated_score(residuals: Array, fitted: Array, lengths: Sequence[int]) ->
     scores = numbers * logarithms[:, -1] + determinants
     # Many columns leave small residuals, which would look equal: their number is counted.
     counted = logarithms[:, :-1].sum(axis=1) - (values.shape[1] - 1) * logarithms[:, -1]
-    return float(scores[np.argmin(scores + counted)])
+    return scores[np.argmin(scores + counted)]
 
 
 def p_value_of_scores(without: float, beside: float, fitted: Array, more: Array) -> float:
