@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.signal import lfilter
 
 import greybox as gb
 
@@ -88,6 +89,30 @@ def gusts(rule: gb.PredictionError, repeats: int) -> str:
     )
 
 
+def named_gusts(samples: int, gust: float, color: float, repeats: int) -> str:
+    """How often output error names gusts of 0.5 s, or noise of the sensors of this color."""
+    colored = gb.PredictionError(disturbance={"v": "colored"}, inputs="held")
+    calm = disturbed(Spring(), TRUTH, doublets(1, 20, 1.0, 0), 0.05, {}, SENSORS, 0)
+    flown = gb.Problem(Spring(), calm, colored).model
+    named = 0
+    for seed in range(repeats):
+        inputs = doublets(1, samples, 1.0, seed)
+        truth = TRUTH | {"T_gust_v": 0.5}
+        record = disturbed(flown, truth, inputs, 0.05, {"gust_v": gust}, SENSORS, seed)
+        random = np.random.default_rng(seed)
+        slow = {
+            name: record[name] + lfilter([size], [1, -color], random.normal(size=samples))
+            for name, size in SENSORS.items()
+            if color
+        }
+        fit = fitted(Spring(), TRUTH, record.with_signals(**slow), gb.OutputError(inputs="held"))
+        named += any("look like gusts" in text for text in fit.warnings)
+    return (
+        f"output error, {samples} samples, gusts of {gust:g}, noise of color {color:g}: gusts "
+        f"named in {named} of {repeats}"
+    )
+
+
 def false_alarms(states: tuple[str, ...], repeats: int) -> str:
     values = []
     for seed in range(repeats):
@@ -114,6 +139,7 @@ def main() -> None:
         f"{np.__version__}"
     ]
     n = options.repeats
+    cells = [(300, 2.0, 0.0), (1000, 2.0, 0.0), (300, 0.0, 0.0), (300, 0.0, 0.7), (1000, 0.0, 0.95)]
     for make in (
         lambda: coverage("spring", Spring(), TRUTH, {"v": 0.3}, SENSORS, (600, 0.05, 1.0), n),
         lambda: coverage(
@@ -121,6 +147,7 @@ def main() -> None:
         ),
         lambda: gusts(gb.PredictionError(disturbance={"v": "colored"}, inputs="held"), n),
         lambda: gusts(gb.PredictionError(inputs="held"), n),
+        *(lambda cell=cell: named_gusts(*cell, n) for cell in cells),
         lambda: false_alarms(("v",), n),
         lambda: false_alarms(("x", "v"), n),
     ):
