@@ -37,6 +37,8 @@ FALSE_ALARMS = 0.001
 NAMED = 3  # causes that are printed with a fit
 # Terms that together stand for all of the misfit: more would take up noise.
 TOGETHER = 5
+# Families of terms, the best ones, that are tested beside the color of the errors.
+FAMILIES = 12
 COLUMNS = 2_000_000  # numbers of all terms at once in memory, 16 MB
 # Samples of all records that are tested, in excerpts: with more, a fit would wait for the test.
 MOST = 3000
@@ -254,6 +256,7 @@ def _of_group(
         return whitened(values, filters, outputs) if in_time else values
 
     tried, ranked = _ranked(parts, [*terms], white, residuals, fitted)
+    ranked = ranked[:FAMILIES]
     together = np.hstack([fitted, *(column for *_, column in ranked[:TOGETHER])])
     without, left = (
         float(np.sum(beside(white(residuals), white(columns)) ** 2))
