@@ -125,12 +125,14 @@ def choose_tests(
         repeats = without_surplus(rounded_up, once, duration, target)
     else:
         repeats = _filled(once, duration, seconds, optimal)
-        if not repeats.any() or not math.isfinite(size_of_errors(_sum(repeats, once), optimal)):
+        if not repeats.any() or not math.isfinite(
+            size_of_errors(np.tensordot(repeats, once, 1), optimal)
+        ):
             raise ValueError(
                 f"seconds={seconds:g} is too short for tests that determine every parameter: give "
                 "more."
             )
-    errors = np.sqrt(variances(_sum(repeats, once))) * sizes
+    errors = np.sqrt(variances(np.tensordot(repeats, once, 1))) * sizes
     return ChosenTests(
         repeats=dict(zip(tests, repeats.tolist(), strict=True)),
         seconds={name: length for name, (_, length) in tests.items()},
@@ -169,18 +171,13 @@ def _in_order(errors: ExpectedErrors, names: tuple[str, ...]) -> Array:
     return information
 
 
-def _sum(repeats: IntArray, once: Array) -> Array:
-    """Return the information of all tests together."""
-    return np.einsum("k,kij->ij", repeats, once)
-
-
 def without_surplus(repeats: IntArray, once: Array, duration: Array, target: Array) -> IntArray:
     """Drop repeats, the longest tests first, as long as the errors stay as small as wanted."""
     # Rounding up may leave a flight that the others already replace; the longest saves most.
     for k in np.argsort(-duration):
         while repeats[k]:
             fewer = repeats - (np.arange(len(repeats)) == k)
-            if time_needed(_sum(fewer, once), target) > 1 + 1e-9:
+            if time_needed(np.tensordot(fewer, once, 1), target) > 1 + 1e-9:
                 break
             repeats = fewer
     return repeats

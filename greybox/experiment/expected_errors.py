@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.compiled.transcription import Transcription
 from greybox.estimate.covariance import assess
 from greybox.files.arrays import Array
 from greybox.files.text_table import text_table
@@ -60,9 +59,7 @@ class ExpectedErrors:
         return "\n".join(lines)
 
 
-def expected_errors(
-    problem: Problem | Sum, values: Mapping[str, float], method: Transcription | None = None
-) -> ExpectedErrors:
+def expected_errors(problem: Problem | Sum, values: Mapping[str, float]) -> ExpectedErrors:
     """Return the standard errors that a fit of this problem would have if these were its estimates.
 
     They follow from the Fisher information as those of a fit do, with the noise of the residuals at
@@ -75,8 +72,6 @@ def expected_errors(
         Its data may be records of virtual flights, or responses with expected variances.
     values : mapping of name to float
         Rough estimates of the parameters; by default their declared starts.
-    method : Transcription, optional
-        As for `greybox.fit`.
 
     Raises
     ------
@@ -84,7 +79,7 @@ def expected_errors(
         If a name is no parameter of the problem.
     """
     require_known(values, problem.parameters, "parameter", problem.name)
-    nlp = compile_problem(problem, method)
+    nlp = compile_problem(problem)
     at = {name: float(values.get(name, nlp.problem.parameters[name].start)) for name in nlp.free}
     x = np.array(list(at.values()))
     accuracy = assess(nlp, x, solver_for(nlp, {}).profile(x).trajectories)

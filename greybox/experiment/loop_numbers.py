@@ -146,11 +146,6 @@ def refined(loop: SampledLoop, numbers: LoopNumbers) -> Numbers:
     return answer
 
 
-def broken_loop_numbers(loop: SampledLoop, omega: Array, signal: str) -> Numbers:
-    """Return the margins of the loops broken at a signal, from their gains at `omega` (n,)."""
-    return margin_numbers(loop.broken_at(signal, omega), omega, loop.is_stable)
-
-
 def margin_numbers(gain: ComplexArray, omega: Array, is_stable: BoolArray) -> Numbers:
     """Return the margins of broken loops with these gains (plants, n) at `omega` (n,)."""
     with np.errstate(divide="ignore"):

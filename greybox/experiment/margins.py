@@ -19,7 +19,6 @@ from greybox.experiment.controller import Controller
 from greybox.experiment.drawn_loops import BESIDE, DRAWN, DRAWS, drawn_loops
 from greybox.experiment.loop_numbers import (
     LoopNumbers,
-    broken_loop_numbers,
     closed_loop_numbers,
     follows,
     loop_frequencies,
@@ -339,7 +338,11 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     if not answer.is_stable:
         return answer
 
-    groups = {f"broken at {signal}": partial(broken_loop_numbers, signal=signal)}
+    groups: dict[str, LoopNumbers] = {
+        f"broken at {signal}": lambda loops, omega: margin_numbers(
+            loops.broken_at(signal, omega), omega, loops.is_stable
+        )
+    }
     if setpoint and follows(loop, setpoint, response):
         groups[f"{setpoint} to {response}"] = partial(
             closed_loop_numbers,

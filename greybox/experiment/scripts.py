@@ -10,13 +10,11 @@ AXES = {"roll": 1, "pitch": 2, "yaw": 3}  # of the SINE message, and the first t
 FLOWN_AXES = SYSTEMID_AXES[:13]  # those that inject into an attitude loop or the mixer
 
 
-def ardupilot_script(
-    excitation: Excitation, axis: str = "pitch", *, period_ms: int = 10, switch: int = 300
-) -> str:
+def ardupilot_script(excitation: Excitation, axis: str = "pitch") -> str:
     """Return a Lua script that flies a sine schedule with a copter.
 
-    The sines are the angle setpoint in GUIDED mode. The script starts when the switch of RCx_OPTION
-    `switch` (300 is Scripting1) goes high while the vehicle is armed and in GUIDED, and stops as
+    The sines are the angle setpoint in GUIDED mode. The script starts when the switch of
+    RCx_OPTION 300 (Scripting1) goes high while the vehicle is armed and in GUIDED, and stops as
     soon as one of the three ends. It logs a SINE message: segment, axis, ω in rad/s, amplitude and
     operating point in degrees, seconds since the segment began, and the sine in degrees. Source of
     the interface: ArduPilot, libraries/AP_Scripting/docs/docs.lua.
@@ -26,10 +24,6 @@ def ardupilot_script(
     excitation : Excitation
         Of `sine_schedule`, in rad.
     axis : {"roll", "pitch", "yaw"}
-    period_ms : int, ms
-        Between two setpoints.
-    switch : int
-        RCx_OPTION of the switch.
 
     Raises
     ------
@@ -58,8 +52,6 @@ def ardupilot_script(
         "AXIS": AXES[axis],
         "OFFSET": f"{math.degrees(excitation.schedule[0].offset):.9g}",
         "PAUSE": f"{excitation.settings['pause']:.9g}",
-        "PERIOD_MS": int(period_ms),
-        "SWITCH": int(switch),
         "SINES": f"{{ {sines} }}",
     }
     settings = "".join(f"local {name} = {value}\n" for name, value in values.items())
@@ -118,7 +110,9 @@ def systemid_parameters(excitation: Excitation, axis: str) -> str:
     return "".join(f"SID_{name},{value:.7g}\n" for name, value in values.items())
 
 
-_SINE_TEST = """local GUIDED, HIGH, INFO = 4, 2, 6
+_SINE_TEST = """local PERIOD_MS = 10 -- between two setpoints
+local SWITCH = 300   -- RCx_OPTION: Scripting1
+local GUIDED, HIGH, INFO = 4, 2, 6
 local W, ETA, SECONDS = 1, 2, 3 -- columns of SINES: rad/s, degrees, s
 
 local segment = 0   -- 0 while waiting

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -72,23 +72,35 @@ def response_at(
     if not good.any():
         raise ValueError("no frequency has enough data for a variance: record longer.")
 
-    about = hold_of_response(input, output, [(s.hold, s.step) for s in stretches])
+    facts = measured_in(stretches, input, output)
     if weak.any():
-        about["dropped"] = _dropped(omega, weak, f"where the instrument hardly moves {input}")
+        dropped = _dropped(omega, weak, f"where the instrument hardly moves {input}")
+        facts["about"]["dropped"] = dropped
+    # A lower bound of the variance, for data without noise.
+    rounding = (4 * EPS * np.abs(response)) ** 2
     return FrequencyResponse(
         omega[good],
         response[good],
         input,
         output,
-        coherence[good],
-        variance[good],
+        np.clip(coherence, EPS, 1)[good],
+        np.maximum(variance, rounding)[good],
         dof[good],
         name,
-        ", ".join(dict.fromkeys(s.source for s in stretches if s.source)),
-        tuple(s.origin for s in stretches if s.origin is not None),
-        {n: u for s in stretches[:1] for n, u in s.units.items() if n in (input, output) and u},
-        about=about,
+        **facts,
     )
+
+
+def measured_in(stretches: Sequence[UniformStretch], input: str, output: str) -> dict[str, Any]:
+    """Return source, stretches, units and hold of a response that these stretches give."""
+    return {
+        "source": ", ".join(dict.fromkeys(s.source for s in stretches if s.source)),
+        "stretches": tuple(s.origin for s in stretches),
+        "units": {
+            n: u for s in stretches[:1] for n, u in s.units.items() if n in (input, output) and u
+        },
+        "about": hold_of_response(input, output, [(s.hold, s.step) for s in stretches]),
+    }
 
 
 def without_incoherent(response: FrequencyResponse) -> FrequencyResponse:

@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.files.arrays import Array, ComplexArray, IntArray
-from greybox.spectral.estimated_points import EPS, HZ, STRONG, WORST_CONDITION, EstimatedPoint
+from greybox.spectral.estimated_points import HZ, STRONG, WORST_CONDITION, EstimatedPoint
 from greybox.spectral.uniform_stretches import UniformStretch
 
 # Order of the response in a band. The error of order R in a band of half-width b at the distance ρ
@@ -514,15 +514,13 @@ def _estimates(lines: Lines, band: Band, bands: Sequence[Band]) -> list[Estimate
     spread = np.sum(np.abs(weights) ** 2, axis=1)
     response = weights @ lines.values[1, fitted.rows] - band.correction
     variance = noise * spread + band.squared_error
-    # A lower bound of the variance, for data without noise.
-    rounding = (4 * EPS * np.abs(response)) ** 2
     coherence, input_noise = _coherence(lines, fitted, noise)
     weak = STRONG * spread * input_noise > 1
     return [
         EstimatedPoint(weak=True)
         if hidden
         else EstimatedPoint(complex(p), float(v), dof, coherence)
-        for p, v, hidden in zip(response, np.maximum(variance, rounding), weak, strict=True)
+        for p, v, hidden in zip(response, variance, weak, strict=True)
     ]
 
 
@@ -565,8 +563,8 @@ def _coherence(lines: Lines, fitted: Fitted, noise: float) -> tuple[float, float
 
     output = max(unexplained(y, nuisance), np.finfo(float).tiny)
     if lines.direct:
-        return float(np.clip(1 - noise / output, EPS, 1)), 0.0
+        return 1 - noise / output, 0.0
     input = max(unexplained(u, nuisance), np.finfo(float).tiny)
     input_noise = unexplained(u, complete)
     shares = (unexplained(y, complete) / output, input_noise / input)
-    return float(np.clip(1 - max(shares), EPS, 1)), input_noise
+    return 1 - max(shares), input_noise

@@ -16,8 +16,8 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.files.arrays import Array, ComplexArray
+from greybox.files.text_table import counted
 from greybox.spectral.estimated_points import (
-    EPS,
     HZ,
     STRONG,
     EstimatedPoint,
@@ -62,11 +62,6 @@ def periodic_response(
     """
     signals = (input, output, instrument or input)
     stretches, spectra = period_spectra(records, period, signals)
-    if len(spectra) < 3:
-        raise ValueError(
-            f"the records hold fewer than three periods of {period:g} s: record longer."
-        )
-
     # The instrument has no noise of the loop, so that its lines stand out best.
     amplitude = np.sqrt(np.sum(np.abs(spectra[:, 2]) ** 2, axis=0))
     lines = np.flatnonzero(amplitude > EXCITED * amplitude.max())
@@ -86,7 +81,7 @@ def period_spectra(
     Raises
     ------
     ValueError
-        If the period is not a whole number of samples.
+        If the period is not a whole number of samples, or there are fewer than three periods.
     """
     stretches = [whole_periods(s, period) for s in uniform_stretches(records, signals)]
     stretches = [s for s in stretches if s.values.shape[1]]
@@ -96,8 +91,13 @@ def period_spectra(
         for values in np.split(stretch.values, count, axis=1):
             lines = np.fft.rfft(values, axis=1)[:, 1 : (values.shape[1] + 1) // 2]
             spectra.append(lines * stretch.step)
+    if len(spectra) < 3:
+        raise ValueError(
+            f"the records hold {counted(len(spectra), 'whole period')} of {period:g} s, and a "
+            "variance needs at least three: record longer."
+        )
     # Stretches of a lower rate have fewer lines, and only common lines can be averaged.
-    fewest = min((s.shape[1] for s in spectra), default=0)
+    fewest = min(s.shape[1] for s in spectra)
     return stretches, np.array([s[:, :fewest] for s in spectra])
 
 
@@ -115,10 +115,11 @@ def whole_periods(stretch: UniformStretch, period: float) -> UniformStretch:
     remainder = stretch.values.shape[1] % count
     # The origin moves along, so that the response names the samples that it used.
     origin = stretch.origin
-    if origin is not None:
-        origin = replace(origin, start=min(origin.start + remainder * stretch.step, origin.end))
+    start = min(origin.start + remainder * stretch.step, origin.end)
     return stretch._replace(
-        values=stretch.values[:, remainder:], step=period / count, origin=origin
+        values=stretch.values[:, remainder:],
+        step=period / count,
+        origin=replace(origin, start=start),
     )
 
 
@@ -141,8 +142,5 @@ def _estimates(u: ComplexArray, y: ComplexArray, r: ComplexArray) -> list[Estima
         coherence = np.minimum(1 / k, np.abs(response) ** 2 / (power(y) * spread))
         weak = STRONG * (k - 1) > n - 1
 
-    # A lower bound of the variance, for data without noise.
-    rounding = (4 * EPS * np.abs(response)) ** 2
-    variance = np.where(weak, np.nan, np.maximum(variance, rounding))
-    columns = (response, variance, dof, np.clip(coherence, EPS, 1), weak)
+    columns = (response, np.where(weak, np.nan, variance), dof, coherence, weak)
     return [EstimatedPoint(*point) for point in zip(*(c.tolist() for c in columns), strict=True)]

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.intersample import hold_of_response
 from greybox.data.record import Record
 from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted
+from greybox.spectral.estimated_points import measured_in
 from greybox.spectral.multisine_lines import EXCITED, period_spectra
 
 # Condition number of that system, with rows and columns of length one, at which the effects of the
@@ -73,11 +73,6 @@ def response_matrix(
             f"there are {len(excitations)} excitations for {len(inputs)} inputs: give one for each."
         )
     stretches, spectra = period_spectra(records, period, (*inputs, *outputs, *excitations))
-    if len(spectra) < 3:
-        raise ValueError(
-            f"the records hold {counted(len(spectra), 'whole period')} of {period:g} s, and a "
-            "variance needs at least three: record longer."
-        )
     omega = 2 * np.pi / period * np.arange(1, spectra.shape[2] + 1)
     m, k = len(inputs), len(outputs)
 
@@ -112,7 +107,6 @@ def response_matrix(
 
     # The unknowns are the responses of the first input at its lines, then those of the second ...
     begins = np.concatenate([[0], np.cumsum([rows.size for rows in rows_of])])
-    units = {key: unit for s in stretches for key, unit in s.units.items() if unit}
     return tuple(
         FrequencyResponse(
             omega[lines[rows_of[j]]],
@@ -124,10 +118,7 @@ def response_matrix(
             ),
             dof=np.full(rows_of[j].size, 2.0 * (count - 1)),
             name=f"{name} {inputs[j]} to {outputs[i]}".strip(),
-            source=stretches[0].source,
-            stretches=tuple(s.origin for s in stretches if s.origin is not None),
-            units={key: units[key] for key in (inputs[j], outputs[i]) if key in units},
-            about=hold_of_response(inputs[j], outputs[i], [(s.hold, s.step) for s in stretches]),
+            **measured_in(stretches, inputs[j], outputs[i]),
         )
         for i in range(k)
         for j in range(m)

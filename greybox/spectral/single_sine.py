@@ -59,14 +59,6 @@ class SinePoint(NamedTuple):
     control_noise: float
 
 
-class _Settings(NamedTuple):
-    """The signals (control, output and perhaps setpoint in rows) and settings of the estimate."""
-
-    time: Array
-    signals: Array
-    settle: float
-
-
 def finite_frequency(
     record: Record,
     segments: Iterable[Segment],
@@ -127,13 +119,13 @@ def finite_frequency(
 
     # Only samples that all signals have: a ratio needs both sides at the same time.
     present = np.isfinite(signals).all(axis=0)
-    settings = _Settings(record.time[present], signals[:, present], settle)
+    time, signals = record.time[present], signals[:, present]
     points = []
     measured = []
     left_out = []
     for segment in segments:
         try:
-            point, harmonics_beside = _point(settings, segment)
+            point, harmonics_beside = _point(time, signals, segment, settle)
             points.append(point)
             measured.append((point.u, harmonics_beside))
         except UnusableSegmentError as reason:
@@ -155,19 +147,23 @@ def finite_frequency(
     return FiniteFrequency(replace(response, stretches=stretches), merged, tuple(left_out))
 
 
-def _point(settings: _Settings, segment: Segment) -> tuple[FrequencyPoint, Harmonics]:
-    """Estimate one point of the response and its harmonics, or raise `UnusableSegmentError`."""
+def _point(
+    time: Array, signals: Array, segment: Segment, settle: float
+) -> tuple[FrequencyPoint, Harmonics]:
+    """Estimate one point of the response and its harmonics, or raise `UnusableSegmentError`.
+
+    The rows of `signals` are control, output and perhaps setpoint.
+    """
     if not segment.usable or segment.kind != "sine":
         raise UnusableSegmentError(
             "; ".join(segment.findings) or f"a {segment.kind} is not a single sine"
         )
-    inside = (settings.time >= segment.start) & (settings.time <= segment.end)
-    time = settings.time[inside]
-    signals = settings.signals[:, inside]
+    inside = (time >= segment.start) & (time <= segment.end)
+    time, signals = time[inside], signals[:, inside]
     omega = segment.omega
     notes = []
 
-    rows, q = whole_periods(time, omega, settings.settle)
+    rows, q = whole_periods(time, omega, settle)
 
     # The announced frequency may be rounded; the setpoint in the log is exact.
     if len(signals) == 3 and q > 1:
@@ -175,7 +171,7 @@ def _point(settings: _Settings, segment: Segment) -> tuple[FrequencyPoint, Harmo
         if abs(error) * 2 * math.pi * q / omega > PHASE_DRIFT:
             omega += error
             notes.append(f"the setpoint runs at {omega:.5g} rad/s, which was used")
-            rows, q = whole_periods(time, omega, settings.settle)
+            rows, q = whole_periods(time, omega, settle)
 
     t = time[rows]
     x = signals[:, rows]

@@ -59,7 +59,6 @@ def transient_spectrum(
             "one with record.between(start, end); several manoeuvres are several spectra."
         )
     stretch = stretches[0]
-    assert stretch.origin is not None
     duration = stretch.origin.end - stretch.origin.start
     step = duration / (stretch.values.shape[1] - 1)
     omega = lines_in_band(band, duration, step)

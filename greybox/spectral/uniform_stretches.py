@@ -1,7 +1,6 @@
 """Records cut into uniformly sampled stretches without gaps, for transforms."""
 
 from collections.abc import Mapping, Sequence
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -25,9 +24,9 @@ class UniformStretch(NamedTuple):
     values: Array
     step: float
     source: str
-    origin: Stretch | None = None
-    units: Mapping[str, str] = MappingProxyType({})
-    hold: Mapping[str, float] = MappingProxyType({})
+    origin: Stretch
+    units: Mapping[str, str]
+    hold: Mapping[str, float]
 
 
 def uniform_stretches(

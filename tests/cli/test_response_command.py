@@ -302,7 +302,7 @@ def test_a_matrix_of_responses_from_the_log_to_a_model(capsys, tmp_path):
 
     P = 4/(s + 2) da + 1.5/(s + 1) dr by simulation.
     """
-    test = gb.experiment.multisine(1.0, 15.0, 20.0, 25.0, signals=("da", "dr"), periods=1).record()
+    test = gb.experiment.multisine(1.0, 15.0, 20.0, 25.0, signals=("da", "dr"), periods=1)
     pure = np.tile([test["da"][:500], test["dr"][:500]], 5)
     moved = np.array([[1, 0.4], [-0.4, 1]]) @ pure
     omega = 2 * np.pi / 20 * np.arange(251)

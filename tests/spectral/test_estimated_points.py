@@ -19,9 +19,9 @@ def test_what_could_be_estimated_is_collected_with_where_it_comes_from():
     omega = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
     origin = Stretch("x", 1.0, 2.0)
     stretches = [
-        UniformStretch(np.zeros((2, 2)), 0.1, "a.bin", origin, {"u": "N", "y": "", "z": "m"}),
-        UniformStretch(np.zeros((2, 2)), 0.1, "b.bin", None, {"y": "m"}),
-        UniformStretch(np.zeros((2, 2)), 0.1, "a.bin", origin),
+        UniformStretch(np.zeros((2, 2)), 0.1, "a.bin", origin, {"u": "N", "y": "", "z": "m"}, {}),
+        UniformStretch(np.zeros((2, 2)), 0.1, "b.bin", origin, {"y": "m"}, {}),
+        UniformStretch(np.zeros((2, 2)), 0.1, "a.bin", origin, {}, {}),
     ]
     found = response_at(
         omega, points("", "weak", "", "lost", "weak"), ("u", "y", "name"), stretches
@@ -37,7 +37,7 @@ def test_what_could_be_estimated_is_collected_with_where_it_comes_from():
         "name",
         "a.bin, b.bin",
     )
-    assert list(found.stretches) == [origin, origin]
+    assert list(found.stretches) == [origin, origin, origin]
     assert dict(found.units) == {"u": "N"}
     assert found.about == {
         "dropped": "2 of 5 points, where the instrument hardly moves u, at 2 to 5 rad/s"

@@ -8,6 +8,7 @@ from known_systems import EXAMPLE, LIGHT, MODE, flown, maximum_likelihood
 from resonance_records import RATE, covered, flown_sweep, record, resonance
 from scipy.signal import freqz, lfilter
 
+from greybox.data.frequency_response import Stretch
 from greybox.data.record import Record
 from greybox.spectral import local_polynomials
 from greybox.spectral.sweeps_and_noise import spectral_response
@@ -192,8 +193,10 @@ def solution_of(lines, center, half, order, slow):
 def test_lines_are_transforms_of_whole_stretches_by_frequency():
     """Sums that are written out, whose squares are densities; of 12 and 8 samples, of other steps."""
     rng = np.random.default_rng(0)
+    rest = "", Stretch("", 0.0, 1.0), {}, {}
     pieces = [
-        UniformStretch(rng.standard_normal((3, n)), step, "") for n, step in ((12, 0.05), (8, 0.04))
+        UniformStretch(rng.standard_normal((3, n)), step, *rest)
+        for n, step in ((12, 0.05), (8, 0.04))
     ]
     found = local_polynomials.lines_of(pieces)
     rows = []

@@ -22,9 +22,7 @@ def plant(pair, omega):
 
 def record(noise, coupling=0.4, seed=0):
     """Two multisines at once, each reaching the other input as well; in the steady state, by Fourier series."""
-    test = gb.experiment.multisine(
-        1.0, 15.0, PERIOD, RATE, signals=("da", "dr"), periods=1
-    ).record()
+    test = gb.experiment.multisine(1.0, 15.0, PERIOD, RATE, signals=("da", "dr"), periods=1)
     count = round(PERIOD * RATE)
     pure = np.array([test["da"][:count], test["dr"][:count]])
     mixed = {"da": pure[0] + coupling * pure[1], "dr": pure[1] - coupling * pure[0]}
