@@ -176,7 +176,7 @@ def without_surplus(repeats: IntArray, once: Array, duration: Array, target: Arr
     # Rounding up may leave a flight that the others already replace; the longest saves most.
     for k in np.argsort(-duration):
         while repeats[k]:
-            fewer = repeats - (np.arange(len(repeats)) == k)
+            fewer: IntArray = repeats - (np.arange(len(repeats)) == k)
             if time_needed(np.tensordot(fewer, once, 1), target) > 1 + 1e-9:
                 break
             repeats = fewer
