@@ -58,8 +58,11 @@ class RecordPart(SegmentedPart):
             covariance or residual_covariance_of(model.criterion, model.outputs, data.measured),
         )
         self.gains = model.gains
+        # The criterion stays behind when a part is sent to a worker.
+        self.has_bounded_errors: bool = (
+            like.has_bounded_errors if like else model.criterion.settings.get("errors") == "huber"
+        )
         # Outputs depend only on the inputs of the same sample.
-        self.has_bounded_errors = model.criterion.settings.get("errors") == "huber"
         self.is_static = not self.states and not self.system.delayed
         self.unknown_initial_states = int((~self.known_states[data.begins_stretch]).sum())
 

@@ -82,6 +82,12 @@ class ResponseBand:
         factor = np.exp(self.half_width[0])
         return size / factor, size * factor
 
+    @property
+    def phase(self) -> tuple[Array, Array]:
+        """Lower and upper limit (n,) of the phase, rad."""
+        phase = np.angle(self._center)
+        return phase - self.half_width[1], phase + self.half_width[1]
+
     def ellipses(self, points: int = 48) -> ComplexArray:
         """Return the confidence ellipse (n, points) of every response in the complex plane."""
         turn = np.linspace(0, 2 * np.pi, points)

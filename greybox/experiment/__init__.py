@@ -42,6 +42,7 @@ from greybox.experiment.safe_gains import SafeGains as SafeGains
 from greybox.experiment.safe_gains import safe_gains as safe_gains
 from greybox.experiment.scripts import ardupilot_script as ardupilot_script
 from greybox.experiment.scripts import systemid_parameters as systemid_parameters
+from greybox.experiment.scripts import write_excitation as write_excitation
 from greybox.experiment.sine_plan import SinePlan as SinePlan
 from greybox.experiment.sine_plan import plan_sines as plan_sines
 from greybox.experiment.sines import sine_schedule as sine_schedule

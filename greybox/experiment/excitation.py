@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from greybox.data.record import Record
 from greybox.files.arrays import Array
 from greybox.files.text_table import one_line
 
@@ -75,6 +76,16 @@ class Excitation:
             name: float(np.ptp(v) / (2 * math.sqrt(2) * np.std(v)))
             for name, v in self.signals.items()
         }
+
+    def record(self) -> Record:
+        """Return the signals as a `Record`, e.g. for a simulation."""
+        return Record(
+            self.time,
+            self.signals,
+            self.units,
+            name="excitation",
+            metadata={"schedule": self.schedule},
+        )
 
     def __repr__(self) -> str:
         return one_line(

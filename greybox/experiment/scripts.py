@@ -1,13 +1,24 @@
-"""Files that bring a test signal to a vehicle: a Lua script and parameters for ArduPilot."""
+"""Files that bring a test signal to a vehicle: CSV, a Lua script and parameters for ArduPilot."""
 
 import math
+from pathlib import Path
 
 from greybox.experiment.excitation import Excitation
 from greybox.experiment.sweep import DWELL
+from greybox.files.delimited_text import write_delimited
 from greybox.logs.ardupilot.signals import SYSTEMID_AXES
 
 AXES = {"roll": 1, "pitch": 2, "yaw": 3}  # of the SINE message, and the first three of SID_AXIS
 FLOWN_AXES = SYSTEMID_AXES[:13]  # those that inject into an attitude loop or the mixer
+
+
+def write_excitation(excitation: Excitation, path: str | Path) -> None:
+    """Write time in s and the signals to a CSV file, atomically."""
+    columns = {
+        f"{name} [{unit}]" if (unit := excitation.units[name]) else name: values
+        for name, values in excitation.signals.items()
+    }
+    write_delimited(Path(path), {}, {"time_s": excitation.time, **columns})
 
 
 def ardupilot_script(excitation: Excitation, axis: str = "pitch") -> str:

@@ -82,20 +82,11 @@ def fit_within_far_bounds(
     options |= {name: value for name, value in stated.items() if name != "bounds"}
     boxes = options.pop("starts", {})
     widenings = 0
-    # IPOPT itself runs from starts of least squares: it may not confirm a batched search that ends
-    # exactly at a minimum, where a gain is decades below its bounds.
-    search = "batched" if isinstance(points, int) else "multistart"
     # One widening is not enough for gains in µs or degrees, which are decades off.
     while True:
         problem = problem_of_structure(model, responses, bounds=bounds, starts=boxes, **options)
         result = fit(
-            problem,
-            points,
-            seed,
-            search=search,
-            solver_options=NEAR_MINIMUM,
-            profiles=False,
-            progress=False,
+            problem, points, seed, solver_options=NEAR_MINIMUM, profiles=False, progress=False
         )
         held = [
             q for q in result.quantities if q.at_bound and q.name not in stated.get("bounds", {})

@@ -75,7 +75,7 @@ def test_of_a_large_study_the_first_members_are_read_and_drawn(
     worse = gb.study.read_study(results / "study")["worse one"].answer
     assert f"{worse['cost']:.6g}" in text  # the tables have the numbers of all members
     assert f"{worse['estimate']['a4']:.0f} ±" in text
-    assert "Below are details of 1 result;" in text
+    assert "Below are details of 1 result." in text
     assert loaded == ["good one"]
 
 

@@ -1,10 +1,11 @@
+import csv
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from greybox.experiment.scripts import ardupilot_script, systemid_parameters
+from greybox.experiment.scripts import ardupilot_script, systemid_parameters, write_excitation
 from greybox.experiment.sines import sine_schedule
 from greybox.experiment.sweep import sweep
 
@@ -40,6 +41,16 @@ def test_systemid_parameters():
 def test_what_the_mode_cannot_fly(made, axis, words):
     with pytest.raises(ValueError, match=words):
         systemid_parameters(made, axis)
+
+
+def test_csv_comes_back_exactly(tmp_path):
+    made = sweep(1, 10, 30, 50, unit="rad/s")
+    write_excitation(made, tmp_path / "sweep.csv")
+    with (tmp_path / "sweep.csv").open() as file:
+        header, *rows = csv.reader(file)
+    assert header == ["time_s", "u [rad/s]"]
+    np.testing.assert_array_equal(np.array(rows, float).T, [made.time, made["u"]])
+    assert [path.name for path in tmp_path.iterdir()] == ["sweep.csv"]
 
 
 STAND_IN = """

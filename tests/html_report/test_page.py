@@ -59,7 +59,7 @@ def test_several_results_have_details_that_are_open_up_to_three(fit, monkeypatch
         Entry("bad", None, error="no log"),
     ]
     text = page(kept, None, "several")
-    assert "Below are details of 1 result; greybox report" in text
+    assert "Below are details of 1 result." in text
     assert headings(text) == ["Comparison", "shown"]
 
 
@@ -122,4 +122,4 @@ def test_a_page_without_some_of_the_details_says_how_to_see_them(fit):
     whole = [Entry("one", fit), Entry("two", None, error="no start converged")]
     assert "of another member" not in page(whole, None, "study")
     some = page([*whole, Entry("three", None)], None, "study")
-    assert "Below are details of 1 result; greybox report" in some
+    assert "Below are details of 1 result." in some

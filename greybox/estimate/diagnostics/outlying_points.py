@@ -104,11 +104,16 @@ def outlying_samples(parts: Sequence[FittedPart]) -> Iterator[Finding]:
             continue
         for output in part.outputs:
             residual = part.residual(output)[None]
+            if not np.isfinite(residual).any():
+                continue
             size = np.nan_to_num(np.abs(residual) / robust_deviation(residual))[0]
             # The largest of many normal residuals is judged by their number.
             count = int(np.sum(erfc(size / math.sqrt(2)) * np.count_nonzero(size) < SIZE))
+            # Exact fits have no scale.
+            if not (count and size.any()):
+                continue
             gain = np.nanmean(residual**2) / np.nanmean(bounded([residual])[0] ** 2)
-            if count and gain > NOTICEABLE:
+            if gain > NOTICEABLE:
                 largest = [f"{t:.4g}" for t in part.data.time[np.argsort(-size)[:count][:4]]]
                 text = (
                     f"outliers are among the samples of {output} in {part.name!r} ({count}), up to "
