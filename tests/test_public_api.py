@@ -34,7 +34,7 @@ NAMESPACES = {
     "identification": "Identification ManoeuvreMeasurement MatrixMeasurement Measurement Selection Settings "
     "identify measure measure_manoeuvre measure_matrix select_orders",
     "interop": "from_control from_scipy to_casadi to_control to_scipy write_c write_mat",
-    "logs": "find_manoeuvres find_segments horizontal_velocity negative prepare read",
+    "logs": "find_manoeuvres find_segments horizontal_velocity prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response late_sensors linearize rational",
     "plotting": "bode contour estimates gains loop nyquist plot profiles recording residuals spectrum starts structures time_history trend "

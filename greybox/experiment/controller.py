@@ -1,6 +1,5 @@
 """Sampled controllers, declared like models: named signals, parameters with units, equations."""
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from types import MappingProxyType
@@ -9,7 +8,7 @@ from typing import Any, ClassVar
 import casadi as ca
 
 from greybox.modeling.model import Names, declared_parameters, require_known
-from greybox.modeling.parameter import Parameter
+from greybox.modeling.parameter import Parameter, is_finite_number
 from greybox.modeling.symbolic_reading import column, traced
 
 
@@ -105,7 +104,7 @@ class Controller(ABC):
         require_known(self.signals, (*self.inputs, *self.setpoints, *self.outputs), "signal", label)
         require_known(initial, self.states, "state", label)
         for name, value in {**values, **initial, "rate": rate}.items():
-            if not isinstance(value, (int, float)) or not math.isfinite(value):
+            if not is_finite_number(value):
                 raise ValueError(
                     f"{name} = {value!r} is not a finite number: give a value for {label}."
                 )

@@ -142,7 +142,6 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     lead_in: float = 2.0,
     pause: float = 2.0,
     unit: str = "rad",
-    free: Sequence[str] = (),
     fixed: Mapping[str, float] = NOTHING,
 ) -> SinePlan:
     """Plan sines that reach the wanted standard errors in the shortest flight.
@@ -185,7 +184,7 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
         As in `greybox.experiment.sine_schedule`.
     unit : str
         Unit of the excitation.
-    free, fixed
+    fixed : mapping of name to float
         As in `Problem`.
 
     Raises
@@ -203,7 +202,7 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     amplitudes = np.array([np.full(len(omega), amplitude), *bounds])
     size, limit = amplitudes.min(axis=0), amplitudes.argmin(axis=0)
 
-    nlp, sensitivity = _sensitivities(model, values, omega, (input, output), free, fixed)
+    nlp, sensitivity = _sensitivities(model, values, omega, (input, output), fixed)
     require_known(wanted, nlp.free, "free parameter", model.label)
     density = noise_density(noise, model, values, omega, (input, output), rate)
     weight = (size * np.abs(gains[input])) ** 2 / density  # 2 / E|P̂ - P|² of a second
@@ -282,14 +281,13 @@ def _sensitivities(
     values: Mapping[str, float],
     omega: Array,
     signals: tuple[str, str],
-    free: Sequence[str],
     fixed: Mapping[str, float],
 ) -> tuple[CompiledProblem, ComplexArray]:
     """Return the compiled problem, and the derivatives (n, p) by its free parameters."""
     exact = frequency_response(model, values, omega, input=signals[0], output=signals[1])
     # The problem only serves for sensitivities: any variance will do.
     data = FrequencyResponse(omega, exact.response, *signals, variance=np.abs(exact.response) ** 2)
-    nlp = compile_problem(Problem(model, data, MaximumLikelihood(), free=free, fixed=fixed))
+    nlp = compile_problem(Problem(model, data, MaximumLikelihood(), fixed=fixed))
     parameters = nlp.problem.parameters
     x = np.array([values.get(name, parameters[name].start) for name in nlp.names])
     part = nlp.parts[0]

@@ -23,6 +23,7 @@ from greybox.files.arrays import Array, BoolArray
 from greybox.modeling.integrators import RungeKutta
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.parameter import is_finite_number
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.step_size import relative_change, substep_growth
 
@@ -355,7 +356,7 @@ def _checked(
     """Return numbers by name once names and sizes are right."""
     require_known(given, places, "place for", what)
     for n, value in given.items():
-        if not isinstance(value, (int, float, np.number)) or not low <= value < math.inf:
+        if not is_finite_number(value) or value < low:
             raise ValueError(
                 f"{what}[{n!r}] is {value!r}: give a number"
                 + (" of 0 or more." if low == 0 else ".")

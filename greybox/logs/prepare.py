@@ -60,13 +60,6 @@ def horizontal_velocity(
     )
 
 
-def negative(of: str | Derived) -> Derived:
-    """Return the negative of a signal, for `prepare`."""
-    if isinstance(of, Derived):
-        return Derived(of.inputs, lambda *x: -of.compute(*x), of.unit)
-    return Derived((of,), np.negative, "")
-
-
 def prepare(
     recording: Recording | Record,
     signals: Mapping[str, str | Derived],

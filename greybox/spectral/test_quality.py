@@ -81,7 +81,9 @@ class Quality:
 
     def with_findings(self, *findings: Finding) -> "Quality":
         """Return the verdict with more findings, sorted by severity."""
-        return Quality(_by_severity((*self.findings, *findings)))
+        rank = {"refusal": 0, "warning": 1, "note": 2}
+        every = (*self.findings, *findings)
+        return Quality(tuple(sorted(every, key=lambda f: rank[f.severity])))
 
     def __repr__(self) -> str:
         return one_line(
@@ -139,7 +141,7 @@ def check(
     ]
     if response is not None:
         findings += [*_coherence(response), *_noise(response)]
-    return Quality(_by_severity(findings))
+    return Quality(()).with_findings(*findings)
 
 
 def _graded(about: str, value: float, limits: tuple[float, float], text: str) -> Iterator[Finding]:
@@ -149,11 +151,6 @@ def _graded(about: str, value: float, limits: tuple[float, float], text: str) ->
     if sign * value > sign * warning:
         severity: Severity = "refusal" if sign * value > sign * refusal else "warning"
         yield Finding(about, severity, value, text)
-
-
-def _by_severity(findings: Sequence[Finding]) -> tuple[Finding, ...]:
-    rank = {"refusal": 0, "warning": 1, "note": 2}
-    return tuple(sorted(findings, key=lambda f: rank[f.severity]))
 
 
 def _filters(record: Record, names: Sequence[str]) -> Iterator[Finding]:

@@ -9,7 +9,7 @@ from scipy import constants as c
 import greybox as gb
 from greybox.data.record import Record, Recording
 from greybox.logs.known_filters import LowPass as KnownLowPass
-from greybox.logs.prepare import Derived, negative
+from greybox.logs.prepare import Derived
 
 RANDOM = np.random.default_rng(0)
 
@@ -453,11 +453,10 @@ def test_a_parabola_is_interpolated_exactly_from_three_samples_on(samples):
     assert record["x"] == pytest.approx(record.time**2, abs=1e-12)
 
 
-def test_the_negative_of_a_computed_signal_is_computed_first():
+def test_a_signal_is_computed_from_others():
     time = stamps(50, 2)
     log = recording(A=(time, {"x": 2 + time, "y": 3 * time}, {"x": "m", "y": "m"}))
     area = Derived(("A.x", "A.y"), lambda x, y: x * y - x, "m²")
-    record = gb.prepare(log, {"a": area, "b": negative(area), "c": negative("A.x")}, rate=50)
-    assert record["b"] == pytest.approx(-(2 + record.time) * (3 * record.time - 1))
-    assert record["a"] == pytest.approx(-record["b"])
-    assert record.units == {"a": "m²", "b": "m²", "c": "m"}
+    record = gb.prepare(log, {"a": area}, rate=50)
+    assert record["a"] == pytest.approx((2 + record.time) * (3 * record.time - 1))
+    assert record.units == {"a": "m²"}

@@ -62,7 +62,7 @@ def read(path: Path, messages: Collection[str] | None = None) -> Recording:
     # Times count from the start of the vehicle, or else of another sender, or from the first
     # packet.
     stamps, boots = _clocks(kinds)
-    vehicle = telemetry_metadata.vehicle_sender(kinds)
+    vehicle = telemetry_metadata.heartbeats(kinds, {}).sender
     zero, *_ = boots.get(vehicle) or next(iter(boots.values()), [first_received])
     times = {name: (stamps[kind.numbers] - zero) / 1e6 for name, kind in kinds.items()}
     about = telemetry_metadata.metadata(kinds, times)

@@ -24,21 +24,19 @@ INTEGERS = {1: "B", 2: "b", 3: "H", 4: "h", 5: "I", 6: "i"}
 
 
 class Heartbeats(NamedTuple):
-    """The heartbeats of the first autopilot: its sender (-1 without one), fields and times, s."""
+    """The heartbeats of the first autopilot: its sender, fields and times, s.
+
+    The sender is 256 · system + component, or -1 without a heartbeat.
+    """
 
     sender: int
     fields: Mapping[str, Array]
     time: Array
 
 
-def vehicle_sender(kinds: Mapping[str, Kind]) -> int:
-    """Return the sender of the first heartbeat of an autopilot, 256 · system + component, or -1."""
-    return _heartbeats(kinds, {}).sender
-
-
 def metadata(kinds: Mapping[str, Kind], times: Mapping[str, Array]) -> dict[str, Any]:
     """Return the metadata that were sent; `times` are those of each kind, (n,), s."""
-    beats = _heartbeats(kinds, times)
+    beats = heartbeats(kinds, times)
     texts = ()
     if "STATUSTEXT" in kinds:
         written = kinds["STATUSTEXT"].texts["text"]
@@ -53,7 +51,8 @@ def metadata(kinds: Mapping[str, Kind], times: Mapping[str, Array]) -> dict[str,
     return {key: value for key, value in about.items() if value}
 
 
-def _heartbeats(kinds: Mapping[str, Kind], times: Mapping[str, Array]) -> Heartbeats:
+def heartbeats(kinds: Mapping[str, Kind], times: Mapping[str, Array]) -> Heartbeats:
+    """Return the heartbeats of the autopilot that sent the first one; without `times`, at zero."""
     nobody = Heartbeats(-1, {}, np.empty(0))
     if "HEARTBEAT" not in kinds:
         return nobody
