@@ -51,39 +51,17 @@ def quantities(
 
     # Free parameters come first: `Fit.free` and all matrices of a fit rely on this order.
     lines = []
-    for name, (value, error, dof, bias) in zip(nlp.names, columns, strict=False):
-        declared = nlp.problem.parameters[name]
-        lines.append(
-            Quantity(
-                name,
-                value,
-                error,
-                kind="fixed" if declared.fixed else "free",
-                unit=declared.unit,
-                about=declared.about,
-                bounds=declared.bounds,
-                box=declared.box,
-                at_bound=name in accuracy.at_bound,
-                dof=dof,
-                bias=bias,
-            )
-        )
-    for formula, (value, error, dof, bias) in zip(follow, columns[len(lines) :], strict=True):
-        limit = f"of the tied {formula.name}"
-        at_bound = any(label.endswith(limit) for label in accuracy.active)
-        lines.append(
-            Quantity(
-                formula.name,
-                value,
-                error,
-                kind=formula.kind,
-                unit=formula.unit,
-                about=formula.about,
-                at_bound=at_bound,
-                dof=dof,
-                bias=bias,
-            )
-        )
+    for line, (value, error, dof, bias) in zip([*nlp.names, *follow], columns, strict=True):
+        if isinstance(line, Formula):
+            limit = f"of the tied {line.name}"
+            stated = {name: getattr(line, name) for name in ("name", "kind", "unit", "about")}
+            stated["at_bound"] = any(label.endswith(limit) for label in accuracy.active)
+        else:
+            declared = nlp.problem.parameters[line]
+            stated = {name: getattr(declared, name) for name in ("unit", "about", "bounds", "box")}
+            stated |= {"name": line, "kind": "fixed" if declared.fixed else "free"}
+            stated["at_bound"] = line in accuracy.at_bound
+        lines.append(Quantity(value=value, standard_error=error, dof=dof, bias=bias, **stated))
 
     of_parameters = slopes[[line.kind != "derived" for line in lines]]
     covariance = of_parameters @ accuracy.covariance @ of_parameters.T

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.text_table import alternatives
 from greybox.modeling.linear_response import frequency_response
-from greybox.modeling.model import Model
+from greybox.modeling.model import Model, require_known
 from greybox.modeling.model_reference import included_model
 
 TILT = {
@@ -92,8 +91,7 @@ def family(vehicle: str, output: str) -> list[Structure]:
     ValueError
         For an unknown vehicle, or an output for which it has no structures.
     """
-    if vehicle not in FAMILIES:
-        raise ValueError(f"vehicle={vehicle!r} is not known: use {alternatives(vehicle, FAMILIES)}")
+    require_known([vehicle], FAMILIES, "family of structures", "greybox")
     outputs = FAMILIES[vehicle]
     if output not in outputs:
         raise ValueError(

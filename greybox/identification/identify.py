@@ -24,12 +24,11 @@ from greybox.identification.selection import Candidate, Selection, held_by_bound
 from greybox.identification.structure_fit import (
     fit_within_far_bounds,
     problem_of_structure,
-    require_parameters,
     stated_for,
 )
 from greybox.logs.known_filters import KnownFilter
 from greybox.logs.readers import read
-from greybox.modeling.model import Model
+from greybox.modeling.model import Model, require_known
 from greybox.modeling.model_reference import included_model
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.spectral.test_quality import COHERENCE, Finding
@@ -166,8 +165,9 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     listed = [s if isinstance(s, Structure) else Structure(s, s.label) for s in structures]
     listed = listed or (family(vehicle, settings.names[1][0]) if vehicle else [])
     if listed:
-        names = {name for structure in listed for name in structure.model.parameters}
-        require_parameters(of_parameters, names)
+        names = dict.fromkeys(name for structure in listed for name in structure.model.parameters)
+        stated_names = chain.from_iterable(of_parameters.values())
+        require_known(stated_names, names, "parameter", "the list of structures")
         candidates = [
             _candidate(s, responses, series, of_parameters, starts, seed, not structures)
             for s in listed
@@ -215,12 +215,7 @@ def _filters(
         passed = measurement.record.filters.get(measurement.response.output, ())
         filters = {n: f for n, f in measurement.filters.items() if set(f) <= set(passed)}
         return dict(sorted(filters.items(), key=lambda item: passed.index(item[1][0])))
-    for name in names:
-        if name not in measurement.filters:
-            available = ", ".join(measurement.filters) or "none"
-            raise ValueError(
-                f"through={name} is no filter that the log states; it states {available}."
-            )
+    require_known(names, measurement.filters, "filter", "the log")
     return {name: measurement.filters[name] for name in names}
 
 

@@ -4,6 +4,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,12 +21,9 @@ from greybox.identification.selection import (
     held_by_bounds,
     select,
 )
-from greybox.identification.structure_fit import (
-    fit_within_far_bounds,
-    require_parameters,
-    stated_for,
-)
+from greybox.identification.structure_fit import fit_within_far_bounds, stated_for
 from greybox.modeling.linear_response import frequency_response
+from greybox.modeling.model import require_known
 from greybox.modeling.model_reference import included_model
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.regression.levy import levy
@@ -154,7 +152,9 @@ def select_orders(
     linear = linear or linear_fits(responses, through, orders_of(n, m, integrators, delay=delay))
     names = [f"b{k}" for k in range(max(o.m for o in linear) + 1)]
     names += [f"a{k}" for k in range(max(o.n for o in linear))]
-    require_parameters(stated, {*names, "T_delay"})
+    require_known(
+        chain.from_iterable(stated.values()), [*names, "T_delay"], "parameter", "the grid"
+    )
     least = min(fit.bic for fit in linear.values())
     near = [
         orders

@@ -1,7 +1,6 @@
 """The fit of one structure to measured responses, within bounds that do not decide."""
 
-from collections.abc import Collection, Mapping, Sequence
-from itertools import chain
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from greybox.data.frequency_response import FrequencyResponse
@@ -39,15 +38,6 @@ def problem_of_structure(
         for response in responses
     )
     return parts[0] if len(parts) == 1 else Sum(parts)
-
-
-def require_parameters(stated: Mapping[str, Any], names: Collection[str]) -> None:
-    """Raise ValueError if a statement is about a parameter that no structure has."""
-    for name in chain.from_iterable(stated.values()):
-        if name not in names:
-            raise ValueError(
-                f"no structure has a parameter {name!r}; they have {', '.join(sorted(names))}."
-            )
 
 
 def stated_for(model: Model, stated: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from greybox.experiment.controller import Controller
 from greybox.files.text_table import alternatives, nearest
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
-from greybox.modeling.model import Model
+from greybox.modeling.model import Model, require_known
 from greybox.modeling.model_file import models_of, module_from_file
 
 Named = TypeVar("Named")
@@ -81,13 +81,7 @@ def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
     # The stem names files and figures, whatever the problem calls itself.
     label = Path(place).stem + (f":{name}" if name else "")
     settings = getattr(module, "settings", {})
-    for name in settings:
-        if name not in SETTINGS:
-            raise ValueError(
-                f"settings in {text} has {name!r}, which is not known; use "
-                f"{alternatives(name, SETTINGS)}"
-            )
-
+    require_known(settings, SETTINGS, "setting", f"a problem such as {text}")
     return problem.with_(name=label), dict(settings)
 
 

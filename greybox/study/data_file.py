@@ -15,12 +15,12 @@ from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.delimited_text import read_delimited
 from greybox.files.heading import heading
 from greybox.files.safe_files import require_file
-from greybox.files.text_table import alternatives, counted
+from greybox.files.text_table import counted
 from greybox.formulation.signal_units import as_the_only_pair
 from greybox.logs.named_columns import in_si
 from greybox.logs.prepare import prepare as prepared
 from greybox.logs.readers import read
-from greybox.modeling.model import Model
+from greybox.modeling.model import Model, require_known
 
 LONG = 200  # characters of a list in a sentence: more would hide the cure after it
 
@@ -64,8 +64,8 @@ def read_data(
         return read_spectrum(path)
     if is_response:
         if f"{output}_{input}_alpha" not in (_header(path) or ()):
-            _require_signal("input", input, model.input_names)
-            _require_signal("output", output, model.output_names)
+            require_known(filter(None, [input]), model.input_names, "input", model.label)
+            require_known(filter(None, [output]), model.output_names, "output", model.label)
         return as_the_only_pair(
             model, read_response(path, input=input, output=output, columns=columns)
         )
@@ -82,14 +82,6 @@ def read_data(
         ) from None
 
     return _record_of(log, path, model)
-
-
-def _require_signal(kind: str, name: str, names: Sequence[str]) -> None:
-    if name and name not in names:
-        raise ValueError(
-            f"{kind}={name} is not an {kind} of the model, and the file has no such pair; the "
-            f"model has {alternatives(name, names)}"
-        )
 
 
 def _header(path: Path) -> tuple[str, ...] | None:

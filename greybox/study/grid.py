@@ -11,7 +11,7 @@ from glob import escape, glob
 from pathlib import Path
 from typing import Any
 
-from greybox.files.text_table import alternatives
+from greybox.modeling.model import require_known
 from greybox.study.batch import Member
 from greybox.study.data_file import reading_once
 from greybox.study.stated_problem import OF_DATA, OF_PARAMETERS, stated_problem
@@ -62,9 +62,7 @@ def members_of(choices: Mapping[str, Any], folder: Path) -> list[Member]:
     ValueError
         In one sentence, for any mistake.
     """
-    for key in choices:
-        if key not in KEYS:
-            raise ValueError(f"{key!r} is not known; use {alternatives(key, KEYS)}")
+    require_known(choices, KEYS, "key", "a member of a study")
     read = reading_once()
     members = []
     for values in combined(choices, folder):

@@ -16,7 +16,6 @@ from greybox.compiled.transcription.single_shooting import SingleShooting
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.text_table import alternatives
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA, SPECTRUM_CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
@@ -24,7 +23,7 @@ from greybox.formulation.sum import Sum
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.identification.identify import filter_model
 from greybox.logs.known_filters import from_text
-from greybox.modeling.model import Model
+from greybox.modeling.model import Model, require_known
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.study.catalog import find_model, find_problem, shipped
 from greybox.study.data_file import read_data
@@ -108,10 +107,7 @@ def stated_problem(
 def _method(method: Any) -> Any:
     if not isinstance(method, str):
         return method
-    if method not in METHODS:
-        raise ValueError(
-            f"there is no method {method!r}; there are {alternatives(method, METHODS)}"
-        )
+    require_known([method], METHODS, "method", "greybox")
     return METHODS[method]()
 
 
@@ -165,12 +161,8 @@ def filters_of(
         return [model]
 
     about = data.about if isinstance(data, FrequencyResponse) else {}
-    if word not in about:
-        filters = ", ".join(name for name in about if name.endswith(FILTER_NAMES))
-        raise ValueError(
-            f"through={word} is not a filter of the data: they have {filters or 'none'}."
-        )
-
+    filters = [name for name in about if name.endswith(FILTER_NAMES)]
+    require_known([word], filters, "filter", "the response")
     return [filter_model(known_filter) for known_filter in from_text(about[word])]
 
 
@@ -208,10 +200,7 @@ def _with_criterion(problem: AnyProblem, name: Any) -> AnyProblem:
     """Give a criterion, or the one of a name, to the parts with its kind of data."""
     if not isinstance(name, str):
         return problem.with_(criterion=name)
-    if name not in CRITERIA_BY_NAME:
-        names = alternatives(name, CRITERIA_BY_NAME)
-        raise ValueError(f"there is no criterion {name!r}; there are {names}")
-
+    require_known([name], CRITERIA_BY_NAME, "criterion", "greybox")
     criterion = CRITERIA_BY_NAME[name]
     served = {noun: kind for noun, (kind, criteria) in KINDS.items() if criterion in criteria}
     kinds = tuple(served.values())
@@ -252,10 +241,8 @@ def with_parameter_options(problem: AnyProblem, options: Mapping[str, Any]) -> A
         changes[field] = {n: tuple(x) if isinstance(x, list) else x for n, x in pairs}
     changes["free"] = dict.fromkeys(options.get("free", ()))
     # Checked against the whole problem: every part has only some of the parameters.
-    for name in (name for names in changes.values() for name in names):
-        if name not in problem.parameters:
-            names = alternatives(name, problem.parameters)
-            raise ValueError(f"{problem.name} has no parameter {name!r}; it has {names}")
+    for names in changes.values():
+        require_known(names, problem.parameters, "parameter", problem.name)
 
     if not any(changes.values()):
         return problem

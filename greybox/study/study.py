@@ -14,7 +14,6 @@ from typing import Any
 from greybox.data.pandas_frames import Frame
 from greybox.files.optional_package import required
 from greybox.files.text_table import (
-    alternatives,
     counted,
     number,
     one_line,
@@ -23,6 +22,7 @@ from greybox.files.text_table import (
     text_table,
     with_error,
 )
+from greybox.modeling.model import require_known
 from greybox.study.latex import latex_number, latex_symbol, latex_table, latex_text
 from greybox.study.ranking import Records, ranking
 from greybox.study.store import FACTORS, Status, StudyMember, read_members
@@ -79,10 +79,8 @@ class Study:
 
     def _require_factor(self, name: str) -> None:
         names = dict.fromkeys(key for member in self.members for key in member.factors)
-        if self.members and name not in names:
-            raise ValueError(
-                f"no member has the factor {name!r}; there are {alternatives(name, names)}"
-            )
+        if self.members:
+            require_known([name], names, "factor", "the study")
 
     @property
     def table(self) -> list[dict[str, Any]]:

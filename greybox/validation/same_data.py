@@ -139,15 +139,19 @@ def why_not_comparable(fits: Sequence[Fit], names: Sequence[str]) -> str:
     weights = dict.fromkeys(", ".join(number(p.weight, 3) for p in fit.parts) for fit in fits)
     if len(weights) > 1:
         return f"their data are weighted differently ({'; '.join(weights)})"
-    one_criterion = all(
+    if not have_one_criterion(fits) and not all(is_likelihood(fit) for fit in fits):
+        criteria = dict.fromkeys(map(_criteria, fits))
+        return f"they are of different criteria ({'; '.join(criteria)})"
+    return ""
+
+
+def have_one_criterion(fits: Sequence[Fit]) -> bool:
+    """Tell whether all fits to the same data were made by the same criteria."""
+    return all(
         a.has_criterion_of(b)
         for fit in fits[1:]
         for a, b in zip(fits[0].parts, fit.parts, strict=True)
     )
-    if not one_criterion and not all(is_likelihood(fit) for fit in fits):
-        criteria = dict.fromkeys(map(_criteria, fits))
-        return f"they are of different criteria ({'; '.join(criteria)})"
-    return ""
 
 
 def _criteria(fit: Fit) -> str:

@@ -17,7 +17,7 @@ from greybox.validation.comparison import EQUAL_AIC, IDENTIFICATION, SIGNIFICANT
 from greybox.validation.held_out import Predictions
 from greybox.validation.nested_models import NestedTest, nested_test_at
 from greybox.validation.nesting import NotNestedError, nested_values
-from greybox.validation.same_data import other_samples
+from greybox.validation.same_data import have_one_criterion, other_samples
 
 Labels = tuple[str, str]
 
@@ -43,13 +43,12 @@ def verdicts(
     for a, b in combinations(range(len(fits)), 2):
         names = (labels[a], labels[b])
         if same_data:
-            one_criterion = all(
-                x.has_criterion_of(y) for x, y in zip(fits[a].parts, fits[b].parts, strict=True)
-            )
+            pair = fits[a], fits[b]
             # Costs by different criteria have no ratio: both fits move to the common likelihood.
-            tested = likelihoods.fits if likelihoods is not None and not one_criterion else fits
+            if likelihoods is not None and not have_one_criterion(pair):
+                pair = likelihoods.fits[a], likelihoods.fits[b]
             difference = aic[b] - aic[a] if aic else None
-            sentence, test = fit_verdict((tested[a], tested[b]), names, difference)
+            sentence, test = fit_verdict(pair, names, difference)
             sentences += [sentence] if sentence else []
             tests += [test] if test else []
         sentences += [

@@ -139,8 +139,8 @@ def test_members_without_an_answer_are_named(study, capsys):
     [
         ("[[member]", "study.toml is not read: "),
         ("", "give either a problem or model=... with data=..."),
-        ("star = 3\n[[member]]\nproblem = 'rotors'", "'star' is not known; use"),
-        ("[[member]]\nproblems = 'rotors'", "'problems' is not known; use"),
+        ("star = 3\n[[member]]\nproblem = 'rotors'", "has no key 'star'; it has"),
+        ("[[member]]\nproblems = 'rotors'", "has no key 'problems'; it has"),
         (
             "[[member]]\nproblem = 'rotorz'",
             "there is no included problem 'rotorz'; did you mean 'rotors'?",

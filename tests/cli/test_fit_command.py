@@ -239,7 +239,7 @@ def test_a_filter_that_the_response_states_is_named(capsys, tmp_path):
     assert answer["estimate"]["T_rotor"] == pytest.approx(0.05, rel=1e-3)
     status, _, err = run(capsys, *command, "--through", "gyro-notch")
     assert status == 2
-    assert "--through gyro-notch is not a filter" in err
+    assert "has no filter 'gyro-notch'" in err
 
 
 # --- fits that were ended

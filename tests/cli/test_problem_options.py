@@ -167,9 +167,7 @@ def test_a_users_file_chooses_the_transcription_and_its_integrator(own, capsys):
 
 def test_unknown_settings_are_refused(own, capsys):
     path = own(RECORD.replace('"starts": 3', '"tries": 3'))
-    assert "has 'tries', which is not known; use starts, seed, method" in refused(
-        capsys, "fit", path
-    )
+    assert "has no setting 'tries'; it has starts, seed, method" in refused(capsys, "fit", path)
 
 
 def test_an_ode_is_behind_no_filter():

@@ -95,10 +95,10 @@ def test_every_key_reaches_the_member(folder):
         ("prior = {T = 1.0}", "prior of T 1.0 must be a pair"),
         ("starts_box = 3", "3"),
         ("start = {T = 'low'}", "'low'"),
-        ("method = 'magic'", "there is no method 'magic'"),
+        ("method = 'magic'", "has no method 'magic'"),
         ("seed = true", "True"),
         ("starts = 'many'", "many"),
-        ("data2 = 'own.csv'", "'data2' is not known; use"),
+        ("data2 = 'own.csv'", "has no key 'data2'; it has"),
     ],
 )
 def test_an_invalid_value_is_named(folder, line, message):

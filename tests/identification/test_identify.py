@@ -62,7 +62,7 @@ def test_what_no_structure_has_is_refused():
         gb.identify(sitl_pitch.LOG, vehicle="multirotr")
     with pytest.raises(ValueError, match="no structures for the output 'q2'"):
         gb.identify(sitl_pitch.LOG, vehicle="fixed-wing", output="q2=ATT.Pitch")
-    with pytest.raises(ValueError, match="no structure has a parameter 'K_psi'"):
+    with pytest.raises(ValueError, match="has no parameter 'K_psi'"):
         gb.identify(sitl_pitch.LOG, structures=[DampedAngle()], fixed={"K_psi": 1.0})
 
 

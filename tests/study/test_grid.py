@@ -49,7 +49,7 @@ def test_data_are_values_files_or_joint_fits(tmp_path):
 
 
 def test_what_a_grid_cannot_mean_is_a_sentence():
-    with pytest.raises(ValueError, match=r"'seeds' is not known; use .*mean 'seed'"):
+    with pytest.raises(ValueError, match=r"has no key 'seeds'; .*mean 'seed'"):
         gb.study.grid(Tilt(), FIRST, seeds=[0])
     with pytest.raises(ValueError, match="needs data"):
         gb.study.grid(Tilt())
