@@ -125,7 +125,6 @@ class Study:
         *,
         records: Records = (),
         window: float | None = None,
-        lead: float | None = None,
     ) -> Comparison:
         """Compare structures, or another factor, over the data sets; ``gb.compare(study)``.
 
@@ -141,7 +140,7 @@ class Study:
         records : sequence of Record, or mapping of data set to sequence of Record
             Held out from all fits: how well each structure predicts them, as the mean fit of all
             outputs in percent.
-        window, lead : float, s
+        window : float, s
             As in `greybox.compare`.
         """
         self._require_factor(by)
@@ -157,7 +156,7 @@ class Study:
             for key, member in best.items()
             if key[0] and (fit := member.fit)
         ]
-        return ranking(fits, records, window, lead)
+        return ranking(fits, records, window)
 
     @property
     def failures(self) -> str:
