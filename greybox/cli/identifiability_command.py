@@ -36,7 +36,6 @@ DATA = (
     "beyond",
     "at_bound",
     "correlated",
-    "condition",
     "combinations",
 )
 
