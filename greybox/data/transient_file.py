@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from greybox.data.response_columns import OMEGA
+from greybox.data.response_columns import OMEGA, RECTANGULAR
 from greybox.data.response_file import common_facts, described, require_csv
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.delimited_text import DelimitedText, read_delimited, write_delimited
@@ -11,7 +11,6 @@ from greybox.files.safe_files import require_file
 
 KIND = "transient spectrum"
 CHANGE = "change of "  # begins the key of the last less the first value of an input
-PARTS = ("alpha", "beta")  # real and imaginary part, as in the file of a response
 
 
 def write_spectrum(spectrum: TransientSpectrum, path: str | Path) -> None:
@@ -43,8 +42,8 @@ def write_spectrum(spectrum: TransientSpectrum, path: str | Path) -> None:
 
     columns = {OMEGA: spectrum.omega.tolist()}
     for name, values in spectrum.signals.items():
-        columns[f"{name}_{PARTS[0]}"] = values.real.tolist()
-        columns[f"{name}_{PARTS[1]}"] = values.imag.tolist()
+        columns[f"{name}_{RECTANGULAR[0]}"] = values.real.tolist()
+        columns[f"{name}_{RECTANGULAR[1]}"] = values.imag.tolist()
     write_delimited(path, facts, columns)
 
 
@@ -83,7 +82,7 @@ def _from_table(table: DelimitedText) -> TransientSpectrum:
     names = {kind: json.loads(facts[kind]) for kind in ("inputs", "outputs")}
     signals = {
         kind: {
-            name: columns[f"{name}_{PARTS[0]}"] + 1j * columns[f"{name}_{PARTS[1]}"]
+            name: columns[f"{name}_{RECTANGULAR[0]}"] + 1j * columns[f"{name}_{RECTANGULAR[1]}"]
             for name in names[kind]
         }
         for kind in names

@@ -1,7 +1,6 @@
 """Loops with confidence bands, as Bode, Nichols, Nyquist diagram and step; and safe gains."""
 
 import math
-from functools import partial
 
 import numpy as np
 
@@ -60,10 +59,9 @@ def loop_figures(margins: Margins) -> list[Figure]:
         size, angle = data.decibels, data.degrees
         # Both phases in the same turn.
         angle -= 360 * np.round(np.mean(angle - np.interp(data.omega, omega, phase[0])) / 360)
-        points = partial(Series, data.name or "measured", "points", color=k, style=k)
         columns = [(data.omega, size), (data.omega, angle), (angle, size)]
         for series, (x, y) in zip(curves, [*columns, (numbers.real, numbers.imag)], strict=True):
-            series.append(points(x, y))
+            series.append(Series(data.name or "measured", "points", x, y, k, k))
 
     panels = [Panel("Gain, dB", curves[0]), Panel("Phase, °", curves[1], steps=ANGLES)]
     nichols = Panel("Gain, dB", curves[2])

@@ -65,9 +65,7 @@ def response_matrix(
     """
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415  (slow import)
 
-    inputs = tuple(inputs)
-    outputs = tuple(outputs)
-    excitations = tuple(excitations) or inputs
+    excitations = excitations or inputs
     if len(excitations) != len(inputs):
         raise ValueError(
             f"there are {len(excitations)} excitations for {len(inputs)} inputs: give one for each."
