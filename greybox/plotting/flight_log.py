@@ -9,7 +9,7 @@ from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment
 from greybox.files.arrays import Array
 from greybox.plotting.figure import GRAY, Figure, Panel, Series
-from greybox.plotting.long_lines import drawn_line, pieces
+from greybox.plotting.long_lines import drawn_line
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.signals import shown_unit
 
@@ -124,7 +124,8 @@ def signal_line(name: str, time: Array, values: Array, color: int) -> Series:
     """Return a signal over time; gaps of more than ten median steps interrupt the line."""
     # Raw logs drop single messages: with a smaller limit a lossy log would be dots, not lines.
     gap = 10.0 * float(np.median(np.diff(time))) if time.size > 2 else math.inf
-    x, y = drawn_line(time, values, pieces(time, gap))
+    cuts = np.flatnonzero(np.diff(time) > gap) + 1
+    x, y = drawn_line(time, values, np.split(np.arange(time.size), cuts))
     return Series(name, "line", x, y, color)
 
 

@@ -9,12 +9,6 @@ from greybox.files.arrays import Array, IntArray
 COLUMNS = 2000  # pixels of a figure of 10 inches at 200 dpi; each shows two extremes
 
 
-def pieces(time: Array, gap: float) -> list[IntArray]:
-    """Return the rows between gaps: steps of `time` (n,) that are longer than `gap`, s."""
-    cuts = np.flatnonzero(np.diff(time) > gap) + 1
-    return np.split(np.arange(time.size), cuts)
-
-
 def drawn_line(
     time: Array,
     values: Array,

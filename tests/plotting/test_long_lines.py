@@ -3,13 +3,7 @@
 import numpy as np
 import pytest
 
-from greybox.plotting.long_lines import COLUMNS, drawn_line, pieces
-
-
-def test_pieces_are_what_lies_between_the_gaps():
-    time = np.array([0.0, 0.1, 0.2, 5.0, 5.1, 9.0])
-    assert [rows.tolist() for rows in pieces(time, 1.0)] == [[0, 1, 2], [3, 4], [5]]
-    assert [rows.tolist() for rows in pieces(time[:1], 1.0)] == [[0]]
+from greybox.plotting.long_lines import COLUMNS, drawn_line
 
 
 def test_short_lines_are_drawn_whole_with_a_break_at_each_gap():
