@@ -89,17 +89,12 @@ def problem_of(fit: Fit) -> AnyProblem:
             at = {"at": part.at, "amplitude": part.sine}
         outside = {name: part.outside(name) for name in declared}
 
-        def inside(
-            values: Mapping[str, Any], outside: Mapping[str, str] = outside
-        ) -> dict[str, Any]:
-            return {name: values[o] for name, o in outside.items() if o in values}
-
         problems.append(
             Problem(
                 model,
                 part.data,
                 criterion,
-                fixed=inside(held),
+                fixed=_inside(held, outside),
                 # What the model declares fixed and the fit estimated was freed by its problem.
                 free=[
                     name for name, p in declared.items() if p.fixed and outside[name] not in held
@@ -108,10 +103,15 @@ def problem_of(fit: Fit) -> AnyProblem:
                 rename=part.rename,
                 weight=part.weight,
                 name=part.name,
-                bounds=inside(bounds),
-                starts=inside(boxes),
+                bounds=_inside(bounds, outside),
+                starts=_inside(boxes, outside),
                 **at,
             )
         )
 
     return problems[0] if len(problems) == 1 else Sum(tuple(problems), fit.name)
+
+
+def _inside(values: Mapping[str, Any], outside: Mapping[str, str]) -> dict[str, Any]:
+    """Return values by the names in the model, from those by the names in the fit."""
+    return {name: values[o] for name, o in outside.items() if o in values}
