@@ -35,6 +35,7 @@ def test_sine_schedule_is_the_formula():
     assert made.time[-1] - second.end == pytest.approx(pause, abs=1 / 200)
     between = (made.time >= first.end) & (made.time < second.start)
     assert np.all(made["reference"][between] == 0.5)
+    assert len(made.record()) == made.time.size
     assert "sine on reference" in str(made)
 
 
