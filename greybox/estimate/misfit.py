@@ -378,13 +378,17 @@ def _of_record(
         return result.reshape(len(result), measured.size).T
 
     by_initial = data.unpadded(np.einsum("ab,bmn->amn", noise, slopes.by_initial))
-    initial = [rows_of_stretch(*pair) for pair in zip(by_initial, present, strict=True)]
+    # An offset or a trend cannot be told from a drift of the errors.
+    beginnings = [
+        np.hstack([rows_of_stretch(by_state, measured), _lines(measured)])
+        for by_state, measured in zip(by_initial, present, strict=True)
+    ]
 
     def rows(values: Array, tested: bool) -> Array:
         pairs = zip(data.unpadded(values), present, strict=True)
         stretches = [rows_of_stretch(*pair) for pair in pairs]
-        # The initial states of every stretch take their share first.
-        return np.vstack([*map(beside, stretches, initial)] if tested else stretches)
+        # The initial states and lines of every stretch take their share first.
+        return np.vstack([*map(beside, stretches, beginnings)] if tested else stretches)
 
     firsts = np.cumsum([0, *(row.size for row in present[:-1])])
     outputs = [
@@ -405,6 +409,13 @@ def _of_record(
         rows,
         outputs=outputs,
     )
+
+
+def _lines(measured: BoolArray) -> Array:
+    """Return a constant and a straight line (k n, 2 k) for every output of a stretch (k, n)."""
+    outputs, samples = measured.shape
+    line = np.vander(np.linspace(-1, 1, samples), 2)
+    return np.kron(np.eye(outputs), line) * measured.reshape(-1, 1)
 
 
 def _on_excerpts(
