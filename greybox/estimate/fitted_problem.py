@@ -89,12 +89,17 @@ def problem_of(fit: Fit) -> AnyProblem:
             at = {"at": part.at, "amplitude": part.sine}
         outside = {name: part.outside(name) for name in declared}
 
+        def inside(
+            values: Mapping[str, Any], outside: Mapping[str, str] = outside
+        ) -> dict[str, Any]:
+            return {name: values[o] for name, o in outside.items() if o in values}
+
         problems.append(
             Problem(
                 model,
                 part.data,
                 criterion,
-                fixed=_inside(held, outside),
+                fixed=inside(held),
                 # What the model declares fixed and the fit estimated was freed by its problem.
                 free=[
                     name for name, p in declared.items() if p.fixed and outside[name] not in held
@@ -103,15 +108,10 @@ def problem_of(fit: Fit) -> AnyProblem:
                 rename=part.rename,
                 weight=part.weight,
                 name=part.name,
-                bounds=_inside(bounds, outside),
-                starts=_inside(boxes, outside),
+                bounds=inside(bounds),
+                starts=inside(boxes),
                 **at,
             )
         )
 
     return problems[0] if len(problems) == 1 else Sum(tuple(problems), fit.name)
-
-
-def _inside(values: Mapping[str, Any], outside: Mapping[str, str]) -> dict[str, Any]:
-    """Return values by the names in the model, from those by the names in the fit."""
-    return {name: values[o] for name, o in outside.items() if o in values}

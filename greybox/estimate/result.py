@@ -287,6 +287,11 @@ class Fit:
             [q.name for q in free if q.at_bound],
         )
 
+    @property
+    def correlation(self) -> Array:
+        """Correlation matrix (p, p) of the free parameters; NaN without a standard error."""
+        return self.known_directions(self.free).correlation
+
     def known_directions(self, names: Sequence[str]) -> KnownDirections:
         """Return the covariance of these parameters in the directions that the data determine.
 

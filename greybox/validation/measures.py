@@ -20,7 +20,7 @@ def fit_rows(
     *,
     same_data: bool,
     comparable: bool,
-    likelihoods: Likelihoods | None,
+    likelihoods: Likelihoods | None = None,
 ) -> list[Row]:
     """Return the rows of the fits as a whole: costs, sizes, AIC, AICc and BIC.
 

@@ -262,7 +262,7 @@ def test_a_failed_fit_comes_back(tmp_path):
     assert [run.status for run in loaded.runs] == [run.status for run in fit.runs]
     for one in (fit, loaded):
         with pytest.raises(ValueError, match="has no estimate"):
-            one.identifiability  # noqa: B018
+            one.correlation  # noqa: B018
 
 
 @pytest.mark.usefixtures("files_are_read_here")
