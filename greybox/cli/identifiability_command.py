@@ -36,6 +36,7 @@ DATA = (
     "beyond",
     "at_bound",
     "correlated",
+    "condition",
     "combinations",
 )
 

@@ -145,6 +145,9 @@ class Identifiability:
         Parameters that ended at a bound, and are taken as known.
     correlated : tuple of (str, str, float)
         Pairs with a correlation above 0.9, largest first.
+    condition : float
+        Condition number of the Jacobian with columns of unit length; infinite where a direction is
+        not determined.
     combinations : tuple of DeterminedCombination
         Combinations that are determined although their members are not: the simplest ones.
 
@@ -157,6 +160,7 @@ class Identifiability:
     insensitivity: Array
     at_bound: tuple[str, ...]
     correlated: tuple[tuple[str, str, float], ...]
+    condition: float
     combinations: tuple[DeterminedCombination, ...]
 
     @property
@@ -190,7 +194,8 @@ def identifiability(
     inside = directions.of(places)
     inside_names = [names[k] for k in places]
     errors = inside.errors(np.eye(len(places)))
-    diagonal = np.diag(inside.matrix)
+    matrix = inside.matrix
+    diagonal = np.diag(matrix)
     is_seen = diagonal > BLIND**2 * diagonal.max(initial=0.0)
 
     error = np.full(len(names), np.nan)
@@ -213,8 +218,20 @@ def identifiability(
         insensitivity=insensitivity,
         at_bound=tuple(at_bound),
         correlated=correlated,
+        condition=_condition(matrix),
         combinations=tuple(_combinations(inside_names, [units[k] for k in places], inside, errors)),
     )
+
+
+def _condition(matrix: Array) -> float:
+    """Return the condition number of the Jacobian J with unit columns; `matrix` (m, m) is JᵀJ."""
+    length = np.sqrt(np.diag(matrix))
+    if not len(matrix):
+        return math.nan
+    if not np.all(length > 0):
+        return math.inf
+    squared = float(np.linalg.cond(matrix / np.outer(length, length)))
+    return math.sqrt(squared) if squared < 1e14 else math.inf
 
 
 def _combinations(
@@ -314,7 +331,7 @@ def _power(name: str, power: int) -> str:
 
 
 def _text(of: Identifiability) -> Iterator[str]:
-    """Yield the table, then correlations and combinations, a line for each."""
+    """Yield the table, then correlations, condition number and combinations, a line for each."""
     rows = []
     for name, error, alone in zip(of.names, of.error, of.insensitivity, strict=True):
         remark = (
@@ -332,6 +349,7 @@ def _text(of: Identifiability) -> Iterator[str]:
         f"guidelines: {100 * ERROR_GUIDELINE:.0f} % error (Cramér-Rao bound), "
         f"{100 * INSENSITIVITY_GUIDELINE:.0f} % insensitivity (the error if all others were known)"
     )
+    yield f"condition number of the scaled Jacobian: {number(of.condition, 3)}"
 
     for first, second, r in of.correlated:
         yield f"correlation of {first} and {second}: {r:.4f}"

@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.pandas_frames import Frame, frame_of
@@ -460,6 +460,20 @@ class Fit:
             fitted,
             model,
             {name: self.estimate[fitted.outside(name)] for name in model.parameters},
+        )
+
+    @property
+    def residuals(self) -> tuple[NDArray[Any], ...]:
+        """Measured minus fitted values of every part; `plotting.residuals` draws them.
+
+        A response has (n,) complex ones, a record (outputs, n), a manoeuvre (outputs, n) complex
+        ones. Those of a record are NaN where nothing was compared.
+        """
+        return tuple(
+            part.data.response - part.response
+            if isinstance(part, FittedResponse)
+            else np.array([part.residual(name) for name in part.outputs])
+            for part in self.parts
         )
 
     def response_band(

@@ -10,6 +10,7 @@ from greybox.estimate.identifiability import (
     DeterminedCombination,
     Identifiability,
     KnownDirections,
+    _condition,
     _products,
     _sums,
     identifiability,
@@ -259,6 +260,9 @@ def test_errors_insensitivities_and_correlations_are_those_of_the_jacobian():
     assert r < -0.9
     assert [(one, other) for one, other, _ in found.correlated] == [("a", "b")]
     assert found.correlated[0][2] == pytest.approx(r)
+    assert found.condition == pytest.approx(
+        np.linalg.cond(jacobian / np.linalg.norm(jacobian, axis=0))
+    )
     assert found.combinations == ()
     text = str(found)
     assert f"correlation of a and b: {r:.4f}" in text
@@ -280,7 +284,7 @@ def test_errors_insensitivities_and_correlations_are_those_of_the_jacobian():
     [(0.2, 0.1, ()), (0.21, 0.05, ("a",)), (0.15, 0.11, ("a",)), (np.nan, 0.0, ("a",))],
 )
 def test_what_is_beyond_a_guideline(error, insensitivity, beyond):
-    found = Identifiability(("a",), np.array([error]), np.array([insensitivity]), (), (), ())
+    found = Identifiability(("a",), np.array([error]), np.array([insensitivity]), (), (), 1.0, ())
     assert found.beyond == beyond
     assert repr(found) == f"<Identifiability 1 parameter, {len(beyond)} beyond a guideline>"
 
@@ -423,6 +427,14 @@ def test_correlations_above_nine_tenths_are_named_the_largest_first():
     np.testing.assert_allclose([r for *_, r in found.correlated], [-0.95, 0.91])
 
 
+def test_conditions_of_matrices_that_lack_a_direction():
+    assert np.isnan(_condition(np.zeros((0, 0))))
+    assert _condition(np.diag([4.0, 0.0])) == np.inf
+    assert _condition(np.diag([4.0, 1e-6])) == pytest.approx(1)  # in columns of unit length
+    assert _condition(np.array([[1.0, 0.28], [0.28, 1.0]])) == pytest.approx(4 / 3)
+    assert _condition(np.ones((2, 2))) == np.inf
+
+
 def test_a_parameter_without_effect_is_infinitely_insensitive():
     known = KnownDirections(
         np.diag([0.04, 0.0, 0.01]),
@@ -433,6 +445,7 @@ def test_a_parameter_without_effect_is_infinitely_insensitive():
     found = identifiability(tuple("abc"), ("s", "m", "1"), known, ())
     np.testing.assert_allclose(found.error, [0.1, np.nan, 0.1])
     np.testing.assert_allclose(found.insensitivity, [0.1, np.inf, 0.1])
+    assert found.condition == np.inf
     assert found.beyond == ("b",)
     assert str(found).splitlines()[3].split() == [
         "b",
@@ -464,6 +477,7 @@ def test_the_table_has_a_line_for_each_parameter_and_what_is_told_of_several():
         np.array([0.1, np.inf, np.nan]),
         ("c",),
         pair,
+        12.345,
         (together,),
     )
     assert [line.rstrip() for line in str(found).splitlines()] == [
@@ -474,6 +488,7 @@ def test_the_table_has_a_line_for_each_parameter_and_what_is_told_of_several():
         "c                 -                 -  at its bound",
         "",
         "guidelines: 20 % error (Cramér-Rao bound), 10 % insensitivity (the error if all others were known)",
+        "condition number of the scaled Jacobian: 12.3",
         "correlation of a and b: -0.9877",
         "determined together: a/b = 2.500 ± 0.025",
     ]

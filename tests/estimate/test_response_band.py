@@ -1,4 +1,4 @@
-"""Bands of fitted responses against Monte Carlo by scipy, closed forms and differences."""
+"""Bands of fitted responses against Monte Carlo by scipy, closed forms and differences; residuals."""
 
 from dataclasses import replace
 
@@ -205,6 +205,26 @@ def test_the_band_survives_saving_and_needs_a_covariance(likely, tmp_path):
         replace(exact, directions=None).response_band()
     with pytest.raises(ValueError, match="level 95 must lie"):
         likely.response_band(level=95)
+
+
+def test_residuals_are_measured_less_fitted(likely):
+    (residual,) = likely.residuals
+    assert_allclose(residual, likely.responses[0].data.response - likely.responses[0].response)
+    record = gb.Record(
+        np.arange(5.0), {"x": np.arange(5.0), "y": np.array([1, 3, np.nan, 7, 9.5])}, has_time=False
+    )
+
+    class Line(gb.StateSpace):
+        inputs, outputs = ("x",), ("y",)
+        a = gb.Parameter(1.0)
+
+        def output(self, x, u, p):
+            return (1 + p.a * u.x,)
+
+    fit = gb.fit(gb.Problem(Line(), record), **ONE)
+    (rows,) = fit.residuals
+    assert rows.shape == (1, 5)
+    assert_allclose(rows[0], record["y"] - 1 - fit.estimate["a"] * record["x"])
 
 
 def test_a_band_of_a_biased_response_is_about_the_response_less_its_bias():

@@ -27,7 +27,7 @@ def test_residuals_have_means_over_signals_and_correlations(spring, record):
     figures = residual_figures(spring.records[0])
     labels = ["time, s", "force", "fitted position", "Frequency, rad/s", "Lag, samples"]
     assert [figure.label for figure in figures] == labels
-    e = spring.records[0].residual(*spring.records[0].outputs)
+    (e,) = spring.residuals[0]
     means = named(figures[1].panels[0], "", "points")
     order = np.argsort(record["force"])
     assert means.y == pytest.approx([e[rows].mean() for rows in np.array_split(order, 10)])

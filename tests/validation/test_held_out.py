@@ -113,7 +113,9 @@ def test_lengths_are_whole_samples_and_not_less_than_one(rooms, flights):
         window=1.0,
         records=[flights[2], flights[2].rows(np.arange(0, 600, 3))],
     )
-    assert "windows of 1 to 1.05 s, each from 1.5 s before it" in str(mixed)
+    assert "held-out data: 56 windows of 1 to 1.05 s, each from 0.5 to 0.6 s before it" in str(
+        mixed
+    )
 
 
 def test_criteria_in_time_are_compared_by_their_likelihoods(rooms):
@@ -259,12 +261,12 @@ def test_lengths_are_those_that_delays_and_samples_ask_for():
             at_estimate=lambda **_: SimpleNamespace(delays=np.array([0.1, delay])), records=()
         )
 
-    assert held_out.window_lengths([fit(0.0)], [record, rows], None) == (1.0, 0.5)
-    assert held_out.window_lengths([fit(0.0), fit(0.4)], [record], None) == pytest.approx(
+    assert held_out.window_lengths([fit(0.0)], [record, rows], None, None) == (1.0, 0.5)
+    assert held_out.window_lengths([fit(0.0), fit(0.4)], [record], None, None) == pytest.approx(
         (1.0, 0.8)
     )
-    assert held_out.window_lengths([fit(0.0)], [record], 3.0) == (3.0, 0.5)
-    assert np.isnan(held_out.window_lengths([fit(0.4)], [rows], None)).all()
+    assert held_out.window_lengths([fit(0.4)], [record], 3.0, 0.2) == (3.0, 0.2)
+    assert np.isnan(held_out.window_lengths([fit(0.4)], [rows], None, None)).all()
 
 
 def test_outputs_are_those_of_all_models_that_the_record_has():
