@@ -481,6 +481,7 @@ class Fit:
         omega: ArrayLike | None = None,
         level: float = 0.95,
         part: int = 0,
+        model: Model | None = None,
     ) -> ResponseBand:
         """Return the fitted response of a part at `omega` (n,) rad/s with its confidence band.
 
@@ -494,7 +495,7 @@ class Fit:
         LookupError
             If a loaded fit does not know the model.
         """
-        fitted, model, values = self._response_part(part, None)
+        fitted, model, values = self._response_part(part, model)
         # Renamed parameters stand among those of the fit under their outside names.
         names = [fitted.outside(name) for name in model.parameters]
         directions = self.known_directions(names)

@@ -1,7 +1,7 @@
 """Which parameters of a model structure data could determine, by the rank of sensitivities."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -116,6 +116,8 @@ def structural_identifiability(
     at: Mapping[str, float] | None = None,
     fixed: Mapping[str, float] | None = None,
     free: Sequence[str] = (),
+    tied: Mapping[str, Callable[[Any], Any]] | None = None,
+    initial: Mapping[str, Any] | None = None,
 ) -> StructuralIdentifiability:
     """Return which parameters inputs and outputs could determine, before there are any data.
 
@@ -131,8 +133,10 @@ def structural_identifiability(
     model : Model
     outputs : sequence of str, optional
         The measured outputs; by default all.
-    at, fixed, free : optional
+    at, fixed, free, tied : optional
         As in `Problem`; `at` selects the linearized response.
+    initial : mapping, optional
+        Known initial states, as in `OutputError`.
 
     Raises
     ------
@@ -151,8 +155,14 @@ def structural_identifiability(
         else tuple(model.output_names if outputs is None else outputs)
     )
     require_known(chosen, model.output_names, "output", model.label)
-    options = {"fixed": fixed or {}, "free": free}
+    options = {"fixed": fixed or {}, "free": free, "tied": tied or {}}
     in_frequency = isinstance(model, TransferFunction) or at is not None
+
+    if in_frequency and initial:
+        raise ValueError(
+            f"initial={dict(initial)} is for records; {model.label} is judged by its response: "
+            "leave it out."
+        )
 
     # The same points at every call: an answer must not change from run to run.
     random = np.random.default_rng(0)
@@ -162,7 +172,7 @@ def structural_identifiability(
         if in_frequency:
             point = _of_responses(model, chosen, values, at or {}, options, random)
         else:
-            point = _of_record(model, chosen, values, options, random)
+            point = _of_record(model, chosen, values, initial or {}, options, random)
         if point is not None:
             points.append(point)
 
@@ -269,6 +279,7 @@ def _of_record(
     model: Model,
     outputs: Sequence[str],
     values: Mapping[str, float],
+    initial: Mapping[str, Any],
     options: Mapping[str, Any],
     random: np.random.Generator,
 ) -> _Sensitivity | None:
@@ -278,7 +289,7 @@ def _of_record(
     shape = random.normal(size=(len(model.input_names), len(time)))
     measured = random.normal(size=(len(outputs), len(time)))
     # A given noise keeps the estimated variance from depending on the random outputs.
-    criterion = OutputError(noise=dict.fromkeys(outputs, 1.0), inputs="held")
+    criterion = OutputError(noise=dict.fromkeys(outputs, 1.0), initial=initial, inputs="held")
 
     for size in SIZES:
         signals = dict(zip(model.input_names, size * shape, strict=True))

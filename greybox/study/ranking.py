@@ -28,6 +28,7 @@ def ranking(
     fits: Sequence[tuple[str, str, Fit]],
     records: Records = (),
     window: float | None = None,
+    lead: float | None = None,
 ) -> Comparison:
     """Compare structures over data sets; `fits` are (structure, data set, fit)."""
     tables: dict[str, Table] = {EVIDENCE: {}, PREDICTION: {}}
@@ -40,7 +41,7 @@ def ranking(
         if chosen:
             notes += not_held_out([*best.values()], [*best], chosen)
             try:
-                tables[PREDICTION][name] = _errors(best, chosen, window)
+                tables[PREDICTION][name] = _errors(best, chosen, (window, lead))
             except (ValueError, ArithmeticError, LookupError) as error:  # others may be predicted
                 notes.append(f"{name}: {error}")
 
@@ -96,12 +97,12 @@ def _evidence(group: Sequence[tuple[str, Fit]]) -> tuple[dict[str, Fit], dict[st
 
 
 def _errors(
-    best: Mapping[str, Fit], records: Sequence[Record], window: float | None
+    best: Mapping[str, Fit], records: Sequence[Record], lengths: tuple[float | None, float | None]
 ) -> dict[str, float]:
     """Return the errors of predictions by structure: the mean of all outputs, in percent."""
     fits, data = [*best.values()], [records] * len(best)
-    lengths = window_lengths(fits, records, window)
-    predictions, _ = predict_same_windows(fits, [*best], data, lengths, fitted=False)
+    windows = window_lengths(fits, records, *lengths)
+    predictions, _ = predict_same_windows(fits, [*best], data, windows, fitted=False)
     rows = prediction_rows(HELD_OUT, predictions, fits)
     shares = np.array([row.values for row in rows if row.measure == "fit"], dtype=float)
     return dict(zip(best, (100 - shares.mean(axis=0)).tolist(), strict=True))

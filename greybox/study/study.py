@@ -125,6 +125,7 @@ class Study:
         *,
         records: Records = (),
         window: float | None = None,
+        lead: float | None = None,
     ) -> Comparison:
         """Compare structures, or another factor, over the data sets; ``gb.compare(study)``.
 
@@ -140,7 +141,7 @@ class Study:
         records : sequence of Record, or mapping of data set to sequence of Record
             Held out from all fits: how well each structure predicts them, as the mean fit of all
             outputs in percent.
-        window : float, s
+        window, lead : float, s
             As in `greybox.compare`.
         """
         self._require_factor(by)
@@ -156,7 +157,7 @@ class Study:
             for key, member in best.items()
             if key[0] and (fit := member.fit)
         ]
-        return ranking(fits, records, window)
+        return ranking(fits, records, window, lead)
 
     @property
     def failures(self) -> str:

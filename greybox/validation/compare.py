@@ -31,6 +31,7 @@ def compare(
     *fits: Any,
     records: Record | Sequence[Record] | None = None,
     window: float | None = None,
+    lead: float | None = None,
     labels: Sequence[str] = (),
 ) -> Comparison:
     """Compare fits of different structures: which one describes the data best, which predicts best.
@@ -56,10 +57,10 @@ def compare(
     records : Record or sequence of them, optional
         Held out from all fits. Without them the fits must have the same data. For a study also a
         mapping of data set to such records.
-    window : float, s
-        Length of the predictions, by default 1 s, or 10 samples of the slowest record if that is
-        longer. The state is estimated from the data before each: 0.5 s, 10 samples, or twice the
-        longest delay, whichever is longest. Rows without a time are predicted one by one.
+    window, lead : float, s
+        Length of the predictions, and of the data before them from which the state is estimated.
+        By default 1 s and 0.5 s, or 10 samples of the slowest record if that is longer; the lead is
+        also at least twice the longest delay. Rows without a time are predicted one by one.
     labels : sequence of str, optional
         One for each fit; by default the names of the models.
 
@@ -76,11 +77,11 @@ def compare(
     Multimodel Inference.
     """
     if len(fits) == 1 and hasattr(fits[0], "ranking"):
-        return fits[0].ranking(records=records or (), window=window)
+        return fits[0].ranking(records=records or (), window=window, lead=lead)
     check_fits(fits)
     _check_labels(labels, len(fits))
-    if window is not None:
-        require_lengths(window=window)
+    lengths = {"window": window, "lead": lead}
+    require_lengths(**{name: value for name, value in lengths.items() if value is not None})
     names = tuple(map(str, labels)) or labels_of(fits)
     held_out = _as_records(records)
 
@@ -90,7 +91,7 @@ def compare(
             f"{different}: fit them to the same data, or give records=[...] on which to judge them."
         )
     not_comparable = different or why_not_comparable(fits, names)
-    predictions, notes = _predictions(fits, names, held_out, window, not different)
+    predictions, notes = _predictions(fits, names, held_out, (window, lead), not different)
 
     # Costs that are likelihoods are compared as they are; others need a common likelihood.
     is_known = not not_comparable and all(map(is_likelihood, fits))
@@ -136,7 +137,7 @@ def _predictions(
     fits: Sequence[Fit],
     names: Sequence[str],
     held_out: Sequence[Record],
-    window: float | None,
+    lengths: tuple[float | None, float | None],
     same_data: bool,
 ) -> tuple[dict[str, Predictions], list[str]]:
     """Return the predictions of all fits by kind of data, and notes on them."""
@@ -146,13 +147,13 @@ def _predictions(
     if held_out:
         data[HELD_OUT] = [held_out] * len(fits)
     records = [record for of_fits in data.values() for record in of_fits[0]]
-    lengths = window_lengths(fits, records, window)
+    window_and_lead = window_lengths(fits, records, *lengths)
     predictions: dict[str, Predictions] = {}
     notes: list[str] = []
     for kind, of_fits in data.items():
         is_fitted = kind == IDENTIFICATION
         predictions[kind], texts = predict_same_windows(
-            fits, names, of_fits, lengths, fitted=is_fitted
+            fits, names, of_fits, window_and_lead, fitted=is_fitted
         )
         notes += texts
     return predictions, notes

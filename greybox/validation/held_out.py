@@ -20,7 +20,7 @@ Predictions = tuple[tuple[Prediction, ...], ...]
 
 
 def window_lengths(
-    fits: Sequence[Fit], records: Sequence[Record], window: float | None
+    fits: Sequence[Fit], records: Sequence[Record], window: float | None, lead: float | None
 ) -> tuple[float, float]:
     """Return the lengths of window and lead in s for these records; NaN without time."""
     records = [record for record in records if record.has_time]
@@ -31,10 +31,12 @@ def window_lengths(
     # unstable plant does not diverge yet. Half a second is enough to estimate the state.
     if window is None:
         window = default_length(records, 1.0)
-    models = [fit.at_estimate() for fit in fits]
-    models += [_own_model(fit, k) for fit in fits for k in range(len(fit.records))]
-    longest_delay = max(float(np.max(model.delays, initial=0.0)) for model in models)
-    return window, default_length(records, 0.5, longest_delay)
+    if lead is None:
+        models = [fit.at_estimate() for fit in fits]
+        models += [_own_model(fit, k) for fit in fits for k in range(len(fit.records))]
+        longest_delay = max(float(np.max(model.delays, initial=0.0)) for model in models)
+        lead = default_length(records, 0.5, longest_delay)
+    return window, lead
 
 
 def predict_same_windows(

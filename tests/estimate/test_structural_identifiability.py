@@ -89,6 +89,8 @@ def test_a_state_without_a_unit_of_its_own_hides_its_scale(options):
     found = gb.structural_identifiability(Scaled(), **options)
     assert lost(found) == [{"b", "c"}]
     assert found.combinations == ("b c",)
+    # In time a known initial state other than zero gives the scale away.
+    assert not gb.structural_identifiability(Scaled(), initial={"x": 1.0}).groups
 
 
 def test_compartments_are_as_in_the_textbook():
@@ -103,9 +105,14 @@ def test_a_nonlinear_scale_is_found_with_its_initial_state():
     assert not gb.structural_identifiability(Saturating()).groups
 
 
-def test_an_output_that_the_model_does_not_have_is_refused():
+def test_tied_parameters_and_single_outputs_are_asked_for():
+    assert not gb.structural_identifiability(
+        Redundant(), tied={"m": lambda p: p.k}, fixed={"idle": 0.0}
+    ).groups
     with pytest.raises(ValueError, match="'z'"):
         gb.structural_identifiability(Scaled(), ["z"])
+    with pytest.raises(ValueError, match="leave it out"):
+        gb.structural_identifiability(Redundant(), initial={"x": 1.0})
 
 
 @pytest.mark.parametrize("model", [Tilt(), LinearTilt(), NonlinearTilt()])

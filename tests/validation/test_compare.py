@@ -136,6 +136,11 @@ def test_other_data_are_refused_and_judged_by_records_alone(quadratic):
             "window is -1.0: give a length above 0",
         ),
         (
+            lambda a, b, r: gb.compare(a, b, lead=np.inf),
+            ValueError,
+            "lead is inf: give a length above 0",
+        ),
+        (
             lambda a, b, r: gb.compare(a, b, window=100.0),
             ValueError,
             "no room for lead=0.5 and window=100 s",

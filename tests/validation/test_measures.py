@@ -18,8 +18,8 @@ def quadratic():
 
 def test_the_measures_are_those_of_the_predictions(quadratic):
     right, wrong, other = quadratic
-    found = gb.compare(right, wrong, records=other, window=2.0)
-    alone = gb.predict(wrong, record=other, horizon=2.0, lead=0.5)
+    found = gb.compare(right, wrong, records=other, window=2.0, lead=1.0)
+    alone = gb.predict(wrong, record=other, horizon=2.0, lead=1.0)
     windows = {kind: len(of_fits[0][0]) for kind, of_fits in found.predictions.items()}
     assert windows == {"identification": 14, "held-out": 14}
     assert found.value("error (rms)", "LinearDrag", "held-out", "v") == pytest.approx(
