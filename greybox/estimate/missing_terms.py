@@ -1,6 +1,6 @@
 """Terms that a model may lack.
 
-Records are tried with delays, lags, saturations, offsets, nonlinear terms in the equations of the
+Records are tried with delays, lags, saturations, nonlinear terms in the equations of the
 states, late sensors, and parameters that change; responses with poles, zeros, delays, modes and
 steps of the gain.
 """
@@ -44,14 +44,6 @@ TEXTS = {
     "direct": (
         "a direct effect of {a} on {b}, one more zero",
         "the output {b} gets + p.direct * u.{a}",
-    ),
-    "offset": (
-        "an offset of {b}",
-        "OutputError(biases=['{b}'])",
-    ),
-    "trend": (
-        "a trend of {b}",
-        "subtract the trend of {b}",
     ),
     "sensor": (
         "a sensor of {b} that is late by {size} s",
@@ -152,11 +144,9 @@ def terms_of_record(record: DisturbedRecord, candidates: Mapping[str, Formula]) 
             yield from _of_input(record, j, u, a)
 
     for k, (y, b) in enumerate(zip(record.outputs, part.outputs, strict=True)):
-        values = {"offset": np.ones_like(y), "trend": samples}
         if len(part.outputs) > 1:
-            values["sensor"] = -_rate(record, y)
-        for kind, row in values.items():
-            yield Term(kind, lambda k=k, row=row: record.by_output(k, row), b=b)
+            row = -_rate(record, y)
+            yield Term("sensor", lambda k=k, row=row: record.by_output(k, row), b=b)
         for u, a in zip(record.inputs, part.system.inputs, strict=True):
             # A controller answers at once: the noise of a sample is in the input at the same time.
             past = record.by_stretch(_delayed, u, part.data.stretches[0].step)
@@ -207,7 +197,7 @@ def _of_equations(record: DisturbedRecord, candidates: Mapping[str, Formula]) ->
     p = dict(zip(record.part.model.parameters, record.parameters, strict=True))
     pairs = itertools.combinations((x | u).items(), 2)
     products = {f"{a} * {b}": row * other for (a, row), (b, other) in pairs if a in x}
-    shapes = {"a constant": np.ones(record.part.samples)} | u | products
+    shapes = u | products
     for name, row in x.items():
         shapes |= _shapes(name, row)
     for name, formula in candidates.items():
