@@ -415,7 +415,7 @@ def _lines(measured: BoolArray) -> Array:
     """Return a constant and a straight line (k n, 2 k) for every output of a stretch (k, n)."""
     outputs, samples = measured.shape
     line = np.vander(np.linspace(-1, 1, samples), 2)
-    return np.kron(np.eye(outputs), line) * measured.reshape(-1, 1)
+    return np.asarray(np.kron(np.eye(outputs), line) * measured.reshape(-1, 1), dtype=float)
 
 
 def _on_excerpts(
