@@ -58,7 +58,7 @@ def test_the_structures_of_a_multirotor_are_fitted_on_request():
 
 
 def test_what_no_structure_has_is_refused():
-    with pytest.raises(ValueError, match="use multirotor"):
+    with pytest.raises(ValueError, match="it has multirotor"):
         gb.identify(sitl_pitch.LOG, vehicle="multirotr")
     with pytest.raises(ValueError, match="no structures for the output 'q2'"):
         gb.identify(sitl_pitch.LOG, vehicle="fixed-wing", output="q2=ATT.Pitch")
@@ -266,7 +266,7 @@ def test_filters_of_the_log_are_in_series_with_the_model(filtered_rate_log):
 
     as_logged = gb.identify(filtered_rate_log, structures=structures, through=(), **stated)
     assert as_logged.through == ()
-    with pytest.raises(ValueError, match="states gyro-filter, gyro-notch"):
+    with pytest.raises(ValueError, match="it has gyro-filter, gyro-notch"):
         gb.identify(filtered_rate_log, structures=structures, through=("d-term-filter",), **stated)
 
 
