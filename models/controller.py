@@ -2,6 +2,7 @@
 
 import greybox as gb
 from greybox.experiment.controller import sensors_of
+from greybox.files.optional_package import required
 from greybox.experiment.sampled_loop import linear_controller
 
 
@@ -109,7 +110,7 @@ class LinearLaw(gb.Controller):
     inputs, outputs = ("y",), ("u",)
 
     def __init__(self, system, *, rate, signals=None):
-        import control  # noqa: PLC0415  (an optional package)
+        control = required("control", "control", "LinearLaw")
 
         # A model is converted, which refuses delays.
         if not hasattr(system, "isdtime"):
@@ -150,7 +151,7 @@ def control_system(controllers):
     are linearized about their initial states; the signs are those of the controllers, so that the
     feedback of the loop is positive.
     """
-    import control  # noqa: PLC0415  (an optional package)
+    control = required("control", "control", "control_system()")
 
     chain = [controllers] if isinstance(controllers, gb.Controller) else controllers
     sensors = sensors_of(chain)
