@@ -2,8 +2,8 @@
 
 import greybox as gb
 from greybox.experiment.controller import sensors_of
-from greybox.files.optional_package import required
 from greybox.experiment.sampled_loop import linear_controller
+from greybox.files.optional_package import required
 
 
 def _limited(value, limit):
