@@ -161,5 +161,5 @@ starts_box = {{K = [1, 2]}}
     (drag,) = read_study_file(tmp_path / "drag.toml")
     assert drag.method == gb.SingleShooting()
     (tmp_path / "bad.toml").write_text('[[member]]\nproblem = "sitl_drag"\nmethod = "single"\n')
-    with pytest.raises(UsageError, match="there are multiple-shooting, single-shooting"):
+    with pytest.raises(UsageError, match="it has multiple-shooting, single-shooting"):
         read_study_file(tmp_path / "bad.toml")

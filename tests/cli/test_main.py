@@ -26,7 +26,7 @@ from greybox.cli.output import BAD_INPUT, FAILED, USABLE, write_answer
         (["fit", "pitch_hover", "--starts", "many"], "'many' is not an integer"),
         (["fit", "pitch_hover", "--seed", "-1"], "--seed"),
         (["fit", "pitch_hover", "--delay", "padé"], "use 'exact' or 'pade:n'"),
-        (["fit", "pitch_hover", "--criterion", "best"], "there are relative-error"),
+        (["fit", "pitch_hover", "--criterion", "best"], "it has relative-error"),
         (["fit", "pitch_hover", "--criterion", "maximum-likelihood"], "needs the variance"),
         (["fit", "pitch_hover", "--fix", "a5"], "write NAME=VALUE"),
         (["fit", "pitch_hover", "--fix", "a9=1"], "no parameter 'a9'"),

@@ -157,7 +157,7 @@ def test_names_that_do_not_fit_the_model_are_refused(table, folder, capsys, word
     command = ["fit", "--model", "tables_my.py:Lag", "--data", "response.csv", "--starts", "2"]
     assert run(capsys, *command, "--input", "u", "--output", "y")[0] == 0
     status, _, error = run(capsys, *command, *words)
-    assert (status, f"{' '.join(words)} is not an" in error) == (2, True)
+    assert (status, f"has no {words[0][2:]} 'q'; it has" in error) == (2, True), error
 
 
 def test_models_without_inputs_are_compared_and_reported(table, folder, capsys):
