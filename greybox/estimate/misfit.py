@@ -255,14 +255,15 @@ def _of_group(
     def white(values: Array) -> Array:
         return whitened(values, filters, outputs) if in_time else values
 
-    tried, ranked = _ranked(parts, [*terms], white, residuals, fitted)
+    white_residuals, white_fitted = white(residuals), white(fitted)
+    tried, ranked = _ranked(parts, [*terms], white, white_residuals[:, 0], white_fitted)
     ranked = ranked[:FAMILIES]
     together = np.hstack([fitted, *(column for *_, column in ranked[:TOGETHER])])
     without, left = (
-        float(np.sum(beside(white(residuals), white(columns)) ** 2))
+        float(np.sum(beside(white_residuals, white(columns)) ** 2))
         for columns in (fitted, together)
     )
-    total = len(white(residuals)) * (1 - left / without) if without > 0 else 0.0
+    total = len(white_residuals) * (1 - left / without) if without > 0 else 0.0
     p_values = [p_value for (_, p_value, *_), *_ in ranked]
     if in_time and ranked:
         best_columns = np.hstack([column for *_, column in ranked])
@@ -315,9 +316,11 @@ def _ranked(
     residuals: Array,
     fitted: Array,
 ) -> tuple[int, list[tuple[list[float], Key, Array]]]:
-    """Return the number of terms, and the best of every family with its test and its column."""
+    """Return the number of terms, and the best of every family with its test and its column.
+
+    `residuals` (N,) and `fitted` (N, p) are white.
+    """
     best, tried = {}, 0
-    residuals, fitted = white(residuals)[:, 0], white(fitted)
     size = COLUMNS // max(len(residuals), 1) + 1
     for chosen in (keys[first : first + size] for first in range(0, len(keys), size)):
         columns = np.vstack([part.columns(chosen) for part in parts])

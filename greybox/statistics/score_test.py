@@ -2,9 +2,8 @@
 
 The residuals are regressed on what each term would add to the model, after both have lost what the
 fitted parameters can take. All are whitened before, so that colored noise is not called misfit.
-The share of the residuals that a term takes has a beta distribution if they are noise. Residuals of
-a record say something only where a term has power: a trend is compared with the few lowest
-frequencies, not with all samples.
+The share of the residuals that a term takes has a beta distribution if they are noise. For records
+these tests rank the terms; `autoregressive_test` has their probabilities.
 
 Sources: Rao (1948), Large sample tests of statistical hypotheses, Mathematical Proceedings of the
 Cambridge Philosophical Society 44; Breusch and Pagan (1980), The Lagrange multiplier test and its
@@ -43,8 +42,7 @@ class ScoreTests:
         The factor on each term that a fit would estimate, to first order, with its standard error
         if the model then explains the data.
     p_value : (c,) array
-        Probability by chance of such a share of the residuals at the frequencies of the term; NaN
-        where it cannot be told.
+        Probability by chance of such a share of the residuals; NaN where it cannot be told.
     decrease : (c,) array
         What each term takes from the sum of squares, over their mean.
     """
