@@ -402,7 +402,7 @@ def loop_of_log(
     """Return the `LoopOfLog` of a fit and the tests of an axis in a log.
 
     The loop is broken at the control, where it is measured, and where `broken_at` says; `signals`
-    are as of `flown_controllers`, `tracking` and `at` as of `gb.margins`.
+    are as in `flown_controllers`, `tracking` and `at` as in `gb.margins`.
     """
     flown, check = flown_controllers(recording, fit.model_of(0), axis, signals=signals)
     of_model, *others = (
@@ -432,7 +432,7 @@ def safe_gains_of_log(fits, recording, gains, axis="pitch", *, signals=None, **r
     """Return `gb.safe_gains` of the controllers that a log shows.
 
     The gains have the names of the firmware: ``{"ATC_RAT_PIT_P": (0.05, 0.3)}``. `signals` are as
-    of `flown_controllers`, the `requirements` as of `gb.safe_gains`.
+    in `flown_controllers`, the `requirements` as in `gb.safe_gains`.
 
     Raises
     ------

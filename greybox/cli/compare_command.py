@@ -60,7 +60,7 @@ def run(options: argparse.Namespace) -> Answer:
 
 def _comparison(options: argparse.Namespace) -> Comparison:
     paths: Sequence[Path] = options.results
-    # Stems are short; files of one name in several folders need their paths.
+    # Stems are short; files with the same name in several folders need their paths.
     names = [path.stem for path in paths]
     labels = names if len(set(names)) == len(names) else list(map(str, paths))
     if len(set(labels)) < len(labels):

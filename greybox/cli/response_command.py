@@ -80,7 +80,7 @@ def run(options: argparse.Namespace) -> Answer:
 
 
 Kind = tuple[Any, dict[str, Any], Callable[[Path], None] | None, Sequence[Any]]
-"""A measurement, its JSON, what writes its data, if they are usable, and what is drawn of them."""
+"""A measurement, its JSON, the function that writes its data if they are usable, its figures."""
 
 
 def _response(options: argparse.Namespace, recording: Recording) -> Kind:

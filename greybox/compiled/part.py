@@ -393,7 +393,7 @@ class Part(ABC):
         """
 
     def excerpt(self, samples: int) -> "Part":
-        """Return the part on excerpts of about so many samples in all."""
+        """Return the part on excerpts with about this total number of samples."""
         return self
 
     def refined(self, factor: int) -> "Part":

@@ -56,7 +56,7 @@ class RecordGroup(SegmentedPart):
         super().__init__(first, model, data, substeps, first.step, segments, covariance)
 
     def excerpt(self, samples: int) -> "RecordGroup":
-        """Return the group on excerpts of about so many samples in all."""
+        """Return the group on excerpts with about this total number of samples."""
         return RecordGroup(excerpts(self.parts, samples))
 
     # --- placement
@@ -153,7 +153,7 @@ class Groups:
 
 
 def excerpts(parts: Sequence[Part], samples: int) -> list[Any]:
-    """Return parts on excerpts of about so many samples in all, every part by its share."""
+    """Return parts on excerpts with about this total number, every part by its share."""
     total = sum(part.samples for part in parts)
     if total <= samples:
         return list(parts)

@@ -69,7 +69,7 @@ class RecordPart(SegmentedPart):
     # --- parts made of this one
 
     def excerpt(self, samples: int) -> "RecordPart":
-        """Return the part on excerpts, evenly over the record, of about so many samples in all."""
+        """Return the part on evenly spaced excerpts with about this total number of samples."""
         data = self.data.excerpts(samples)
         # The criterion stays behind when a part is sent to a worker.
         return self._with(data, self.covariance.along(data.measured))

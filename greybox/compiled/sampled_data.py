@@ -111,7 +111,7 @@ class SampledData:
         return np.append(~self.begins_stretch[1:], False)
 
     def excerpts(self, samples: int, pieces: int = 5) -> "SampledData":
-        """Return evenly spaced excerpts of about so many samples in all; all data if few."""
+        """Return evenly spaced excerpts with this total number of samples; short data whole."""
         total = sum(len(stretch) for stretch in self.stretches)
         if total <= samples:
             return self

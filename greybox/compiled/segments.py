@@ -173,7 +173,7 @@ class Segments:
     def simulate_stretches(
         self, counts: Sequence[int], nodes: Array, q: Array, data: Array
     ) -> tuple[Array, Array, Array, Array]:
-        """Simulate stretches of so many segments each, from the first node of each to its end.
+        """Simulate stretches of this many segments each, from the first node of each to its end.
 
         Returns nodes (s, n), states at all samples (n, columns), ends (s, n), and for every record
         the sums of the products of the residuals of two outputs, (r, k, k).

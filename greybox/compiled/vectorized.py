@@ -16,7 +16,7 @@ from greybox.files.arrays import Array
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import input_symbols
 
-CHUNK = 4096  # columns at once: so many fit into the cache
+CHUNK = 4096  # columns at once: as many as fit into the cache
 
 
 # CasADi's operations by name. The ufuncs of the first have the same name.

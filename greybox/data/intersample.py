@@ -21,8 +21,8 @@ import numpy as np
 HELD = math.inf
 CONTINUOUS = 0.0
 
-# Keys of `FrequencyResponse.about`: the response of the samples contains a hold of so many seconds,
-# or a fit has divided it out.
+# Keys of `FrequencyResponse.about`: the response of the samples contains a hold of this many
+# seconds, or a fit has divided it out.
 HOLD = "hold of the input, s"
 NO_HOLD = "hold divided out, s"
 

@@ -30,7 +30,7 @@ def frame_of(
 
 
 def require_frame(frame: Frame) -> None:
-    """Raise TypeError for anything but a data frame, ValueError for two columns of one name."""
+    """Raise TypeError for anything but a data frame, ValueError for equal column names."""
     # By its attributes, so that pandas need not be imported.
     if not hasattr(frame, "columns") or not hasattr(frame, "attrs"):
         raise TypeError(f"frame is {frame!r:.60}: give a pandas.DataFrame.")

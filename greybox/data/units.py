@@ -3,8 +3,8 @@
 A unit is a product of powers of the names below, as in ``deg/s/s``, ``slug*ft^2``, ``m s⁻²`` and
 ``N·m``. Libraries of units read g as gram, kt as kilotonne and C as coulomb; in flight tests these
 are the acceleration of gravity, knots and degrees Celsius. Hence this table. Its factors are exact
-to the last digit, or else those of B. N. Taylor and A. Thompson, Guide for the Use of the
-International System of Units, NIST Special Publication 811 (2008), appendix B.
+to the last digit, or come from appendix B of the Guide for the Use of the International System of
+Units (Taylor and Thompson, NIST Special Publication 811, 2008).
 """
 
 import re

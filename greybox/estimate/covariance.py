@@ -43,8 +43,8 @@ class Accuracy:
     size : (k,) array
         The change of each value that the data notice.
     dof : float
-        Numbers in the data less the directions they choose; infinite where all have given
-        variances, records never. Fewer where errors are correlated.
+        Numbers in the data less the directions that they determine, and fewer if errors are
+        correlated. Infinite if all data have given variances, which records never have.
     shares : tuple of (k, k) array and float
         Contribution of each part and of each earlier fit to the covariance, with its degrees of
         freedom.
@@ -319,7 +319,7 @@ def directions_beside(
     at_bound: Sequence[str],
     trajectories_at: Callable[[Array], Sequence[Trajectory | None]],
 ) -> KnownDirections | None:
-    """Return the directions of the free parameters at a point beside the estimate `x` (p,).
+    """Return the directions of the free parameters at a point near the estimate `x` (p,).
 
     `trajectories_at` returns the best trajectories there, or None.
     """

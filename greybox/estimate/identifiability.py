@@ -38,7 +38,7 @@ class KnownDirections:
     Attributes
     ----------
     covariance : (p, p) array
-        Within the directions that the data determine; nowhere NaN.
+        Covariance of the estimate within the directions that the data determine, without NaN.
     unseen : (p, b) array
         Directions, in multiples of `size`, about which the data say nothing.
     size : (p,) array
@@ -46,8 +46,8 @@ class KnownDirections:
     at : (p,) array
         The estimate.
     elsewhere : KnownDirections or None
-        The same beside the estimate, where a direction is unseen: a product of two equal numbers
-        looks like their sum.
+        The same at a point near the estimate, if a direction is unseen. It tells a product from a
+        sum: their derivatives agree where both factors are equal.
     """
 
     covariance: Array
@@ -95,7 +95,7 @@ class KnownDirections:
         return rows / np.where(is_product[:, None] & (self.at != 0), self.at, 1.0)
 
     def hold_elsewhere(self, rows: Array, is_product: BoolArray) -> BoolArray:
-        """Tell which combinations are determined beside the estimate too, (m,)."""
+        """Tell which combinations are determined near the estimate too, (m,)."""
         if self.elsewhere is None:
             return np.ones(len(rows), dtype=bool)
         return ~np.isnan(self.elsewhere.errors(self.elsewhere.gradients(rows, is_product)))

@@ -424,7 +424,7 @@ def _lines(measured: BoolArray) -> Array:
 def _on_excerpts(
     part: RecordPart, trajectory: Trajectory, residuals: Array, samples: int
 ) -> tuple[RecordPart, Trajectory, Array]:
-    """Return the part on excerpts of so many samples, with its trajectory and residuals there."""
+    """Return the part on excerpts of this many samples, with trajectory and residuals there."""
     excerpt = part.excerpt(samples)
     values = np.vstack([part.segments.in_order(trajectory.states), residuals])
     whole = np.zeros((len(values), 1 + max(stretch.rows[-1] for stretch in part.data.stretches)))

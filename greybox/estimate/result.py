@@ -391,7 +391,8 @@ class Fit:
     ) -> FrequencyResponse:
         """Evaluate the fitted model of a part at `omega` (n,) rad/s.
 
-        A loaded fit knows the models of greybox and those given to `load`; give any other `model`.
+        A loaded fit knows the models of greybox and those given to `load`; pass any other one as
+        `model`.
 
         Raises
         ------

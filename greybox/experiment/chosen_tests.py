@@ -76,7 +76,7 @@ def choose_tests(
     The flight reaches the wanted errors in the shortest time, or has the smallest errors in a given
     time.
 
-    The Fisher information of the tests adds up, parameters of one name being one; that of each test
+    The Fisher information of the tests adds up, with parameters shared by name; that of each test
     is from `expected_errors`. For wanted errors the shares of the time are those of an optimal
     design (Fedorov 1972, Theory of Optimal Experiments), rounded up to whole tests; a given time is
     filled with the tests that gain most.

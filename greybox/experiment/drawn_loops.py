@@ -33,17 +33,17 @@ def drawn_loops(
     at: Mapping[str, float] | None = None,
     part: int = 0,
 ) -> SampledLoop:
-    """Return the loop of the estimate, of draws from its distribution, and of plants beside it.
+    """Return the loops of the estimate, of draws from its distribution, and of plants near it.
 
-    The last ones lie beside the estimate in directions of which the data say nothing. A model has
-    one loop.
+    The last ones differ from the estimate in directions about which the data say nothing. A model
+    has one loop.
 
     Raises
     ------
     ValueError
         If the fit has no estimate or no covariance, or the controllers do not fit the model.
     TypeError
-        For a plant that is neither, and for values beside a fit.
+        For a plant that is neither, and for values given with a fit.
     """
     if not isinstance(plant, (Fit, Model)):
         raise TypeError(f"{plant!r:.60} has no loop: give a Fit, or a model with its values.")
@@ -51,7 +51,7 @@ def drawn_loops(
         row = np.array([list(plant.values(values).values())], dtype=float)
         return sampled_loop(plant, row, controller, at=at)
     if values is not None:
-        raise TypeError("values were given beside a Fit, which has its own: leave them out.")
+        raise TypeError("values were given with a Fit, which has its own: leave them out.")
     if not plant.converged:
         raise ValueError(f"the fit {plant.name!r} has no estimate: {plant.status}.")
 
@@ -69,7 +69,7 @@ def drawn_loops(
 def _draws(fit: Fit, names: Sequence[str]) -> Array:
     """Return values (plants, parameters): the estimate, draws from its distribution, others.
 
-    The others lie beside the estimate in directions of which the data say nothing.
+    The others differ from the estimate in directions about which the data say nothing.
     """
     from scipy.special import chdtri, ndtri  # noqa: PLC0415  (takes a tenth of a second to import)
     from scipy.stats import qmc  # noqa: PLC0415  (takes a third of a second to import)

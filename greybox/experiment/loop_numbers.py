@@ -128,7 +128,7 @@ def loop_frequencies(loop: SampledLoop, points: int = POINTS) -> Array:
 
 
 def refined(loop: SampledLoop, numbers: LoopNumbers) -> Numbers:
-    """Return `numbers` of the first plant, with their frequencies to rounding.
+    """Return `numbers` of the first plant, with their frequencies accurate to rounding.
 
     The places at which quantities arise get points of their own, which are ever closer.
     """

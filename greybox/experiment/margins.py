@@ -291,8 +291,8 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     ValueError
         If the fit has no estimate or no covariance, or the controllers do not fit the model.
     TypeError
-        For a plant that is none of these, for values beside a fit, for a plant without a
-        controller, and for arguments beside a measured response.
+        For a plant that is none of these, for values given with a fit, for a plant without a
+        controller, and for arguments that a measured response does not take.
 
     Notes
     -----

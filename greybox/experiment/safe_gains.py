@@ -223,7 +223,7 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
 
 
 def _owners(controllers: Sequence[Controller]) -> dict[str, tuple[int, str]]:
-    """Return the controller of each gain, and its own name; gains of one name have a prefix."""
+    """Return the controller of each gain, and its name; gains with the same name have a prefix."""
     counts = Counter(name for c in controllers for name in c.parameters)
     return {
         name if counts[name] == 1 else f"{type(c).__name__}.{name}": (k, name)

@@ -232,8 +232,8 @@ def sampled_loop(
 
     The delay of a response that was measured from logged controls contains the half sample by which
     a held control is late; say so by ``delay_has="hold"``, and it is not counted twice. `measured`
-    are signals beside the outputs and what the controllers measure. Without a controller, give the
-    `rate` at which the control changes.
+    are signals in addition to the outputs and what the controllers measure. Without a controller,
+    give the `rate` at which the control changes.
 
     Raises
     ------

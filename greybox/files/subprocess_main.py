@@ -60,7 +60,7 @@ class Collector:
         self.about: dict[str, Any] = {}
 
     def reserve(self, numbers: int) -> bool:
-        """Return whether there is room for so many numbers, and reserve it if so."""
+        """Return whether this many numbers fit, and reserve their memory if so."""
         fits = 8 * numbers <= self.room and len(self.arrays) < MOST
         self.room -= 8 * numbers if fits else 0
         return fits

@@ -34,7 +34,7 @@ def between_samples(
     """Return how each of the named inputs of a record runs between its samples.
 
     If neither `inputs` nor the record states it, `assumed` does (like `Record.hold`); otherwise the
-    input is interpolated. Rows without a time have nothing between them.
+    input is interpolated. Data without a time have nothing between their rows.
     """
     if not record.has_time:
         return tuple(Intersample(False) for _ in names)

@@ -67,7 +67,7 @@ class Problem(Addable):
         The operating point of an ODE, for a frequency response or a spectrum: some states and
         inputs, the rest follows from ``derivative = 0``.
     rename : mapping of name to name
-        Other names of parameters in the answer. Added problems share parameters of one name.
+        Other names of parameters in the answer. Added problems share parameters with equal names.
     weight : float
         Factor on this problem's cost in a sum.
     name : str
@@ -211,7 +211,7 @@ class Problem(Addable):
         for old, new in self.rename.items():
             if not isinstance(new, str) or not new:
                 raise TypeError(f"rename gives {old!r} the name {new!r}: give a string.")
-        # Two parameters of one name would become one unknown by accident.
+        # Two parameters with the same name would become one unknown by accident.
         outside = [self.outside(name) for name in self.declared]
         for name in outside:
             if outside.count(name) > 1:
@@ -311,7 +311,7 @@ class Problem(Addable):
 
     @cached_property
     def declared(self) -> Mapping[str, Parameter]:
-        """Parameters of model and criterion by inside name, with the bounds and starts given."""
+        """Parameters of model and criterion by their inner names, with their bounds and starts."""
         self._check_names()
         return {name: self._restated(name, p) for name, p in self._as_declared.items()}
 

@@ -1,4 +1,4 @@
-"""Problems that are solved at once: costs add, parameters of one name are one unknown."""
+"""Problems that are solved together: costs add, parameters with the same name are shared."""
 
 import itertools
 from abc import abstractmethod
@@ -42,7 +42,7 @@ class Addable:
 
 @dataclass(frozen=True, eq=False)
 class Sum(Addable, Generic[Part]):
-    """Several problems solved at once: costs add, parameters of one name are one unknown.
+    """Several problems solved together: costs add, parameters with the same name are shared.
 
     Each record has its own sensor biases: if several records have ``x_bias``, it becomes
     ``x_bias_1``, ``x_bias_2`` ..., numbered as the records are. Parts of one record share it; so do

@@ -140,7 +140,7 @@ def select_orders(
     linear : mapping of Orders to LinearFit, optional
         The structures with their starts, instead of those of the grid.
     **stated
-        `fixed`, `bounds` and `start` of parameters, as of `Problem`: ``b0`` and ``a0`` upwards, and
+        `fixed`, `bounds` and `start` of parameters, as in `Problem`: ``b0`` and ``a0`` upwards, and
         ``T_delay``.
 
     Raises

@@ -39,7 +39,7 @@ class Candidate:
         The structure as a person or the command line names it.
     fit : Fit
     about : str
-        What it describes.
+        What the structure describes.
     remarks : tuple of str
         Poles and zeros that nearly cancel, unstable poles, parameters at a bound.
     """

@@ -41,7 +41,7 @@ def problem_of_structure(
 
 
 def stated_for(model: Model, stated: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what is stated of the parameters that a model has."""
+    """Return the options, limited to the parameters that a model has."""
     unknown = [name for name in stated if name not in STATED]
     if unknown:
         raise TypeError(f"there is no option {unknown[0]!r}; there are {', '.join(STATED)}.")

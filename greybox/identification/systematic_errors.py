@@ -61,8 +61,8 @@ def systematic_errors(
     used : sequence of Segment
         The tests; empty for the whole record.
     amplitudes : (n,) array, optional
-        Amplitudes of the control at every frequency, for sines. By default that of its whole
-        motion.
+        Amplitudes of the control at every frequency, for sines. By default, the amplitude of its
+        whole motion.
     """
     axis = axis_of(control)
     # Only the logs of known controllers say how their outputs were thinned and rounded.

@@ -120,14 +120,14 @@ def given_model(
     Raises
     ------
     TypeError
-        For anything else, and for values beside a fit.
+        For anything else, and for values given with a fit.
     ValueError, LookupError
         If the fit has no estimate, or is loaded and does not know its model.
     """
     if isinstance(thing, Fit):
         if values is not None:
             raise TypeError(
-                "values were given beside a Fit, which has its own: leave them out, or give the "
+                "values were given with a Fit, which has its own: leave them out, or give the "
                 "model."
             )
         estimate = thing.at_estimate(part=part)

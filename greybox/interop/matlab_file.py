@@ -29,7 +29,7 @@ def write_mat(thing: Fit | Record | FrequencyResponse, path: str | Path) -> None
         ``units``; `gb.read` reads it back. A response gives ``omega`` in rad/s, complex
         ``response`` and what else is known, as ``idfrd(response, omega, 0)`` takes it. A fit gives
         a struct ``fit`` with the fields of `Fit.to_dict`, NaN for what is not known, and the data
-        of every part beside what the model gives.
+        of every part next to those of the model.
     path : str or Path
         Ending in .mat.
 

@@ -258,7 +258,7 @@ def _band(
 
 
 def chosen_manoeuvre(segments: Sequence[Segment], wanted: str) -> Segment:
-    """Return the manoeuvre of a number, counted from 1, or the only one of a kind.
+    """Return a manoeuvre by its number, counted from 1, or the only one of a kind.
 
     Raises
     ------

@@ -27,7 +27,8 @@ SETPOINTS = (  # searched when none is named
     *("r", "setpoint", "reference"),
 )
 
-# A test ends after so many s, or five intervals of a slow message, without its announcement.
+# A test ends after this many seconds, or five intervals of a slow message, without its
+# announcement.
 PAUSE = 1.0
 
 # s: messages and modes that mark a start or an end are logged ten times a second at most.

@@ -201,7 +201,7 @@ def _pick(name: str, known: Sequence[str], what: str, owner: str) -> str:
 
 
 def merge(name: str, a: Parameter, b: Parameter) -> Parameter:
-    """Return the parameter of two declarations of one name: bounds and start boxes intersect.
+    """Merge two declarations with the same name: bounds and start boxes intersect.
 
     Raises
     ------
@@ -215,7 +215,7 @@ def merge(name: str, a: Parameter, b: Parameter) -> Parameter:
         conflict = f"has the unit {a.unit!r} in one part and {b.unit!r} in the other"
     elif a.fixed != b.fixed:
         conflict = "is fixed in one part and free in the other"
-    # Two constants of one name that differ are two quantities.
+    # Two constants with the same name that differ are two quantities.
     elif a.fixed and a.start != b.start:
         conflict = f"is fixed at {a.start:g} in one part and at {b.start:g} in the other"
     if conflict:

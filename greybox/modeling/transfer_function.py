@@ -13,7 +13,7 @@ class TransferFunction(Model):
 
     A subclass declares `input` and `output`, its parameters, and `response`. Transfer functions
     multiply: ``rotor * tilt`` is the series connection in which the signal passes `rotor` first. A
-    parameter of one name in both is either renamed or declared shared, see `series`.
+    name that both use for a parameter is either changed or declared shared, see `series`.
     """
 
     input: str = "u"
@@ -48,7 +48,7 @@ class TransferFunction(Model):
         TypeError
             If `other` is not a transfer function.
         ValueError
-            If both have a parameter of one name that is not `shared`.
+            If both have a parameter with the same name that is not `shared`.
         """
         return SeriesConnection(self, other, shared=tuple(shared))
 
@@ -84,7 +84,7 @@ class RenamedParameters(TransferFunction):
         self.names = {name: names.get(name, name) for name in model.parameters}
         self.parameters = {self.names[name]: value for name, value in model.parameters.items()}
         if len(self.parameters) < len(model.parameters):
-            raise ValueError(f"{model.label} would have two parameters of one name: {names}.")
+            raise ValueError(f"{model.label} would have two equally named parameters: {names}.")
         self.input = model.input
         self.output = model.output
         self.units = model.units

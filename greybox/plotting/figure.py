@@ -23,7 +23,7 @@ class Series:
     Attributes
     ----------
     name : str
-        Entry in the legend; empty for none. Series of one name share an entry.
+        Entry in the legend; empty for none. Series with the same name share an entry.
     kind : "line", "points", "band", "rule" or "regions"
         A band lies between `low` and `high`. A rule is a horizontal line at ``y[0]``. Regions are
         polygons with NaN between them, filled with a pale color or, if hollow, outlined; the page

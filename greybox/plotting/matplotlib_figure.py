@@ -75,9 +75,9 @@ def draw(
 ) -> AxesArray:
     """Draw figures into the given axes, one for each panel, or into a new matplotlib figure.
 
-    Panels of a single figure are stacked over one horizontal axis. Those of several stand side by
-    side, each over its own. `size` of a panel in inches, `columns` and `title` are those of a new
-    figure.
+    Panels of a single figure are stacked over one horizontal axis. Several figures stand side by
+    side, each over its own axis. `size` of a panel in inches, `columns` and `title` are those of a
+    new figure.
 
     Raises
     ------

@@ -50,7 +50,7 @@ def time_history(
 ) -> AxesArray:
     """Draw measured and fitted outputs over time, below each its residuals, and the inputs.
 
-    Rows without a time are dots over their numbers.
+    Data without a time are drawn as dots over the number of the row.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def history_figure(
     labels: Sequence[str] = (),
     columns: int = COLUMNS,
 ) -> Figure:
-    """Return the history of one record; long lines keep the extremes of so many columns."""
+    """Return the history of one record; long lines keep the extremes of this many columns."""
     drawn = [_history(item, record) for item in items]
     names = distinct_labels([history.label for history in drawn], labels)
     for history in drawn[1:]:

@@ -80,7 +80,7 @@ def run_all(
     ExecutorLostError
         If the executor has lost its workers.
     KeptRunsError
-        If the runs in the memory began elsewhere.
+        If the stored runs began from other starts.
     """
     memory = memory or Memory()
     batches = _batches(numbered, solver.together)
@@ -152,7 +152,7 @@ def _begins(batch: Batch, begins: Mapping[int, Array]) -> Array:
 def _tasks(
     batches: Iterator[Batch], memory: Memory, most: int
 ) -> Iterator[tuple[Batch, list[Outcome] | None]]:
-    """Yield batches, joined up to so many starts, and stored ones with their outcomes."""
+    """Yield batches, joined up to this many starts, and stored ones with their outcomes."""
     starts: Batch = []
     for batch in batches:
         recalled = _recalled(memory, batch)
@@ -171,7 +171,7 @@ def _tasks(
 def _on_workers(
     tasks: "_Tasks", remaining: Iterator[tuple[Batch, list[Outcome] | None]]
 ) -> Iterator[tuple[int, Array, Outcome]]:
-    """Yield the runs of all tasks in order; at most so many are handed out and not yet done."""
+    """Yield the runs of all tasks in order; at most this many are handed out and not yet done."""
     waiting = tasks.waiting
     try:
         while not stop_requested():

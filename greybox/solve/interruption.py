@@ -109,7 +109,7 @@ def limited(limits: TimeLimits) -> Iterator[None]:
 
 @contextmanager
 def one_run(spent: float = 0.0, starts: int = 1) -> Iterator[None]:
-    """Apply the time limit of so many starts, of which `spent` seconds have passed."""
+    """Apply the time limit of this many starts; `spent` seconds have passed already."""
     # Within a run that has a limit, a longer one must not extend it.
     previous = _state.run_ends
     _state.run_ends = min(previous, time.time() + starts * _state.limits.start - spent)
@@ -188,7 +188,7 @@ def ended_status() -> int:
 
 @contextmanager
 def listening() -> Iterator[None]:
-    """Note Ctrl-C within; an error after one was caused by it, and becomes a KeyboardInterrupt.
+    """Note Ctrl-C in the block; an error after it becomes a KeyboardInterrupt, as its cause.
 
     A second Ctrl-C raises KeyboardInterrupt in any case.
     """
@@ -220,7 +220,7 @@ def listening() -> Iterator[None]:
 
 @contextmanager
 def responding(response: Response) -> Iterator[None]:
-    """Respond to Ctrl-C in this way within."""
+    """Set the response to Ctrl-C for the block."""
     previous = _state.response
     _state.response = response
     try:

@@ -67,7 +67,7 @@ def multistart(
 ) -> Multistart:
     """Run the solver from all `starts` (r, p) and group the runs into minima.
 
-    With `promising`, so many starts are run first that the solver finds the most promising; the
+    With `promising`, the solver first runs this many of the most promising starts; the
     others follow if not enough of these, the second number, agree. On the fits of the paper each of
     eight nearly always reaches the best minimum. With four of eight, as with three of four, the
     chance of an error is below 2 % if less than one start in six leads there.

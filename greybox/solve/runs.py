@@ -120,7 +120,7 @@ class Outcome:
 
 Texts = NDArray[np.object_]
 
-AT_ONCE = 4096  # runs that are processed together: so many fit into the cache
+AT_ONCE = 4096  # runs that are processed together: as many as fit into the cache
 NAMES = tuple(field.name for field in fields(Run))
 COLUMNS = ("indices", *NAMES[1:])
 KINDS = {

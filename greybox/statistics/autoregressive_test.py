@@ -1,4 +1,4 @@
-"""Whether records lack a term: the likelihood with and without it, beside autoregressive errors.
+"""Whether records lack a term: the likelihood with and without it, with autoregressive errors.
 
 A term that is missing makes the residuals drift, and errors that drift hide the term. A spectrum of
 such residuals contains what the term left in them, so that a test with this spectrum sees little.

@@ -18,7 +18,7 @@ def column_basis(columns: Array) -> Array:
 
 
 def beside(values: Array, columns: Array) -> Array:
-    """Return what remains of values (n, c) beside columns (n, p)."""
+    """Return the part of values (n, c) that is orthogonal to columns (n, p)."""
     basis = column_basis(columns)
     # The second time takes out what rounding left the first time.
     for _ in range(2):

@@ -34,7 +34,7 @@ def fit_percent(measured: ArrayLike, predicted: ArrayLike) -> float:
 class CorrelationTest:
     """A statistic with its degrees of freedom, and the probability of a larger one by chance.
 
-    `correlations` (lags,) are the tested ones; 99 % of single ones lie within ± `bound` by chance.
+    `correlations` (lags,) are those tested. By chance, 99 % of them lie within ± `bound`.
     """
 
     statistic: float

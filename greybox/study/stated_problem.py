@@ -129,7 +129,7 @@ def _problem_of_model(options: Mapping[str, Any], read: Callable[..., Any]) -> A
 
 
 def in_band(problem: AnyProblem, band: Any) -> AnyProblem:
-    """Return a problem whose frequency responses are those of a band, in rad/s; None is no band.
+    """Return the problem with its frequency responses limited to a band, rad/s, if one is given.
 
     Raises
     ------

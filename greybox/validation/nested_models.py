@@ -77,8 +77,8 @@ class NestedTest:
 def nested_test(small: Fit, large: Fit) -> NestedTest:
     """Test whether the parameters that only `large` has free are needed.
 
-    `large` contains `small` where parameters of one name are the same and the equations agree with
-    the other parameters of `large` at zero, one or a bound, or as `small` fixes or ties them.
+    `large` contains `small` where parameters with the same name are equal and the equations agree
+    with the other parameters of `large` at zero, one or a bound, or as `small` fixes or ties them.
 
     The test compares twice the difference of the costs with an F distribution. First it divides by
     the variance that the standard errors give these parameters over the variance that the curvature

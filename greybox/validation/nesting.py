@@ -1,6 +1,6 @@
 """Whether one model is another one with parameters removed.
 
-Parameters of one name are the same in both models. Those that only the larger fit estimates must
+A parameter has the same name in both models. Those that only the larger fit estimates must
 remove their terms at zero, at one, at a bound, or where the smaller fit holds them. The equations
 of both models are then compared at random values.
 """

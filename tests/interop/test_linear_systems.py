@@ -144,7 +144,7 @@ def test_linear_systems_there_and_back(control):
             "kind is 'lpv': give 'transfer",
         ),
         (lambda c: gb.interop.to_scipy(3), TypeError, "3 cannot be converted: give a Fit, a model"),
-        (lambda c: gb.interop.to_scipy(FIT, {"K": 1}), TypeError, "values were given beside a Fit"),
+        (lambda c: gb.interop.to_scipy(FIT, {"K": 1}), TypeError, "values were given with a Fit"),
         (lambda c: gb.interop.to_scipy(Tilt(), {"b": 1}), ValueError, "Tilt has no parameter 'b'"),
         (
             lambda c: gb.interop.to_scipy(LinearTilt(), VALUES, kind="transfer-function", pade=1),

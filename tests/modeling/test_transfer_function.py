@@ -64,7 +64,7 @@ def test_a_delay_of_both_is_applied_twice_only_if_it_is_said_to_be_the_same():
 def test_a_parameter_that_is_not_there_or_a_name_in_use_is_not_renamed():
     with pytest.raises(ValueError, match="Tilt has no parameter 'b'"):
         Tilt().renamed(b="c")
-    with pytest.raises(ValueError, match="two parameters of one name"):
+    with pytest.raises(ValueError, match="two equally named parameters"):
         Tilt().renamed(a1="a2")
 
 

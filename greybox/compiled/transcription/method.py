@@ -97,7 +97,7 @@ class Transcription(ABC):
         )
 
     def finer(self, substeps: int) -> str:
-        """Return the option of `fit` for so many steps per sample, for a warning."""
+        """Return the option of `fit` for this many steps per sample, for a warning."""
         return self._option(integrator=replace(self.scheme, substeps=substeps))
 
     def _option(self, **changes: Any) -> str:

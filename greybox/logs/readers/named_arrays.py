@@ -171,7 +171,7 @@ def recording(
         findings += [*problems, *restarts, *dropped]
     if not by_name:
         raise ValueError(
-            f"{path} has no numeric column beside the time: it needs one for each signal."
+            f"{path} has no numeric column besides the time: it needs one for each signal."
             if rows_allowed
             else f"{path} has no group with a vector 'time' (or t, timestamp) and vectors of its "
             f"length; it holds {present or 'no vectors at all'}."

@@ -52,7 +52,7 @@ def metadata(kinds: Mapping[str, Kind], times: Mapping[str, Array]) -> dict[str,
 
 
 def heartbeats(kinds: Mapping[str, Kind], times: Mapping[str, Array]) -> Heartbeats:
-    """Return the heartbeats of the autopilot that sent the first one; without `times`, at zero."""
+    """Return the heartbeats of the first autopilot in the log; their times are zero by default."""
     nobody = Heartbeats(-1, {}, np.empty(0))
     if "HEARTBEAT" not in kinds:
         return nobody

@@ -10,7 +10,7 @@ from greybox.files.arrays import Array, IntArray
 # s by which stamps fall at a clock restart; between messages of one boot they fall by up to 4 ms.
 BACK = 1.0
 
-# The medians of so many earlier and later messages show a restart despite 24 damaged ones.
+# The medians of this many earlier and later messages show a restart despite 24 damaged ones.
 WINDOW = 50
 
 PAUSE = 10.0  # s between two boots on the common clock: the real pause is unknown

@@ -68,7 +68,7 @@ class GaussNewton(LocalSolver):
         return partial(GaussNewton, settings=self.settings), (self.nlp,)
 
     def on_excerpts(self, samples: int) -> "GaussNewton":
-        """Return the solver of the same problem on excerpts of about so many samples in all."""
+        """Return the solver of the same problem on excerpts with this total number of samples."""
         parts = excerpts(self.nlp.parts, samples)
         all_parts = AllParts(parts, self.nlp.free, self.limits, self.settings)
         return GaussNewton(self.nlp, settings=self.settings, parts=all_parts)

@@ -107,7 +107,7 @@ class ShortSegments:
     """Some segments of a record, simulated for many values of the parameters at once."""
 
     def __init__(self, part: RecordPart, most: int, length: int) -> None:
-        """Choose at most so many segments, evenly over the record, of at most so many samples."""
+        """Choose up to this many segments, evenly over the record, with up to this many samples."""
         self._part = part
         count = part.data.segments
         self.chosen = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))
@@ -157,7 +157,7 @@ class ShortSegments:
         return Points(z, states, *(part.weight * values for values in model))
 
     def _segments_of(self, points: int) -> Segments:
-        """Return the segments of so many copies of the record, each with parameters of its own."""
+        """Return the segments of several copies of the record, each with its own parameters."""
         if points not in self._segments:
             copies = np.repeat(np.arange(points), len(self.chosen))
             step, active = self._part.step, self._part.model.active

@@ -132,7 +132,7 @@ def test_the_clock_may_start_again(saved):
             "has the column 'time', which is no time in numbers and a known unit",
         ),
         ("time [days],x\n1,2\n2,3\n", r"has the column 'time \[days\]', which is no time"),
-        ("t,name\n1,a\n2,b\n", "has no numeric column beside the time"),
+        ("t,name\n1,a\n2,b\n", "has no numeric column besides the time"),
         ("t,x,x\n1,2,3\n2,3,4\n", "has two columns named 'x'"),
     ],
 )
