@@ -177,6 +177,11 @@ def copter(parameters, axis, rate):
     gains, notes = _pid(parameters, f"ATC_RAT_{name}_")
     if parameters.get("ATC_RATE_FF_ENAB", 0) > 0:
         notes.append("ATC_RATE_FF_ENAB feeds the setpoint forward, which is not modeled.")
+    if parameters.get("FSTRATE_ENABLE", 0) > 0:
+        notes.append(
+            "FSTRATE_ENABLE runs the rate controller faster than SCHED_LOOP_RATE, which is not "
+            "modeled: it has less delay than here."
+        )
     return [AngleController(angle, rate=rate), RateController(gains, rate=rate)], notes
 
 
@@ -196,11 +201,16 @@ def plane(parameters, axis, rate, scaler=1.0):
 
 
 def _pid(parameters, begin):
-    gains = {n: parameters[begin + n] for n in GAINS if begin + n in parameters}
+    gains = {n: parameters[begin + n] for n in GAINS if begin + n in parameters or n in "PID"}
     notes = [
         f"{begin}{n} = {parameters[begin + n]:g} is not modeled: {what}."
         for n, what in NOT_MODELED.items()
         if parameters.get(begin + n, 0) > 0
+    ]
+    notes += [
+        f"{begin}{n} is not in the log: {RateController.parameters[n].start:g} Hz is assumed."
+        for n in ("FLTT", "FLTE", "FLTD")
+        if n not in gains
     ]
     filter_ = f"FILT{int(parameters.get(begin + 'NEF', 0))}_"
     if parameters.get(filter_ + "TYPE", 0) == 1:

@@ -82,6 +82,16 @@ class AttitudeController(gb.Controller):
         return (error, derivative, integral, limited), (_limited(demand, p.u_max), q_reference)
 
 
+class ControlUnit(gb.Controller):
+    """The control in the unit of a logged signal, which is the input of the plant."""
+
+    inputs, setpoints, outputs = (), ("control",), ("u",)
+    unit = gb.Parameter(1.0, bounds=(1e-6, 1e6), unit="1", about="what is logged of a control of 1")
+
+    def update(self, x, u, p):
+        return (), (p.unit * u.control,)
+
+
 class LinearLaw(gb.Controller):
     r"""A linear system from the error to the control, as a controller of a loop.
 

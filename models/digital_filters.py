@@ -1,6 +1,6 @@
 """Filters of flight controllers, sample by sample, in the path from a sensor to a controller."""
 
-from math import pi
+from math import atan, pi, tan
 
 import greybox as gb
 
@@ -35,13 +35,24 @@ def notch(center, quality, attenuation, rate):
     return b, (middle, (1 - alpha) / (1 + alpha))
 
 
+def at_loop_rate(frequency, rate, gyro_rate):
+    """Return the frequency, Hz, that gives a filter of the gyro's rate at the rate of the loop.
+
+    Both come from the same filter in continuous time: their phases agree at low frequencies, where
+    a loop crosses over, even if the filter's frequency is above half of the loop's rate.
+    """
+    if gyro_rate <= 0:
+        return frequency
+    return rate / pi * atan(gyro_rate / rate * tan(pi * frequency / gyro_rate))
+
+
 class SampledLowPass(gb.Controller):
     r"""Second-order Butterworth low-pass filter of a sensor, at the rate of the loop.
 
     $$y_k = b_0 x_k + b_1 x_{k-1} + b_2 x_{k-2} - a_1 y_{k-1} - a_2 y_{k-2}$$
 
-    The firmware runs it at the rate of the gyro, from 1 kHz: far below the rate of the loop there
-    is no difference. List it before the controller that reads its output.
+    The firmware runs it at the rate of the gyro, from 1 kHz, which `at_loop_rate` represents. List
+    it before the controller that reads its output.
 
     Source: LowPassFilter2p.cpp of ArduPilot 4.6 and of PX4 1.15; filter.c of Betaflight 4.5 (the
     biquad). The coefficients are the bilinear transform of $1 / (s^2 + \sqrt 2 s + 1)$.
@@ -49,9 +60,11 @@ class SampledLowPass(gb.Controller):
 
     states, inputs, setpoints, outputs = ("x1", "x2"), ("raw",), (), ("filtered",)
     cutoff = gb.Parameter(20.0, bounds=(0.1, 4000), unit="Hz", about="cutoff of the filter")
+    gyro_rate = gb.Parameter(0.0, bounds=(0, 32000), unit="Hz", about="0: the rate of the loop")
 
     def update(self, x, u, p):
-        state, output = biquad((x.x1, x.x2), u.raw, *butterworth(p.cutoff, self.rate))
+        cutoff = at_loop_rate(p.cutoff, self.rate, p.gyro_rate)
+        state, output = biquad((x.x1, x.x2), u.raw, *butterworth(cutoff, self.rate))
         return state, (output,)
 
 
@@ -86,8 +99,10 @@ class SampledNotch(gb.Controller):
     center = gb.Parameter(80.0, bounds=(1, 4000), unit="Hz", about="center")
     quality = gb.Parameter(2.0, bounds=(0.1, 100), unit="1", about="center over bandwidth")
     attenuation = gb.Parameter(40.0, bounds=(0, 300), unit="dB", about="at the center")
+    gyro_rate = gb.Parameter(0.0, bounds=(0, 32000), unit="Hz", about="0: the rate of the loop")
 
     def update(self, x, u, p):
-        b, a = notch(p.center, p.quality, p.attenuation, self.rate)
+        center = at_loop_rate(p.center, self.rate, p.gyro_rate)
+        b, a = notch(center, p.quality, p.attenuation, self.rate)
         state, output = biquad((x.x1, x.x2), u.raw, b, a)
         return state, (output,)

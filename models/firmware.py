@@ -15,14 +15,20 @@ from greybox.experiment.sampled_loop import DOT, linear_controller
 from greybox.files.text_table import text_table
 from greybox.logs.ardupilot.signals import SYSTEMID_AXES
 from greybox.logs.axis_signals import NAMES
-from greybox.logs.flight_controllers import AXES, named_filters
+from greybox.logs.flight_controllers import AXES, named_filters, passed_filters
+from greybox.logs.loop_rate import GYRO_RATE
 from greybox.logs.named_columns import in_si
 from greybox.logs.px4 import AXES as PX4_AXES
 from greybox.modeling.model import require_known
 from greybox.models import ardupilot, betaflight, px4
+from greybox.models.controller import ControlUnit
 from greybox.models.digital_filters import SampledLag, SampledLowPass, SampledNotch
 
 GAINS = (*ardupilot.GAINS, "K")  # K is PX4's factor of P, I and D
+# What is logged of a control of 1, by the message or the column; 45 degrees of a surface are 4500.
+CONTROL_UNITS = {"AETR": 4500.0, "axisSum": betaflight.MIXER}
+# Filters of the gyro that follow the motors, and are not modeled.
+FOLLOWING = ("IMU_GYRO_DNF_EN", "dyn_notch_count", "rpm_filter_harmonics", "gyro_notch_hz")
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +78,7 @@ class FlownController:
     @property
     def law(self):
         """The last controller, which gives the control."""
-        return self.controllers[-1]
+        return [c for c in self.controllers if not isinstance(c, ControlUnit)][-1]
 
     def check(self, recording):
         """Return the `ControlCheck` of the last controller on a log.
@@ -95,7 +101,9 @@ class FlownController:
             for record, name in terms:
                 present = np.isfinite(record[name])
                 values = np.interp(base.time, record.time[present], record[name][present])
-                columns[own] += values * self.factors.get(own, 1.0)
+                # A log that names the unit has been converted.
+                is_converted = record.units.get(name) == "rad/s"
+                columns[own] += values * (1.0 if is_converted else self.factors.get(own, 1.0))
         return gb.Record(base.time, columns)
 
     def sensitivity(self, recording, check):
@@ -183,13 +191,10 @@ def from_log(
         If the log has no gains, or if they changed during the test.
     """
     _require_axis(axis)
-    known = recording.metadata.get("parameters", {})
-    firmware = _plane if recording.metadata.get("vehicle") == "ArduPlane" else _copter
-    if "looptime" in known:
-        firmware = _betaflight
-    elif "MC_PITCHRATE_P" in known:
-        firmware = _px4
+    firmware = _firmware(recording, start, end)
     parameters = parameters_during(recording, start, end, PREFIXES[firmware](axis))
+    if firmware is _betaflight:
+        parameters = betaflight.translated(parameters)
     try:
         laws, notes, logged = firmware(recording, parameters, axis, start, end)
     except KeyError as error:
@@ -204,12 +209,33 @@ def from_log(
         raw = outside.get("q", "q")
         # The filters, too, are those of the time of the test.
         metadata = {**recording.metadata, "parameters": parameters}
-        known = _gyro_filters(replace(recording, metadata=metadata), parameters)
+        known, missing = _gyro_filters(replace(recording, metadata=metadata), parameters)
+        notes += missing
         filters = _in_series(known, laws[-1].rate, raw)
         outside["q"] = filters[-1].outside("filtered") if filters else raw
     laws = [_renamed(law, outside) for law in laws]
     names = BEGINNINGS[firmware](axis)
     return FlownController((*filters, *laws), axis, *logged, start, end, tuple(notes), names)
+
+
+def _firmware(recording, start, end):
+    """Return the function that reads the controllers of the firmware of a log."""
+    known = recording.metadata.get("parameters", {})
+    if "looptime" in known:
+        return _betaflight
+    if "MC_PITCHRATE_P" in known:
+        return _px4
+    if recording.metadata.get("vehicle") != "ArduPlane":
+        return _copter
+    # Rates of the controllers of a copter are logged while these fly it.
+    hovers = "RATE" in recording and len(recording["RATE"].between(start, end)) > 1
+    return _quadplane if hovers and "Q_A_RAT_PIT_P" in known else _plane
+
+
+def _quadplane(recording, parameters, axis, start, end):
+    begin = "Q_A_"
+    renamed = {f"ATC_{n.removeprefix(begin)}": v for n, v in parameters.items() if begin in n}
+    return _copter(recording, parameters | renamed, axis, start, end)
 
 
 def _copter(recording, parameters, axis, start, end):
@@ -256,6 +282,11 @@ def _betaflight(recording, parameters, axis, start, end):
 
 
 PREFIXES = {
+    _quadplane: lambda axis: [
+        *(f"Q_A_{kind}_{ardupilot.COPTER[axis]}_" for kind in ("RAT", "ANG")),
+        "INS_GYRO_FILTER",
+        "INS_HNTC",
+    ],
     _copter: lambda axis: [
         *(f"ATC_{kind}_{ardupilot.COPTER[axis]}_" for kind in ("RAT", "ANG")),
         "INS_GYRO_FILTER",
@@ -269,6 +300,10 @@ PREFIXES = {
 
 # How the names of the parameters begin that are gains, by the class of the controller.
 BEGINNINGS = {
+    _quadplane: lambda axis: {
+        "AngleController": f"Q_A_ANG_{ardupilot.COPTER[axis]}_",
+        "RateController": f"Q_A_RAT_{ardupilot.COPTER[axis]}_",
+    },
     _copter: lambda axis: {
         "AngleController": f"ATC_ANG_{ardupilot.COPTER[axis]}_",
         "RateController": f"ATC_RAT_{ardupilot.COPTER[axis]}_",
@@ -278,7 +313,7 @@ BEGINNINGS = {
         "AngleController": f"MC_{axis.upper()}_",
         "RateController": f"MC_{axis.upper()}RATE_",
     },
-    _betaflight: lambda axis: {},
+    _betaflight: lambda axis: {"RateController": ""},
 }
 
 
@@ -354,13 +389,17 @@ def _with_interval(row):
     return "-" if math.isnan(row.value) else f"{row.value:.4g}{interval}"
 
 
-def flown_controllers(recording, model, axis="pitch", *, signals=None):
-    """Return the controllers of an axis in a log as the loop of a model, and their `ControlCheck`.
+def flown_controllers(recording, fit, axis="pitch", *, signals=None):
+    """Return the controllers of an axis in a log as the loop of a fit, and their `ControlCheck`.
 
     Without `signals`, the model's output is the angle, whose derivative is the rate, or the rate if
-    its unit or its name is that of one; the angle controller is then left out.
+    its unit or its name is that of one; the angle controller is then left out. A response names the
+    signals of the log from which it was made: the control has the unit of that input, and the
+    filters of the gyro are in the loop if the output has not passed them.
     """
     _require_axis(axis)
+    model = fit.model_of(0)
+    control, sensor = _logged_signals(fit)
     tests = [t for t in gb.logs.find_segments(recording) if t.usable and axis in t.axis.lower()]
     start = min((t.start for t in tests), default=-math.inf)
     end = max((t.end for t in tests), default=math.inf)
@@ -373,11 +412,21 @@ def flown_controllers(recording, model, axis="pitch", *, signals=None):
         names = {"q": first} if is_rate else {"theta": first, "q": first + DOT}
         if not is_rate and rate in outputs:
             names["q"] = rate
-    flown = from_log(recording, axis, start=start, end=end, signals=names)
+    names.setdefault("u", model.input_names[0])
+    unit = _control_unit(recording, axis, control)
+    plant_input = names["u"]
+    if unit != 1:
+        names["u"] = "control"
+    raw = _is_raw(recording, sensor)
+    flown = from_log(recording, axis, start=start, end=end, signals=names, raw_rate=raw)
     if "theta" not in names and "q" in names:
         used = [c for c in flown.controllers if "theta" not in c.inputs]
         flown = replace(flown, controllers=tuple(used))
     check = flown.check(recording)
+    if unit != 1:
+        rate, outside = flown.law.rate, {"u": plant_input}
+        converted = ControlUnit({"unit": unit}, rate=rate, signals=outside)
+        flown = replace(flown, controllers=(*flown.controllers, converted))
     # The log shows when a rate setpoint acts; the angle controller gives it as much earlier.
     laws = [
         type(c)({**c.values, "delay": check.late["q_reference"]}, rate=c.rate, signals=c.signals)
@@ -386,6 +435,35 @@ def flown_controllers(recording, model, axis="pitch", *, signals=None):
         for c in flown.controllers
     ]
     return replace(flown, controllers=tuple(laws)), check
+
+
+def _logged_signals(fit):
+    """Return the log's names of input and output of a fitted response; empty where unknown."""
+    part = fit.parts[0]
+    text = getattr(part.data, "about", {}).get("signals", "")
+    # Fits of structures to one response leave the names of its signals out.
+    names = [pair.partition(" = ")[2] for pair in text.split(", ")]
+    return names[:2] if len(names) > 1 else ("", "")
+
+
+def _control_unit(recording, axis, control):
+    """Return what is logged of a control of 1 in a control of the axis."""
+    controls = AXES[axis].controls
+    if control and control not in controls:
+        logged = [name for name in controls if name.partition(".")[0] in recording]
+        raise ValueError(
+            f"the input of the fit is {control}, which is no control of {axis}: identify the "
+            f"response from {' or '.join(logged or controls)}."
+        )
+    return CONTROL_UNITS.get(control.partition(".")[0].partition("[")[0], 1.0)
+
+
+def _is_raw(recording, sensor):
+    """Return whether a logged rate has not passed the filters of the gyro; None if unknown."""
+    if not sensor:
+        return None
+    is_filtered = sensor.startswith("gyroADC") or bool(passed_filters(recording, sensor))
+    return "Unfilt" in sensor or not is_filtered
 
 
 def loop_of_log(
@@ -404,7 +482,7 @@ def loop_of_log(
     The loop is broken at the control, where it is measured, and where `broken_at` says; `signals`
     are as in `flown_controllers`, `tracking` and `at` as in `gb.margins`.
     """
-    flown, check = flown_controllers(recording, fit.model_of(0), axis, signals=signals)
+    flown, check = flown_controllers(recording, fit, axis, signals=signals)
     of_model, *others = (
         gb.margins(fit, flown.controllers, broken_at=place, tracking=tracking, at=at, level=level)
         for place in ("", *broken_at)
@@ -439,7 +517,7 @@ def safe_gains_of_log(fits, recording, gains, axis="pitch", *, signals=None, **r
     ValueError
         If the controllers do not reproduce the control of the log to a tenth, or have no such gain.
     """
-    flown, check = flown_controllers(recording, fits[0].model_of(0), axis, signals=signals)
+    flown, check = flown_controllers(recording, fits[0], axis, signals=signals)
     if not check.reproduces:
         raise ValueError(f"the loop is not the one that flew. {check}")
     names = flown.gain_names
@@ -521,22 +599,42 @@ def _injected(recording, end):
 
 
 def _gyro_filters(recording, parameters):
-    """Return the filters between the gyro and the rate controller: (class, values)."""
+    """Return the filters between gyro and rate controller, (class, values), and what is missing."""
     known = named_filters(recording)
+    rate = {"gyro_rate": _gyro_rate(parameters)}
+    names = ("center", "quality", "attenuation")
     filters = [
-        (SampledNotch, dict(zip(("center", "quality", "attenuation"), f.values, strict=True)))
+        (SampledNotch, dict(zip(names, f.values, strict=True)) | rate)
         for f in known.get("gyro-notch", ())
     ]
-    filters += [(SampledLowPass, {"cutoff": f.values[0]}) for f in known.get("gyro-filter", ())]
+    filters += [
+        (SampledLowPass, {"cutoff": f.values[0], **rate}) for f in known.get("gyro-filter", ())
+    ]
     for n in (1, 2):  # Betaflight's
-        cutoff = parameters.get(f"gyro_lpf{n}_static_hz", 0)
+        lowest = parameters.get(f"gyro_lpf{n}_dyn_hz[0]", 0)
+        cutoff = lowest or parameters.get(f"gyro_lpf{n}_static_hz", 0)
         kind = int(parameters.get(f"gyro_lpf{n}_type", betaflight.PT1))
         if cutoff > 0 and kind == betaflight.BIQUAD:
-            filters.append((SampledLowPass, {"cutoff": cutoff}))
+            filters.append((SampledLowPass, {"cutoff": cutoff, **rate}))
         elif cutoff > 0:
             count, correction = betaflight.SERIES[kind]
             filters += count * [(SampledLag, {"cutoff": cutoff * correction})]
-    return filters
+
+    notes = [f"{n} = {parameters[n]:g} is not modeled." for n in FOLLOWING if parameters.get(n)]
+    if not filters:
+        notes.append("The log names no filter of the gyro, so that none is in the loop.")
+    if parameters.get("INS_HNTCH_ENABLE", 0) > 0 and "gyro-notch" not in known:
+        notes.append("The frequency of the gyro's notch is unknown, so that it is left out.")
+    return filters, notes
+
+
+def _gyro_rate(parameters):
+    """Return the rate in Hz of the gyro and of its filters."""
+    if "looptime" in parameters:
+        return 1e6 / parameters["looptime"]
+    if "INS_GYRO_FILTER" in parameters:
+        return GYRO_RATE * 2 ** int(parameters.get("INS_GYRO_RATE", 0))
+    return 8 * GYRO_RATE  # usual gyros of PX4; a cutoff of 80 Hz moves by 2 % at an eighth of it
 
 
 def _in_series(filters, rate, raw):

@@ -84,6 +84,8 @@ def controllers(parameters, axis, rate):
         gains["torque_cutoff"] = parameters.get("MC_YAW_TQ_CUTOFF", 0)
     angle = {"P": parameters[f"{begin}_P"], "q_max": radians(parameters[f"{begin}RATE_MAX"])}
     notes = []
+    if "IMU_DGYRO_CUTOFF" not in parameters:
+        notes.append("IMU_DGYRO_CUTOFF is not in the log: no filter of the D term is assumed.")
     if parameters.get("MC_BAT_SCALE_EN", 0) > 0:
         notes.append("MC_BAT_SCALE_EN scales the control with the battery, which is not modeled.")
     return [AngleController(angle, rate=rate), RateController(gains, rate=rate)], notes

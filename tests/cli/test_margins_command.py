@@ -36,7 +36,7 @@ def test_the_controller_comes_from_a_log(capsys, pitch):
     answer = json.loads(out)
     assert 0.05 < answer["control_residual"] < 0.1  # every seventh pass was logged
     low_pass, angle, rate = answer["controllers"]
-    assert low_pass["values"] == {"cutoff": 20.0}
+    assert low_pass["values"] == {"cutoff": 20.0, "gyro_rate": 1000.0}
     assert low_pass["signals"]["raw"] == "theta_dot"
     assert angle["values"]["delay"] == answer["samples_late"]["q_reference"] == 2
     assert rate["values"]["P"] == pytest.approx(0.135)

@@ -10,7 +10,7 @@ import greybox as gb
 from greybox.data.record import Recording
 from greybox.models import betaflight, px4
 from greybox.models.ardupilot import AngleController, RateController
-from greybox.models.firmware import from_log
+from greybox.models.firmware import flown_controllers, from_log, loop_of_log
 
 ROOT = Path(__file__).parents[2]
 SWEEP = ROOT / "tests" / "data" / "sitl_sweep_cut.BIN"
@@ -164,6 +164,13 @@ def test_a_plane_has_the_speed_scaler_of_its_log(flight):
     with pytest.raises(ValueError, match=r"AETR\.SS"):
         from_log(replace(plane, records={}))
 
+    # The copter of a plane has flown if its rates are in the log.
+    hover = {n.replace("ATC_", "Q_A_"): v for n, v in flight.metadata["parameters"].items()}
+    about = {"vehicle": "ArduPlane", "parameters": plane.metadata["parameters"] | hover}
+    hovered = from_log(replace(flight, metadata=about))
+    assert hovered.check(flight).residual < 1e-9
+    assert hovered.gain_names["Q_A_RAT_PIT_P"] == "RateController.P"
+
 
 def px4_log(parameters=None):
     """A flight with PX4's controllers, by its topics, and what reads them."""
@@ -248,3 +255,39 @@ def test_a_table_of_betaflight(tmp_path):
     assert any("tpa_rate" in note for note in flown.notes)
     with pytest.raises(ValueError, match="no parameter pitchPID"):
         from_log(log, "pitch")
+
+    # The plant of a control in pidSum, and of a gyro in front of its filters.
+    truth = gb.margins(Roll(), flown.controllers)
+    fit = fit_of(Roll(), 0.6, "u = axisSum[0], p = gyroUnfilt[0]", "p")
+    answer = loop_of_log(log, fit, "roll").model
+    for name in ("phase margin", "gain margin", "crossover"):
+        assert answer[name].value == pytest.approx(truth[name].value, rel=1e-3)
+
+
+def fit_of(model, gain, signals, output="theta"):
+    """Return the fit of a nearly exact response that names its signals."""
+    exact = gb.frequency_response(model, {"K": gain}, np.geomspace(2, 40, 12))
+    error = 1 + 1e-4 * np.resize([1, -1], 12)
+    about = {"signals": signals}
+    data = gb.FrequencyResponse(exact.omega, error * exact.response, "u", output, about=about)
+    return gb.fit(gb.Problem(model, data), starts=[{"K": 2 * gain}], progress=False)
+
+
+def test_settings_of_blackbox_explorer_have_older_names():
+    settings = {f"rollPID[{k}]": v for k, v in enumerate((45.0, 80.0, 40.0, 30.0, 120.0))}
+    settings |= {"looptime": 125.0, "dterm_lpf_hz": 75.0, "dterm_filter_type": 2.0}
+    settings |= {"dterm_lpf2_hz": 150.0, "dterm_notch_hz": 260.0, "dterm_notch_cutoff": 160.0}
+    settings |= {"gyro_lowpass_hz": 250.0, "dyn_notch_count": 3.0}
+    log = Recording({}, metadata={"parameters": settings})
+    flown = from_log(log, "roll", raw_rate=True)
+    lag, law = flown.controllers
+    assert lag.values["cutoff"] == 250
+    assert (law.values["lpf1"], law.values["lpf1_type"], law.values["lpf2"]) == (75, 2, 150)
+    assert law.values["notch_Q"] == pytest.approx(260 * 160 / (260**2 - 160**2))
+    assert law.values["D"] == 30  # d_min is behind the gains
+    assert any("dyn_notch_count" in note for note in flown.notes)
+
+
+def test_a_fit_of_another_control_is_refused(flight):
+    with pytest.raises(ValueError, match=r"RCOU\.C1, which is no control of pitch.*RATE\.POut"):
+        flown_controllers(flight, fit_of(Plant(), 90.0, "u = RCOU.C1, theta = ATT.Pitch"))

@@ -128,6 +128,24 @@ def test_sensor_filters_are_those_of_scipy():
     assert np.abs(spectrum[[0, -1]]) == pytest.approx([1, 1], abs=1e-6)
 
 
+def test_filters_of_the_gyro_have_their_phase_in_a_slow_loop():
+    # Filters at 1 kHz in a loop of 50 Hz; the notch is far above half of its rate.
+    omega = 2 * np.pi * np.array([0.5, 1.0, 2.0])
+    z, s = np.exp(1j * omega / 50), 1j * omega / 2 / np.pi
+    for kind, values, exact in (
+        (SampledLowPass, {"cutoff": 20.0}, 1 / (s**2 / 400 + 2**0.5 * s / 20 + 1)),
+        (
+            SampledNotch,
+            {"center": 80.0, "attenuation": 300.0},
+            (s**2 + 6400) / (s**2 + s * 80 / 2 + 6400),
+        ),
+    ):
+        law = kind({**values, "gyro_rate": 1000.0}, rate=50)
+        response = linear_controller([law], ("raw",), ("filtered",)).response(z)[:, 0, 0]
+        # The notch of firmware is a little narrower in the frequency of z.
+        assert_allclose(np.angle(response), np.angle(exact), rtol=0.05)
+
+
 def test_px4_is_its_rate_control():
     targets, q = walks(2, size=0.05)
     g = {"K": 1.5, "P": 0.2, "I": 2.0, "D": 0.01, "FF": 0.1, "i_max": 0.2, "cutoff": 25.0}
@@ -165,7 +183,10 @@ def test_betaflight_is_its_pid_with_its_scales(kinds):
         3: 3 * [_lag(90.0 * 1.961459177, 2000)],
     }
     filtered = np.degrees(q)
-    for b, a in (*low_pass[kinds[0]], *low_pass[kinds[1]]):
+    omega, quality = 2 * np.pi * 200 / 2000, 200 * 160 / (200**2 - 160**2)
+    cosine, alpha = 2 * np.cos(omega), np.sin(omega) / 2 / quality
+    notch = [1, -cosine, 1], [1 + alpha, -cosine, 1 - alpha]
+    for b, a in (notch, *low_pass[kinds[0]], *low_pass[kinds[1]]):
         filtered = lfilter(b, a, filtered)
     error = np.degrees(targets - q)
     delta = 2000 * np.diff(filtered, prepend=0)
@@ -174,6 +195,7 @@ def test_betaflight_is_its_pid_with_its_scales(kinds):
     total = 0.7 * 0.032029 * 45 * error - 0.8 * 0.000529 * 30 * delta + integral
     values = {"I_factor": 2.5, "TPA": 0.8, "TPA_P": 0.7, "lpf1": 90.0, "lpf2": 90.0, "u_max": 500.0}
     values |= dict(zip(("lpf1_type", "lpf2_type"), kinds, strict=True))
+    values |= {"notch": 200.0, "notch_Q": quality}
     controller = betaflight.RateController(values, rate=2000)
     given = run(controller, q=q, q_reference=targets)
     assert_allclose(given, np.clip(total, -500, 500) / 1000, atol=1e-10)

@@ -18,16 +18,16 @@ ATTITUDE_SETPOINTS = ("ATT.DesRoll", "ATT.DesPitch", "ATT.DesYaw")
 # Messages ATT, ANG, RATE and PID*, https://ardupilot.org/copter/docs/logmessages.html
 AXES = {
     axis: AxisSignals(
-        controls=(f"RATE.{short}Out",),
+        controls=(f"RATE.{short}Out", f"AETR.{surface}"),  # of a copter, of a plane
         angles=(f"ATT.{word}", f"ANG.{word}"),
         rates=(f"RATE.{short}", f"PID{short}.Act", f"IMU.Gyr{gyro}"),
         setpoints=(f"ATT.Des{word}", f"ANG.Des{word}", f"RATE.{short}Des"),
         terms=(f"PID{short}.Tar", f"PID{short}.P"),
         sticks=(f"RCIN.C{channel}",),  # as RCMAP_ROLL and the like have it by default
     )
-    for axis, short, word, gyro, channel in (
-        ("roll", "R", "Roll", "X", 1),
-        ("pitch", "P", "Pitch", "Y", 2),
-        ("yaw", "Y", "Yaw", "Z", 4),
+    for axis, short, word, gyro, channel, surface in (
+        ("roll", "R", "Roll", "X", 1, "Ail"),
+        ("pitch", "P", "Pitch", "Y", 2, "Elev"),
+        ("yaw", "Y", "Yaw", "Z", 4, "Rudd"),
     )
 }
