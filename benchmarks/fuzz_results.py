@@ -1,13 +1,13 @@
-"""Load damaged or crafted result files, sealed again, as a stranger could send them.
+"""Load damaged or crafted fits, sealed again, and crafted HDF5 logs, as a stranger could send them.
 
 python benchmarks/fuzz_results.py [--count 2000] [--seed 0] [--only 4711] [--keep FILE]
 
 Every file is loaded and printed in a process of its own, forked from one that has imported greybox.
-A sound outcome is a fit that prints, or a ValueError that names the file, within 2 s and 500 MB:
-processor time of the process and of the one that it starts (clock time would measure what else the
-machine does; what waits is ended after 20 s), and the sum of their peak memories. Number N of a
-seed is always the same file. A file that names a module must not have it imported; one that names
-another file must not show its contents; none may print what a terminal obeys.
+A sound outcome is a fit or a log that prints, or a ValueError that names the file, within 2 s and
+500 MB: processor time of the process and of the one that it starts (clock time would measure what
+else the machine does; what waits is ended after 20 s), and the sum of their peak memories. Number N
+of a seed is always the same file. A file that names a module must not have it imported; one that
+names another file must not show its contents; none may print what a terminal obeys.
 """
 
 import argparse
@@ -32,14 +32,7 @@ from greybox.files.sealed_files import BLOCK
 ROOT = Path(__file__).parents[1]
 SECONDS, MEMORY = 2.0, 500e6  # for one file; bytes
 PATIENCE = 20  # s after which a process is ended
-NUMBERS = [
-    b"\x00" * 4,
-    b"\xff" * 4,
-    b"\x00\x00\x00\x80",
-    b"\xff\xff\xff\x7f",
-    b"\x01\x00\x00\x00",
-    b"\x00\x00\x01\x00",
-]
+TOKENS = [b"null", b"-1", b"1e999", b"NaN", b"0.5", b'"a"', b"[]", b"{}", b"9" * 5000]
 
 
 def sound(path: Path) -> None:
@@ -86,8 +79,8 @@ def _overwrite(rng, data):
 
 def _number(rng, data):
     at = _place(rng, data)
-    number = NUMBERS[rng.integers(len(NUMBERS))] * int(rng.integers(1, 3))
-    data[at : at + len(number)] = number
+    token = TOKENS[rng.integers(len(TOKENS))]
+    data[at : at + int(rng.integers(len(token) + 1))] = token
     return data
 
 
@@ -108,12 +101,16 @@ def _append(rng, data):
 
 
 def _describe(rng, data):
-    """Damage the bytes after the signature of a structure of HDF5."""
-    marks = [b"TREE", b"SNOD", b"HEAP", b"GCOL", b"OHDR", b"FRHP", b"BTHD", b"\x89HDF"]
-    start = data.find(marks[rng.integers(len(marks))], _place(rng, data))
+    """Put another value of the same length into the JSON, which mostly stays JSON."""
+    marks = [b": ", b", ", b'"numbers": [', b'"shape": [']
+    mark = marks[rng.integers(len(marks))]
+    start = data.find(mark, _place(rng, data))
     if start >= 0:
-        at = start + 4 + int(rng.integers(16))
-        data[at : at + 1] = bytes([int(rng.choice([0, 1, 2, 3, 127, 128, 255, rng.integers(256)]))])
+        at = start + len(mark)
+        end = data.find(b",", at)
+        token = TOKENS[rng.integers(len(TOKENS))]
+        if end - at >= len(token):
+            data[at:end] = token.ljust(end - at)
     return data
 
 
@@ -131,7 +128,7 @@ DAMAGES = (
 )
 
 
-def outcome(path: Path) -> tuple[str, str, float, float]:
+def outcome(path: Path, is_log: bool = False) -> tuple[str, str, float, float]:
     """Return in a word what became of a file, the details, s of processor time, and bytes."""
     reader, writer = os.pipe()
     child = os.fork()
@@ -141,7 +138,7 @@ def outcome(path: Path) -> tuple[str, str, float, float]:
             resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
             signal.alarm(PATIENCE)
             os.chdir(path.parent)
-            os.write(writer, _loaded(path).encode("utf-8", "replace")[:4000])
+            os.write(writer, _loaded(path, is_log).encode("utf-8", "replace")[:4000])
         finally:
             os._exit(0)
     os.close(writer)
@@ -161,12 +158,12 @@ def outcome(path: Path) -> tuple[str, str, float, float]:
     return word, details, seconds, size
 
 
-def _loaded(path: Path) -> str:
+def _loaded(path: Path, is_log: bool) -> str:
     """Load and print a file in this process.
 
     Return what became of it, peak memory in bytes, details.
     """
-    word, details = outcome_of(path)
+    word, details = outcome_of(path, is_log)
     # Linux counts in kB. What a process starts inherits the peak of its parent until it has more of
     # its own.
     peaks = [
@@ -176,9 +173,9 @@ def _loaded(path: Path) -> str:
     return f"{word}|{1024 * sum(peaks)}|{details}"
 
 
-def outcome_of(path: Path) -> tuple[str, str]:
+def outcome_of(path: Path, is_log: bool = False) -> tuple[str, str]:
     try:
-        fit = gb.load(path)
+        answer = gb.read(path) if is_log else gb.load(path)
     except ValueError as error:
         text = str(error)
         return (
@@ -188,7 +185,11 @@ def outcome_of(path: Path) -> tuple[str, str]:
         )
     except BaseException as error:
         return "RAW EXCEPTION", f"{type(error).__name__}: {error}"[:300]
-    return _used(fit)
+    if isinstance(answer, gb.Fit):
+        return _used(answer)
+    # The file beside it has ones and zeros times a million.
+    shown = any(np.any(x == 1e6) for record in answer.values() for x in record.signals.values())
+    return ("SHOWS ANOTHER FILE", f"{answer}") if shown else ("read", "")
 
 
 def _used(fit: gb.Fit) -> tuple[str, str]:
@@ -222,7 +223,7 @@ def fuzz(numbers: range, names: list[str], seed: int = 0, keep: Path | None = No
     counts, failures, costs = Counter(), [], []
 
     def note(kind, which, path):
-        word, details, seconds, size = outcome(path)
+        word, details, seconds, size = outcome(path, which in crafted.CRAFTED_LOGS)
         counts[kind, word] += 1
         costs.append((seconds, size, which))
         if word.isupper():
@@ -237,11 +238,11 @@ def fuzz(numbers: range, names: list[str], seed: int = 0, keep: Path | None = No
         for number in numbers:
             path = Path(folder) / "damaged.h5"
             path.write_bytes(mutated(np.random.default_rng((seed, number)), raw))
-            sealing.seal(path, "fit")
+            sealing.seal(path)
             if keep:
                 keep.write_bytes(path.read_bytes())
             note("mutants", f"number {number}", path)
-        for name in names or crafted.CRAFTED:
+        for name in names or [*crafted.CRAFTED, *crafted.CRAFTED_LOGS]:
             path = Path(folder) / "crafted.h5"
             crafted.craft(name, whole, path)
             note("crafted", name, path)

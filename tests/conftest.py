@@ -40,8 +40,6 @@ def pytest_collection_finish():
 # Where damaged and crafted files are read, and how that is done.
 IN_SUBPROCESS = (
     "test_readers.py",
-    "test_storage.py::test_a_fitted_record_comes_back",
-    "test_storage.py::test_a_truncated_file_is_refused",
     "test_files_from_strangers.py",
 )
 
@@ -51,7 +49,6 @@ def files_are_read_here(monkeypatch):
     """Read what the tests themselves saved in this process: it saves a fifth of a second a file."""
     from read_here import read_here  # not above: it imports numpy
 
-    monkeypatch.setattr("greybox.files.sealed_files.read_in_subprocess", read_here)
     monkeypatch.setattr("greybox.logs.readers.named_arrays.read_in_subprocess", read_here)
 
 

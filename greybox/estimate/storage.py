@@ -1,10 +1,7 @@
 """Fits in HDF5: one file holds the whole answer.
 
-The text ``/fit`` has every field of a `Fit` in JSON, except the numbers of its arrays: these are
-datasets, such as ``/covariance``, ``/runs/cost`` or ``/parts/0/data/omega``, see
-`greybox.estimate.stored_values`.
-
-In the database of a study the arrays are in the JSON (`to_bytes`).
+The text ``/fit`` is a list in JSON: the number of this layout, the checksum of the data, and the
+fields of a `Fit`, see `greybox.estimate.stored_values`. The database of a study has the same text.
 
 The file is sealed, see `greybox.files.sealed_files`. NaN means "not known". A file may come from
 anyone: nothing in it is executed, nothing that it names is imported, and what is loaded fits
@@ -24,7 +21,7 @@ from greybox.estimate.fitted_part import AnyFittedPart, FittedResponse, FittedSp
 from greybox.estimate.result import Fit
 from greybox.estimate.stored_values import fields_of, read, require, write
 from greybox.files.safe_files import HDF5
-from greybox.files.sealed_files import DAMAGES, Node, open_sealed, write_sealed
+from greybox.files.sealed_files import read_sealed, write_sealed
 from greybox.files.text_table import printable
 from greybox.formulation.prior import normal_prior
 from greybox.modeling.model import Model
@@ -32,7 +29,8 @@ from greybox.modeling.model_file import models_of, module_from_file
 from greybox.solve.runs import Runs
 
 KIND = "fit"
-LAYOUT = 7
+LAYOUT = 8
+DAMAGES = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError)
 
 
 def save(fit: Fit, path: str | Path) -> None:
@@ -51,7 +49,7 @@ def save(fit: Fit, path: str | Path) -> None:
             f"{path} is not the name of an HDF5 file: give one that ends in {' or '.join(HDF5)}; "
             "for JSON see Fit.to_json."
         )
-    write_sealed(path, KIND, lambda file: _write(file, fit))
+    write_sealed(path, KIND, to_bytes(fit))
 
 
 def load(
@@ -74,18 +72,7 @@ def load(
     ValueError
         If it is not a greybox fit, is damaged, or was written by another version.
     """
-    path = Path(path)
-    given = tuple(model for entry in models for model in _models(entry))
-    with open_sealed(path, KIND) as file:
-        # An older layout is refused, not converted: fits are cheap to repeat.
-        layout = int(file.attrs["layout"])
-        if layout == LAYOUT:
-            fit = read(json.loads(file["fit"][()][0]), Fit, file)
-            _require_consistent(fit, file.attrs["checksum"])
-            return replace(fit, given=given)
-
-    cure = "install a newer greybox" if layout > LAYOUT else "fit again"
-    raise ValueError(f"{path} has layout {layout} and this version reads {LAYOUT}: {cure}.")
+    return from_bytes(read_sealed(Path(path), KIND), models, f"{path}")
 
 
 def to_bytes(fit: Fit) -> bytes:
@@ -93,22 +80,29 @@ def to_bytes(fit: Fit) -> bytes:
     return json.dumps([LAYOUT, fit.checksum, write(replace(fit, runs=Runs.of(fit.runs)))]).encode()
 
 
-def from_bytes(data: bytes, models: Sequence[Any] = ()) -> Fit:
-    """Return the fit of `to_bytes`; `models` as in `load`.
+def from_bytes(data: bytes, models: Sequence[Any] = (), place: str = "the stored fit") -> Fit:
+    """Return the fit of `to_bytes`; `models` as in `load`, `place` for messages.
 
     Raises
     ------
     ValueError
         If it is damaged, or was written by another version.
     """
+    given = tuple(model for entry in models for model in _models(entry))
     try:
         layout, checksum, values = json.loads(data)
-        require(layout == LAYOUT, f"it has layout {layout} and this version reads {LAYOUT}")
-        fit = read(values, Fit)
-        _require_consistent(fit, checksum)
+        # An older layout is refused, not converted: fits are cheap to repeat.
+        if layout == LAYOUT:
+            fit = read(values, Fit)
+            _require_consistent(fit, checksum)
+            return replace(fit, given=given)
+        cure = "install a newer greybox" if layout > LAYOUT else "fit again"
     except DAMAGES as error:
-        raise ValueError(f"the stored fit is damaged ({printable(str(error))}).") from None
-    return replace(fit, given=tuple(model for entry in models for model in _models(entry)))
+        raise ValueError(
+            f"{place} is not a greybox fit or is damaged ({printable(str(error))})."
+        ) from None
+
+    raise ValueError(f"{place} has layout {layout} and this version reads {LAYOUT}: {cure}.")
 
 
 def _models(entry: Model | type[Model] | ModuleType | str | Path) -> Sequence[Model | type[Model]]:
@@ -123,15 +117,6 @@ def _models(entry: Model | type[Model] | ModuleType | str | Path) -> Sequence[Mo
     raise TypeError(
         f"models has {entry!r:.60}: give model classes, models, modules, or paths of Python files."
     )
-
-
-def _write(file: Node, fit: Fit) -> None:
-    import h5py  # noqa: PLC0415  (reading does not need it)
-
-    file.attrs["layout"] = LAYOUT
-    file.attrs["checksum"] = fit.checksum
-    text = json.dumps(write(replace(fit, runs=Runs.of(fit.runs)), file))
-    file.create_dataset("fit", data=[text], dtype=h5py.string_dtype())
 
 
 def _require_consistent(fit: Fit, checksum: str) -> None:

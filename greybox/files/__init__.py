@@ -14,6 +14,6 @@ Begin with `text_table`.
 | `progress` | progress bars |
 | `optional_package` | imports of optional packages |
 | `safe_files` | atomic writes, and clear errors of reading |
-| `sealed_files` | HDF5 files with a checksum |
+| `sealed_files` | HDF5 files of one text with a checksum |
 | `subprocess_reader` | runs `subprocess_main`, which reads HDF5, MATLAB and PX4 files |
 """

@@ -4,7 +4,7 @@ Run as a script: ``subprocess_main.py KIND FILE [TOPIC ...]`` with the kinds of 
 line of JSON to standard output, ``{"items": [...], "findings": [...], "about": {...}, "shapes":
 [...]}``, then the numbers of all arrays, 8 bytes each. It imports nothing of greybox.
 
-`hdf5_objects` is the one place where an HDF5 file is opened: it reaches nothing outside that file.
+`hdf5` is the one place where an HDF5 file is opened: it reaches nothing outside that file.
 """
 
 import contextlib
@@ -20,21 +20,19 @@ from typing import Any
 
 import numpy as np
 
-# Bytes of arrays that are accepted from a log of any size, 16 MB; also the most characters of text.
+# Bytes of arrays that are accepted from a log of any size, 16 MB.
 SMALL = 2**24
 # Bytes of arrays, at 8 a number, per byte of a log. Deflate reaches 1032, which turns a mail into
 # gigabytes; compressed flights reach 10, and files of mostly constant signals stay below this.
 EXPANSION = 100
 # Bytes that the process may use beyond those of its libraries and of the arrays.
 MEMORY = 2**27
-# Processor time: s, and more for a large file at bytes per s. A saved fit of 0.1 MB takes 0.02 s;
-# HDF5 and MATLAB files of arrays run at 200 MB/s, compressed ones and those of many small objects
-# at 10 MB/s.
+# Processor time: s, and more for a large file at bytes per s. HDF5 and MATLAB files of arrays run
+# at 200 MB/s, compressed ones and those of many small objects at 10 MB/s.
 SECONDS = 0.6
 SPEED = 4e6
 MOST = 20_000  # arrays, each of which costs a header even when it is empty
-LINKS = 50_000  # in all groups of a file; a saved fit of a record has about 50
-ATTRIBUTES = 100  # of a group or dataset; a saved fit has 20
+LINKS = 50_000  # in all groups of a file
 DEEPEST = 8  # structs within structs, groups within groups
 HARD, SOFT = 0, 1  # types of links, H5L_type_t of the HDF5 library
 REFUSED = 3  # the exit status for a file that names other files, or more than it can hold
@@ -52,7 +50,6 @@ class Collector:
 
     def __init__(self, room: int) -> None:
         self.room = room
-        self.letters = SMALL
         self.links = LINKS
         self.items: list[dict[str, Any]] = []
         self.arrays: list[np.ndarray] = []
@@ -64,13 +61,6 @@ class Collector:
         fits = 8 * numbers <= self.room and len(self.arrays) < MOST
         self.room -= 8 * numbers if fits else 0
         return fits
-
-    def text(self, text: str) -> str:
-        """Return a text if there is room for it; RefusedError otherwise."""
-        self.letters -= len(text)
-        if self.letters < 0:
-            raise RefusedError(f"its text has more than {SMALL} characters")
-        return text
 
     def add(self, path: str, values: np.ndarray, **about: Any) -> None:
         """Store an array."""
@@ -94,8 +84,8 @@ class Collector:
             out.write(array.data if array.size else b"")
 
 
-def hdf5_objects(path: str, collector: Collector) -> Iterator[tuple[str, Any]]:
-    """Yield the groups and datasets of an HDF5 file by path, each once.
+def hdf5(path: str, collector: Collector, _: list[str]) -> None:
+    """Collect the numeric datasets of an HDF5 file, and the fields of tables, each once.
 
     Soft links are not followed, so there is no loop. Links to other files, datasets whose numbers
     are in other files (external storage, virtual datasets), and more links or levels than a file of
@@ -104,21 +94,21 @@ def hdf5_objects(path: str, collector: Collector) -> Iterator[tuple[str, Any]]:
     import h5py  # noqa: PLC0415 (only one of these libraries is needed)
 
     with h5py.File(path, "r") as file:
-        # Hard links may lead back to a group above: each object is visited once.
-        seen: set[int] = set()
+        # Hard links may lead back to a group above: each address is visited once.
         addresses: set[int] = set()
         waiting: list[tuple[str, Any]] = [("", file["/"])]
         while waiting:
             name, item = waiting.pop()
-            if hash(item) in seen:  # the hash of its address in the file
-                continue
-            seen.add(hash(item))
-            if isinstance(item, h5py.Dataset):
-                _require_own_storage(name, item)
-            yield name, item
-            # Reversed, since the last one is taken first: objects come in the order of the file.
             if isinstance(item, h5py.Group):
+                # Reversed, since the last one is taken first: in the order of the file.
                 waiting += reversed([*_members(name, item, collector, addresses)])
+            elif isinstance(item, h5py.Dataset):
+                _require_own_storage(name, item)
+                try:
+                    _keep_dataset(name, item, collector)
+                except PROBLEMS:
+                    text = f"{name}: it cannot be read, the file is damaged there."
+                    collector.findings.append(text)
 
 
 def _members(
@@ -156,16 +146,6 @@ def _stored(dataset: Any) -> int:
     return math.ceil(largest * max(dataset.dtype.itemsize / 8, len(dataset.dtype.names or "1")))
 
 
-def hdf5(path: str, collector: Collector, _: list[str]) -> None:
-    """Collect the numeric datasets, and the fields of tables."""
-    for name, item in hdf5_objects(path, collector):
-        if hasattr(item, "dtype"):
-            try:
-                _keep_dataset(name, item, collector)
-            except PROBLEMS:
-                collector.findings.append(f"{name}: it cannot be read, the file is damaged there.")
-
-
 def _keep_dataset(name: str, dataset: Any, collector: Collector) -> None:
     if dataset.shape is None:
         return
@@ -185,58 +165,6 @@ def _keep_dataset(name: str, dataset: Any, collector: Collector) -> None:
     for field in fields or ():
         if values[field].dtype.kind in "biuf" and values[field].ndim == 1:
             collector.add(f"{name}/{field}", values[field], unit="")
-
-
-def sealed(path: str, collector: Collector, _: list[str]) -> None:
-    """Collect everything that `sealed_files` writes: attributes, numbers, and lists of texts."""
-    for name, item in hdf5_objects(path, collector):
-        about = {"attributes": _attributes(item, collector)}
-        if not hasattr(item, "dtype"):
-            collector.items.append({"path": name, "holds": "members", **about})
-        elif item.shape is not None and item.ndim <= 3 and collector.reserve(_stored(item)):
-            # The largest are the two parts of a complex matrix.
-            _keep_values(name, item, collector, about)
-        else:
-            raise RefusedError(f"{name} is larger than the file")
-
-
-def _keep_values(name: str, dataset: Any, collector: Collector, about: dict[str, Any]) -> None:
-    if _is_number(dataset.dtype):
-        collector.add(name, dataset[()], holds="numbers", **about)
-    elif _is_text(dataset.dtype) and dataset.ndim == 1:
-        texts = [collector.text(text) for text in dataset.asstr()[()]]
-        collector.items.append({"path": name, "holds": "texts", "texts": texts, **about})
-    else:
-        raise RefusedError(f"{name} holds neither numbers nor text")
-
-
-def _attributes(item: Any, collector: Collector) -> dict[str, Any]:
-    """Return the texts and numbers among the attributes."""
-    if len(item.attrs) > ATTRIBUTES:
-        raise RefusedError(f"a group in it has more than {ATTRIBUTES} attributes")
-    attributes = {}
-    for name in item.attrs:
-        stored = item.attrs.get_id(name)
-        if stored.shape != ():
-            continue
-        if _is_text(stored.dtype):
-            attributes[name] = collector.text(str(item.attrs[name]))
-        elif _is_number(stored.dtype):
-            attributes[name] = item.attrs[name].item()
-
-    return attributes
-
-
-def _is_number(dtype: Any) -> bool:
-    return dtype.kind in "biuf" and dtype.itemsize <= 8
-
-
-def _is_text(dtype: Any) -> bool:
-    """Return whether this is text of variable length, as greybox writes it."""
-    import h5py  # noqa: PLC0415
-
-    string = h5py.check_string_dtype(dtype)
-    return string is not None and string.length is None
 
 
 def _text(attributes: Any, name: str) -> str:
@@ -372,7 +300,6 @@ def _memory() -> int:
 
 KINDS = {
     "hdf5": ("h5py", hdf5),
-    "sealed": ("h5py", sealed),
     "matlab": ("scipy.io", matlab),
     "ulog": ("pyulog", ulog),
 }
@@ -383,8 +310,7 @@ def main() -> None:
     kind, path, *topics = sys.argv[1:]
     library, collect = KINDS[kind]
     size = os.path.getsize(path)
-    # greybox compresses nothing; a truth value, which takes one byte in a file, takes eight here.
-    collector = Collector(8 * size if kind == "sealed" else max(SMALL, EXPANSION * size))
+    collector = Collector(max(SMALL, EXPANSION * size))
     try:
         # The library comes first: its own time and memory do not depend on the file.
         importlib.import_module(library)

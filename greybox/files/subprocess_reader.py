@@ -1,4 +1,4 @@
-"""Reads HDF5, MATLAB and PX4 files, and the results that greybox saved as HDF5, in a subprocess.
+"""Reads HDF5, MATLAB and PX4 files in a subprocess.
 
 A damaged or crafted file can send the HDF5 library into an endless loop, crash it or scipy's MATLAB
 reader, and make all of these and pyulog exhaust the memory. Python cannot catch most of that. So

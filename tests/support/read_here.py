@@ -12,7 +12,7 @@ def read_here(kind, path, *wanted):
     """As `greybox.files.subprocess_reader.read_in_subprocess`, without the limits of time and
     memory."""
     size = path.stat().st_size
-    found = Collector(8 * size if kind == "sealed" else max(SMALL, EXPANSION * size))
+    found = Collector(max(SMALL, EXPANSION * size))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
