@@ -16,7 +16,7 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.diagnostics.outlying_points import SIZE, largest_deviation
 from greybox.estimate.missing_terms import Formula, Term, terms_of_record, terms_of_response
 from greybox.files.arrays import Array, BoolArray
-from greybox.files.text_table import number, text_table, with_error
+from greybox.files.text_table import number, percent, text_table, with_error
 from greybox.statistics.autoregressive_test import (
     Outputs,
     autoregressive_p_values,
@@ -491,7 +491,7 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
 
 
 def _percent(share: float) -> str:
-    return f"{float(number(100 * share, 2)):g} %"
+    return f"{percent(share)} %"
 
 
 def _chance(p_value: float) -> str:

@@ -168,6 +168,7 @@ def find_minima(
     order = np.flatnonzero(columns.converged)
     order = order[np.argsort(columns.cost[order], kind="stable")]
     costs, indices = columns.cost[order], columns.indices[order]
+    z = nlp.scaling.to_solver(columns.estimate[order])
     ungrouped = np.ones(len(order), dtype=bool)
     minima = []
     while ungrouped.any():
@@ -180,14 +181,12 @@ def find_minima(
         near = candidates[(distances <= SAME_RESPONSE) | (candidates == k)]
         ungrouped[near] = False
 
-        # Where equivalent parameter vectors (two lags that swap) have the same cost but for
-        # rounding, the first start decides between them: the last bit of the cost would choose
-        # another one on another processor.
-        z = nlp.scaling.to_solver(columns.estimate[order[near]])
-        ties = np.flatnonzero(costs[near] - costs[near[0]] <= 1e-9 * max(abs(costs[near[0]]), 1.0))
-        first = ties[np.argmin(indices[near][ties])]
-        best = int(np.argmax(~_are_apart(z, z[first])))
-        near = np.concatenate([near[best : best + 1], np.delete(near, best)])
+        # Where equivalent parameter vectors have the same cost but for rounding, the first start
+        # decides between them: the last bit of the cost would choose another one on another
+        # processor.
+        ties = near[costs[near] <= cost + 1e-9 * max(abs(cost), 1.0)]
+        first = ties[np.argmin(indices[ties])]
+        near = near[np.argsort(_are_apart(z[near], z[first]), kind="stable")]
         k = int(near[0])
         variants = count_variants(nlp, columns.estimate[order[near]])
         minima.append(

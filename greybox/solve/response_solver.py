@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import combinations
 from types import MappingProxyType
 from typing import Any
 
@@ -39,6 +40,8 @@ ITERATIONS = 300
 # root of the last one.
 AT_A_KINK = {"acceptable_tol": 1e-4, "acceptable_iter": 3}  # IPOPT reaches looser tolerances only
 FINER = (1e-10, 1e-12, 1e-14, 1e-16)
+# Relative change of a response: rounding leaves 1e-13, of parameters that no data see less.
+SAME_BUT_ROUNDING = 1e-9
 NO_OPTIONS: Mapping[str, Any] = MappingProxyType({})
 TOLERANCE = 1e-8  # on the projected gradient in the solver's variables, as in IPOPT
 
@@ -283,8 +286,26 @@ class ResponseSolver(LocalSolver):
         close = [m for m in minima if m.cost <= 1.01 * minima[0].cost]
         close = minima[:1] if stop_requested() else close
         with responding(Response.FINISH):
+            if not self._problem.limits:
+                first = search.runs.start[0]
+                close = [replace(m, estimate=self._in_order(m.estimate, first)) for m in close]
             polished = [*map(self._polish, close), *minima[len(close) :]]
         return replace(search, minima=tuple(sorted(polished, key=lambda m: m.cost)))
+
+    def _in_order(self, x: Array, first: Array) -> Array:
+        """Return x (p,) with exchangeable parameters ordered as in the first start, or ascending.
+
+        Exchanged, they have the same responses, so that rounding would choose which of two lags
+        gets which value.
+        """
+        problem, order = self._problem, np.argsort(first, kind="stable").tolist()
+        for i, j in combinations(order, 2):
+            y = x.copy()
+            y[[i, j]] = x[[j, i]]
+            if x[i] > x[j] and np.all(y == np.clip(y, problem.lower, problem.upper)):
+                change = np.ptp(problem.signatures(np.array([x, y])), axis=0)
+                x = y if change.max() < SAME_BUT_ROUNDING else x
+        return x
 
     def _polish(self, best: Minimum) -> Minimum:
         """Return a minimum solved again with less smoothing, as long as the cost does not grow."""

@@ -19,7 +19,8 @@ NORMAL_99 = 2.576  # standard deviations within which 99 % of normal values lie
 
 def rms(error: ArrayLike) -> float:
     """Return the root mean square; NaN without any value."""
-    e = _finite(error)
+    e = np.asarray(error, dtype=float)
+    e = e[np.isfinite(e)]
     return float(np.sqrt(np.mean(e**2))) if e.size else math.nan
 
 
@@ -166,11 +167,6 @@ def _tested(statistic: float, dof: int, correlations: Array, bound: float) -> Co
 
 def _unknown(lags: int) -> CorrelationTest:
     return CorrelationTest(math.nan, 0, math.nan, np.full(lags, np.nan), math.nan)
-
-
-def _finite(values: ArrayLike) -> Array:
-    values = np.asarray(values, dtype=float).ravel()
-    return values[np.isfinite(values)]
 
 
 def _pairs(measured: ArrayLike, predicted: ArrayLike) -> tuple[Array, Array]:

@@ -24,3 +24,36 @@ def test_lags_that_swap_are_shown_and_a_constraint_chooses_one():
     )
     assert not same_response(ordered)
     assert ordered.estimate[high] == pytest.approx(fit.estimate[high], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("starts", "seed", "ascend"),
+    [(12, 3, True), (12, 4, True), ([{"T1": 2.0}], None, False), ([{"T2": 2.0}], None, True)],
+)
+def test_lags_that_swap_have_the_order_of_the_first_start_else_ascend(starts, seed, ascend):
+    fit = gb.fit(gb.Problem(LagLagDelay(), DATA), starts, seed=seed, progress=False)
+    lags = [fit.estimate["T1"], fit.estimate["T2"]]
+    assert sorted(lags) == pytest.approx([0.1, 1.0], rel=0.05)
+    assert lags == sorted(lags, reverse=not ascend)
+
+
+class Bounded(LagLagDelay):
+    """The same with bounds that the shorter lag cannot have."""
+
+    T1 = gb.Parameter(0.5, bounds=(0.5, 5), unit="s", about="first lag")
+
+
+class Leading(LagLagDelay):
+    """A lead over a lag: exchanged, they are another response."""
+
+    def response(self, s, p):
+        return p.K * (p.T1 * s + 1) / (p.T2 * s + 1)
+
+
+def test_parameters_that_do_not_exchange_keep_their_values():
+    bounded = gb.fit(gb.Problem(Bounded(), DATA), [{}], progress=False)
+    assert bounded.estimate["T1"] > bounded.estimate["T2"]
+    truth = {"K": 2.0, "T1": 1.0, "T2": 0.1}
+    data = measured(Leading(), TWO_LAGS_OMEGA, truth, noise=0.01, seed=1)
+    lead = gb.fit(gb.Problem(Leading(), data, fixed={"tau": 0.0}), [{}], progress=False)
+    assert [lead.estimate[name] for name in truth] == pytest.approx([*truth.values()], rel=0.05)
