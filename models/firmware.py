@@ -8,9 +8,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 import greybox as gb
+from greybox.data.intersample import NO_HOLD
 from greybox.experiment.control_check import ControlCheck, check_controller
 from greybox.experiment.controller import sensors_of
 from greybox.experiment.measured_loop import broken_loop
+from greybox.experiment.safe_gains import RANDOM_ERROR
 from greybox.experiment.sampled_loop import DOT, linear_controller
 from greybox.files.text_table import text_table
 from greybox.logs.ardupilot.signals import SYSTEMID_AXES
@@ -122,10 +124,19 @@ class FlownController:
         grid = np.arange(record.time[0], record.time[-1], 1 / rate)
         injected = record.time + check.late["mixer"] / self.law.rate
         columns = {
-            "injected": np.interp(grid, injected, record["mixer"]),
+            "mixer": np.interp(grid, injected, record["mixer"]),
             "u": np.interp(grid, record.time, record["u"]),
         }
-        return gb.spectral.spectral_response(gb.Record(grid, columns), "injected", "u")
+        response = gb.spectral.spectral_response(gb.Record(grid, columns), "mixer", "u")
+        # Errors of 1/S are of first order in those of S only where these are small. At the ends of
+        # a sweep they are not, and the loop would cross over in noise.
+        is_good = np.sqrt(response.variance / 2) < RANDOM_ERROR * np.abs(response.response)
+        if is_good.sum() < 3:
+            raise ValueError(
+                f"u is known to {100 * RANDOM_ERROR:g} % at {is_good.sum()} frequencies only: "
+                "repeat the sweep, longer or with a larger amplitude."
+            )
+        return response.where(is_good)
 
     def loop_gain(self, plant):
         """Return the gain of the loop broken at the control, from a measured response of the plant.
@@ -141,12 +152,20 @@ class FlownController:
                     f"signals={{'q': '{plant.output}{DOT}'}}, or measure {name}."
                 )
         linear = linear_controller(self.controllers, sensors, (plant.input,))
-        plant = plant.with_hold()
+        if NO_HOLD in plant.about:  # this loop holds the control, whatever the fitted flight did
+            about = {**plant.about, NO_HOLD: f"{1 / self.law.rate:.9g}"}
+            plant = replace(plant, about=about).with_hold()
         s = 1j * plant.omega
         control = linear.response(np.exp(s / self.law.rate))
         control = control[:, linear.commands.index(plant.input)]
         factors = [-control[:, k] * (s if n.endswith(DOT) else 1) for k, n in enumerate(sensors)]
-        loop = plant.times(np.sum(factors, axis=0))
+        factor = np.sum(factors, axis=0)
+        if not factor.any():
+            raise ValueError(
+                f"the loop is open: the gains from {' and '.join(sensors)} to {plant.input} are "
+                "zero; choose a flight with a controller."
+            )
+        loop = plant.times(factor)
         return replace(loop, name="the measured response and the controller")
 
     def _located(self, recording, own):
@@ -199,8 +218,8 @@ def from_log(
         laws, notes, logged = firmware(recording, parameters, axis, start, end)
     except KeyError as error:
         raise ValueError(
-            f"{recording.source or 'the recording'} has no parameter {error.args[0]}, so the gains "
-            f"of {axis} are not known: log the parameters of the controller."
+            f"{recording.source or 'the recording'} has no parameter {error.args[0]}, so the "
+            f"controller of {axis} is not known: log its parameters."
         ) from None
 
     outside = dict(signals or {})
@@ -221,11 +240,12 @@ def from_log(
 def _firmware(recording, start, end):
     """Return the function that reads the controllers of the firmware of a log."""
     known = recording.metadata.get("parameters", {})
-    if "looptime" in known:
+    if {"looptime", "rollPID"} & {*known}:
         return _betaflight
-    if "MC_PITCHRATE_P" in known:
+    vehicle = recording.metadata.get("vehicle")
+    if vehicle == "PX4" or "MC_PITCHRATE_P" in known:
         return _px4
-    if recording.metadata.get("vehicle") != "ArduPlane":
+    if vehicle != "ArduPlane":
         return _copter
     # Rates of the controllers of a copter are logged while these fly it.
     hovers = "RATE" in recording and len(recording["RATE"].between(start, end)) > 1
@@ -262,8 +282,10 @@ def _plane(recording, parameters, axis, start, end):
 
 
 def _px4(recording, parameters, axis, start, end):
-    # An integral-only rate of the gyro would be 400 Hz by default.
-    laws, notes = px4.controllers(parameters, axis, parameters.get("IMU_GYRO_RATEMAX", 400.0))
+    rate = parameters.get("IMU_GYRO_RATEMAX", 0) or 400.0
+    laws, notes = px4.controllers(parameters, axis, rate)
+    if "IMU_GYRO_RATEMAX" not in parameters:
+        notes.append(f"IMU_GYRO_RATEMAX is not in the log: {rate:g} Hz is assumed.")
     controls = [c for c in PX4_AXES[axis].controls if c.partition(".")[0] in recording]
     if not controls:
         raise ValueError(f"the log has no control of {axis}: log vehicle_torque_setpoint.")
@@ -488,11 +510,14 @@ def loop_of_log(
         for place in ("", *broken_at)
     )
 
-    loops = []
+    loops, refusals = [], []
     data, model = fit.parts[0].data, fit.model_of(0)
     if "mixer" in flown.signals:
-        loop = broken_loop(flown.sensitivity(recording, check))
-        loops.append(replace(loop, input=of_model.signal, name="the injected signal"))
+        try:
+            loop = broken_loop(flown.sensitivity(recording, check))
+            loops.append(replace(loop, input=of_model.signal, name="the injected signal"))
+        except ValueError as error:
+            refusals.append(f"Nothing is measured from the injected signal: {error}")
     # Fits of structures to one response leave its names out.
     if isinstance(data, gb.FrequencyResponse) and not data.output:
         data = replace(data, input=model.input_names[0], output=model.output_names[0])
@@ -501,7 +526,7 @@ def loop_of_log(
     if has_errors and read == {data.output}:
         loops.append(flown.loop_gain(data))
     measured = tuple(gb.margins(loop, level=level) for loop in loops)
-    notes = disagreements(of_model, measured)
+    notes = (*refusals, *disagreements(of_model, measured))
     of_model = replace(of_model, points=tuple(loops))
     return LoopOfLog(flown, check, of_model, measured, tuple(others), notes)
 

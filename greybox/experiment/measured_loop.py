@@ -25,14 +25,16 @@ def broken_loop(sensitivity: FrequencyResponse) -> FrequencyResponse:
     Raises
     ------
     ValueError
-        If the loop was open: S differs from 1 by no more than its errors, in the mean.
+        If S differs from 1 by no more than its errors, in the mean: the loop was open, or the test
+        too weak.
     """
     S, variance = sensitivity.response, sensitivity.variance
     # The variance of a response of exactly 1 is rounding.
     if variance is not None and np.mean(np.abs(S - 1) ** 2 / (variance + 1e-12)) < 2:
         raise ValueError(
-            f"the loop was open: {sensitivity.output} is no more than the injected "
-            f"{sensitivity.input}; fly the test with the controller on."
+            f"the loop was open, or too little was measured: {sensitivity.output} differs from the "
+            "injected signal by no more than its errors; fly the test with the controller on, "
+            "longer or with a larger amplitude."
         )
     # The derivative of 1/S is the factor of the errors.
     return replace(sensitivity.times(-1 / S**2), response=1 / S - 1)

@@ -288,6 +288,29 @@ def test_settings_of_blackbox_explorer_have_older_names():
     assert any("dyn_notch_count" in note for note in flown.notes)
 
 
+def test_what_the_log_lacks_is_named(flight):
+    lacking = replace(
+        flight,
+        metadata={"parameters": {**flight.metadata["parameters"], "FSTRATE_ENABLE": 1.0}},
+    )
+    for name in ("ATC_RAT_PIT_FLTD", "INS_GYRO_FILTER"):
+        del lacking.metadata["parameters"][name]
+    notes = " ".join(from_log(lacking, signals={"q": "theta_dot"}).notes)
+    for words in ("ATC_RAT_PIT_FLTD is not in the log", "no filter of the gyro", "FSTRATE_ENABLE"):
+        assert words in notes
+    about = {"vehicle": "PX4", "parameters": {"FW_PR_P": 0.1}}
+    with pytest.raises(ValueError, match="no parameter MC_PITCHRATE_P"):
+        from_log(Recording({}, metadata=about))
+
+
+def test_a_controller_without_gains_leaves_the_loop_open(flight):
+    zero = {f"ATC_RAT_PIT_{name}": 0.0 for name in "PID"} | {"ATC_RAT_PIT_FF": 0.0}
+    flown = from_log(with_gains(flight, **zero), signals={"q": "theta_dot"})
+    data = fit_of(Plant(), 90.0, "u = RATE.POut, theta = ATT.Pitch").parts[0].data
+    with pytest.raises(ValueError, match="the loop is open"):
+        flown.loop_gain(data)
+
+
 def test_a_fit_of_another_control_is_refused(flight):
     with pytest.raises(ValueError, match=r"RCOU\.C1, which is no control of pitch.*RATE\.POut"):
         flown_controllers(flight, fit_of(Plant(), 90.0, "u = RCOU.C1, theta = ATT.Pitch"))
