@@ -4,11 +4,16 @@ A response has a term for every frequency, and these terms differ only in their 
 Hessian of one term is built in a fraction of the time of the Hessian of the sum, and all terms of a
 few searches are enough columns for numpy. `response_map` does this for responses as formulas, which
 IPOPT evaluates; here the terms are found in any cost.
+
+Members of a study often have one structure and other constants: other data, bounds and fixed
+values. The derivatives of a small response take longer to build than its minimum takes to find, so
+for few searches they are built once for a `Structure`, with the constants as an input.
 """
 
 import math
 from collections import defaultdict
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import casadi as ca
@@ -17,38 +22,87 @@ import numpy as np
 from greybox.compiled.vectorized import CHUNK, Columns
 from greybox.files.arrays import Array
 from greybox.modeling.formula_structure import walk
-from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.one_thread import PerThread, cached_property, one_thread_at_a_time
 
 # Columns from which registers of numpy pay within a few calls: their layout takes 1.5 µs for every
 # operation.
 FEWEST_COLUMNS = 512
 
+# Instructions of a function up to which its structure is shared, and columns: more are faster term
+# by term.
+SMALL, FEW = 1500, 64
+
+
+@dataclass(frozen=True)
+class Structure:
+    """An SX function without its constants: its instructions, and the first one that had them."""
+
+    form: tuple[tuple[int, ...], ...]
+    function: ca.Function = field(compare=False)
+
+    def opened(self) -> ca.Function:
+        """(x, p) -> the first output (k,), and nothing.
+
+        In p are all inputs but the first, and then the constants.
+        """
+        x, *inputs = self.function.sx_in()
+        constants = ca.SX.sym("constants", sum(row[0] == ca.OP_CONST for row in self.form))
+        remaining = iter(ca.vertsplit(constants))
+        outputs = walk(self.function, [x, *inputs], lambda _: next(remaining))
+        p = ca.vertcat(*inputs, constants)
+        return ca.Function("opened", [x, p], [ca.vertcat(*outputs), ca.SX(0, 1)])
+
+
+def structure_of(function: ca.Function) -> tuple[Structure, list[float]]:
+    """Return the structure of an SX function, and its constants in their order."""
+    places = range(function.n_instructions())
+    operations = [function.instruction_id(k) for k in places]
+    form = tuple(
+        (operation, *function.instruction_input(k), *function.instruction_output(k))
+        for k, operation in zip(places, operations, strict=True)
+    )
+    constants = [function.instruction_constant(k) for k in places if operations[k] == ca.OP_CONST]
+    return Structure(form, function), constants
+
 
 class SecondOrder:
     """A scalar function with gradient and Hessian by its first input, for many columns."""
 
+    def __init__(self, program: ca.Function) -> None:
+        """Take an SX function with the cost as first output."""
+        self._program = program
+        self._shared = structure_of(program) if program.n_instructions() <= SMALL else None
+
+    @cached_property
     @one_thread_at_a_time
-    def __init__(self, inputs: Sequence[ca.SX], cost: ca.SX) -> None:
-        """Take the symbols of the inputs and the cost."""
+    def _terms(self) -> tuple[list[tuple[Columns, Array]], Columns | None]:
+        """Return groups of similar terms with their constants, and what remains."""
+        inputs = self._program.sx_in()
         # Grouping pays for every size: a thousand searches on ten frequencies take a fifth less
         # time, and on 40 to 100 frequencies half the time.
-        groups, remainder = grouped(inputs, cost)
-        self._groups = [
+        groups, remainder = grouped(inputs, self._program(*inputs)[0])
+        functions = [
             (Columns(_derivatives([*inputs, symbols], term)), constants)
             for term, symbols, constants in groups
         ]
-        self._remainder = None
-        if not (groups and remainder.is_zero()):
-            self._remainder = Columns(_derivatives(inputs, remainder), fewest=FEWEST_COLUMNS)
+        if groups and remainder.is_zero():
+            return functions, None
+        return functions, Columns(_derivatives(inputs, remainder), fewest=FEWEST_COLUMNS)
 
     def __call__(self, *inputs: Array) -> tuple[Array, Array, Array]:
         """Return cost (m,), gradient (p, m) and Hessian (p * p, m) for inputs (numel, m)."""
         p, m = inputs[0].shape
-        if self._remainder is None:
+        if self._shared is not None and m <= FEW:
+            structure, constants = self._shared
+            columns = np.tile(np.array(constants)[:, None], m)
+            values = _of_few.result(structure)(inputs[0], np.concatenate([*inputs[1:], columns]))
+            return values[0][0], values[1], values[2]
+        groups, remainder = self._terms
+        if remainder is None:
             values = [np.zeros((size, m)) for size in (1, p, p * p)]
         else:
-            values = self._remainder(*inputs)
-        for function, constants in self._groups:
+            values = remainder(*inputs)
+        for function, constants in groups:
             # All terms at once would not fit into the cache.
             total = constants.shape[1]
             width = math.ceil(total / math.ceil(total / max(CHUNK // m, 1)))
@@ -85,22 +139,22 @@ def _derivatives(inputs: Sequence[ca.SX], cost: ca.SX) -> ca.Function:
     )
 
 
+def _few(structure: Structure) -> Columns:
+    program = structure.opened()
+    inputs = program.sx_in()
+    return Columns(_derivatives(inputs, program(*inputs)[0]), fewest=FEWEST_COLUMNS)
+
+
+_of_few = PerThread(_few, 16)
+
+
 def grouped(inputs: Sequence[ca.SX], cost: ca.SX) -> tuple[list[_Group], ca.SX]:
     """Return the groups of similar terms of a cost, and the sum of the other terms."""
     by_form = defaultdict(list)
     for factor, term in summands(cost):
         function = ca.Function("term", [*inputs], [term])
-        places = range(function.n_instructions())
-        operations = [function.instruction_id(k) for k in places]
-        # Terms are of one form if they differ in nothing but their constants.
-        form = tuple(
-            (operation, *function.instruction_input(k), *function.instruction_output(k))
-            for k, operation in zip(places, operations, strict=True)
-        )
-        constants = [
-            function.instruction_constant(k) for k in places if operations[k] == ca.OP_CONST
-        ]
-        by_form[form].append((factor, term, function, constants))
+        structure, constants = structure_of(function)
+        by_form[structure].append((factor, term, function, constants))
 
     groups, remainder = [], ca.SX(0)
     for members in by_form.values():

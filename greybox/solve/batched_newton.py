@@ -128,8 +128,7 @@ class BatchedNewton:
         The function also takes the `roots` of z, if there are any, which its derivatives may
         contain, and what differs between the searches: `given` of `minimize`.
         """
-        inputs = program.sx_in()
-        self._function = SecondOrder(inputs, program(*inputs)[0])
+        self._function = SecondOrder(program)
         self._roots = None if roots is None else Columns(roots)
         self._bounds = lower[:, None], upper[:, None]
         self._p = len(lower)

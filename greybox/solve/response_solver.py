@@ -17,10 +17,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from greybox.compiled.alike_terms import SMALL, structure_of
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING
+from greybox.compiled.response_programs import CostProgram
 from greybox.files.arrays import Array
-from greybox.modeling.one_thread import cached_property
+from greybox.modeling.one_thread import PerThread, cached_property
 from greybox.modeling.symbolic_reading import input_symbols
 from greybox.solve.batched_newton import BatchedNewton, Ends
 from greybox.solve.interruption import Response, one_run, reason_to_end, responding, stop_requested
@@ -76,10 +78,7 @@ class ResponseSolver(LocalSolver):
     ) -> None:
         """Build IPOPT; without `batched`, it makes all runs and compares no starts."""
         self._problem, self._options, self._batched = problem, dict(options), batched
-        self._stages = [
-            Ipopt(_statement(program.function), options, program.derivatives)
-            for program in problem.programs
-        ]
+        self._stages = [_ipopt(program, options) for program in problem.programs]
         self._lower = problem.scaling.to_solver(problem.lower)
         self._upper = problem.scaling.to_solver(problem.upper)
         limits = np.zeros(problem.constraint.numel_out())
@@ -119,15 +118,17 @@ class ResponseSolver(LocalSolver):
         began = time.perf_counter()
         problem, stages = self._problem, self._stages
         if options:
-            stages = [stage.variant({**options, **self._options}) for stage in stages]
+            options = {**options, **self._options}
+            stages = [(stage.variant(options), constants) for stage, constants in stages]
         z = problem.scaling.to_solver(start)
         iterations, status, located = 0, "", False
-        for stage in stages:
+        for stage, constants in stages:
+            p = np.append(smoothing, constants)
             located = status in CONVERGED
-            z, status, count = stage.solve(z, smoothing, self._bounds)
+            z, status, count = stage.solve(z, p, self._bounds)
             iterations += count
             if status == STAGNATED:
-                end, again, count = stage.variant(WITHOUT_BARRIER).solve(z, smoothing, self._bounds)
+                end, again, count = stage.variant(WITHOUT_BARRIER).solve(z, p, self._bounds)
                 iterations += count
                 z, status = (end, again) if again in CONVERGED else (z, status)
             if status in (*CUT_SHORT, STAGNATED):
@@ -339,6 +340,20 @@ def _statement(program: ca.Function) -> dict[str, Any]:
     x, p = input_symbols(program)
     f, g = program(x, p)
     return {"x": x, "p": p, "f": f, "g": g}
+
+
+def _ipopt(program: CostProgram, options: Mapping[str, Any]) -> tuple[Ipopt, Array]:
+    """Return IPOPT, the same for all small programs of one structure, and the constants."""
+    explicit = program.explicit
+    if program.roots or not fits_a_batch(explicit) or explicit.n_instructions() > SMALL:
+        return Ipopt(_statement(program.function), options, program.derivatives), np.zeros(0)
+    structure, constants = structure_of(explicit)
+    return _shared_ipopt.result(structure, tuple(options.items())), constants
+
+
+_shared_ipopt = PerThread(
+    lambda structure, options: Ipopt(_statement(structure.opened()), dict(options)), 16
+)
 
 
 def _instructions(program: ca.Function) -> int:

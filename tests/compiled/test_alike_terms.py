@@ -14,6 +14,11 @@ OMEGA = np.array(
 MEASURED = 0.03 * np.array([9, 8, -4, 3, 1, -2, 0.5])
 
 
+def second_order(inputs, whole):
+    """Return the cost of symbols with its derivatives."""
+    return SecondOrder(ca.Function("whole", inputs, [whole]))
+
+
 def cost(z, smoothing):
     """Return a sum of roots, weighted and shifted, and a term of its own."""
     terms = [
@@ -35,7 +40,7 @@ def test_derivatives_are_those_of_the_sum(m, copies):
     )
     rng = np.random.default_rng(m)
     points, smooth = rng.uniform(0.1, 1, (3, m)), rng.uniform(1e-6, 1e-2, (1, m))
-    found = SecondOrder([z, smoothing], whole)(points, smooth)
+    found = second_order([z, smoothing], whole)(points, smooth)
     for k in {0, m // 2, m - 1}:
         for value, known in zip(found, expected(points[:, k], smooth[:, k]), strict=True):
             assert value.reshape(-1, m)[:, k] == pytest.approx(
@@ -61,10 +66,10 @@ def test_terms_of_one_form_differ_in_their_constants():
 def test_a_cost_without_alike_terms_and_a_constant_one():
     z = ca.SX.sym("z", 2)
     point = np.array([[1.0], [2.0]])
-    value, gradient, hessian = SecondOrder([z], z[0] ** 2 * z[1])(point)
+    value, gradient, hessian = second_order([z], z[0] ** 2 * z[1])(point)
     assert (*value, *gradient[:, 0]) == (2, 4, 1)
     assert hessian[:, 0].tolist() == [4, 2, 2, 0]
-    assert [v.tolist() for v in SecondOrder([z], ca.SX(3))(point)] == [[3], [[0], [0]], [[0]] * 4]
+    assert [v.tolist() for v in second_order([z], ca.SX(3))(point)] == [[3], [[0], [0]], [[0]] * 4]
 
 
 def test_terms_and_factors_of_sums_differences_multiples_and_shares():
