@@ -28,15 +28,18 @@ from greybox.modeling.one_thread import PerThread, cached_property, one_thread_a
 # operation.
 FEWEST_COLUMNS = 512
 
-# Instructions of a function up to which its structure is shared, and columns: more are faster term
-# by term.
-SMALL, FEW = 1500, 64
+# Instructions of a function up to which its structure is shared.
+SMALL = 1500
 
 
 @dataclass(frozen=True)
 class Structure:
-    """An SX function without its constants: its instructions, and the first one that had them."""
+    """An SX function without its constants: its instructions, and the first that had them.
 
+    Unknowns that occur nowhere count too: `unknowns` is the size of its first input.
+    """
+
+    unknowns: int
     form: tuple[tuple[int, ...], ...]
     function: ca.Function = field(compare=False)
 
@@ -62,7 +65,7 @@ def structure_of(function: ca.Function) -> tuple[Structure, list[float]]:
         for k, operation in zip(places, operations, strict=True)
     )
     constants = [function.instruction_constant(k) for k in places if operations[k] == ca.OP_CONST]
-    return Structure(form, function), constants
+    return Structure(function.numel_in(0), form, function), constants
 
 
 class SecondOrder:
@@ -71,7 +74,6 @@ class SecondOrder:
     def __init__(self, program: ca.Function) -> None:
         """Take an SX function with the cost as first output."""
         self._program = program
-        self._shared = structure_of(program) if program.n_instructions() <= SMALL else None
 
     @cached_property
     @one_thread_at_a_time
@@ -89,14 +91,27 @@ class SecondOrder:
             return functions, None
         return functions, Columns(_derivatives(inputs, remainder), fewest=FEWEST_COLUMNS)
 
+    @cached_property
+    def _shared(self) -> tuple["Structure", Array]:
+        structure, constants = structure_of(self._program)
+        return structure, np.array(constants)[:, None]
+
+    def of_few(self, *inputs: Array) -> tuple[Array, Array, Array]:
+        """Return the same as a call does, by derivatives that all functions of a structure share.
+
+        Functions of more than `SMALL` instructions are faster term by term.
+        """
+        if self._program.n_instructions() > SMALL:
+            return self(*inputs)
+        structure, constants = self._shared
+        columns = np.repeat(constants, inputs[0].shape[1], axis=1)
+        p = np.concatenate([*inputs[1:], columns])
+        cost, gradient, hessian = _shared_derivatives.result(structure)(inputs[0], p)
+        return cost[0], gradient, hessian
+
     def __call__(self, *inputs: Array) -> tuple[Array, Array, Array]:
         """Return cost (m,), gradient (p, m) and Hessian (p * p, m) for inputs (numel, m)."""
         p, m = inputs[0].shape
-        if self._shared is not None and m <= FEW:
-            structure, constants = self._shared
-            columns = np.tile(np.array(constants)[:, None], m)
-            values = _of_few.result(structure)(inputs[0], np.concatenate([*inputs[1:], columns]))
-            return values[0][0], values[1], values[2]
         groups, remainder = self._terms
         if remainder is None:
             values = [np.zeros((size, m)) for size in (1, p, p * p)]
@@ -139,13 +154,13 @@ def _derivatives(inputs: Sequence[ca.SX], cost: ca.SX) -> ca.Function:
     )
 
 
-def _few(structure: Structure) -> Columns:
+def _derivatives_of(structure: Structure) -> Columns:
     program = structure.opened()
     inputs = program.sx_in()
     return Columns(_derivatives(inputs, program(*inputs)[0]), fewest=FEWEST_COLUMNS)
 
 
-_of_few = PerThread(_few, 16)
+_shared_derivatives = PerThread(_derivatives_of, 16)
 
 
 def grouped(inputs: Sequence[ca.SX], cost: ca.SX) -> tuple[list[_Group], ca.SX]:

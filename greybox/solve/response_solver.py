@@ -24,7 +24,7 @@ from greybox.compiled.response_programs import CostProgram
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import PerThread, cached_property
 from greybox.modeling.symbolic_reading import input_symbols
-from greybox.solve.batched_newton import BatchedNewton, Ends
+from greybox.solve.batched_newton import FEW, BatchedNewton, Ends
 from greybox.solve.interruption import Response, one_run, reason_to_end, responding, stop_requested
 from greybox.solve.ipopt import CONVERGED, ROUNDED, WARM, WITHOUT_BARRIER, Ipopt
 from greybox.solve.local_solver import LocalSolver, Profile, Screened
@@ -174,8 +174,8 @@ class ResponseSolver(LocalSolver):
 
     def run_together(self, starts: Array) -> list[Outcome]:
         """Bring all starts (r, p) to minima together; IPOPT continues those that do not arrive."""
-        # One step on few points takes 0.3 ms, ten times an iteration of IPOPT.
-        if len(starts) < 6 or self.together == 1:
+        # With few starts, IPOPT's own options apply to the letter.
+        if len(starts) < (6 if self._options else 2) or self.together == 1:
             return super().run_together(starts)
 
         began = time.perf_counter()
@@ -183,7 +183,7 @@ class ResponseSolver(LocalSolver):
         z = problem.scaling.to_solver(starts).T
         iterations, arrived = np.zeros(len(starts), int), np.zeros(len(starts), bool)
         for k, batch in enumerate(self._batches):
-            ends = batch.minimize(z, **self._limits, from_near=k > 0)
+            ends = batch.minimize(z, **self._limits, from_near=k > 0, shared=len(starts) <= FEW)
             if k == 0:
                 ends = self._away_from_zero(z, ends)
             z, iterations, arrived = ends.z, iterations + ends.iterations, ends.at_minimum
@@ -290,7 +290,8 @@ class ResponseSolver(LocalSolver):
             if not self._problem.limits:
                 first = search.runs.start[0]
                 close = [replace(m, estimate=self._in_order(m.estimate, first)) for m in close]
-            polished = [*map(self._polish, close), *minima[len(close) :]]
+            shared = len(search.brought) <= FEW
+            polished = [*(self._polish(m, shared) for m in close), *minima[len(close) :]]
         return replace(search, minima=tuple(sorted(polished, key=lambda m: m.cost)))
 
     def _in_order(self, x: Array, first: Array) -> Array:
@@ -308,7 +309,7 @@ class ResponseSolver(LocalSolver):
                 x = y if change.max() < SAME_BUT_ROUNDING else x
         return x
 
-    def _polish(self, best: Minimum) -> Minimum:
+    def _polish(self, best: Minimum, shared: bool) -> Minimum:
         """Return a minimum solved again with less smoothing, as long as the cost does not grow."""
         problem, is_served = self._problem, self.serves(self._problem)
         # In steps: at the kink of a zero residual a search stalls when the smoothing falls at once.
@@ -316,7 +317,12 @@ class ResponseSolver(LocalSolver):
             if is_served:
                 z = problem.scaling.to_solver(best.estimate)[:, None]
                 ends = self._batches[-1].minimize(
-                    z, max_iterations=100, tolerance=1e-13, from_near=True, smoothing=smoothing
+                    z,
+                    max_iterations=100,
+                    tolerance=1e-13,
+                    from_near=True,
+                    smoothing=smoothing,
+                    shared=shared,
                 )
                 estimate = self._estimates(ends.z)[0]
             else:

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from greybox.compiled.alike_terms import SecondOrder, grouped, summands
+from greybox.compiled.alike_terms import SecondOrder, grouped, structure_of, summands
 
 OMEGA = np.array(
     [0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 13.0]
@@ -40,12 +40,14 @@ def test_derivatives_are_those_of_the_sum(m, copies):
     )
     rng = np.random.default_rng(m)
     points, smooth = rng.uniform(0.1, 1, (3, m)), rng.uniform(1e-6, 1e-2, (1, m))
-    found = second_order([z, smoothing], whole)(points, smooth)
-    for k in {0, m // 2, m - 1}:
-        for value, known in zip(found, expected(points[:, k], smooth[:, k]), strict=True):
-            assert value.reshape(-1, m)[:, k] == pytest.approx(
-                np.asarray(known).ravel(), rel=1e-12, abs=1e-12
-            )
+    function = second_order([z, smoothing], whole)
+    for evaluate in (function, function.of_few):
+        values = evaluate(points, smooth)
+        for k in {0, m // 2, m - 1}:
+            for value, known in zip(values, expected(points[:, k], smooth[:, k]), strict=True):
+                assert value.reshape(-1, m)[:, k] == pytest.approx(
+                    np.asarray(known).ravel(), rel=1e-12, abs=1e-12
+                )
 
 
 def test_terms_of_one_form_differ_in_their_constants():
@@ -61,6 +63,20 @@ def test_terms_of_one_form_differ_in_their_constants():
     assert sorted(np.abs(MEASURED[OMEGA != 1])) in rows
     at_zero = ca.Function("rest", [z, smoothing], [rest])([1, 0, 2], 0)
     assert float(at_zero) == pytest.approx(2 * (1 - 0.24) + 16 - 3)
+
+
+def test_functions_with_other_constants_have_one_structure():
+    z, smoothing = ca.SX.sym("z", 3), ca.SX.sym("smoothing")
+    first, second = (
+        ca.Function("cost", [z, smoothing], [cost(factor * z, smoothing)]) for factor in (0.3, 0.7)
+    )
+    structure, _ = structure_of(first)
+    same, constants = structure_of(second)
+    assert structure == same
+    other = ca.Function("cost", [z, smoothing], [cost(z, smoothing) ** 2])
+    assert structure_of(other)[0] != structure
+    opened, _ = structure.opened()([0.2, 0.5, 0.9], [0.01, *constants])
+    assert float(opened) == float(second([0.2, 0.5, 0.9], 0.01))
 
 
 def test_a_cost_without_alike_terms_and_a_constant_one():
