@@ -56,7 +56,7 @@ class Structure:
         return ca.Function("opened", [x, p], [ca.vertcat(*outputs), ca.SX(0, 1)])
 
 
-def structure_of(function: ca.Function) -> tuple[Structure, list[float]]:
+def structure_of(function: ca.Function) -> tuple[Structure, Array]:
     """Return the structure of an SX function, and its constants in their order."""
     places = range(function.n_instructions())
     operations = [function.instruction_id(k) for k in places]
@@ -65,7 +65,7 @@ def structure_of(function: ca.Function) -> tuple[Structure, list[float]]:
         for k, operation in zip(places, operations, strict=True)
     )
     constants = [function.instruction_constant(k) for k in places if operations[k] == ca.OP_CONST]
-    return Structure(function.numel_in(0), form, function), constants
+    return Structure(function.numel_in(0), form, function), np.array(constants)
 
 
 class SecondOrder:
@@ -92,9 +92,8 @@ class SecondOrder:
         return functions, Columns(_derivatives(inputs, remainder), fewest=FEWEST_COLUMNS)
 
     @cached_property
-    def _shared(self) -> tuple["Structure", Array]:
-        structure, constants = structure_of(self._program)
-        return structure, np.array(constants)[:, None]
+    def _structure(self) -> tuple[Structure, Array]:
+        return structure_of(self._program)
 
     def of_few(self, *inputs: Array) -> tuple[Array, Array, Array]:
         """Return the same as a call does, by derivatives that all functions of a structure share.
@@ -103,8 +102,8 @@ class SecondOrder:
         """
         if self._program.n_instructions() > SMALL:
             return self(*inputs)
-        structure, constants = self._shared
-        columns = np.repeat(constants, inputs[0].shape[1], axis=1)
+        structure, constants = self._structure
+        columns = np.repeat(constants[:, None], inputs[0].shape[1], axis=1)
         p = np.concatenate([*inputs[1:], columns])
         cost, gradient, hessian = _shared_derivatives.result(structure)(inputs[0], p)
         return cost[0], gradient, hessian

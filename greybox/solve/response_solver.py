@@ -349,17 +349,16 @@ def _statement(program: ca.Function) -> dict[str, Any]:
 
 
 def _ipopt(program: CostProgram, options: Mapping[str, Any]) -> tuple[Ipopt, Array]:
-    """Return IPOPT, the same for all small programs of one structure, and the constants."""
+    """Return IPOPT, the same for all small programs of one structure, and their constants."""
     explicit = program.explicit
-    if program.roots or not fits_a_batch(explicit) or explicit.n_instructions() > SMALL:
+    is_shared = fits_a_batch(explicit) and not options and not program.roots
+    if explicit is None or not is_shared or explicit.n_instructions() > SMALL:
         return Ipopt(_statement(program.function), options, program.derivatives), np.zeros(0)
     structure, constants = structure_of(explicit)
-    return _shared_ipopt.result(structure, tuple(options.items())), constants
+    return _shared_ipopt.result(structure), constants
 
 
-_shared_ipopt = PerThread(
-    lambda structure, options: Ipopt(_statement(structure.opened()), dict(options)), 16
-)
+_shared_ipopt = PerThread(lambda structure: Ipopt(_statement(structure.opened()), {}), 16)
 
 
 def _instructions(program: ca.Function) -> int:
