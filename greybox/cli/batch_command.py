@@ -75,8 +75,7 @@ def run(options: argparse.Namespace) -> Answer:
         return _listed(members)
     if folder is None:
         raise UsageError("the following arguments are required: --out; see greybox batch --help.")
-    if not options.resume:
-        copy_inputs(path, folder, starts)
+    copy_inputs(path, folder, starts)
     write(str(_listed(members)[-1]), sys.stderr)
     try:
         with stated_executor(options) as executor:

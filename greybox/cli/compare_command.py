@@ -59,10 +59,8 @@ def run(options: argparse.Namespace) -> Answer:
 
 
 def _comparison(options: argparse.Namespace) -> Comparison:
-    paths: Sequence[Path] = options.results
+    paths: Sequence[Path] = [*dict.fromkeys(options.results)]
     # Stems are short; files with the same name in several folders need their paths.
     names = [path.stem for path in paths]
     labels = names if len(set(names)) == len(names) else list(map(str, paths))
-    if len(set(labels)) < len(labels):
-        raise UsageError(f"{max(labels, key=labels.count)} is given twice: give different fits.")
     return compare(*(saved_fit(path, options) for path in paths), labels=labels)

@@ -46,19 +46,21 @@ def copy_inputs(study: Path, folder: Path, starts: int | None) -> None:
         If they cannot be written.
     """
     study, folder = study.resolve(), folder.resolve()
-    modules = {getattr(module, "__file__", None) or "/" for module in [*sys.modules.values()]}
-    opened = map(Path.resolve, {*_opened, *map(Path, modules)})
-    beside = {path for path in opened if path.is_relative_to(study.parent)}
-    # Files of Python and of the folder itself are not part of the study.
-    sources = {study} | {
-        path
-        for path in beside | _read
-        if path.is_file()
-        and path.suffix != ".pyc"
-        and not any(map(path.is_relative_to, (sys.prefix, folder)))
-    }
-    # Relative paths such as ../flights lead from the copy of the study to those of its data.
-    base = Path(os.path.commonpath([path.parent for path in sources]))
+    base, sources = folder / INPUTS, set[Path]()
+    if not study.is_relative_to(base):  # otherwise the study resumes with its copies
+        modules = {getattr(module, "__file__", None) or "/" for module in [*sys.modules.values()]}
+        opened = map(Path.resolve, {*_opened, *map(Path, modules)})
+        beside = {path for path in opened if path.is_relative_to(study.parent)}
+        # Files of Python and of the folder itself are not part of the study.
+        sources = {study} | {
+            path
+            for path in beside | _read
+            if path.is_file()
+            and path.suffix != ".pyc"
+            and not any(map(path.is_relative_to, (sys.prefix, folder)))
+        }
+        # Relative paths such as ../flights lead from the copy of the study to those of its data.
+        base = Path(os.path.commonpath([path.parent for path in sources]))
     for source in sources:
         place = folder / INPUTS / source.relative_to(base)
         place.parent.mkdir(parents=True, exist_ok=True)

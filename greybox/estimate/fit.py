@@ -15,7 +15,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from tqdm import tqdm
 
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
 from greybox.compiled.transcription.method import Transcription
@@ -37,6 +36,7 @@ from greybox.estimate.misfit import assessed_misfit
 from greybox.estimate.profile import profiled_where_misleading
 from greybox.estimate.quantities import quantities
 from greybox.estimate.result import Fit
+from greybox.files.progress import bar
 from greybox.files.text_table import counted
 from greybox.formulation.frequency_criteria import evaluate
 from greybox.formulation.included_criteria import CRITERIA
@@ -281,8 +281,8 @@ def fit_keeping(
         if callable(progress) or not progress:
             search = run(progress=progress or None)
         else:
-            with tqdm(total=len(points), disable=None, delay=2, unit="start", leave=False) as bar:
-                search = run(progress=lambda done, _: bar.update(done - bar.n))
+            with bar(total=len(points), unit="start") as shown:
+                search = run(progress=lambda done, _: shown.update(done - shown.n))
         # Ask now: a later Ctrl-C does not end the search, which is complete.
         interrupted = stop_requested()
         # Explain failures before a refinement replaces the compiled problem in which they happened.

@@ -29,7 +29,7 @@ from greybox.estimate.quantities import expressions
 from greybox.estimate.response_band import radius, require_level, t_quantile
 from greybox.estimate.result import Fit, Quantity
 from greybox.files.arrays import Array
-from greybox.files.progress import counted_off
+from greybox.files.progress import bar
 from greybox.files.text_table import number
 from greybox.formulation.starts import Sobol
 from greybox.modeling.model import require_known
@@ -539,7 +539,7 @@ def _profiles(
 
     profiles = []
     limits = {}
-    for line in counted_off(lines, "profiles", "profile"):
+    for line in bar(lines, desc="profiles", unit="profile"):
         dof = line.dof if math.isfinite(line.dof) else estimate.accuracy.dof
         limits[line.name] = limit = t_quantile(level, dof)
         search = _search(nlp, estimate, line, limit, starts)

@@ -1,22 +1,19 @@
-"""Progress bars with the remaining time, on terminals only and after two seconds."""
+"""Progress bars with the remaining time, in terminals and notebooks, after two seconds."""
 
+import sys
 from collections.abc import Iterable
-from typing import Any, TypeVar
+from typing import Any
 
 from tqdm import tqdm
 
 DELAY = 2  # s, before which no bar is worth a look
 
-Item = TypeVar("Item")
 
+def bar(items: Iterable[Any] | None = None, *, is_shown: bool = True, **options: Any) -> Any:
+    """Return the items under a bar; without items it moves by ``bar.update(count)``.
 
-def reading(size: int, what: str) -> Any:
-    """Return the bar of a file of `size` bytes; ``bar.update(done - bar.n)`` moves it."""
-    return tqdm(
-        total=size, desc=what, unit="B", unit_scale=True, disable=None, delay=DELAY, leave=False
-    )
-
-
-def counted_off(items: Iterable[Item], what: str, unit: str) -> Iterable[Item]:
-    """Yield the items under a progress bar."""
-    return tqdm(items, desc=what, unit=unit, disable=None, delay=DELAY, leave=False)
+    The options, such as ``total``, ``desc`` and ``unit``, are those of tqdm.
+    """
+    # A file or a pipe gets no bar. A notebook is neither a terminal nor a file.
+    hidden = (None if "ipykernel" not in sys.modules else False) if is_shown else True
+    return tqdm(items, disable=hidden, delay=DELAY, leave=False, **options)

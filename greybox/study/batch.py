@@ -13,14 +13,13 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from tqdm import tqdm
-
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fit import SolverChoice, fingerprint, fit_keeping
 from greybox.estimate.storage import to_bytes
 from greybox.estimate.summary import summary
+from greybox.files.progress import bar
 from greybox.files.text_table import counted, printable
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Starts, as_starts
@@ -38,6 +37,7 @@ from greybox.solve.kept_runs import KeptRunsError
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.multistart import BATCHED
 from greybox.solve.response_solver import ResponseSolver
+from greybox.study.ranking import held_out_error
 from greybox.study.store import StoredRuns, StudyMember, add_members, locked
 from greybox.study.study import Study, read_study
 
@@ -54,6 +54,8 @@ class Member:
     problem : Problem or a sum of problems
     starts, seed, method, search, solver_options
         As in `greybox.fit`.
+    held : sequence of Record or FrequencyResponse
+        Data that are held out: `Study.ranking` compares how well structures predict them.
     name : str
         By default the name of the problem. Members of a batch have different names.
     """
@@ -65,6 +67,7 @@ class Member:
     solver_options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
     name: str = ""
     search: str = BATCHED
+    held: Sequence[Any] = ()
 
     def __post_init__(self) -> None:
         """Use the name of the problem by default."""
@@ -142,7 +145,7 @@ def batch(
         Time limit of the runs from each start. A run that was cut counts with the values that it
         reached. It is made again when the member is fitted with a longer limit.
     progress : bool
-        Show a progress bar on a terminal after two seconds.
+        Show a progress bar in a terminal or notebook after two seconds.
 
     Returns
     -------
@@ -172,15 +175,14 @@ def batch(
         stored = add_members(folder, [member.name for member in listed])
         runs = StoredRuns(folder)
         try:
-            hidden = None if progress else True  # None: on a terminal only
-            bar = tqdm(total=len(listed), disable=hidden, delay=2, unit="fit", leave=False)
-            with listening(), bar, ExitStack() as ending:
+            shown = bar(is_shown=progress, total=len(listed), unit="fit")
+            with listening(), shown, ExitStack() as ending:
                 ending.callback(runs.write)
                 for member in listed:
                     if is_search_over():
                         break
-                    _fit_member(member, runs, stored[member.name], executor, bar)
-                    bar.update()
+                    _fit_member(member, runs, stored[member.name], executor, shown)
+                    shown.update()
                     runs.look()
                     if runs.trouble:
                         break  # a full disk, which the last attempt names
@@ -239,6 +241,8 @@ def _fit_member(
 
     marks = {"fingerprint": runs.fingerprint, "asked": _asked(member), "finished": time.time()}
     answer = {**(summary(result) if result else _stated(member.problem)), **marks}
+    if member.held and result:
+        answer["held_out"] = held_out_error(result, member.held)
     with responding(Response.FINISH):
         fit = to_bytes(result) if result else b""
         runs.finish({**answer, "error": error} if error else answer, fit)
@@ -276,4 +280,5 @@ def _is_done(member: Member, stored: StudyMember) -> bool:
 
 def _asked(member: Member) -> str:
     """Return the requested starts as text."""
-    return f"{member.starts!r}, seed {member.seed!r}"
+    held = [data.checksum for data in member.held]
+    return f"{member.starts!r}, seed {member.seed!r}{held or ''}"

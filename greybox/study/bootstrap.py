@@ -16,7 +16,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from tqdm import tqdm
 
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
 from greybox.compiled.part import Trajectory
@@ -28,6 +27,7 @@ from greybox.estimate.response_band import t_quantile
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
 from greybox.files.json_numbers import finite, plain
+from greybox.files.progress import bar
 from greybox.files.text_table import alternatives, counted, number, one_line, some, text_table
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.discretization_error import refine_discretization
@@ -425,15 +425,14 @@ def _made(
     rows = ((k, np.array([float(k)])) for k in range(replicates))
     runs = None if folder is None else StoredRuns(Path(folder), "bootstrap")
     lock = nullcontext() if folder is None else locked(Path(folder))
-    hidden = None if progress is True else True  # None: on a terminal only
-    bar = tqdm(total=replicates, disable=hidden, delay=2, unit="replicate", leave=False)
-    with lock, listening(), bar:
+    shown = bar(is_shown=progress is True, total=replicates, unit="replicate")
+    with lock, listening(), shown:
         try:
             memory = Memory() if runs is None else Memory(runs, runner_fingerprint(runner))
             with responding(Response.STOP):
                 for _, _, outcome in run_all(runner, rows, replicates, executor, memory):
                     outcomes.append(outcome)
-                    bar.update()
+                    shown.update()
                     if callable(progress):
                         progress(len(outcomes), replicates)
             if take_interrupt():

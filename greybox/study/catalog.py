@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.experiment.controller import Controller
-from greybox.files.text_table import alternatives, nearest
+from greybox.files.text_table import alternatives
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.model import Model, require_known
@@ -42,10 +42,9 @@ def shipped_module(kind: str, name: str) -> ModuleType:
     """
     names = shipped(kind)
     if name not in names:
-        near = nearest(name, names)
-        hint = f"did you mean {near!r}?" if near else f"the included ones are {', '.join(names)}."
         raise ValueError(
-            f"there is no included {kind[:-1]} {name!r}; {hint} A file of your own ends in .py."
+            f"there is no included {kind[:-1]} {name!r}, and a file of your own ends in .py; "
+            f"the included ones are {alternatives(name, names)}"
         )
     return importlib.import_module(f"greybox.{kind}.{name}")
 
@@ -65,10 +64,8 @@ def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
     attribute = name or "problem"
     problem = getattr(module, attribute, None)
     if problem is None:
-        near = nearest(attribute, (key for key in vars(module) if not key.startswith("_")))
-        hint = f"did you mean {near!r}? Otherwise " if near else ""
         raise ValueError(
-            f"{place} has no {attribute!r}: {hint}define {attribute}() that returns a gb.Problem."
+            f"{place} has no {attribute!r}: define {attribute}() that returns a gb.Problem."
         )
     if callable(problem) and not isinstance(problem, Problem | Sum):
         problem = problem()

@@ -15,7 +15,6 @@ from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.delimited_text import read_delimited
 from greybox.files.heading import heading
 from greybox.files.safe_files import require_file
-from greybox.files.text_table import counted
 from greybox.formulation.signal_units import as_the_only_pair
 from greybox.logs.named_columns import in_si
 from greybox.logs.prepare import prepare as prepared
@@ -120,16 +119,15 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
     # which a record must be prepared.
     is_table = len(log) == 1
     if len(records) != 1:
-        signals = f"{model.label} ({', '.join((*inputs, ' or '.join(outputs)))})"
         available = "; ".join(f"{key}: {', '.join(r.signals)}" for key, r in log.items())
         columns = " ".join(f"{name}=COLUMN" for name in names)
         cure = (
             f"name its columns, with units, columns=time=COLUMN:ms {columns}; for a frequency "
             "response columns=frequency=COLUMN:Hz magnitude=COLUMN:dB phase=COLUMN:deg"
         )
-        count = counted(len(records), "message") if records else "no message"
         raise ValueError(
-            f"{path} has {count} with the signals of {signals}; it has "
+            f"{path} has {len(records) or 'no'} messages with the signals of {model.label} "
+            f"({', '.join((*inputs, ' or '.join(outputs)))}); it has "
             f"{available:.{LONG}}: {cure if is_table else _preparation(path, names)}."
         )
 

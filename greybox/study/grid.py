@@ -41,7 +41,8 @@ def grid(models: Any = None, data: Any = None, **settings: Any) -> list[Member]:
         The other keys of a study file, named like the options of `greybox fit`: criterion, delay,
         method, at, fix, free, bounds, start, starts_box, prior, starts, seed, search; for files
         columns, rate, input, output, and prepare, the arguments of `gb.prepare`; ``joint=[...]``,
-        the data of one joint fit; ``held="flights/f9.csv"``, data that are left out;
+        the data of one joint fit; ``held="flights/f9.csv"``, data that are left out, and by which
+        the structures are compared;
         ``band=(0.5, 20)``, the frequencies of responses that are fitted, in rad/s; problem, a
         Problem instead of models and data; solver_options.
 
@@ -69,6 +70,9 @@ def members_of(choices: Mapping[str, Any], folder: Path) -> list[Member]:
         own = {key: values[key] for key in OF_MEMBER if key in values}
         try:
             problem, settings = stated_problem(values, read)
+            if values["held"]:  # they are read and cut to the band like the data
+                held, _ = stated_problem({**values, "data": values["held"]}, read)
+                own["held"] = [part.data for part in held.parts]
             members.append(Member(problem, **{**settings, **own}))
         except (ValueError, TypeError, LookupError, OSError) as error:
             raise ValueError(f"member {own['name']!r}: {error.args[-1]}") from error
@@ -93,10 +97,7 @@ def combined(choices: Mapping[str, Any], folder: Path) -> list[dict[str, Any]]:
     axes = {"data": lists, **axes} if stated else axes
     for key, values in axes.items():
         if not values:
-            raise ValueError(
-                f"{key} is empty: give at least one value"
-                f"{' besides those of held' if key == 'data' else ''}."
-            )
+            raise ValueError(f"{key} is empty: give at least one value besides those of held.")
     # Of the paths of files, names have what differs.
     paths = [file for files in lists for file in files if isinstance(file, str)]
     place = os.path.commonpath([Path(path).parent for path in paths]) if paths else ""
@@ -107,7 +108,8 @@ def combined(choices: Mapping[str, Any], folder: Path) -> list[dict[str, Any]]:
         chosen = dict(zip(axes, values, strict=True))
         head = _label(first, chosen.get(first, ""), place)
         rest = ", ".join(_label(key, chosen[key], place) for key in varied)
-        combinations.append({**chosen, "name": f"{head}: {rest}" if rest else head})
+        name = f"{head}: {rest}" if rest else head
+        combinations.append({**chosen, "name": name, "held": held})
     return combinations
 
 

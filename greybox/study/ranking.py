@@ -1,49 +1,54 @@
-"""Which structure describes the data sets of a study best, by evidence and by held-out records."""
+"""Which structure describes the data sets of a study best, by evidence and by held-out data."""
 
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from statistics import fmean
+from typing import Any
 
 import numpy as np
 
-from greybox.data.record import Record
+from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.result import Fit
 from greybox.files.text_table import counted, percent, some
+from greybox.simulation.simulate import predict
+from greybox.simulation.windows import default_length
+from greybox.statistics.metrics import rms
 from greybox.validation.common_likelihood import common_likelihood
-from greybox.validation.comparison import HELD_OUT, Comparison, Row
-from greybox.validation.held_out import not_held_out, predict_same_windows, window_lengths
-from greybox.validation.measures import fit_rows, prediction_rows
+from greybox.validation.comparison import Comparison, Row
+from greybox.validation.held_out import not_held_out
+from greybox.validation.measures import fit_rows
 from greybox.validation.parsimony import parsimony
 from greybox.validation.same_data import data_difference, is_likelihood, why_not_comparable
 
 EVIDENCE = "BIC less the least"  # the row of `fit_rows`
 PREDICTION = "error of held-out predictions, % of the signal"
+EQUAL = 0.05  # relative difference of errors that makes no difference to a user of the model
 
-Records = Sequence[Record] | Mapping[str, Sequence[Record]]
 Table = dict[str, dict[str, float]]
 """A number by data set and structure, the less the better."""
 
 
 def ranking(
     fits: Sequence[tuple[str, str, Fit]],
-    records: Records = (),
-    window: float | None = None,
-    lead: float | None = None,
+    held: Mapping[Fit, float | str | None],
 ) -> Comparison:
-    """Compare structures over data sets; `fits` are (structure, data set, fit)."""
+    """Compare structures over data sets; `fits` are (structure, data set, fit).
+
+    `held` has the `held_out_error` of fits.
+    """
     tables: dict[str, Table] = {EVIDENCE: {}, PREDICTION: {}}
     sizes: dict[str, int] = {}
     notes: list[str] = []
     for name, group in _by_data(fits).items():
         best, tables[EVIDENCE][name] = _evidence(group)
         sizes |= {structure: len(fit.free) for structure, fit in best.items()}
-        chosen = records.get(name, ()) if isinstance(records, Mapping) else records
-        if chosen:
-            notes += not_held_out([*best.values()], [*best], chosen)
-            try:
-                tables[PREDICTION][name] = _errors(best, chosen, (window, lead))
-            except (ValueError, ArithmeticError, LookupError) as error:  # others may be predicted
-                notes.append(f"{name}: {error}")
+        for structure, fit in best.items():
+            error = held.get(fit)
+            if isinstance(error, str):
+                notes.append(f"{structure} does not predict the held-out data: {error}")
+            elif error is not None:
+                tables[PREDICTION].setdefault(name, {})[structure] = error
 
     # A likelihood of records assumes white residuals, and then prefers too many parameters.
     if any(part.data.has_time for _, _, fit in fits for part in fit.records):
@@ -51,7 +56,9 @@ def ranking(
             "BIC assumes white residuals, which those of records seldom are: it then prefers "
             "structures with too many parameters, and held-out records decide."
         )
-    supported, verdict = _verdict(tables[EVIDENCE], sizes)
+    # Held-out data assume nothing, and have the last word.
+    ranked = {measure: table for measure, table in tables.items() if _best(table)}
+    verdicts = [_verdict(*pair, sizes) for pair in ranked.items()]
     return Comparison(
         tuple(sizes),
         f"{counted(len(tables[EVIDENCE]), 'data set')}: {some([*tables[EVIDENCE]])}",
@@ -60,9 +67,9 @@ def ranking(
             for measure, table in tables.items()
             for name, values in table.items()
         ),
-        tuple(dict.fromkeys([*(_wins(*pair) for pair in tables.items() if pair[1]), *notes])),
-        supported=supported,
-        verdict=verdict,
+        tuple(dict.fromkeys([*(_wins(*pair) for pair in ranked.items()), *notes])),
+        supported=verdicts[-1][0] if verdicts else "",
+        verdict=" ".join(text for _, text in verdicts),
     )
 
 
@@ -96,18 +103,6 @@ def _evidence(group: Sequence[tuple[str, Fit]]) -> tuple[dict[str, Fit], dict[st
     return best, {name: values[first[name]] for name in best if values[first[name]] < math.inf}
 
 
-def _errors(
-    best: Mapping[str, Fit], records: Sequence[Record], lengths: tuple[float | None, float | None]
-) -> dict[str, float]:
-    """Return the errors of predictions by structure: the mean of all outputs, in percent."""
-    fits, data = [*best.values()], [records] * len(best)
-    windows = window_lengths(fits, records, *lengths)
-    predictions, _ = predict_same_windows(fits, [*best], data, windows, fitted=False)
-    rows = prediction_rows(HELD_OUT, predictions, fits)
-    shares = np.array([row.values for row in rows if row.measure == "fit"], dtype=float)
-    return dict(zip(best, (100 - shares.mean(axis=0)).tolist(), strict=True))
-
-
 def _best(table: Table) -> Counter[str]:
     """Return in how many data sets each structure is the best of several."""
     contests = [values for values in table.values() if len(values) > 1]
@@ -120,15 +115,44 @@ def _wins(measure: str, table: Table) -> str:
     return f"Best by {measure}, of {counted(wins.total(), 'data set')}: {', '.join(texts)}."
 
 
-def _verdict(evidence: Table, sizes: Mapping[str, int]) -> tuple[str, str]:
-    """Return the structure that its data sets together support, and why."""
-    wins = _best(evidence).most_common(1)
-    if not wins:
-        return "", ""
+def _verdict(measure: str, table: Table, sizes: Mapping[str, int]) -> tuple[str, str]:
+    """Return the structure that the data sets together support, and why."""
     # Not all structures suit all data sets: judged are those of the one that is best most often.
-    shared = [values for values in evidence.values() if wins[0][0] in values]
+    [(winner, _)] = _best(table).most_common(1)
+    shared = [values for values in table.values() if winner in values]
     labels = [label for label in sizes if all(label in values for values in shared)]
-    # Data sets are independent, so that their log-likelihoods, and with them BIC, add up.
-    totals = [sum(values[label] for values in shared) for label in labels]
-    k, text = parsimony(labels, totals, [sizes[label] for label in labels])
+    free = [sizes[label] for label in labels]
+    values = np.array([[numbers[label] for label in labels] for numbers in shared])
+    if measure == EVIDENCE:
+        # Data sets are independent, so that their log-likelihoods, and with them BIC, add up.
+        k, text = parsimony(labels, values.sum(axis=0).tolist(), free)
+    else:
+        means = np.log(values).mean(axis=0).tolist()
+        alike = [k for k, mean in enumerate(means) if mean <= min(means) + EQUAL]
+        k = min(alike, key=lambda k: (free[k], means[k]))
+        text = (
+            f"{labels[k]} ({free[k]} free) is supported: it is the smallest whose errors of "
+            f"held-out predictions are within {percent(EQUAL)} % of the least."
+        )
     return labels[k], f"{counted(len(shared), 'data set')} together: {text}"
+
+
+def held_out_error(fit: Fit, held: Sequence[Any], **lengths: float | None) -> float | str:
+    """Return the mean error of predictions of records and responses in percent, or why not."""
+    try:
+        return 100 * fmean(_error(fit, data, **lengths) for data in held)
+    except (ValueError, ArithmeticError, LookupError) as refusal:
+        return str(refusal.args[-1])
+
+
+def _error(fit: Fit, data: Any, window: float | None = None, lead: float | None = None) -> float:
+    """Return the relative residuals (rms) of a response, or the mean of all outputs of a record."""
+    if isinstance(data, FrequencyResponse):
+        pairs = [(part.data.input, part.data.output) for part in fit.responses]
+        response = fit.response(data.omega, pairs.index((data.input, data.output))).response
+        return rms(np.abs(response / data.response - 1))
+    for text in not_held_out([fit], ["it"], [data]):
+        raise ValueError(text)
+    window = window or default_length([data], 1.0)  # as in `greybox.compare`
+    prediction = predict(fit, record=data, horizon=window, lead=lead)
+    return 1 - fmean(map(prediction.fit_percent, prediction.outputs)) / 100

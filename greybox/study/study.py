@@ -6,7 +6,7 @@ Begin with `read_study`.
 import csv
 import io
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,7 +24,7 @@ from greybox.files.text_table import (
 )
 from greybox.modeling.model import require_known
 from greybox.study.latex import latex_number, latex_symbol, latex_table, latex_text
-from greybox.study.ranking import Records, ranking
+from greybox.study.ranking import held_out_error, ranking
 from greybox.study.store import FACTORS, Status, StudyMember, read_members
 from greybox.validation.comparison import Comparison
 
@@ -123,7 +123,7 @@ class Study:
         self,
         by: str = "model",
         *,
-        records: Records = (),
+        records: Any = (),
         window: float | None = None,
         lead: float | None = None,
     ) -> Comparison:
@@ -132,7 +132,9 @@ class Study:
         For every data set the table has BIC less the least: of each structure that of its best
         member. Criteria that are no likelihoods are put on the scale of one, as in
         `greybox.compare`. The statements count the data sets in which each structure is the best;
-        the verdict adds BIC up over all data sets that all structures have in common.
+        the verdict adds BIC up over all data sets that all structures have in common. Data that
+        the members held out, or `records`, have the last word: they support the smallest structure
+        whose errors, by their geometric mean over the data sets, are within 5 % of the least.
 
         Parameters
         ----------
@@ -152,26 +154,34 @@ class Study:
             key = (member.factors.get(by, ""), *(str(member.answer[name]) for name in ALIKE))
             if member.answer["cost"] <= best.get(key, member).answer["cost"]:
                 best[key] = member
-        fits = [
-            (key[0], member.factors["data"], fit)
-            for key, member in best.items()
-            if key[0] and (fit := member.fit)
-        ]
-        return ranking(fits, records, window, lead)
+        fits, held = [], {}
+        for (structure, *_), member in best.items():
+            if structure and (fit := member.fit):
+                data = member.factors["data"]
+                fits.append((structure, data, fit))
+                chosen = records.get(data, ()) if isinstance(records, Mapping) else records
+                held[fit] = member.answer.get("held_out")
+                if chosen:
+                    held[fit] = held_out_error(fit, chosen, window=window, lead=lead)
+        return ranking(fits, held)
 
     @property
     def failures(self) -> str:
         """The members without an estimate by reason, with the cure; empty if none failed."""
+        return text_table(FAILURES, self.failed, (1, 2)) if self.failed else ""
+
+    @property
+    def failed(self) -> list[list[str]]:
+        """The rows of `failures`: how many members, their names, the reason and cure."""
         # Reasons that differ only in their numbers are one, with those of the first member.
         reasons: dict[str, list[StudyMember]] = {}
         for member in self.members:
             if member.status == "failed":
                 reasons.setdefault(re.sub(r"[-\d.]+", "", member.reason), []).append(member)
-        rows = [
+        return [
             [str(len(members)), some([member.name for member in members]), members[0].reason]
             for members in reasons.values()
         ]
-        return text_table(["failed", "members", "reason and cure"], rows, (1, 2)) if rows else ""
 
     def __repr__(self) -> str:
         return one_line(self, str(self.folder), self.state)
@@ -222,22 +232,22 @@ def _require_readable(member: StudyMember) -> None:
         ) from None
 
 
+FAILURES = ("failed", "members", "reason and cure")
 # Fits of a structure that are alike in these can be compared by their costs.
 ALIKE = ("data", "checksum", "criterion", "bounds")
-OVERVIEW = ("member", "status", "criterion", "delay", "starts", "converged", "agreeing", "minima")
+OVERVIEW = (
+    *("member", "status", "criterion", "delay", "starts"),
+    *("converged", "agreeing", "minima", "cost", "warnings"),
+)
 
 
 def _overview(members: Sequence[StudyMember]) -> str:
-    header = [*OVERVIEW, "cost", "warnings"]
     rows = []
     for member in members:
         row = _rows(member)[0]
-        texts = ["" if row[name] is None else str(row[name]) for name in OVERVIEW]
-        is_done = member.status == "done"
-        rows.append(
-            [*texts, *([number(row["cost"], 6), str(row["warnings"])] if is_done else "  ")]
-        )
-    return text_table(header, rows, left=(0, 1, 2, 3))
+        row["cost"] = number(row["cost"], 6) if member.status == "done" else None
+        rows.append(["" if row[name] is None else str(row[name]) for name in OVERVIEW])
+    return text_table(OVERVIEW, rows, left=(0, 1, 2, 3))
 
 
 def _rows(member: StudyMember) -> list[dict[str, Any]]:
@@ -247,7 +257,7 @@ def _rows(member: StudyMember) -> list[dict[str, Any]]:
     common |= {name: answer.get(name) for name in ("cost", "converged", "agreeing", "minima")}
     common |= {
         "starts": member.runs,
-        "warnings": len(answer.get("warnings", ())),
+        "warnings": len(answer["warnings"]) if is_done else None,
         "reason": member.reason,
     }
 
@@ -295,7 +305,7 @@ def names_by_difference(members: Sequence[StudyMember]) -> list[dict[str, str]]:
     names = dict.fromkeys(name for values in factors for name in values)
     varied = [name for name in names if len({values.get(name) for values in factors}) > 1]
     labels = [{name: values.get(name, "") for name in varied} for values in factors]
-    if len({tuple(label.values()) for label in labels}) == len(members) > 1:
+    if len({*map(str, labels)}) == len(members) > 1:
         return labels
     return [{"member": member.name} for member in members]
 

@@ -143,7 +143,7 @@ def test_members_without_an_answer_are_named(study, capsys):
         ("[[member]]\nproblems = 'rotors'", "has no key 'problems'; it has"),
         (
             "[[member]]\nproblem = 'rotorz'",
-            "there is no included problem 'rotorz'; did you mean 'rotors'?",
+            "there is no included problem 'rotorz'",
         ),
         ("[[member]]\nproblem = 'rotors'\ncriterion = 3", "3"),
         ("[[member]]\nproblem = 'rotors'\nseed = [0, 'a']", "'a'"),

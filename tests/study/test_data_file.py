@@ -57,7 +57,7 @@ def test_a_table_of_a_record_is_fitted_with_a_model_alone(capsys):
         (
             "theta",
             "pitch",
-            "no message with the signals of Drag (theta, v); it has data: pitch, v: name its "
+            "no messages with the signals of Drag (theta, v); it has data: pitch, v: name its "
             "columns",
         ),
         (
@@ -145,7 +145,7 @@ def test_fit_says_of_a_record_what_inspect_says(capsys, tmp_path):
 
 def test_a_log_with_many_messages_asks_for_a_problem_file(capsys):
     sentence = refused(capsys, *DRAG, files("greybox.problems") / "data" / "sitl_pitch.BIN")
-    assert "no message with the signals of Drag (theta, v)" in sentence
+    assert "no messages with the signals of Drag (theta, v)" in sentence
     assert "in a file my.py whose function problem()" in sentence
     assert len(sentence) < 800
 

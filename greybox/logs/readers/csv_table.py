@@ -20,7 +20,7 @@ from greybox.files.delimited_text import (
     read_delimited,
 )
 from greybox.files.heading import Heading, heading
-from greybox.files.progress import counted_off
+from greybox.files.progress import bar
 from greybox.files.text_table import counted, printable, some
 from greybox.logs.readers.betaflight import completed, metadata_of, with_units, without_settings
 from greybox.logs.readers.named_arrays import Contents, Variable, recording
@@ -137,7 +137,7 @@ def _columns(
 ) -> tuple[dict[str, Array], list[str]]:
     """Return the numeric columns by name, and findings."""
     try:
-        lines = counted_off(text.lines, f"reading {printable(text.path.name)}", "line")
+        lines = bar(text.lines, desc=f"reading {printable(text.path.name)}", unit="line")
         # The usual table has plain numbers, which numpy reads ten times as fast as cell by cell.
         clean = np.loadtxt(lines, delimiter=text.separator, comments=None, ndmin=2)
     except ValueError:

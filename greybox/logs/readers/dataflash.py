@@ -14,7 +14,7 @@ import numpy as np
 
 from greybox.data.record import Recording
 from greybox.files.arrays import Array, IntArray
-from greybox.files.progress import counted_off
+from greybox.files.progress import bar
 from greybox.files.text_table import counted
 from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.controller_outputs import with_holds
@@ -110,7 +110,7 @@ def _contents(
     tables = UnitTables(decoded(x, Units({}, "")) for x in present if x.name in TABLES)
     # The unit tables are written again and again, with any time: they take no part in the clock.
     timed = [layout for layout in present if layout.name not in TABLES]
-    groups = [decoded(x, tables.of(x)) for x in counted_off(timed, "decoding", "message")]
+    groups = [decoded(x, tables.of(x)) for x in bar(timed, desc="decoding", unit="message")]
     return groups, (*_damage(positions), *tables.findings, *lost)
 
 

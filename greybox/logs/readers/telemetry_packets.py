@@ -14,7 +14,7 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from greybox.files.arrays import Array
-from greybox.files.progress import reading
+from greybox.files.progress import bar
 
 STAMP = 8  # bytes of time before a packet
 MARK = re.compile(b"[\xfd\xfe]")  # the first byte of a packet of MAVLink 2 or 1
@@ -44,7 +44,7 @@ class Packets:
         """Yield the time of reception, µs since 1970, and the packet."""
         end = 0  # of the previous packet
         at = STAMP
-        with reading(len(self._data), "reading packets") as bar:
+        with bar(total=len(self._data), desc="reading packets", unit="B", unit_scale=True) as shown:
             while mark := MARK.search(self._data, at):
                 at = mark.start()
                 packet, following = self._decoded(at, is_expected=at == end + STAMP)
@@ -59,8 +59,8 @@ class Packets:
                     yield int.from_bytes(self._data[at - STAMP : at], "big") & 2**63 - 1, packet
                 end = following
                 at = end + STAMP
-                if at - bar.n > 2**20:
-                    bar.update(at - bar.n)
+                if at - shown.n > 2**20:
+                    shown.update(at - shown.n)
         self._count_damage(end, len(self._data))
 
     def _count_damage(self, start: int, end: int) -> None:
