@@ -34,7 +34,7 @@ def test_a_model_takes_arguments():
 
 def test_the_nearest_name_is_suggested():
     with pytest.raises(
-        ValueError, match="no included problem 'pitch_hoover'.*did you mean 'pitch_hover'"
+        ValueError, match=r"no included problem 'pitch_hoover'.*did you mean 'pitch_hover'"
     ):
         find_problem("pitch_hoover")
     with pytest.raises(
