@@ -28,7 +28,7 @@ import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.covariance import assess, degrees, propagate
-from greybox.estimate.diagnostics.frequency_correlation import FEWEST_LENGTHS
+from greybox.estimate.diagnostics.frequency_correlation import UNLIKELY
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import PAPER_G, Tilt
@@ -330,7 +330,8 @@ class Cell:
         found = np.concatenate([x, value.ravel()])
         center = found - gradient @ accuracy.bias
         rough = any(
-            known is not None and known.lengths < FEWEST_LENGTHS for known in accuracy.neighbors
+            known is not None and known.errors.independent < UNLIKELY
+            for known in accuracy.neighbors
         )
         return Answer(found, error, center, half, accuracy.covariance, accuracy.dof, rough)
 
@@ -406,7 +407,7 @@ def by_fit(problem: Any, names: Sequence[str]) -> Answer:
         np.array([(intervals[name][1] - intervals[name][0]) / 2 for name in names]),
         fit.covariance,
         fit.dof,
-        any("standard errors are rough" in text for text in fit.warnings),
+        any("correlated along frequency" in text for text in fit.warnings),
     )
 
 

@@ -24,6 +24,7 @@ from greybox.files.arrays import Array
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.error_spectrum import ErrorSpectrum
+from greybox.statistics.neighbor_correlation import NeighborCorrelation
 
 NO_NODES = np.zeros((0, 0))
 
@@ -151,23 +152,16 @@ class CorrelatedPoints:
         Of the sandwich.
     dof : float
         Degrees of freedom of the variances that follow.
-    correlation : float
-        Of neighboring points, in the mean.
     scale : float
-        How many times larger the variances of errors of this correlation are than those of
+        How many times larger the variances of errors of the mean correlation are than those of
         independent ones.
-    lengths : float
-        How many correlation lengths the points are.
-    independent : float
-        Probability that the errors are independent.
+    errors : NeighborCorrelation
     """
 
     meat: Array
     dof: float
-    correlation: float
     scale: float
-    lengths: float
-    independent: float
+    errors: NeighborCorrelation
 
 
 @dataclass(frozen=True, eq=False)

@@ -181,14 +181,7 @@ class ResponsePart(Part):
             )
             meat = middle + common_meat(bread)
 
-            return CorrelatedPoints(
-                meat,
-                remaining_dof,
-                neighbors.mean,
-                scale,
-                neighbors.lengths,
-                neighbors.independent,
-            )
+            return CorrelatedPoints(meat, remaining_dof, scale, neighbors)
 
         def offset(correction: float) -> Array:
             bias = criterion.gain_bias(criterion.noise(response, data, correction), len(data))

@@ -83,7 +83,8 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     -------
     FrequencyResponse
         With coherence, variance E|P̂ - P|² and its degrees of freedom. Points are left out where
-        too little remains to estimate the noise, or where the instrument hardly moves the input.
+        too little remains to estimate the noise, or where the instrument hardly moves the input;
+        without `omega` also those of a coherence below 0.6, and ends that are too uncertain.
         The coherence is partial, without transients and conditioned inputs; with an instrument, it
         is the lower of its coherences with input and output. The variance assumes stationary noise.
 

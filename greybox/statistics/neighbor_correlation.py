@@ -74,11 +74,6 @@ class NeighborCorrelation:
         """The mean correlation of neighbors."""
         return float(self.weight @ self.rho)
 
-    @property
-    def lengths(self) -> float:
-        """Number of points over the correlation length, where the mean correlation falls to 1/e."""
-        return -math.log(self.mean) * self.points if self.mean > 0 else math.inf
-
     @cached_property
     def powers(self) -> Array:
         """Correlations (m, n) of errors 0 to n - 1 points apart."""

@@ -140,7 +140,7 @@ def _drawn_part(
         math.sqrt(variance),
         dof=part.data.dof if has_variances else None,
         common=part.data.common_errors,
-        neighbors=neighbors and (neighbors.correlation, neighbors.scale),
+        neighbors=neighbors and (neighbors.errors.mean, neighbors.scale),
     )
 
 

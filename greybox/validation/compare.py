@@ -41,7 +41,8 @@ def compare(
     different criteria: AIC, AICc and BIC then belong to one likelihood, maximized from every
     estimate: `MaximumLikelihood` if the data have variances, otherwise `RelativeLikelihood`. The
     first sentence names the smallest structure that the data support: the one with the fewest
-    parameters among those whose BIC is within 2 of the least. Models of records are judged by their
+    parameters among those whose BIC is within 2 of the least. If no model explains its data, it
+    says so. Models of records are judged by their
     predictions of the same windows, see `predict`, on the data of the fits and on `records`.
     Windows in which a model has no finite value are left out for all models and counted.
 
@@ -122,6 +123,8 @@ def compare(
     if bic and not any(part.data.has_time for fit in fits for part in fit.records):
         k, verdict = parsimony(names, bic, [len(fit.free) for fit in fits], tests)
         supported = names[k]
+    if all(fit.misfit is not None and not fit.misfit.explains for fit in fits):
+        verdict = f"None of these models explains its data, see fit.misfit. {verdict}".rstrip()
     return Comparison(
         labels=names,
         data=f"{different}: their costs are not compared" if different else shared_data(fits),

@@ -133,14 +133,10 @@ def _own_model(fit: Fit, record: int) -> ModelAtEstimate:
 def with_all_signals(records: Sequence[Record]) -> Record:
     """Return one record with the signals of all: each fit stores only those that it used."""
     first = records[0]
-    missing = {
-        name: r[name] for r in records[1:] for name in r.signals if name not in first.signals
-    }
-    if not missing:
-        return first
+    signals = {name: r[name] for r in records[::-1] for name in r.signals}
     units = {name: r.units.get(name, "") for r in records for name in r.signals}
     hold = {name: seconds for r in records for name, seconds in r.hold.items()}
-    return replace(first, signals={**first.signals, **missing}, units=units, hold=hold)
+    return replace(first, signals=signals, units=units, hold=hold)
 
 
 def not_held_out(

@@ -21,6 +21,8 @@ from greybox.validation.same_data import (
     other_samples,
 )
 
+LEAST_DOF = 3  # below, F of one term is significant from 18 on: smaller ones are no evidence
+
 
 @dataclass(frozen=True)
 class NestedTest:
@@ -60,7 +62,10 @@ class NestedTest:
         verb = "is" if len(self.terms) == 1 else "are"
         if self.p_value < SIGNIFICANT:
             verdict = f"{verb} needed: {self.small} is rejected by the test against {self.large}"
-        elif f_tail(self.statistic, round(self.dof[0]), math.inf) < SIGNIFICANT:
+        elif (
+            self.dof[1] < LEAST_DOF
+            or f_tail(self.statistic, round(self.dof[0]), math.inf) < SIGNIFICANT
+        ):
             # The same ratio would be significant with more degrees of freedom.
             verdict = (
                 f"may be needed: the residuals are too correlated, or too few, to tell "

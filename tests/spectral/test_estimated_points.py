@@ -57,16 +57,35 @@ def test_points_of_a_coherence_below_six_tenths_are_left_out_unless_all_are():
     omega = np.arange(1.0, 5.0)
 
     def response(coherence, **about):
-        return FrequencyResponse(omega, np.ones(4), coherence=np.array(coherence), about=about)
+        columns = {"coherence": np.array(coherence), "variance": np.full(4, 0.01)}
+        return FrequencyResponse(omega, np.ones(4), **columns, about=about)
 
     left = without_incoherent(response([0.59, 0.6, 0.9, 0.2]))
     assert left.omega.tolist() == [2, 3]
-    assert left.about["dropped"] == "2 of 4 points, of a coherence below 0.6, at 1 to 4 rad/s"
+    assert (
+        left.about["dropped"]
+        == "2 of 4 points, of a coherence below 0.6 or too uncertain at an end, at 1 to 4 rad/s"
+    )
     left = without_incoherent(response([0.9, 0.3, 0.9, 0.9], dropped="a", test="b"))
     assert left.about == {
-        "dropped": "a; 1 of 4 points, of a coherence below 0.6, at 2 rad/s",
+        "dropped": "a; 1 of 4 points, of a coherence below 0.6 or too uncertain at an end, at 2 rad/s",
         "test": "b",
     }
     for same in ([0.1, 0.2, 0.3, 0.4], [0.6, 0.7, 0.8, 0.9]):
         whole = response(same)
         assert without_incoherent(whole) is whole
+
+
+@pytest.mark.parametrize(
+    ("magnitude", "kept"),
+    [
+        ([90, 40, 1, 1.2, 1, 2, 30], [3, 4, 5]),  # noise makes the ends large
+        ([1, 1, 1, 0.01, 1, 1, 1], [1, 2, 3, 4, 5, 6, 7]),  # a notch is no end
+        ([0.1] * 7, [1, 2, 3, 4, 5, 6, 7]),  # of nothing certain all is shown
+    ],
+)
+def test_ends_are_left_out_while_their_error_is_half_of_their_neighbor(magnitude, kept):
+    error = np.array([60, 20, 0.1, 0.1, 0.1, 2, 25]) if magnitude[0] > 1 else np.full(7, 0.1)
+    columns = {"coherence": np.full(7, 0.9), "variance": error**2}
+    whole = FrequencyResponse(np.arange(1.0, 8.0), np.array(magnitude, dtype=float), **columns)
+    assert without_incoherent(whole).omega.tolist() == kept

@@ -61,7 +61,7 @@ def test_weights_are_those_of_the_restricted_likelihood_by_dense_matrices(inflat
     weight = prior * np.exp(-(score - score.min()) / 2)
     assert_allclose(found.weight, weight / weight.sum(), rtol=1e-6)
     assert_allclose(found.scale, size / size[0], rtol=1e-8)
-    assert found.lengths == pytest.approx(-n * np.log(found.weight @ found.rho))
+    assert found.mean == pytest.approx(found.weight @ found.rho)
 
 
 def test_the_meat_of_one_correlation_is_that_of_dense_matrices():
@@ -159,15 +159,13 @@ def test_meat_and_scale_do_not_depend_on_units_and_without_scores_there_is_none(
     assert nothing[1:] == (18.0, 1.0)
 
 
-def test_the_mean_of_weighted_correlations_and_the_lengths_that_it_makes():
+def test_the_mean_and_the_powers_of_weighted_correlations():
     known = NeighborCorrelation(
         10, np.array([0.0, 0.5, 0.9]), np.array([0.2, 0.3, 0.5]), np.ones(3)
     )
     assert known.mean == pytest.approx(0.6)
     assert known.independent == pytest.approx(0.2)
-    assert known.lengths == pytest.approx(-10 * np.log(0.6))
     assert_allclose(known.powers[2], 0.9 ** np.arange(10))
-    assert NeighborCorrelation(10, np.zeros(1), np.ones(1), np.ones(1)).lengths == np.inf
 
 
 def test_one_variance_or_none_is_its_own_average():

@@ -234,3 +234,9 @@ def test_of_other_data_nothing_is_tested():
         match=r"was fitted to other data than .*: a nested test needs fits of the same data\.$",
     ):
         gb.validation.nested_test(small, large)
+
+
+@pytest.mark.parametrize(("dof", "verdict"), [(2.4, "may be needed"), (3.0, "is not needed")])
+def test_below_three_degrees_of_freedom_nothing_is_called_needless(dof, verdict):
+    test = NestedTest("small", "large", ("c",), 4.0, 3.0, 1.1, (1, dof), 0.4)
+    assert str(test).startswith(f"c {verdict}")
