@@ -114,7 +114,7 @@ def test_given_variances_make_the_likelihood():
 def test_that_no_model_explains_the_data_comes_first(data, compared):
     free = fitted(Lag(), data, gb.RelativeLikelihood())
     held = fitted(Lag(), data, gb.RelativeLikelihood(), fixed={"T": 0.5})
-    assert not (free.misfit.explains or held.misfit.explains)
+    assert not any(fit.misfit.explains for fit in (free, held))
     verdict = gb.compare(free, held, labels=("free", "held")).verdict
     assert verdict.startswith("None of these models explains its data")
     assert "free (2 free) is supported" in verdict
