@@ -9,6 +9,8 @@ import greybox as gb
 from greybox.models.controller import AttitudeController
 from greybox.problems import pitch_hover, sitl_pitch
 
+pytestmark = pytest.mark.usefixtures("few_draws")
+
 LOOP = ("--controller", "controller:AttitudeController", "--signals", "q=theta_dot")
 
 

@@ -52,7 +52,7 @@ def flown(samples=150, seed=0):
     )
 
 
-RECORD = flown()
+RECORD = flown(100)
 FINE = gb.RungeKutta(substeps=4)
 METHODS = (
     gb.MultipleShooting(integrator=FINE),

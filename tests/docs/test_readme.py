@@ -21,6 +21,7 @@ PAGES = [README, *sorted((README.parent / "docs").rglob("*.md"))]
 RUNNING = [page for page in PAGES if "```python\n" in page.read_text(encoding="utf-8")]
 
 
+@pytest.mark.usefixtures("few_draws")
 @pytest.mark.parametrize("page", RUNNING, ids=lambda page: page.stem)
 def test_the_examples_run(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)

@@ -11,9 +11,8 @@ from greybox.problems import yaw_hover
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_planted_redundancies_are_named(kind):
-    for seed in (0, 30):
-        truth = planted(kind, seed)
-        assert not named_rightly(gb.fit(truth.problem, 4, progress=False), truth)
+    truth = planted(kind, 30)
+    assert not named_rightly(gb.fit(truth.problem, 4, progress=False, profiles=False), truth)
 
 
 def test_nothing_is_said_of_a_structure_that_is_determined():

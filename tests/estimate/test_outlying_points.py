@@ -106,7 +106,7 @@ def test_two_degrees_of_freedom_must_be_left_of_the_other_points(points, is_judg
 
 @pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.MaximumLikelihood()], ids=repr)
 def test_clean_data_have_outliers_no_more_often_than_stated(criterion):
-    """400 draws: a share of 5 % is known to 1.1 %. Deviations are the same at the truth as at the estimate."""
+    """200 draws: a share of 5 % is known to 1.5 %. Deviations are the same at the truth as at the estimate."""
     exact = gb.frequency_response(Lag(), TRUTH, OMEGA).response
     variance = 2 * (0.05 * np.abs(exact)) ** 2
     problem = gb.Problem(Lag(), gb.FrequencyResponse(OMEGA, exact, variance=variance), criterion)
@@ -114,7 +114,7 @@ def test_clean_data_have_outliers_no_more_often_than_stated(criterion):
     values = nlp.all_values(np.array([TRUTH[name] for name in nlp.free]))
     random = np.random.default_rng(11)
     probabilities = []
-    for _ in range(400):
+    for _ in range(200):
         noise = 0.05 * (random.normal(size=20) + 1j * random.normal(size=20))
         data = gb.FrequencyResponse(OMEGA, exact * (1 + noise), variance=variance)
         compiled = nlp.parts[0]
@@ -141,10 +141,10 @@ def test_the_point_of_the_pitch_table_is_named_and_called_no_outlier():
 
 
 def test_few_fits_to_clean_data_name_an_outlier_or_note_anything():
-    """Of 25 fits at 1 % more than two have one with a probability of 0.002."""
+    """Of 12 fits at 1 % more than one have one with a probability of 0.006."""
     said = [
         text
-        for seed in range(25)
+        for seed in range(12)
         for fit in [
             gb.fit(
                 gb.Problem(Lag(), measured(Lag(), OMEGA, TRUTH, noise=0.05, seed=seed)),
@@ -155,7 +155,7 @@ def test_few_fits_to_clean_data_name_an_outlier_or_note_anything():
         for text in (*fit.warnings, *fit.notes)
         if "clean data" in text
     ]
-    assert len(said) <= 2
+    assert len(said) <= 1
 
 
 def test_a_joint_fit_names_the_outlier_of_its_response():

@@ -38,7 +38,7 @@ def in_python_control(values, gains):
 def test_margins_are_those_of_python_control():
     rng = np.random.default_rng(3)
     compared = 0
-    for _ in range(40):
+    for _ in range(25):
         values = {
             "K": rng.uniform(5, 80),
             "a": rng.uniform(-3, 10),
@@ -68,7 +68,7 @@ def test_margins_are_those_of_python_control():
         omega = np.union1d(np.geomspace(0.1, 0.999 * np.pi * RATE, 300), modulus.omega)
         disk, *_ = control.disk_margins(loop, omega, skew=1.0)
         assert modulus.value == pytest.approx(disk, rel=1e-8)
-    assert compared > 15
+    assert compared > 9
 
 
 def test_a_crossover_far_below_the_rate_of_the_loop_counts():
@@ -127,6 +127,7 @@ def test_gains_of_the_closed_loop_are_those_of_a_sampled_lag():
     assert alone.gains("u", ["y"], omega)[0, :, 0] == pytest.approx(plant, rel=1e-12)
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_intervals_cover_the_true_margins_and_are_as_wide_as_the_scatter():
     # A measured response has the delay of the hold of its control.
     truth = gb.margins(RateDynamics(), RateLoop(), {**TRUTH, "tau": TRUTH["tau"] - 0.5 / RATE})
@@ -181,6 +182,7 @@ def test_intervals_of_a_record_follow_the_profile_too():
     assert margin.low - by_error.value > 0.08 * (high - low)
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_a_pole_that_cannot_pass_zero_makes_no_draw_unstable():
     # 300 bootstrap replicates are stable, although the standard error of a2 is twice its value.
     fit = gb.fit(yaw_hover.problem(), starts=2, profiles=False, progress=False)
@@ -192,6 +194,7 @@ def test_a_pole_that_cannot_pass_zero_makes_no_draw_unstable():
     assert 30 < answer["phase margin"].low < answer["phase margin"].high < 80
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_the_answer_begins_with_the_margins_and_names_what_is_extrapolated(fit):
     text = str(gb.margins(fit, RateLoop()))
     assert text.startswith("The loop of RateDynamics, broken at u, has a phase margin of")
@@ -211,6 +214,7 @@ def test_an_unstable_loop_has_no_margins(fit):
     assert answer.to_dict()["stable"] is False
 
 
+@pytest.mark.usefixtures("few_draws")
 def test_a_loop_that_may_be_unstable_has_a_probability_and_no_interval(fit):
     limit = 10 ** (gb.margins(fit, RateLoop())["gain margin"].value / 20)
     answer = gb.margins(fit, RateLoop({"K_P": 0.15 * 0.99 * limit, "K_I": 0.3 * 0.99 * limit}))

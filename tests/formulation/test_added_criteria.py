@@ -104,11 +104,11 @@ def test_the_answer_says_which_likelihoods_were_added():
 
 
 def test_a_joint_error_is_no_larger_than_either_alone_and_what_repeats_show():
-    """12 draws: the standard deviation of the two estimates is known to 1 / √24 = 20 % each."""
+    """8 draws: the standard deviation of the two estimates is known to 1 / √14 = 27 % each."""
     random = np.random.default_rng(4)
     exact = gb.frequency_response(Lag(), TRUTH, OMEGA).response
     values, errors = [], []
-    for k in range(12):
+    for k in range(8):
         noise = 0.05 * (random.normal(size=25) + 1j * random.normal(size=25))
         response = gb.Problem(Lag(), gb.FrequencyResponse(OMEGA, exact * (1 + noise)))
         flight = gb.Problem(Lag(), record(0.5, [4, k]), HELD)

@@ -442,7 +442,7 @@ def made(swing, middle=0.0, noise=0.005, seed=0, omega=OMEGA):
 @cache
 def fitted():
     problem = gb.Problem(NonlinearTilt(), made(SWING), amplitude={"theta": SWING})
-    return gb.fit(problem, [{}, TRUTH_FREE], progress=False)
+    return gb.fit(problem, [{}, TRUTH_FREE], progress=False, profiles=False)
 
 
 def test_the_drag_shows_in_hover_at_finite_amplitude():
@@ -455,7 +455,7 @@ def test_the_drag_shows_in_hover_at_finite_amplitude():
 
 
 def test_the_linearization_does_not_see_it():
-    fit = gb.fit(gb.Problem(NonlinearTilt(), made(SWING)), 4, progress=False)
+    fit = gb.fit(gb.Problem(NonlinearTilt(), made(SWING)), 4, progress=False, profiles=False)
     assert any("C_x is not determined" in text for text in fit.warnings)
     assert fit.cost > 1.5 * fitted().cost
 
@@ -473,7 +473,7 @@ def dragged():
 def slid(harmonics):
     amplitude = gb.modeling.Sine("theta", 0.3, harmonics=harmonics)
     problem = gb.Problem(Slider(), dragged(), gb.SquaredRelativeError(), amplitude=amplitude)
-    return gb.fit(problem, [{}], progress=False)
+    return gb.fit(problem, [{}], progress=False, profiles=False)
 
 
 def test_harmonics_that_do_not_suffice_are_told_with_the_change_that_more_bring():

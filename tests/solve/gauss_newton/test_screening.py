@@ -111,14 +111,13 @@ def test_the_search_finds_what_plain_starts_miss(aircraft, solver):
     short = GaussNewton(solver.nlp, settings=Strategies(max_iterations=30))
     plain = [short.run(start) for start in drawn(aircraft, 4, 0)]
     assert sum(run.converged and run.cost < best + 0.1 for run in plain) < 4
-    for seed in range(2):
-        starts = drawn(aircraft, 20, seed)
-        search = multistart(solver.nlp, solver, starts, promising=(4, 3))
-        assert search.minima[0].cost < best + 0.1
-        assert len(search.brought) == 4
-        for run, start in zip(search.runs, starts, strict=True):
-            assert_array_equal(run.start, start)
-            assert (run.stage == "screened") == (run.cost == np.inf)
+    starts = drawn(aircraft, 20, 0)
+    search = multistart(solver.nlp, solver, starts, promising=(4, 3))
+    assert search.minima[0].cost < best + 0.1
+    assert len(search.brought) == 4
+    for run, start in zip(search.runs, starts, strict=True):
+        assert_array_equal(run.start, start)
+        assert (run.stage == "screened") == (run.cost == np.inf)
 
 
 def test_what_was_screened_out_is_kept(tmp_path):
