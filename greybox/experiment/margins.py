@@ -432,7 +432,7 @@ def _stated(margin: Margin) -> str:
 def _with_interval(margin: Margin) -> str:
     if not math.isfinite(margin.value):
         return "infinity" if margin.value > 0 else "unknown"
-    if not (math.isfinite(margin.low) and math.isfinite(margin.high)):
+    if not math.isfinite(margin.high - margin.low):
         return number(margin.value, 3)
     return f"{number(margin.value, 3)} ({number(margin.low, 3)} to {number(margin.high, 3)})"
 

@@ -83,7 +83,7 @@ def bode_figure(
     for drawn, degrees in zip(responses, phases(responses), strict=True):
         omega = drawn.response.omega
         values = np.array([_decibel(drawn.response.response), degrees])
-        for k, ends in enumerate(_error_bars(drawn.response, values)):
+        for k, ends in enumerate(error_bars(drawn.response, values)):
             # Bands first: they are drawn below all curves and points.
             if drawn.band is not None:
                 curves[k].insert(0, _band(drawn, k, values[k]))
@@ -133,7 +133,7 @@ def _error_panels(
             if len(fitted) > 1 and curves:
                 data = replace(data, color=curves[0].color)
             values = np.array([_decibel(error), np.degrees(np.angle(error))])
-            for k, ends in enumerate(_error_bars(part.data, values)):
+            for k, ends in enumerate(error_bars(part.data, values)):
                 series = data.series(part.data.omega, values[k], *ends)
                 # Where colors are alike, hollow points tell a second fit from the first.
                 points[k].append(replace(series, is_hollow=number > 0))
@@ -180,7 +180,7 @@ def _band(drawn: DrawnResponse, k: int, curve: Array | None = None) -> Series:
     return band(drawn.label, omega, middle - half_width, middle + half_width, drawn.color)
 
 
-def _error_bars(data: FrequencyResponse, values: Array) -> list[tuple[Array | None, Array | None]]:
+def error_bars(data: FrequencyResponse, values: Array) -> list[tuple[Array | None, Array | None]]:
     """Return the ends of bars around magnitudes in dB and phases in degrees, `values` (2, n)."""
     if data.variance is None:
         return [(None, None)] * 2

@@ -9,6 +9,7 @@ from greybox.experiment.loop_numbers import loop_frequencies, step_responses
 from greybox.experiment.margins import Margins
 from greybox.experiment.safe_gains import SafeGains
 from greybox.files.arrays import Array
+from greybox.plotting.bode import error_bars
 from greybox.plotting.figure import ANGLES, CROSS, GRAY, INK, Figure, Panel, Series, band, rule
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 
@@ -25,7 +26,7 @@ def loop(margins: Margins, axes: GivenAxes | None = None) -> AxesArray:
     Parameters
     ----------
     margins : Margins
-        Its `points` are drawn, too.
+        Its `points` are drawn, too, with bars of one standard deviation but in the Nyquist diagram.
     axes : array-like of Axes, optional
         Four for the broken loop, and one more for the step. By default a new figure is made.
 
@@ -55,13 +56,16 @@ def loop_figures(margins: Margins) -> list[Figure]:
         _plane(gain.real, gain.imag, (-1.0, 0.0)),
     ]
     for k, data in enumerate(margins.points, start=2):
-        numbers = data.response
         size, angle = data.decibels, data.degrees
         # Both phases in the same turn.
         angle -= 360 * np.round(np.mean(angle - np.interp(data.omega, omega, phase[0])) / 360)
         columns = [(data.omega, size), (data.omega, angle), (angle, size)]
-        for series, (x, y) in zip(curves, [*columns, (numbers.real, numbers.imag)], strict=True):
-            series.append(Series(data.name or "measured", "points", x, y, k, k))
+        bars = error_bars(data, np.array([size, angle]))
+        bars += [bars[0], (None, None)]
+        for series, (x, y), ends in zip(
+            curves, [*columns, (data.response.real, data.response.imag)], bars, strict=True
+        ):
+            series.append(Series(data.name or "measured", "points", x, y, k, k, *ends))
 
     panels = [Panel("Gain, dB", curves[0]), Panel("Phase, °", curves[1], steps=ANGLES)]
     nichols = Panel("Gain, dB", curves[2])

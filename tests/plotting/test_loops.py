@@ -48,11 +48,14 @@ def test_measured_points_lie_on_the_loop_in_the_turn_of_the_critical_point(fit):
     answer = gb.margins(fit, RateLoop())
     omega = np.geomspace(3, 40, 12)
     gain = answer.require_loop().broken_at("u", omega)[0]
-    measured = gb.FrequencyResponse(omega, gain, "u", "u", name="injected")
+    variance = 2e-4 * np.abs(gain) ** 2
+    measured = gb.FrequencyResponse(omega, gain, "u", "u", variance=variance, name="injected")
     bode, nichols, nyquist, _ = loop_figures(replace(answer, points=(measured,)))
     for panel in bode.panels:
         curve, points = (next(s for s in panel.series if s.kind == k) for k in ("line", "points"))
         np.testing.assert_allclose(np.interp(omega, curve.x, curve.y), points.y, atol=0.02)
+        unit = 20 / np.log(10) if "dB" in panel.label else np.degrees(1)
+        np.testing.assert_allclose(points.high - points.low, 2 * 0.01 * unit, rtol=1e-3)
     points = next(s for s in nichols.panels[0].series if s.name == "injected")
     assert np.all((points.x > -360) & (points.x <= 0))
     points = next(s for s in nyquist.panels[0].series if s.name == "injected")
