@@ -175,8 +175,7 @@ class Record:
     def independent_pieces(self) -> list[IntArray]:
         """The rows of each stretch between gaps; without a time, each row by itself."""
         # Relative to the median step: the mean would grow with the gaps.
-        is_cut = np.diff(self.time) > (GAP * self.step if self.has_time else 0)
-        return np.split(np.arange(len(self)), np.flatnonzero(is_cut) + 1)
+        return runs_between_gaps(self.time, GAP * self.step if self.has_time else 0)
 
     def between(self, start: float, end: float) -> "Record":
         """Return the samples with start <= time <= end, s on the record's clock."""
@@ -375,6 +374,11 @@ class Recording(Mapping[str, Record]):
         return one_line(
             self, repr(self.source), counted(len(self), "message"), ", ".join(self.records)
         )
+
+
+def runs_between_gaps(values: Array | IntArray, gap: float) -> list[IntArray]:
+    """Return the places of every run of `values` (n,) whose steps are at most `gap`."""
+    return np.split(np.arange(len(values)), np.flatnonzero(np.diff(values) > gap) + 1)
 
 
 def require_time(record: Record, what: str) -> None:

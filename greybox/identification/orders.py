@@ -26,7 +26,7 @@ from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import require_known
 from greybox.modeling.model_reference import included_model
 from greybox.modeling.transfer_function import TransferFunction
-from greybox.regression.levy import levy
+from greybox.regression.levy import levy, ratio
 from greybox.regression.poles_and_zeros import factored, near_pairs, root_text, upper_half
 
 POLES = 4  # beside the integrators; more are seldom told apart in two decades of frequency
@@ -100,10 +100,7 @@ def best_response(fits: Mapping[Orders, LinearFit], omega: Array) -> ComplexArra
     """Return the response of the structure of least BIC at `omega` (n,) in rad/s."""
     orders = min(fits, key=lambda o: fits[o].bic)
     values = fits[orders].starts[0]
-    numerator, denominator = _polynomials(orders, values)
-    s = 1j * omega
-    ratio = np.polyval(numerator, s) / np.polyval(denominator, s)
-    return ratio * np.exp(-s * values["T_delay"])
+    return ratio(*_polynomials(orders, values), omega) * np.exp(-1j * omega * values["T_delay"])
 
 
 def select_orders(
@@ -267,8 +264,7 @@ def _at_delay(
         )
     except ValueError:  # as many unknowns as equations
         return math.inf, {}
-    s = 1j * data.omega
-    error = np.polyval(rational.numerator, s) / np.polyval(rational.denominator, s) - response
+    error = ratio(rational.numerator, rational.denominator, data.omega) - response
     delays = {"T_delay": float(delay)} if orders.delay else {}
     return float(np.sum(np.abs(error / size) ** 2)), rational.coefficients | delays
 

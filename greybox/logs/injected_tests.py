@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from greybox.data.record import Record, Recording
+from greybox.data.record import Record, Recording, runs_between_gaps
 from greybox.data.test_segment import Segment
 from greybox.files.arrays import Array, BoolArray, IntArray
 
@@ -68,7 +68,7 @@ def _autotuning(record: Record) -> list[Segment]:
 def _runs(time: Array, active: BoolArray) -> list[IntArray]:
     """Return the samples of every stretch of activity without a pause."""
     samples = np.flatnonzero(active)
-    runs = np.split(samples, np.flatnonzero(np.diff(time[samples]) > PAUSE) + 1)
+    runs = [samples[run] for run in runs_between_gaps(time[samples], PAUSE)]
     return [run for run in runs if run.size > 1 and time[run[-1]] - time[run[0]] > SHORTEST]
 
 

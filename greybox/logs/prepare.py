@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from greybox.data.intersample import HELD, intersample
-from greybox.data.record import GAP, Record, Recording, require_time
+from greybox.data.record import GAP, Record, Recording, require_time, runs_between_gaps
 from greybox.data.units import to_si
 from greybox.files.arrays import Array
 from greybox.files.text_table import counted
@@ -269,10 +269,8 @@ def _grid(sources: Mapping[str, _Source], rate: float, start: float, end: float)
 def _on_grid(source: _Source, grid: Array, rate: float) -> Array:
     """Return the signal on `grid`, NaN in its gaps and outside."""
     result = np.full(grid.size, np.nan)
-    cuts = np.flatnonzero(np.diff(source.time) > GAP * source.step) + 1
-    for time, values in zip(
-        np.split(source.time, cuts), np.split(source.values, cuts), strict=True
-    ):
+    for run in runs_between_gaps(source.time, GAP * source.step):
+        time, values = source.time[run], source.values[run]
         inside = (grid >= time[0] - 1e-9) & (grid <= time[-1] + 1e-9)
         if time.size < 2 or not inside.any():
             continue

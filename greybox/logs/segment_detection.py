@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.data.record import GAP, Record, Recording, require_time
+from greybox.data.record import GAP, Record, Recording, require_time, runs_between_gaps
 from greybox.data.test_segment import Segment
 from greybox.data.units import known_unit
 from greybox.files.arrays import Array, IntArray
@@ -283,12 +283,11 @@ def stretches(
     finite = np.isfinite(record[field])
     time = record.time[finite]
     values = record[field][finite]
-    cuts = np.flatnonzero(np.diff(time) > max(longest_gap, GAP * record.step)) + 1
     turn = _whole_turn(unit)
 
     return unit, [
-        (t, np.unwrap(x, period=turn) if turn else x)
-        for t, x in zip(np.split(time, cuts), np.split(values, cuts), strict=True)
+        (time[run], np.unwrap(values[run], period=turn) if turn else values[run])
+        for run in runs_between_gaps(time, max(longest_gap, GAP * record.step))
     ]
 
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from greybox.data.record import Record, Recording
+from greybox.data.record import Record, Recording, runs_between_gaps
 from greybox.data.test_segment import Segment
 from greybox.files.arrays import Array
 from greybox.plotting.figure import GRAY, Figure, Panel, Series
@@ -124,8 +124,7 @@ def signal_line(name: str, time: Array, values: Array, color: int) -> Series:
     """Return a signal over time; gaps of more than ten median steps interrupt the line."""
     # Raw logs drop single messages: with a smaller limit a lossy log would be dots, not lines.
     gap = 10.0 * float(np.median(np.diff(time))) if time.size > 2 else math.inf
-    cuts = np.flatnonzero(np.diff(time) > gap) + 1
-    x, y = drawn_line(time, values, np.split(np.arange(time.size), cuts))
+    x, y = drawn_line(time, values, runs_between_gaps(time, gap))
     return Series(name, "line", x, y, color)
 
 

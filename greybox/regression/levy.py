@@ -104,7 +104,7 @@ class RationalFit:
     def response(self, omega: ArrayLike) -> FrequencyResponse:
         """Evaluate P(jω) at `omega` (k,) in rad/s."""
         omega = np.atleast_1d(np.asarray(omega, dtype=float))
-        values = np.polyval(self.numerator, 1j * omega) / np.polyval(self.denominator, 1j * omega)
+        values = ratio(self.numerator, self.denominator, omega)
         name = f"least squares ({self.n}, {self.m})"
         return FrequencyResponse(
             omega, values, input=self.data.input, output=self.data.output, name=name, source="model"
@@ -190,7 +190,7 @@ def levy(
     numerator.flags.writeable = False
     denominator.flags.writeable = False
 
-    model = np.polyval(numerator, 1j * data.omega) / np.polyval(denominator, 1j * data.omega)
+    model = ratio(numerator, denominator, data.omega)
     return RationalFit(
         numerator,
         denominator,
@@ -200,6 +200,13 @@ def levy(
         cost=evaluate(RelativeError(), model, data),
         condition=condition,
     )
+
+
+def ratio(
+    numerator: Array | list[float], denominator: Array | list[float], omega: Array
+) -> ComplexArray:
+    """Return the quotient of two polynomials in s, highest power first, at s = jω."""
+    return np.polyval(numerator, 1j * omega) / np.polyval(denominator, 1j * omega)
 
 
 def order_path(

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.data.record import GAP
+from greybox.data.record import GAP, runs_between_gaps
 from greybox.files.arrays import Array, IntArray
 
 POWER = 8  # twice the order of the smoothing spline
@@ -147,7 +147,7 @@ def without_holes(time: Array, values: Array) -> Array:
 def _cut(time: Array, rows: IntArray, gap: float) -> list[IntArray]:
     """Cut rows where time advances by more than `gap` median steps."""
     step = float(np.median(np.diff(time)))
-    return np.split(rows, np.flatnonzero(np.diff(time[rows]) > gap * step) + 1)
+    return [rows[run] for run in runs_between_gaps(time[rows], gap * step)]
 
 
 def _sines(values: Array, step: float) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from greybox.data.frequency_response import Stretch
-from greybox.data.record import Record, require_time
+from greybox.data.record import Record, require_time, runs_between_gaps
 from greybox.files.arrays import Array
 
 # Largest deviation of a sample from a uniform time base, in sampling intervals. At 0.4 of the
@@ -54,8 +54,9 @@ def uniform_stretches(
         for piece in record.pieces:
             values = np.array([piece[name] for name in signals])
             present = np.flatnonzero(np.all(np.isfinite(values), axis=0))
-            for rows in np.split(present, np.flatnonzero(np.diff(present) > 1) + 1):
-                if rows.size > 1:
+            for run in runs_between_gaps(present, 1):
+                if run.size > 1:
+                    rows = present[run]
                     time = piece.time[rows]
                     check_uniform(time, record)
                     origin = Stretch(record.checksum, float(time[0]), float(time[-1]))
