@@ -9,6 +9,8 @@ a3 times g. The cost at the minimum is lower than at the published estimate. a1 
 considerably from hover, from which the paper concludes that the dynamics are nonlinear.
 """
 
+from typing import Any
+
 import greybox as gb
 from greybox.models.tilt import PAPER_G, Tilt
 from greybox.problems._paper import table
@@ -19,7 +21,7 @@ published = {
     "cost": 0.6603,
 }
 minimum = 0.659446  # 990 of 1000 starts; boxes a hundred times wider give no lower one
-settings = {"starts": 200, "seed": 0}
+settings: dict[str, Any] = {"starts": 200, "seed": 0}
 
 
 def data():

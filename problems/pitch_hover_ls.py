@@ -8,6 +8,8 @@ Note: the published coefficients solve the linear least squares problem (3.17), 
 minimized here. There is no delay: the coefficients absorb it.
 """
 
+from typing import Any
+
 import greybox as gb
 from greybox.models.polynomial import Polynomial
 from greybox.problems import pitch_hover
@@ -19,7 +21,7 @@ published = {
     "cost": 0.6771,
 }
 minimum = 0.426659  # about 70 % of 1000 starts; bounds a hundred times wider give no lower one
-settings = {"starts": 200, "seed": 0}
+settings: dict[str, Any] = {"starts": 200, "seed": 0}
 
 
 def data():

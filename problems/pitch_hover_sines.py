@@ -14,13 +14,14 @@ One harmonic suffices: three change C_x by 0.1 % and the cost by 0.0005.
 """
 
 import math
+from typing import Any
 
 import greybox as gb
 from greybox.models.tilt import NonlinearTilt
 from greybox.problems import pitch_hover
 
 minimum = 0.492796  # 293 of 300 starts
-settings = {"starts": 100, "seed": 0}
+settings: dict[str, Any] = {"starts": 100, "seed": 0}
 
 
 def data():

@@ -22,6 +22,7 @@ C_x is fixed where its slope at 5° equals the paper's a5 of 0.16 1/s, as in
 """
 
 import math
+from typing import Any
 
 import greybox as gb
 from greybox.files.text_table import text_table
@@ -34,7 +35,7 @@ RIVALS = (("b_thetatheta", "b_vtheta", "b_vtau"), ("b_vv", "b_thetatheta", "b_vt
 ANGLES = (2.5, 7.5, 10.0, 15.0)  # degrees
 
 minimum = 1.324703
-settings = {"starts": 200, "seed": 0}
+settings: dict[str, Any] = {"starts": 200, "seed": 0}
 
 
 def data():

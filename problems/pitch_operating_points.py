@@ -18,6 +18,7 @@ show no drag.
 """
 
 import math
+from typing import Any
 
 import greybox as gb
 from greybox.files.text_table import number, text_table
@@ -30,7 +31,7 @@ DRAG = Tilt.a5.start**2 / (
 )  # 2 C_x |v| = a5 at the speed where C_x v² = g tan θ
 
 minimum = 6.084491  # 982 of 1000 starts
-settings = {"starts": 200, "seed": 0}
+settings: dict[str, Any] = {"starts": 200, "seed": 0}
 
 
 def data():

@@ -10,12 +10,14 @@ Note: the sign of one value of Table 4.2 is corrected, see `rotors`; ``problem(m
 it as printed.
 """
 
+from typing import Any
+
 import greybox as gb
 from greybox.models.tilt import Tilt
 from greybox.problems import pitch_hover, rotors
 
 minimum = 1.871958  # 986 of 1000 starts; boxes ten times wider give no lower one
-settings = {"starts": 200, "seed": 0}
+settings: dict[str, Any] = {"starts": 200, "seed": 0}
 
 
 def data(mended=True):

@@ -10,12 +10,13 @@ it also has quadratic drag; these are settings, not estimates.
 """
 
 from pathlib import Path
+from typing import Any
 
 import greybox as gb
 from greybox.models.drag import Drag
 
 minimum = -14516.2355  # every one of 100 starts; a negative log-likelihood
-settings = {"starts": 100, "seed": 0}
+settings: dict[str, Any] = {"starts": 100, "seed": 0}
 
 DATA = Path(__file__).parent / "data"
 HOVER, MOVING = "sitl_drag_hover", "sitl_drag_5deg"

@@ -14,6 +14,7 @@ whole flights together suggest, 0.0496 ± 0.0002 s.
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import greybox as gb
 from greybox.models.rate import DampedAngle
@@ -24,7 +25,7 @@ published = {
     "cost": 0.1973,
 }
 minimum = 0.188011  # every one of 100 starts
-settings = {"starts": 100, "seed": 0}
+settings: dict[str, Any] = {"starts": 100, "seed": 0}
 
 LOG = Path(__file__).parent / "data" / "sitl_pitch.BIN"
 

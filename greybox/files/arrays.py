@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-ComplexArray = NDArray[np.complex128]
+Array = NDArray[np.floating]
+ComplexArray = NDArray[np.complexfloating]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.integer]
 
