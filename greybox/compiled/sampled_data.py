@@ -128,7 +128,7 @@ class SampledData:
 
         return SampledData(tuple(pieces_of_all), self.outputs, self.segment_length)
 
-    def padded(self, values: list[Array], fill: float | None) -> Array:
+    def padded(self, values: Sequence[Array], fill: float | None) -> Array:
         """Join one array (r, n) per stretch, each filled up to whole segments: (r, samples).
 
         A `fill` of None repeats the last value: zero may be outside of a model's domain, as an

@@ -6,7 +6,7 @@ are done once.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import casadi as ca
@@ -82,7 +82,7 @@ class Columns:
         """Return what builds the same evaluation: memory for CasADi cannot be pickled."""
         return Columns, (self._function, self._shared, self._fewest)
 
-    def __call__(self, *inputs: Array) -> list[Array]:
+    def __call__(self, *inputs: Array) -> Sequence[Array]:
         """Return the outputs, (numel, m) each, for inputs (numel, m), shared ones (numel,)."""
         m = next(v.shape[1] for k, v in enumerate(inputs) if k not in self._shared)
         outputs = [np.empty((size, m)) for size in self._sizes]
@@ -151,7 +151,7 @@ class _Mapped:
             buffer.set_res(k, value.data)
         self._references = mapped, buffer  # CasADi does not keep them alive
 
-    def run(self, inputs: list[Array]) -> list[Array]:
+    def run(self, inputs: list[Array]) -> Sequence[Array]:
         """Return the outputs, (numel, m) each, in memory that the next call overwrites."""
         for memory, value in zip(self._inputs, inputs, strict=True):
             memory[...] = value.T
@@ -189,7 +189,7 @@ class _Registers:
                 self._calls.append((_OPERATIONS[operation], (*arguments, out)))
                 current[targets[0]] = out
 
-    def run(self, inputs: list[Array]) -> list[Array]:
+    def run(self, inputs: list[Array]) -> Sequence[Array]:
         """Return the outputs, (numel, m) each, in memory that the next call overwrites."""
         for source, row, register in self._reads:
             register[...] = inputs[source][row]

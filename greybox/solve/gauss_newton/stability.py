@@ -65,7 +65,8 @@ def stability_constraints(parts: AllParts, iterate: Iterate, dz: Array) -> tuple
     derivatives of the poles' magnitudes. Without them runs crawl where the likelihood grows toward
     the stability limit (`tests/compiled/test_kalman_gain.py`).
     """
-    normals, limits = [np.zeros((0, len(dz)))], [np.zeros(0)]
+    normals: list[Array] = [np.zeros((0, len(dz)))]
+    limits: list[Array] = [np.zeros(0)]
     for gain, trajectory in zip(parts.gains, iterate.trajectories, strict=True):
         # In segments, nodes keep an unstable predictor near the data.
         if gain is None or not trajectory.simulated:
