@@ -40,7 +40,7 @@ def parsimony(
             f"{BARE_MENTION:g} of the least, that of {labels[best]}"
         )
     elif len(bic) > 1:
-        text += f", by {number(sorted(bic)[1] - bic[k], 3)}"
+        text += f", by {float(number(sorted(bic)[1] - bic[k], 3)):g}"
     against = [
         f"{test.large} ({p_text(test.p_value)})"
         for test in tests
