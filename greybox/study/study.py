@@ -92,9 +92,10 @@ class Study:
 
         In this long form members of different structures share a table: rows are selected,
         grouped and, by ``pivot(index="member", columns="parameter", values="value")``, spread. The
-        columns are ``member``, the factors, ``grade, cost, starts, converged, agreeing, warnings,
-        reason``, then ``parameter, value, standard_error``, the ends ``low, high`` of the 95 %
-        interval, and ``unit``. A member without an estimate has one row without a parameter.
+        columns are ``member``, the factors, ``grade, cost, converged, agreeing, minima, held_out``
+        (the error of held-out predictions in percent), ``starts, warnings, reason``, then
+        ``parameter, value, standard_error``, the ends ``low, high`` of the 95 % interval, and
+        ``unit``. A member without an estimate has one row without a parameter.
 
         Raises
         ------
@@ -254,7 +255,8 @@ def _rows(member: StudyMember) -> list[dict[str, Any]]:
     answer, is_done = member.answer, member.status == "done"
     common = {"member": member.name, **dict.fromkeys(FACTORS), **member.factors}
     common["grade"] = answer["verdict"]["grade"] if is_done else ""
-    common |= {name: answer.get(name) for name in ("cost", "converged", "agreeing", "minima")}
+    numbers = ("cost", "converged", "agreeing", "minima", "held_out")
+    common |= {name: answer.get(name) for name in numbers}
     common |= {
         "starts": member.runs,
         "warnings": len(answer["warnings"]) if is_done else None,

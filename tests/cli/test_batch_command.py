@@ -285,4 +285,8 @@ def test_a_study_resumes_where_its_folder_is_moved(study, capsys, tmp_path):
     status, result, _ = answer(capsys, "batch", "--resume", moved)
     assert status == 0
     assert [(m["status"], m["runs"]) for m in result["members"]] == [("done", 6)] * 3
+    # More starts are stored: the study then resumes with them.
+    answer(capsys, "batch", "--resume", moved, "--starts", 8)
+    status, result, _ = answer(capsys, "batch", "--resume", moved)
+    assert [m["runs"] for m in result["members"]] == [8] * 3
     assert not any(str(here).encode() in path.read_bytes() for path in moved.rglob("*.*"))

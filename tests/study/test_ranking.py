@@ -142,6 +142,9 @@ def test_the_smallest_structure_that_predicts_as_well_is_supported_by_held_out_d
     held = response("held", 9)
     fit = study["rec1: Lag"].fit
     relative = np.abs(fit.response(held.omega).response / held.response - 1)
+    assert {row["held_out"] for row in study.select(data="rec1", model="Lag").table} == {
+        errors["Lag"]
+    }
     assert errors["Lag"] == pytest.approx(100 * np.sqrt(np.mean(relative**2)))
     assert errors["Gain"] > 5 * errors["Lag"]
     assert comparison.supported == "Lag"
