@@ -74,6 +74,14 @@ def few_draws(monkeypatch):
 
 
 @pytest.fixture
+def undrawn(monkeypatch):
+    """Write figures without their pixels, which cost most of a second each."""
+    from matplotlib.figure import Figure
+
+    monkeypatch.setattr(Figure, "savefig", lambda self, path, **_: path.write_bytes(b"no pixels"))
+
+
+@pytest.fixture
 def clock(monkeypatch):
     """A clock of time limits that goes on by a second at every look."""
 

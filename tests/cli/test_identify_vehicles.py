@@ -3,8 +3,11 @@
 import json
 
 import numpy as np
+import pytest
 from command_line import run
 from linear_simulation import lsim
+
+pytestmark = pytest.mark.usefixtures("undrawn")
 
 RATE, FINE, DELAY = 25, 10, 0.02
 

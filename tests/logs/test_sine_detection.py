@@ -88,9 +88,9 @@ def test_a_sweep_is_called_a_sweep():
 
 
 @pytest.mark.parametrize(
-    ("duration", "highest", "noise"), [(60, 6.0, 0.0), (90, 2.0, 0.05), (120, 6.0, 0.2)]
+    ("duration", "highest", "noise", "way"),
+    [(60, 6.0, 0.0, 1), (90, 2.0, 0.05, -1), (120, 6.0, 0.2, 1)],
 )
-@pytest.mark.parametrize("way", [1, -1], ids=["rising", "falling"])
 def test_a_sweep_between_other_sticks_is_found_whole(duration, highest, noise, way):
     """Logarithmic from 0.1 Hz, with rests of 6 s and sticks beside it; periods at its beginning differ by a third."""
     rng = np.random.default_rng(duration)
