@@ -331,7 +331,7 @@ def test_a_small_disturbance_under_sensor_noise_in_a_closed_loop_is_told():
 def test_nothing_is_told_where_output_error_is_not_biased(loop, gust):
     """Feedback of white sensor noise alone, and process noise without feedback; at most 1 % of fits may be told of."""
     told = 0
-    for seed in range(5):
+    for seed in range(8):
         record = drifting(loop=loop, n=600, step=0.03, gust=gust, sensor=0.05, seed=seed)
         told += len(colors(record, gb.OutputError(inputs="held"))[1])
     assert told <= 1

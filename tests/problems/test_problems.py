@@ -203,7 +203,7 @@ def test_pade_of_second_order_costs_almost_the_same(name, states):
     problem = (
         as_states(name, delay="pade:2") if states else MODULES[name].problem().with_(delay="pade:2")
     )
-    fit = gb.fit(problem, RULES[0], progress=False, profiles=False)
+    fit = gb.fit(problem, RULES[0], progress=False)
     assert fit.cost == pytest.approx(MODULES[name].minimum, rel=1e-3)
 
 

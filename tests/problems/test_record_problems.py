@@ -568,6 +568,7 @@ def noisy(seed, *, n=200, rho=0.0, bias=0.0, **options):
 
 
 COVERAGE = {
+    "white": ({}, HELD),
     "colored": ({"rho": 0.8, "n": 400}, HELD),
     "bias and initial states": (
         {"bias": 0.2, "initial": {"x": 0.5, "v": 1.0}},
