@@ -25,21 +25,14 @@ def require_independent(outputs: tuple[str, ...], measured: Array) -> None:
         If one output follows from others: so do the residuals of any model that fits.
     """
     complete = measured[:, np.isfinite(measured).all(axis=0)]
-    count = complete.shape[1]
+    moving = np.flatnonzero(complete.std(axis=1) > 0)
     # So few samples always are dependent.
-    if count <= len(outputs):
+    if complete.shape[1] <= len(outputs) or moving.size < 2:
         return
-    centered = complete - complete.mean(axis=1, keepdims=True)
-    spread = np.sqrt((centered**2).mean(axis=1))
-    moving = np.flatnonzero(spread > 0)
-    if moving.size < 2:
+    values, directions = np.linalg.eigh(np.corrcoef(complete[moving]))
+    if values[0] > 1e-12:  # logs have single precision
         return
-    directions, singular, _ = np.linalg.svd(
-        centered[moving] / spread[moving, None], full_matrices=False
-    )
-    if singular[-1] > 1e-6 * math.sqrt(count):  # logs have single precision
-        return
-    share = np.abs(directions[:, -1])
+    share = np.abs(directions[:, 0])
     names = [outputs[k] for k in moving[share > 1e-3 * share.max()]]
     raise ValueError(
         f"{listed(names)} are exactly dependent in the record, one following from the other"

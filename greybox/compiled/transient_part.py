@@ -35,7 +35,6 @@ from greybox.files.arrays import Array, ComplexArray
 from greybox.formulation.problem import Problem
 from greybox.formulation.spectrum_criteria import EquationError, outputs_in_spectrum
 from greybox.formulation.time_criteria import TimeCriterion
-from greybox.modeling.model import Model
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
@@ -128,10 +127,13 @@ class TransientPart(Part):
         self.locate = locate
         self.outputs = outputs_in_spectrum(problem.criterion, problem.model, problem.data)
         system = dynamics(problem.model, delay_order(problem.delay))
-        self.states, self.inputs = system.states, system.inputs
+        # A gust in every equation: as many gusts as outputs, with one time constant.
+        is_colored = len(problem.declared) > len(problem.model.parameters)
+        gusts = tuple(f"gust_{name}" for name in self.outputs if is_colored)
+        self.states, self.inputs = (*system.states, *gusts), system.inputs
         self.numbers = 2 * len(self.data) * len(self.outputs)
         self.unknown_initial_states = len(self.states)  # those of the end term
-        self._matrices = _matrices(problem.model, system, problem.at, self.outputs)
+        self._matrices = _matrices(problem, system, self.outputs, gusts)
         self._is_equation_error = isinstance(problem.criterion, EquationError)
         # White noise of deviation one in a sample gives each component of an integral this one.
         self._unit = math.sqrt(self.data.step * self.data.duration / 2)
@@ -161,12 +163,12 @@ class TransientPart(Part):
 
         try:
             inverse: Any = np.linalg.inv(pencil)
-            transform = self._transform(C, pencil)
+            by_ends = C @ inverse
+            transform = self._transform(by_ends, pencil)
         except np.linalg.LinAlgError:
             # A pole lies on the imaginary axis, at one of the frequencies.
             return None
 
-        by_ends = C @ inverse
         transfer = by_ends @ B + D
         modelled = np.einsum("lkm,ml->kl", transfer, inputs)
         errors = self._transformed(transform, self._measured - modelled)
@@ -197,13 +199,15 @@ class TransientPart(Part):
             logarithms=logarithms,
         )
 
-    def _transform(self, C: Array, pencil: ComplexArray) -> ComplexArray:
+    def _transform(self, by_ends: Any, pencil: ComplexArray) -> ComplexArray:
         """Return T (lines, k, k): for an equation error of all states, or of the one output."""
+        k = len(self.outputs)
         if not self._is_equation_error:
-            return np.broadcast_to(np.eye(len(C), dtype=complex), (len(pencil), *C.shape[:1] * 2))
-        if len(C) == 1:
+            return np.broadcast_to(np.eye(k, dtype=complex), (len(pencil), k, k))
+        if k == 1:
             return np.linalg.det(pencil)[:, None, None]
-        return pencil @ np.linalg.inv(C)
+        # Errors drive the last states: all, or the gusts.
+        return np.linalg.inv(by_ends[:, :, -k:])
 
     def _transformed(self, transform: ComplexArray, values: ComplexArray) -> Array:
         """Return T times complex values (k, lines), as real ones (k, 2 lines)."""
@@ -237,13 +241,14 @@ class TransientPart(Part):
         relative = np.zeros((*at.transform.shape, by.shape[1]), complex)
         if not self._is_equation_error:
             return mean, mean, relative
-        if len(self.outputs) == 1:
+        k = len(self.outputs)
+        if k == 1:
             # d log det P = tr(P⁻¹ dP), with P = jωI - A.
             relative -= np.einsum("lij,jix->lx", at.inverse, slopes[:n, :n])[:, None, None, :]
         else:
-            # With T = P C⁻¹, dT T⁻¹ is -(dA + T dC) P⁻¹.
-            left = np.concatenate([np.broadcast_to(np.eye(n), at.transform.shape), at.transform], 2)
-            relative -= np.einsum("lar,rcx,lcb->labx", left, slopes[:, :n], at.inverse)
+            # With T⁻¹ = C P⁻¹ E, dT T⁻¹ is -T (dC + C P⁻¹ dA) P⁻¹ E.
+            left = at.transform @ at.to_outputs
+            relative -= np.einsum("lar,rcx,lcb->labx", left, slopes[:, :n], at.inverse[:, :, -k:])
         unexplained = np.einsum("lab,bl->al", at.transform, self._measured - at.modelled)
         return (
             mean,
@@ -397,25 +402,36 @@ def _locate(problem: Problem, expressions: Mapping[str, Any], z: ca.SX) -> ca.Fu
 
 
 def _matrices(
-    model: Model, system: Dynamics, at: Mapping[str, float], outputs: tuple[str, ...]
+    problem: Problem, system: Dynamics, outputs: tuple[str, ...], gusts: tuple[str, ...]
 ) -> ca.Function:
     """Return (all parameters) -> [A, B; C, D], the delays, and the derivatives of the entries."""
-    p: Any = ca.MX.sym("p", len(model.parameters))
+    model = problem.model
+    declared: Any = ca.MX.sym("p", len(problem.declared))
+    p, times = ca.vertsplit(declared, [0, len(model.parameters), declared.numel()])
     x, u, q = system.symbols
     h = system.output(x, u, q)[[system.outputs.index(name) for name in outputs]]
-    matrix = ca.jacobian(ca.vertcat(system.derivative(x, u, q), h), ca.vertcat(x, u))
-    linear = ca.Function("linear", [q, x, u], [ca.densify(matrix), ca.densify(system.delay(q))])
+    rates, g, time = (
+        system.derivative(x, u, q),
+        ca.SX.sym("g", len(gusts)),
+        ca.SX.sym("T", times.numel()),
+    )
+    if gusts:
+        # Each drives its equation, or the only one all states: their transform T is the same.
+        rates += g
+    equations = ca.vertcat(rates, -g / time, h)
+    matrix = ca.densify(ca.jacobian(equations, ca.vertcat(x, g, u)))
+    linear = ca.Function("linear", [q, time, x, u], [matrix, ca.densify(system.delay(q))])
     point: Any = ca.DM.zeros(x.numel()), ca.DM.zeros(u.numel())
 
     if isinstance(model, StateSpace):
-        states, inputs = trim_of(model, at).closed()(p)
+        states, inputs = trim_of(model, problem.at).closed()(p)
         # The states of a Padé delay follow those of the model, and the linear delay has no
         # operating point.
         point = ca.vertcat(states, ca.DM.zeros(x.numel() - len(model.states))), inputs
 
-    results: Any = linear(p, *point)
-    slopes = [ca.densify(ca.jacobian(ca.vec(result), p)) for result in results]
-    return ca.Function("matrices", [p], [*results, *slopes])
+    results: Any = linear(p, times, *point)
+    slopes = [ca.densify(ca.jacobian(ca.vec(result), declared)) for result in results]
+    return ca.Function("matrices", [declared], [*results, *slopes])
 
 
 def _without_ends(

@@ -325,8 +325,8 @@ def _ranked(
     for chosen in (keys[first : first + size] for first in range(0, len(keys), size)):
         columns = np.vstack([part.columns(chosen) for part in parts])
         tests = score_tests(residuals, fitted, white(columns))
-        numbers = np.array([tests.decrease, tests.p_value, tests.value, tests.error]).T.tolist()
-        for k in np.flatnonzero(np.isfinite(tests.p_value)).tolist():
+        numbers = tests.T.tolist()
+        for k in np.flatnonzero(np.isfinite(tests[1])).tolist():
             tried += 1
             family = chosen[k][0]
             if family not in best or numbers[k] > best[family][0]:

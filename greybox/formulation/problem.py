@@ -20,7 +20,7 @@ from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
 from greybox.formulation.prior import Knowledge, NormalPrior, normal_priors
 from greybox.formulation.restated_parameter import held_at, restated
 from greybox.formulation.signal_units import check_response_units, check_units
-from greybox.formulation.spectrum_criteria import outputs_in_spectrum
+from greybox.formulation.spectrum_criteria import EquationError, outputs_in_spectrum
 from greybox.formulation.sum import Addable
 from greybox.formulation.time_criteria import OutputError, TimeCriterion
 from greybox.modeling.harmonic_balance import check_sine
@@ -170,13 +170,14 @@ class Problem(Addable):
         assert isinstance(self.criterion, TimeCriterion)
         if isinstance(self.data, TransientSpectrum):
             outputs_in_spectrum(self.criterion, self.model, self.data)
-            check_units(self.model, self.data)
-            return {}
-
-        assert isinstance(self.data, Record)
-        self.criterion.compared(self.model, self.data)
+            added = (
+                self.criterion.color(self.data) if isinstance(self.criterion, EquationError) else {}
+            )
+        else:
+            assert isinstance(self.data, Record)
+            self.criterion.compared(self.model, self.data)
+            added = self.criterion.parameters(self.model, self.data)
         check_units(self.model, self.data)
-        added = self.criterion.parameters(self.model, self.data)
         for name in added:
             if name in self.model.parameters:
                 raise ValueError(

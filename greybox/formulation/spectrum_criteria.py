@@ -7,7 +7,9 @@ from typing import ClassVar
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.formulation.time_criteria import OutputError, TimeCriterion, modeled_outputs
+from greybox.modeling.colored_disturbance import gust_time
 from greybox.modeling.model import Model
+from greybox.modeling.parameter import Parameter
 from greybox.modeling.realization import dynamics
 
 
@@ -22,11 +24,19 @@ class EquationError(TimeCriterion):
     parameters: plain least squares of these errors would be biased where the band leaves out a part
     of them. Noise in the outputs biases the estimate; use `OutputError` for it.
 
+    Parameters
+    ----------
+    gusts : bool
+        Whether gusts last longer than a sample: white noise through a first-order lag, whose time
+        constant is the parameter ``T_gust`` (Dryden's spectrum along the flight path). Their values
+        at both ends are estimated like those of the states.
+
     Source: Klein and Morelli, Aircraft System Identification, 2nd ed., chapter 7; the likelihood:
     Pintelon and Schoukens, System Identification, 2nd ed., section 9.11, with plant and noise of
     one denominator.
     """
 
+    gusts: bool = False
     rule: ClassVar[str] = "equation error"
     condition: ClassVar[str] = (
         "errors of the differential equation whose size changes slowly over the band, as in light "
@@ -40,6 +50,11 @@ class EquationError(TimeCriterion):
             raise ValueError(
                 "EquationError estimates the size of the errors of the equation: leave out noise."
             )
+
+    def color(self, spectrum: TransientSpectrum) -> dict[str, Parameter]:
+        """Return the time constant of gusts, between a sample and the manoeuvre."""
+        bounds = spectrum.step, spectrum.duration
+        return {"T_gust": gust_time(bounds, "equation")} if self.gusts else {}
 
     def compared(self, model: Model, record: Record) -> tuple[str, ...]:
         """Refuse a record."""

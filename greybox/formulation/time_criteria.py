@@ -282,7 +282,7 @@ class PredictionError(TimeCriterion):
         model = undisturbed(model)
         if not self.disturbance or not isinstance(model, StateSpace):
             return model
-        bounds = record.step, float(record.time[-1] - record.time[0])
+        bounds = record.step, record.duration
         return ColoredDisturbance(model, *((state, bounds) for state in self.disturbance))
 
     def parameters(self, model: Model, record: Record) -> dict[str, Parameter]:

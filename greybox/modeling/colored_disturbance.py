@@ -33,14 +33,8 @@ class ColoredDisturbance(ExtendedModel):
         self.gusts = tuple(gust_on(state) for state in self.disturbed)
         require_known(self.disturbed, model.states, "state", model.label)
         times = {
-            f"T_{gust_on(state)}": Parameter(
-                math.sqrt(low * high),
-                bounds=(low, high),
-                unit="s",
-                about=f"time constant of the disturbance on the derivative of {state}",
-                scale="log",
-            )
-            for state, (low, high) in disturbed
+            f"T_{gust_on(state)}": gust_time(bounds, f"derivative of {state}")
+            for state, bounds in disturbed
         }
         super().__init__(model, self.gusts, times)
 
@@ -59,6 +53,17 @@ class ColoredDisturbance(ExtendedModel):
     def output(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
         """Return the outputs of the model."""
         return self.model.output(x, u, p)
+
+
+def gust_time(bounds: tuple[float, float], place: str) -> Parameter:
+    """Return the time constant of a disturbance on a derivative or an equation."""
+    return Parameter(
+        math.sqrt(math.prod(bounds)),
+        bounds=bounds,
+        unit="s",
+        about=f"time constant of the disturbance on the {place}",
+        scale="log",
+    )
 
 
 def gust_on(state: str) -> str:

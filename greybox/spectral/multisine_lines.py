@@ -143,4 +143,4 @@ def _estimates(u: ComplexArray, y: ComplexArray, r: ComplexArray) -> list[Estima
         weak = STRONG * (k - 1) > n - 1
 
     columns = (response, np.where(weak, np.nan, variance), dof, coherence, weak)
-    return [EstimatedPoint(*point) for point in zip(*(c.tolist() for c in columns), strict=True)]
+    return [EstimatedPoint(*point) for point in zip(*columns, strict=True)]

@@ -79,9 +79,8 @@ class FrequencyGrid:
 
     def transform(self, weighted: Array, deviation: Array) -> ComplexArray:
         """Return the transforms (k, p, f) of sensitivities (k, p, n) times deviations (k,)."""
-        result = np.empty((*weighted.shape[:2], len(self.weight)), dtype=complex)
-        for out, J, size in zip(result, weighted, deviation, strict=True):
-            out[:] = np.fft.rfft(size * J, self.size)
+        result = np.fft.rfft(weighted, self.size)
+        result *= deviation[:, None, None]  # in place: they fill the memory of long records
         return result
 
     def covariances(

@@ -12,7 +12,6 @@ applications to model specification in econometrics, Review of Economic Studies 
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -30,31 +29,19 @@ CORRELATIONS = np.tanh(np.linspace(0.0, 2.5, 20))
 # Errors of independent points that are larger or smaller beyond a share of the points.
 RATIOS = (0.1, 0.3, 3.0, 10.0)
 SHARES = np.arange(1, 6) / 6
+# Powers of frequency by which errors fall: none, then those of a gust through up to two lags.
+POWERS = np.array([0, 1, 2, 4, 6])[:, None, None]
 
 
-@dataclass(frozen=True, eq=False)
-class ScoreTests:
-    """Score tests of c terms.
-
-    Attributes
-    ----------
-    value, error : (c,) arrays
-        The factor on each term that a fit would estimate, to first order, with its standard error
-        if the model then explains the data.
-    p_value : (c,) array
-        Probability by chance of such a share of the residuals; NaN where it cannot be told.
-    decrease : (c,) array
-        What each term takes from the sum of squares, over their mean.
-    """
-
-    value: Array
-    error: Array
-    p_value: Array
-    decrease: Array
-
-
-def score_tests(residuals: Array, fitted: Array, terms: Array) -> ScoreTests:
+def score_tests(residuals: Array, fitted: Array, terms: Array) -> Array:
     """Test c terms one by one.
+
+    Returns
+    -------
+    (4, c) array
+        What each term takes from the sum of squares, over their mean; the probability by chance of
+        such a share, NaN where it cannot be told; the factor on each term that a fit would
+        estimate, to first order, and its standard error if the model then explains the data.
 
     Parameters
     ----------
@@ -83,7 +70,7 @@ def score_tests(residuals: Array, fitted: Array, terms: Array) -> ScoreTests:
         error = np.sqrt(squares * (1 - share) / max(remaining, 1)) / (length * before)
         value = along / (length * before)
     p_value = np.where(tested, chance(1 - share, max(remaining - 1, 1)), np.nan)
-    return ScoreTests(value, error, p_value, count * share)
+    return np.array([count * share, p_value, value, error])
 
 
 def correlated_score(residuals: Array, fitted: Array, lengths: Sequence[int]) -> float:
@@ -116,13 +103,31 @@ def correlated_score(residuals: Array, fitted: Array, lengths: Sequence[int]) ->
         determinants.append(2 * np.log(size).sum())
 
     # The last diagonal element is the length of what the columns leave of the residuals.
-    triangles = np.linalg.qr(np.array(whitened), mode="r")
-    diagonal = np.abs(np.diagonal(triangles, axis1=1, axis2=2))
-    logarithms = 2 * np.log(np.maximum(diagonal, np.finfo(float).tiny))
+    logarithms = _squares_of_lengths(np.array(whitened))
     scores = numbers * logarithms[:, -1] + determinants
     # Many columns leave small residuals, which would look equal: their number is counted.
-    counted = logarithms[:, :-1].sum(axis=1) - (values.shape[1] - 1) * logarithms[:, -1]
+    counted = logarithms.sum(axis=1) - values.shape[1] * logarithms[:, -1]
     return scores[np.argmin(scores + counted)]
+
+
+def scores_of_powers(residuals: Array, fitted: Array, omega: Array) -> Array:
+    """Return -2 log likelihood of residuals (2n,) whose power falls with frequency by POWERS.
+
+    Residuals at `omega` (n,) are real parts, then imaginary parts. The likelihood is restricted to
+    what the columns `fitted` (2n, p) leave of them.
+    Source: Patterson and Thompson (1971), Recovery of inter-block information when block sizes are
+    unequal, Biometrika 58.
+    """
+    size = np.tile(omega, 2)[:, None] ** (-POWERS / 2)
+    logarithms = _squares_of_lengths(np.column_stack([column_basis(fitted), residuals]) / size)
+    scores = logarithms.sum(axis=1) + 2 * np.log(size).sum(axis=(1, 2))
+    return scores + (len(residuals) - logarithms.shape[1]) * logarithms[:, -1]
+
+
+def _squares_of_lengths(values: Array) -> Array:
+    """Return the logarithms of the squares of what each column leaves beside those before it."""
+    diagonal = np.abs(np.diagonal(np.linalg.qr(values, mode="r"), axis1=1, axis2=2))
+    return 2 * np.log(np.maximum(diagonal, np.finfo(float).tiny))
 
 
 def p_value_of_scores(without: float, beside: float, fitted: Array, more: Array) -> float:

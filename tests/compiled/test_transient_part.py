@@ -59,6 +59,8 @@ CASES = {
     "two of each, correlated": (*LATERAL, gb.OutputError(noise="full")),
     "equation error of one output": (*SHORT, gb.EquationError()),
     "equation error of all states": (*LATERAL, gb.EquationError(noise="full")),
+    "equation error in gusts, one output": (*SHORT, gb.EquationError(gusts=True)),
+    "equation error in gusts, all states": (*LATERAL, gb.EquationError(gusts=True)),
 }
 
 
@@ -71,7 +73,7 @@ def made(request):
         gb.Problem(model, transient_spectrum(record, inputs, outputs, study.BAND), criterion)
     )
     (part,) = nlp.parts
-    z = nlp.scaling.to_solver(np.array([truth[name] for name in nlp.free]))
+    z = nlp.scaling.to_solver(np.array([{"T_gust": 1.5, **truth}[name] for name in nlp.free]))
     return nlp, part, z, part.trajectory(z, None)
 
 

@@ -188,6 +188,47 @@ def test_an_answer_survives_its_file(fit, tmp_path):
     assert same.data.stretch == part.data.stretch
 
 
+class Gusty(gb.StateSpace):
+    """The short period with a gust in its equation as a state of the model."""
+
+    states, inputs, outputs, delays = ("q", "rest", "gust"), ("u",), ("q",), {"u": "T"}
+    K, T_z, w, z, T = (ShortPeriod().parameters[name] for name in SHORT_PERIOD)
+    T_gust = gb.Parameter(0.4, bounds=(0.02, 8.0), scale="log")
+
+    def derivative(self, x, u, p):
+        return (
+            x.rest - 2 * p.z * p.w * x.q + p.K * p.T_z * u.u,
+            p.K * u.u + x.gust - p.w**2 * x.q,
+            -x.gust / p.T_gust,
+        )
+
+    def output(self, x, u, p):
+        return (x.q,)
+
+
+def test_turbulence_is_named_and_its_color_estimated(clean, fit):
+    """Output error names gusts, not white noise; with them it is the fit of a model with a gust."""
+    noisy = study.short_period_in_gusts(clean, np.random.default_rng(0), 1.0, 0.1)
+    spectrum = transient_spectrum(noisy, "u", "q", BAND)
+    blind = gb.fit(gb.Problem(ShortPeriod(), spectrum), starts=[SHORT_PERIOD], progress=False)
+    assert "turbulence" in " ".join(blind.warnings)
+    assert "turbulence" not in " ".join(fit.warnings)
+
+    start = {**SHORT_PERIOD, "T_gust": 1.0}
+    aware, modeled = (
+        gb.fit(gb.Problem(model, spectrum, rule), starts=[start], profiles=False, progress=False)
+        for model, rule in (
+            (ShortPeriod(), gb.EquationError(gusts=True)),
+            (Gusty(), gb.EquationError()),
+        )
+    )
+    assert "turbulence" not in " ".join(aware.warnings)
+    assert aware.cost == pytest.approx(modeled.cost, abs=1e-6)
+    for name in start:
+        assert aware.estimate[name] == pytest.approx(modeled.estimate[name], rel=1e-4), name
+        assert aware.standard_error[name] == pytest.approx(modeled.standard_error[name], rel=1e-3)
+
+
 class Twice(gb.TransferFunction):
     """A gain that is a product of two."""
 
