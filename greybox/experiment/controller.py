@@ -7,7 +7,13 @@ from typing import Any, ClassVar
 
 import casadi as ca
 
-from greybox.modeling.model import Names, declared_parameters, require_known
+from greybox.modeling.model import (
+    Names,
+    declared_parameters,
+    require_known,
+    require_signal_names,
+    require_usable,
+)
 from greybox.modeling.parameter import Parameter, is_finite_number
 from greybox.modeling.symbolic_reading import column, traced
 
@@ -70,23 +76,14 @@ class Controller(ABC):
         super().__init_subclass__(**kwargs)
         parameters = declared_parameters(cls)
         cls.parameters = MappingProxyType(parameters)
-        for kind in ("states", "inputs", "setpoints", "outputs"):
-            if isinstance(getattr(cls, kind), str):
-                raise ValueError(
-                    f"{cls.__name__}.{kind} = {getattr(cls, kind)!r} must be a tuple of names."
-                )
-        for names in ((*cls.inputs, *cls.setpoints), cls.states, cls.outputs, parameters):
-            for name in names:
-                if hasattr(Names, name) or (names is parameters and hasattr(Controller, name)):
-                    raise ValueError(
-                        f"{cls.__name__} cannot have a parameter or signal called {name!r}: "
-                        "choose another name."
-                    )
-            if len(set(names)) != len(names):
-                raise ValueError(
-                    f"{cls.__name__} names a signal twice in {', '.join(names)}: use different "
-                    "names."
-                )
+        for base in (Names, Controller):
+            require_usable(parameters, cls.__name__, base)
+        require_signal_names(cls, "states", "inputs", "setpoints", "outputs")
+        twice = {*cls.inputs} & {*cls.setpoints}
+        if twice:
+            raise ValueError(
+                f"{cls.__name__} has {twice.pop()!r} both as input and as setpoint: use two names."
+            )
 
     def __init__(
         self,

@@ -56,6 +56,17 @@ def require_usable(names: Iterable[str], owner: str, base: type = Names) -> None
             )
 
 
+def require_signal_names(cls: type, *attributes: str) -> None:
+    """Raise ValueError for attributes of a class that are no tuples of different, usable names."""
+    for attribute in attributes:
+        names = getattr(cls, attribute)
+        if isinstance(names, str) or len(set(names)) != len(names):
+            raise ValueError(
+                f"{cls.__name__}.{attribute} = {names!r} must be a tuple of different names."
+            )
+        require_usable(names, cls.__name__)
+
+
 def declared_parameters(cls: type) -> dict[str, Parameter]:
     """Return the parameters of a class body and of the classes above it, by name."""
     parameters: dict[str, Parameter] = {}

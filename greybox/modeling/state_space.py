@@ -5,7 +5,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from greybox.modeling.model import Model, require_known, require_usable
+from greybox.modeling.model import Model, require_known, require_signal_names
 
 
 class StateSpace(Model):
@@ -34,13 +34,7 @@ class StateSpace(Model):
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Check the signal names of the declaration."""
         super().__init_subclass__(**kwargs)
-        for attribute in ("states", "inputs", "outputs"):
-            names = getattr(cls, attribute)
-            if isinstance(names, str) or len(set(names)) != len(names):
-                raise ValueError(
-                    f"{cls.__name__}.{attribute} = {names!r} must be a tuple of different names."
-                )
-            require_usable(names, cls.__name__)
+        require_signal_names(cls, "states", "inputs", "outputs")
 
         # Neither formulas nor data could distinguish them.
         twice = set(cls.states) & set(cls.inputs)

@@ -176,7 +176,7 @@ def declare(**body):
         (
             {"inputs": ("q", "reference")},
             ValueError,
-            "Own names a signal twice in q, reference, reference",
+            "Own has 'reference' both as input and as setpoint",
         ),
         ({"states": ("keys",)}, ValueError, "cannot have a parameter or signal called 'keys'"),
         (
