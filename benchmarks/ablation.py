@@ -1,15 +1,12 @@
 """What each strategy of the record solver buys, and its constants at a tenth and ten times.
 
 python benchmarks/ablation.py [--strategies NAME ...] [--constants [NAME ...]]
-    [--without NAME ...] [--only PROBLEM ...]
-                              [--seeds 0 1 2] [--quick] [--output benchmarks/results/ablation.txt]
+    [--only PROBLEM ...] [--seeds 0 1 2] [--quick] [--output benchmarks/results/ablation.txt]
 
 Every problem is fitted as a user would, `gb.fit(problem, starts=N, seed=s)`: from the declared
 values and N - 1 Sobol points of the declared boxes, once for every seed, with all strategies on and
-with one of them off. `--without` switches several off at once. `--quick` takes the first seed and
-the problems of less than a second. One process, one thread. Starts are screened where nothing is
-said of their number alone: `--starts 0 --strategies screened_starts` compares fits from the default
-starts.
+with one of them off; the kept output also has those that can no longer be switched off. `--quick`
+takes the first seed and the problems of less than a second. One process, one thread.
 
 A run succeeds if it converged to the cost of the best known minimum, to within `within` (0.1: at
 worst 0.45 standard errors along one direction); a fit, if its lowest minimum is that. A cost that
@@ -65,7 +62,7 @@ import greybox as gb  # noqa: E402
 from greybox.solve import Strategies  # noqa: E402
 
 LIMIT = 40  # s of one fit
-BASE, ALL = "everything on", "everything off"
+BASE = "everything on"
 
 
 def table(name: str) -> np.ndarray:
@@ -169,11 +166,9 @@ def tag_of(name: str) -> str:
     return next((tag for tag, names in ALONE.items() if name in names), "")
 
 
-def without(*names: str) -> Setting:
-    """Return the setting with these strategies off."""
-    label = ALL if set(names) == set(switches()) else f"without {', '.join(names)}"
-    changed = replace(Strategies(), **dict.fromkeys(names, False))
-    return Setting(label, changed, tag_of(names[0]) if len(names) == 1 else "")
+def without(name: str) -> Setting:
+    """Return the setting with this strategy off."""
+    return Setting(f"without {name}", replace(Strategies(), **{name: False}), tag_of(name))
 
 
 def varied(name: str) -> Iterator[Setting]:
@@ -382,9 +377,6 @@ def main() -> None:
     parser.add_argument(
         "--constants", nargs="*", choices=constants(), help="vary these, without names all"
     )
-    parser.add_argument(
-        "--without", nargs="+", choices=switches(), action="append", default=[], metavar="NAME"
-    )
     parser.add_argument("--only", nargs="+", choices=list(CASES), help="problems")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument(
@@ -405,13 +397,11 @@ def main() -> None:
     ]
     seeds = options.seeds[:1] if options.quick else options.seeds
     settings = [Setting(BASE, Strategies())]
-    settings += [without(*group) for group in options.without]
     if options.starts is not None:
         CASES.update({name: replace(case, starts=options.starts) for name, case in CASES.items()})
-    every = options.constants is None and not options.without
-    chosen = options.strategies if options.strategies is not None else switches() if every else ()
+    usual = switches() if options.constants is None else ()
+    chosen = usual if options.strategies is None else options.strategies
     settings += [without(name) for name in chosen]
-    settings += [without(*switches())] if options.strategies is None and every else []
     if options.constants is not None:
         settings += [s for name in options.constants or constants() for s in varied(name)]
     results = Results(options.raw)

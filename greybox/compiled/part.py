@@ -27,6 +27,8 @@ from greybox.statistics.error_spectrum import ErrorSpectrum
 from greybox.statistics.neighbor_correlation import NeighborCorrelation
 
 NO_NODES = np.zeros((0, 0))
+# Output error while continuity is a penalty, as a share of a signal's standard deviation.
+ASSUMED_ERROR = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -242,8 +244,8 @@ class Program(ABC):
         """Return the hidden unknowns along a trajectory."""
 
     @abstractmethod
-    def initial_parameters(self, z: Array, share: float) -> Array:
-        """Return w at z (p,) for residuals of a `share` of each signal's spread."""
+    def initial_parameters(self, z: Array) -> Array:
+        """Return w at z (p,) for residuals of `ASSUMED_ERROR` of each signal's spread."""
 
     @abstractmethod
     def outcome(self, z: Array, unknowns: Array, w: Array) -> tuple[float, Array, bool]:
@@ -340,8 +342,8 @@ class Part(ABC):
         """Return W (k, k) with WᵀW the inverse of the residual covariance along a trajectory."""
         return NO_NODES
 
-    def initial_weight(self, share: float) -> Array:
-        """Return W (k, k) for residuals of a `share` of each signal's spread."""
+    def initial_weight(self) -> Array:
+        """Return W (k, k) for residuals of `ASSUMED_ERROR` of each signal's spread."""
         return NO_NODES
 
     @abstractmethod

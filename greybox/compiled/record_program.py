@@ -54,9 +54,9 @@ class RecordProgram(Program):
         """Return the unknowns for the states along a trajectory."""
         return self._transcribed.start(self._part.segments.in_order(trajectory.states))
 
-    def initial_parameters(self, z: Array, share: float) -> Array:
-        """Return weights for residuals of a `share` of the spread, and the data at z (p,)."""
-        return self._joined(self._part.initial_weight(share), self._part.place(z).data)
+    def initial_parameters(self, z: Array) -> Array:
+        """Return weights for residuals of a share of the spread, and the data at z (p,)."""
+        return self._joined(self._part.initial_weight(), self._part.place(z).data)
 
     def outcome(self, z: Array, unknowns: Array, w: Array) -> tuple[float, Array, bool]:
         """Return the cost, the weights and data that follow, and whether the data stayed."""

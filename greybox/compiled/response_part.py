@@ -239,7 +239,7 @@ class ResponseProgram(Program):
         """Return an empty vector: there are no states."""
         return np.zeros(0)
 
-    def initial_parameters(self, z: Array, share: float) -> Array:
+    def initial_parameters(self, z: Array) -> Array:
         """Return an empty vector: the criterion weighs the residuals."""
         return np.zeros(0)
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from greybox.compiled.condensing import condense, solve_continuity
-from greybox.compiled.part import Condensed, Part, Trajectory
+from greybox.compiled.part import ASSUMED_ERROR, Condensed, Part, Trajectory
 from greybox.compiled.record_linearization import (
     with_filter_covariance,
     without_known_states,
@@ -222,9 +222,9 @@ class SegmentedPart(Part):
         """Return W (k, k), where WᵀW is the inverse residual covariance of a trajectory."""
         return self.covariance_along(trajectory).weight(trajectory.products)
 
-    def initial_weight(self, share: float) -> Array:
-        """Return W (k, k) for residuals of a `share` of each signal's spread."""
-        return diagonal(1 / (share * self.covariance.spread))
+    def initial_weight(self) -> Array:
+        """Return W (k, k) for residuals of `ASSUMED_ERROR` of each signal's spread."""
+        return diagonal(1 / (ASSUMED_ERROR * self.covariance.spread))
 
     # --- linearization
 

@@ -28,6 +28,8 @@ from greybox.solve.runs import TOO_COARSE, Outcome, Run, Runs
 RIVALS = 3
 RIVAL_COST = 10.0
 
+# Shift of an estimate by twice the substeps, in standard errors, that is accepted.
+NEGLIGIBLE_SHIFT = 0.1
 # Shift by twice the steps, in standard errors, from which an end does not solve the differential
 # equations if another end does: refinement leaves the best a tenth of this.
 ALIAS = 1.0
@@ -45,13 +47,10 @@ class DiscretizationError:
         the model's do not show.
     order : int
         The shift falls with this power of the number of steps.
-    accepted : float
-        Shift that does not matter.
     """
 
     shift: Array
     order: int
-    accepted: float
 
     @property
     def largest(self) -> float:
@@ -61,12 +60,12 @@ class DiscretizationError:
     @property
     def matters(self) -> bool:
         """True when the estimate would move noticeably."""
-        return self.largest > self.accepted
+        return self.largest > NEGLIGIBLE_SHIFT
 
     @property
     def growth(self) -> int:
         """Factor on the number of steps that makes the shift small, by its order; at most eight."""
-        return substep_growth(self.largest, self.accepted, self.order)
+        return substep_growth(self.largest, NEGLIGIBLE_SHIFT, self.order)
 
 
 def discretization_error(
@@ -77,13 +76,13 @@ def discretization_error(
     `fine` are the parts with twice the steps, if they exist already.
     """
     p = len(nlp.free)
-    order, accepted = nlp.method.scheme.order, nlp.strategies.negligible_shift
+    order = nlp.method.scheme.order
     hessian, hessian_fine, change = np.zeros((p, p)), np.zeros((p, p)), np.zeros(p)
     fine = fine or _finer_parts(nlp)
     refined = [finer.trajectory(t.z, t.nodes) for finer, t in zip(fine, trajectories, strict=True)]
     # The linearizations below take most of the time.
     if all(map(_is_rounding, trajectories, refined)):
-        return DiscretizationError(change, order, accepted)
+        return DiscretizationError(change, order)
 
     for part, trajectory, finer, moved in zip(nlp.parts, trajectories, fine, refined, strict=True):
         weight = part.residual_weight(trajectory)
@@ -97,7 +96,7 @@ def discretization_error(
         change += part.weight * (g_fine - g)
     shift, widened = _in_standard_errors(hessian, change), _widened(hessian, hessian_fine)
     shift = np.where(widened > np.abs(shift), widened, shift)
-    return DiscretizationError(shift, order, accepted)
+    return DiscretizationError(shift, order)
 
 
 def refine_discretization(

@@ -122,8 +122,7 @@ class TranscribedProgram(LocalSolver):
         status, iterations, last, cost = "", 0, math.inf, math.inf
         pairs = zip(self._programs, first, strict=True)
         solution = np.concatenate([z, *[program.initial_unknowns(t) for program, t in pairs]])
-        share = self._nlp.strategies.assumed_error
-        w = np.concatenate([program.initial_parameters(z, share) for program in self._programs])
+        w = np.concatenate([program.initial_parameters(z) for program in self._programs])
         for _ in range(RELAXATIONS):
             solution, status, count = self._ipopt.solve(solution, w, self._bounds)
             iterations += count

@@ -80,7 +80,7 @@ def test_gaps_are_ends_less_the_next_nodes_and_none_crosses_a_break(made):
 
 def test_the_linearization_is_that_of_finite_differences(made):
     part, z, trajectory = made
-    weight = part.initial_weight(0.1)
+    weight = part.initial_weight()
     linear = part.linearize(trajectory, weight)
     slope = trajectory.detail.slope
     by_nodes, by_z = dense(part, z, trajectory.nodes, residuals)
@@ -116,7 +116,7 @@ def test_the_linearization_is_that_of_finite_differences(made):
 def test_condensing_is_the_dense_elimination(made, relaxed, damping):
     """Nodes and multipliers are eliminated as one dense Karush-Kuhn-Tucker system does it."""
     part, z, trajectory = made
-    weight = part.initial_weight(0.1)
+    weight = part.initial_weight()
     variance = relaxed * np.array([1.0, 2.0])
     linear = part.linearize(trajectory, weight)
     condensed = part.condense(linear, trajectory, variance, damping)
@@ -178,7 +178,7 @@ def test_condensing_is_the_dense_elimination(made, relaxed, damping):
 
 def test_gaps_are_closed_by_the_least_change_of_the_outputs(made):
     part, z, trajectory = made
-    weight = part.initial_weight(0.1)
+    weight = part.initial_weight()
     linear = part.linearize(trajectory, weight)
     closed = part.close_gaps(linear, trajectory)
     A, _ = dense(part, z, trajectory.nodes, gaps)
@@ -195,7 +195,7 @@ def test_known_initial_states_follow_their_function_of_the_parameters():
     part, z = part_of(spring(60), criterion)
     trajectory = part.initial_trajectory(z)
     assert_allclose(trajectory.nodes[0], [SPRING["b"] / SPRING["k"], 0.0])
-    weight = part.initial_weight(0.1)
+    weight = part.initial_weight()
     simulated = part.trajectory(z, trajectory.nodes, simulated=True)
     condensed = part.condense(part.linearize(simulated, weight), simulated, np.zeros(2))
 
@@ -246,12 +246,12 @@ def test_residuals_are_first_weighed_by_the_spread_of_their_signal(made):
     part, _, _ = made
     measured = np.concatenate([stretch.outputs for stretch in part.data.stretches], axis=1)
     spread = np.nanstd(measured, axis=1)
-    assert_allclose(part.initial_weight(0.1), np.diag(1 / (0.1 * spread)), rtol=1e-6)
+    assert_allclose(part.initial_weight(), np.diag(1 / (0.1 * spread)), rtol=1e-6)
 
 
 def test_states_may_jump_by_what_changes_the_outputs_of_a_segment_so_much(made):
     part, _, trajectory = made
-    linear = part.linearize(trajectory, part.initial_weight(0.1))
+    linear = part.linearize(trajectory, part.initial_weight())
     curvature = np.mean([np.diag(H) for H in linear.node_hessian], axis=0)
     wanted = 0.7**2 * part.data.segment_length * len(part.outputs) / curvature
     assert_allclose(part.continuity_variance(linear, 0.7), wanted)
@@ -302,7 +302,7 @@ def test_process_noise_reaches_the_outputs_as_jumps_of_the_states_do():
     record = record.with_signals(x=np.where(np.arange(120) % 7 == 3, np.nan, record["x"]))
     part, z = part_of(record)
     trajectory = part.trajectory(z, part.initial_trajectory(z).nodes)
-    shocks = sensitivity(part, trajectory, part.initial_weight(0.1)).shocks()
+    shocks = sensitivity(part, trajectory, part.initial_weight()).shocks()
     A = np.array([[0.0, 1.0], [-SPRING["k"], -SPRING["c"]]])
     wanted = np.stack([expm(A * t) for t in record.time - record.time[0]], axis=2)
     assert_allclose(-shocks, wanted, atol=0.02)  # residuals are measured less modeled outputs
@@ -313,7 +313,7 @@ def test_process_noise_of_an_unstable_model_has_no_spectrum():
     unstable = z.copy()
     unstable[list(SPRING).index("c")] *= -3
     trajectory = part.trajectory(unstable, part.initial_trajectory(unstable).nodes)
-    assert sensitivity(part, trajectory, part.initial_weight(0.1)).shocks().shape[1] == 0
+    assert sensitivity(part, trajectory, part.initial_weight()).shocks().shape[1] == 0
 
 
 STATED = {"x": 0.05, "v": 0.11}
@@ -537,7 +537,7 @@ def test_a_program_for_ipopt_begins_with_the_record_and_what_follows_is_the_like
     symbol = ca.MX.sym("z", len(z))
     program = part.program(symbol)
     trajectory = part.trajectory(z, part.initial_trajectory(z).nodes, simulated=True)
-    unknowns, w = program.initial_unknowns(trajectory), program.initial_parameters(z, 0.1)
+    unknowns, w = program.initial_unknowns(trajectory), program.initial_parameters(z)
     measured = part.data.measured
     spread, count = np.nanstd(measured, axis=1), np.isfinite(measured[0]).sum()
     k = len(sensors)

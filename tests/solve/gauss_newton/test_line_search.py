@@ -1,11 +1,10 @@
 """The line search on a function of one variable, whose iterates are numbers."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
-from greybox.solve import Strategies
 from greybox.solve.gauss_newton.all_parts import COST_ROUNDING
 from greybox.solve.gauss_newton.line_search import REDUCTION, SHORTEST_STEP, line_search
 
@@ -17,7 +16,6 @@ class Line:
     An iterate is a number, a step another one, and gaps are closed by going to `closed`.
     """
 
-    settings: Strategies = field(default_factory=Strategies)
     closed: float | None = None
 
     def moved(self, iterate, step, length):
@@ -53,8 +51,6 @@ def test_a_step_that_is_too_long_is_shortened():
 
 def test_closing_the_gaps_may_save_a_whole_step_where_continuity_is_exact():
     assert line_search(Line(closed=0.5), 1.0, ExactStep(-10.0), square, 1.0) == (0.5, 1.0)
-    off = Line(Strategies(second_order_correction=False), closed=0.5)
-    assert line_search(off, 1.0, ExactStep(-10.0), square, 1.0)[1] < 1
     assert line_search(Line(closed=0.5), 1.0, Step(-10.0), square, 1.0)[1] < 1
 
 

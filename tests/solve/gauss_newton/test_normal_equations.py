@@ -39,7 +39,7 @@ def prepared(values, **options):
 
 
 def relaxed_progress(parts, linearizations):
-    return relaxed(parts.settings).with_gap_variance(parts.gap_variances(linearizations))
+    return relaxed().with_gap_variance(parts.gap_variances(linearizations))
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.5])

@@ -142,11 +142,6 @@ def test_what_was_screened_out_is_kept(tmp_path):
 def test_a_number_that_is_asked_for_is_tried_as_it_is():
     fit = gb.fit(lag_problem(), 6, progress=False, profiles=False)
     assert {run.stage for run in fit.runs} == {"polished"}
-    plain = gb.MultipleShooting(strategies=gb.solve.Strategies(screened_starts=False))
-    assert (
-        GaussNewton(compile_problem(lag_problem(), plain)).screened(drawn(lag_problem(), 6, 0))
-        is None
-    )
     bound = lag_problem().with_(constraints=[lambda p: p.K - p.T])
     assert not can_screen(compile_problem(bound))
 

@@ -149,7 +149,6 @@ def test_levels_end_where_excerpts_are_short_and_are_left_out_where_they_are_har
         pytest.approx(100, rel=0.1),
     ]
     assert SharedRuns.of(solver_of(lag_problem(samples=80))) is None
-    assert SharedRuns.of(solver_of(lag_problem(samples=400), shared_runs=False)) is None
     several = solver_of(lag_problem(0, 60) + lag_problem(1, 60))
     assert several.on_excerpts(30).samples > 60
     assert SharedRuns.of(several) is None
