@@ -53,6 +53,13 @@ class DisturbedRecord:
             self.states = calm
             self.outputs = segments.in_order(segments.outputs(states, q, placed.data))
 
+    @property
+    def is_unstable(self) -> bool:
+        """Whether the states would grow a hundredfold over the record without other inputs."""
+        A = self._slopes[0][: self.part.states].mean(axis=2)
+        growth = np.abs(np.linalg.eigvals(A)).max(initial=1.0)
+        return bool(self.part.samples * np.log(growth) > np.log(100))
+
     def by_stretch(self, function: Callable[..., Array], row: Array, *arguments: float) -> Array:
         """Return a function of the samples and the step of every stretch, segments filled up."""
         data = self.part.data

@@ -23,6 +23,7 @@ from greybox.modeling.model import Names
 from greybox.modeling.state_space import StateSpace
 
 Formula = Callable[[Names, Names, Names], Any]
+Shape = tuple[str, Array]  # code, and values (samples,)
 
 # What a term is, for a negative factor too where that is something else, and how a model gets it.
 TEXTS = {
@@ -48,11 +49,15 @@ TEXTS = {
     "sensor": (
         "a sensor of {b} that is late by {size} s",
         "a sensor of {b} that is early by {size} s",
-        "late_sensors(model, {{'{b}': 'T_sensor'}})",
+        "gb.modeling.late_sensors(model, delays={{'{b}': (0.001, 1.0)}})",
     ),
     "equation": (
         "{a} in the equation of {b}",
         "the derivative of {b} gets + p.c * {a}",
+    ),
+    "limit": (
+        "a stop or an overflow of {a} near {level} in the equation of {b}",
+        "the derivative of {b} gets + p.c * gb.maximum(x.{a} - p.limit, 0), or gb.minimum",
     ),
     "feedback": (
         "{a} fed back to {b}",
@@ -63,8 +68,8 @@ TEXTS = {
         "two records, rename={{'{a}': '{a}_later'}} for the second",
     ),
     "own": (
-        "a value of {a} that is larger by {size} in '{b}'",
-        "a value of {a} that is smaller by {size} in '{b}'",
+        "a value of {a} that is larger by {size} ± {error} in '{b}' than elsewhere",
+        "a value of {a} that is smaller by {size} ± {error} in '{b}' than elsewhere",
         "rename={{'{a}': '{a}_own'}} in the problem '{b}'",
     ),
     "delay": (
@@ -95,6 +100,9 @@ TEXTS = {
 # Time constants of lags and delays, over the rms of an input over that of its rate.
 TIMES = (0.3, 1.0, 3.0)
 LEVELS = (0.2, 0.4, 0.7)  # of saturations and dead zones, over the largest input
+# Shares of the samples below stops and overflows, which act seldom.
+STOPS = (0.05, 0.15, 0.85, 0.95)
+CREEP = 0.2  # of the largest value of a signal, below which its sign counts less
 DAMPING = 0.05  # of modes
 # Steps of the gain that are tried. Beside one at a wrong point, errors would look correlated.
 EDGES = 32
@@ -126,13 +134,14 @@ class Term:
         """What is the same for terms that are one cause."""
         return self.kind, self.a, self.b
 
-    def described(self, factor: float) -> tuple[str, str]:
-        """Return what it is for a factor, and how a model gets it."""
+    def described(self, factor: float, error: float) -> tuple[str, str]:
+        """Return what it is for a factor with its standard error, and how a model gets it."""
         text, *opposite, code = TEXTS[self.kind]
-        size, level = number(abs(factor) * self.scale, 2), number(self.level, 2)
         text = opposite[0] if opposite and factor < 0 else text
-        texts = (text, code)
-        return tuple(t.format(a=self.a, b=self.b, size=size, level=level) for t in texts)
+        size, deviation = (number(abs(x) * self.scale, 2) for x in (factor, error))
+        level = number(self.level, 2)
+        values = {"a": self.a, "b": self.b, "level": level, "size": size, "error": deviation}
+        return text.format(**values), code.format(**values)
 
 
 def terms_of_record(record: DisturbedRecord, candidates: Mapping[str, Formula]) -> Iterator[Term]:
@@ -184,8 +193,7 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
 
 def _of_feedback(record: DisturbedRecord) -> Iterator[Term]:
     for y, b in zip(record.outputs, record.part.outputs, strict=True):
-        shapes = _shapes(b, y) | _shapes(f"{b}'", _rate(record, y))
-        for a, row in shapes.items():
+        for a, row in [*_shapes(b, y), *_shapes(f"{b}'", _rate(record, y))]:
             name = record.part.system.inputs[0]
             yield Term("feedback", lambda row=row: record.by_input(0, row), a, name)
 
@@ -196,29 +204,35 @@ def _of_equations(record: DisturbedRecord, candidates: Mapping[str, Formula]) ->
     u = dict(zip(system.inputs, record.inputs, strict=True))
     p = dict(zip(record.part.model.parameters, record.parameters, strict=True))
     pairs = itertools.combinations((x | u).items(), 2)
-    products = {f"{a} * {b}": row * other for (a, row), (b, other) in pairs if a in x}
-    shapes = u | products
+    shapes = [*u.items(), *((f"{a} * {b}", row * y) for (a, row), (b, y) in pairs if a in x)]
     for name, row in x.items():
-        shapes |= _shapes(name, row)
+        shapes += _shapes(name, row)
     for name, formula in candidates.items():
-        values = formula(Names(x), Names(u), Names(p))
-        shapes[name] = np.broadcast_to(np.asarray(values, dtype=float), record.part.samples)
+        values = np.asarray(formula(Names(x), Names(u), Names(p)), dtype=float)
+        shapes.append((name, np.broadcast_to(values, record.part.samples)))
 
     for i, present in dynamic_equations(record.part).items():
-        for a, row in shapes.items():
+        for a, row in shapes:
             if a not in present:
-                yield Term("equation", lambda i=i, row=row: record.by_state(i, row), a, [*x][i])
+                yield Term("equation", partial(record.by_state, i, row), a, [*x][i])
+        for (a, row), share in itertools.product(x.items(), STOPS):
+            level = float(np.quantile(row, share))
+            over = (np.maximum if share > 0.5 else np.minimum)(row - level, 0.0)
+            yield Term("limit", partial(record.by_state, i, over), a, [*x][i], level=level)
 
 
-def _shapes(name: str, row: Array) -> dict[str, Array]:
-    """Return functions of a signal by their code."""
-    return {
-        name: row,
-        f"abs({name}) * {name}": np.abs(row) * row,
-        f"{name}**2": row**2,
-        f"{name}**3": row**3,
-        f"sign({name})": np.sign(row),
-    }
+def _shapes(name: str, row: Array) -> list[Shape]:
+    """Return functions of a signal with their code."""
+    largest = max(float(np.abs(row).max()), 1e-300)
+    return [
+        (name, row),
+        (f"abs({name}) * {name}", np.abs(row) * row),
+        (f"{name}**2", row**2),
+        (f"{name}**3", row**3),
+        (f"sign({name})", np.sign(row)),
+        # Where the model is wrong, its signal crosses zero too early or too late, or creeps.
+        (f"sign({name})", np.tanh(row / (CREEP * largest))),
+    ]
 
 
 def dynamic_equations(part: RecordPart) -> dict[int, set[str]]:

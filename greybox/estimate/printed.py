@@ -87,9 +87,13 @@ def facts(fit: Any) -> list[tuple[str, str]]:
 
 
 def _misfit_texts(fit: Any) -> Iterator[tuple[str, str]]:
-    if fit.misfit is not None:
-        yield "model", fit.misfit.verdict
-        yield from (("to add", f"{cause.text}: {cause.code}") for cause in fit.misfit.likely)
+    if fit.misfit is None:
+        yield "model", "not tested for missing terms: records in time and responses are"
+        return
+    yield "model", fit.misfit.verdict
+    for cause in fit.misfit.likely:
+        alike = f"; hardly distinct from {some(cause.alike)}" if cause.alike else ""
+        yield "to add", f"{cause.explained}: {cause.code}{alike}"
 
 
 def closeness(fit: Any) -> list[tuple[str, str]]:

@@ -24,7 +24,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from greybox.files.arrays import Array, IntArray
 from greybox.statistics.score_test import REMAINS, chance
 
-HIGHEST_ORDER = 20
+ORDER = 20
 SAMPLES = 8  # of an output for each order
 ROUNDING = 1e-12  # of the power
 TINY = 1e-300
@@ -61,14 +61,12 @@ def autoregressive_p_values(
         What unit terms would add to the model's outputs.
     outputs : sequence of sequence of (n,) arrays of int
     """
-    values = np.column_stack([residuals, terms, fitted])
-    pieces = [[np.diff(values[rows], axis=0) for rows in stretches] for stretches in outputs]
-    lengths = [len(piece) for stretches in pieces for piece in stretches]
-    ends = itertools.pairwise(np.cumsum([0, *lengths]).tolist())
-    numbered = [[np.arange(*next(ends)) for _ in stretches] for stretches in pieces]
-    changes = np.vstack([piece for stretches in pieces for piece in stretches])
-    count = 1 + terms.shape[1]
-    return np.maximum(_p_values(values, count, outputs), _p_values(changes, count, numbered))
+    values, count = np.column_stack([residuals, terms, fitted]), 1 + terms.shape[1]
+    changes = np.zeros_like(values)
+    for rows in itertools.chain(*outputs):
+        changes[rows[1:]] = np.diff(values[rows], axis=0)
+    later = [[rows[1:] for rows in stretches] for stretches in outputs]
+    return np.maximum(_p_values(values, count, outputs), _p_values(changes, count, later))
 
 
 def _p_values(values: Array, count: int, outputs: Outputs) -> Array:
@@ -96,7 +94,7 @@ def _p_values(values: Array, count: int, outputs: Outputs) -> Array:
     )
 
     def score(errors: Array) -> float:
-        filters = whitening_filters(errors, outputs, orders)
+        filters = whitening_filters(errors, outputs)
         return -2 * float(counts @ np.log([weights[0] for weights in filters]))
 
     without = score(beside[:, 0])
@@ -108,47 +106,24 @@ def _p_values(values: Array, count: int, outputs: Outputs) -> Array:
     return chance(np.exp(-np.maximum(decrease, 0.0) / max(len(white), 1)), remaining)
 
 
-def whitening_filters(
-    residuals: Array, outputs: Outputs, orders: Sequence[int] | None = None
-) -> list[Array]:
+def whitening_filters(residuals: Array, outputs: Outputs) -> list[Array]:
     """Return the filters (q + 1,) that make residuals (N,) white, of unit variance, by output.
 
-    They follow by least squares, which the ends of a record do not disturb; by default with the
-    orders of the least AICc.
+    They follow by least squares, which the ends of a record do not disturb.
     """
-    return [
-        _filter([residuals[rows] for rows in stretches], None if orders is None else orders[k])
-        for k, stretches in enumerate(outputs)
-    ]
+    return [_filter([residuals[rows] for rows in stretches]) for stretches in outputs]
 
 
-def _filter(pieces: Sequence[Array], order: int | None) -> Array:
-    if order is None:
-        total = sum(map(len, pieces))
-        # Short stretches would lose all of their samples.
-        highest = min(HIGHEST_ORDER, total // SAMPLES, total // (2 * max(len(pieces), 1)))
-        order = _order(*_moments(pieces, highest))
-    moments, _ = _moments(pieces, order)
-    weights = np.append(1.0, -np.linalg.solve(moments[1:, 1:], moments[1:, 0]))
-    return weights / np.sqrt(weights @ moments @ weights)
-
-
-def _order(moments: Array, count: int) -> int:
-    # A triangular root with the sample behind its lags: what each further lag explains of it.
-    last = np.roll(np.arange(len(moments)), -1)
-    explained = np.linalg.cholesky(moments[np.ix_(last, last)])[-1, :-1] ** 2
-    variance = moments[0, 0] - np.append(0.0, np.cumsum(explained))
-    unknowns = 1 + np.arange(len(variance))
-    penalty = 2 * unknowns * count / np.maximum(count - unknowns - 1, 1)
-    return int(np.argmin(count * np.log(variance) + penalty))
-
-
-def _moments(pieces: Sequence[Array], order: int) -> tuple[Array, int]:
-    """Return mean products (q + 1, q + 1) of samples and their lags, and the number of samples."""
+def _filter(pieces: Sequence[Array]) -> Array:
+    total = sum(map(len, pieces))
+    # Short stretches would lose all of their samples.
+    order = min(ORDER, total // SAMPLES, total // (2 * max(len(pieces), 1)))
     views = [
         sliding_window_view(piece, order + 1)[:, ::-1] for piece in pieces if len(piece) > order
     ]
     windows = np.vstack([np.zeros((0, order + 1)), *views])
     moments = windows.T @ windows / max(len(windows), 1)
     # Residuals without errors have no inverse.
-    return moments + (ROUNDING * np.trace(moments) + TINY) * np.eye(order + 1), len(windows)
+    moments += (ROUNDING * np.trace(moments) + TINY) * np.eye(order + 1)
+    weights = np.append(1.0, -np.linalg.solve(moments[1:, 1:], moments[1:, 0]))
+    return weights / np.sqrt(weights @ moments @ weights)

@@ -81,6 +81,13 @@ def test_a_wrong_model_does_not_and_what_it_lacks_is_named(plant, cause):
     assert any("does not explain" in text for text in fit.warnings)
 
 
+def test_terms_of_nearly_the_same_effect_are_named_beside_each_other():
+    fit = fitted(Cubic)
+    (cubic,) = [cause for cause in fit.misfit.likely if cause.text.startswith("x**3")]
+    assert cubic.alike == ("abs(x) * x in the equation of v",)
+    assert "hardly distinct from abs(x) * x" in str(fit)
+
+
 @pytest.mark.parametrize("k", [25.0, 26.0])
 def test_a_record_that_needs_a_value_of_its_own_is_named(k):
     both = problem(seed=0) + problem(seed=1, k=k)
@@ -269,3 +276,69 @@ def test_a_missing_term_that_makes_the_position_drift_is_seen(missing, drift):
     assert misfit.explains == (not missing)
     if missing:
         assert any("v) * v" in cause.text for cause in misfit.causes[:2])
+
+
+def test_a_stop_is_named():
+    class Stopped(Spring):
+        """A spring that meets a rubber stop."""
+
+        def derivative(self, x, u, p):
+            v, a = super().derivative(x, u, p)
+            return (v, a - 300 * gb.maximum(x.x - 0.5, 0.0))
+
+    fit = fitted(Stopped)
+    assert not fit.misfit.explains
+    assert any("a stop or an overflow of x" in cause.text for cause in fit.misfit.likely[:2])
+
+
+def test_an_offset_is_named_and_drift_is_none():
+    shifted = problem()
+    record = shifted.data
+    flown = shifted.with_(data=record.with_signals(x=record["x"] + 0.5))
+    offset = gb.fit(flown, starts=1, progress=False).misfit
+    assert not offset.explains
+    assert "an offset of x" in offset.likely[0].text
+    assert offset.likely[0].value == pytest.approx(0.5, rel=0.1)
+    assert not any("offset" in cause.text for cause in fitted(color="drift").misfit.likely)
+
+
+def test_slow_errors_of_any_size_are_a_condition_of_the_verdict():
+    slow = problem()
+    walk = np.cumsum(lfilter([0.01], [1, -0.9], np.random.default_rng(6).normal(size=SAMPLES)))
+    slow = slow.with_(data=slow.data.with_signals(x=slow.data["x"] + walk))
+    misfit = gb.fit(slow, starts=1, progress=False).misfit
+    assert misfit.explains
+    assert misfit.drift > 0.99
+    assert "only if errors drift" in misfit.verdict
+
+
+def test_errors_that_an_unstable_loop_answers_are_no_misfit():
+    class Fall(Spring):
+        """x'' = b u + k x - d x'."""
+
+        k = gb.Parameter(5.0, bounds=(0, 200))
+        outputs = ("x", "v")
+
+        def derivative(self, x, u, p):
+            return (x.v, p.b * u.u + p.k * x.x - p.d * x.v)
+
+        def output(self, x, u, p):
+            return (x.x, x.v)
+
+    n, random = 1000, np.random.default_rng(2)
+    e = 0.05 * lfilter([np.sqrt(1 - 0.81)], [1, -0.9], random.normal(size=(2, n)), axis=1)
+    step = expm(STEP * np.array([[0, 1, 0], [5, -2, 25], [0, 0, 0]]))[:2]
+    wanted = np.repeat(random.uniform(-1, 1, n // 25), 25)
+    u, y, past = np.zeros(n), np.zeros((2, n)), np.zeros(2)
+    for i in range(n):
+        y[:, i] = past + e[:, i]
+        u[i] = 0.6 * wanted[i] - 1.2 * y[0, i] - 0.25 * y[1, i]
+        past = step @ [*past, u[i]]
+
+    signals = {"u": u, "x": y[0], "v": y[1]}
+    flight = gb.Record(STEP * np.arange(n), signals, hold={"u": np.inf})
+    misfit = gb.fit(gb.Problem(Fall(), flight), starts=1, progress=False).misfit
+    assert misfit.is_unstable
+    assert misfit.p_value < 1e-3
+    assert misfit.explains
+    assert "only if inputs answer" in misfit.verdict

@@ -68,8 +68,6 @@ def warnings(
     feedback = misfit is None or misfit.may_be_feedback
     # Residuals of a wrong model are no errors, whose correlation would matter.
     errors = misfit is None or misfit.explains
-    # Gusts in several outputs may look like a missing term, which then leaves most of them.
-    noisy = misfit is None or errors or misfit.noise > 0.5 * misfit.left
     return (
         *not_finite_warnings(nlp, search),
         *finding_warnings(nlp),
@@ -78,7 +76,7 @@ def warnings(
         *record_warnings(
             nlp, answer.parts, trajectories, accuracy, feedback=feedback, explained=errors
         ),
-        *gusts(nlp, trajectories, accuracy, noisy=noisy),
+        *gusts(nlp, trajectories, accuracy, noisy=feedback),
         *harmonic_warnings(nlp, best.estimate),
         *not_determined(nlp, accuracy),
         *held_without_error(nlp, accuracy),

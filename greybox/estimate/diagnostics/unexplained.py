@@ -9,7 +9,7 @@ def unexplained(misfit: Misfit | None) -> Iterator[str]:
     """Say that estimates and errors are those of a wrong model, and name what it may lack."""
     if misfit is None or misfit.explains:
         return
-    causes = [f"{cause.text} (explains {cause.explained})" for cause in misfit.likely]
+    causes = [cause.explained for cause in misfit.likely]
     yield (
         "the model does not explain the data, so its estimates may be biased, and the standard "
         f"errors are valid only if it did. It may lack {' or '.join(causes)}; all that was tried: "
