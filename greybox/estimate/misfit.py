@@ -276,7 +276,7 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
         float(np.sum(beside(white_residuals, white(columns)) ** 2))
         for columns in (fitted, together)
     )
-    total = len(white_residuals) * (1 - left / without) if without > 0 else 0.0
+    total = len(white_residuals) * (1 - left / (without + TINY)) + TINY
     p_values = [p_value for (_, p_value, *_), *_ in ranked]
     if in_time and ranked:
         p_values = autoregressive_p_values(residuals[:, 0], fitted, best_columns, outputs).tolist()
@@ -310,7 +310,7 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
             beside_it = correlated_score(residuals, columns, lengths)
             p_beside = p_value_of_scores(score, beside_it, fitted, columns)
             chances = p_value, max(p_value, p_beside)
-        share = min(decrease / total, 1.0) if total > 0 else 0.0
+        share = min(decrease / total, 1.0)
         p_values_of_all = np.minimum(tried * np.array(chances), 1.0).tolist()
         causes.append(Cause(*texts[k], value, error, share, *p_values_of_all, alike=alike[k]))
 
@@ -325,9 +325,15 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
     )
     white_squares = [len(residuals) / float(row[0]) ** 2 for row in filters]
     drift = 1 - min(white_squares, default=squares) / squares
-    is_unstable = any(part.is_unstable for part in parts)
-    left, noise = squares / measured, noise / measured
-    return Misfit(left, noise, tried, tuple(causes), p_common, drift, is_unstable)
+    return Misfit(
+        squares / measured,
+        noise / measured,
+        tried,
+        tuple(causes),
+        p_common,
+        drift,
+        any(part.is_unstable for part in parts),
+    )
 
 
 def _alike(effects: Array, texts: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
@@ -430,7 +436,7 @@ def _of_record(
         for k in range(len(present[0]))
     ]
     return _Regression(
-        data.measured[:, None],
+        np.nan_to_num(data.measured)[:, None],
         residuals[:, None],
         np.einsum("ab,bpn->apn", noise, slopes.weighted),
         _numbered(terms_of_record(record, candidates)),

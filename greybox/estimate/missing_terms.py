@@ -23,7 +23,6 @@ from greybox.modeling.model import Names
 from greybox.modeling.state_space import StateSpace
 
 Formula = Callable[[Names, Names, Names], Any]
-Shape = tuple[str, Array]  # code, and values (samples,)
 
 # What a term is, for a negative factor too where that is something else, and how a model gets it.
 TEXTS = {
@@ -193,7 +192,8 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
 
 def _of_feedback(record: DisturbedRecord) -> Iterator[Term]:
     for y, b in zip(record.outputs, record.part.outputs, strict=True):
-        for a, row in [*_shapes(b, y), *_shapes(f"{b}'", _rate(record, y))]:
+        shapes = _shapes(b, y) | _shapes(f"{b}'", _rate(record, y))
+        for a, row in shapes.items():
             name = record.part.system.inputs[0]
             yield Term("feedback", lambda row=row: record.by_input(0, row), a, name)
 
@@ -204,15 +204,15 @@ def _of_equations(record: DisturbedRecord, candidates: Mapping[str, Formula]) ->
     u = dict(zip(system.inputs, record.inputs, strict=True))
     p = dict(zip(record.part.model.parameters, record.parameters, strict=True))
     pairs = itertools.combinations((x | u).items(), 2)
-    shapes = [*u.items(), *((f"{a} * {b}", row * y) for (a, row), (b, y) in pairs if a in x)]
+    shapes = u | {f"{a} * {b}": row * other for (a, row), (b, other) in pairs if a in x}
     for name, row in x.items():
-        shapes += _shapes(name, row)
+        shapes |= _shapes(name, row)
     for name, formula in candidates.items():
         values = np.asarray(formula(Names(x), Names(u), Names(p)), dtype=float)
-        shapes.append((name, np.broadcast_to(values, record.part.samples)))
+        shapes[name] = np.broadcast_to(values, record.part.samples)
 
     for i, present in dynamic_equations(record.part).items():
-        for a, row in shapes:
+        for a, row in shapes.items():
             if a not in present:
                 yield Term("equation", partial(record.by_state, i, row), a, [*x][i])
         for (a, row), share in itertools.product(x.items(), STOPS):
@@ -221,18 +221,17 @@ def _of_equations(record: DisturbedRecord, candidates: Mapping[str, Formula]) ->
             yield Term("limit", partial(record.by_state, i, over), a, [*x][i], level=level)
 
 
-def _shapes(name: str, row: Array) -> list[Shape]:
-    """Return functions of a signal with their code."""
-    largest = max(float(np.abs(row).max()), 1e-300)
-    return [
-        (name, row),
-        (f"abs({name}) * {name}", np.abs(row) * row),
-        (f"{name}**2", row**2),
-        (f"{name}**3", row**3),
-        (f"sign({name})", np.sign(row)),
-        # Where the model is wrong, its signal crosses zero too early or too late, or creeps.
-        (f"sign({name})", np.tanh(row / (CREEP * largest))),
-    ]
+def _shapes(name: str, row: Array) -> dict[str, Array]:
+    """Return functions of a signal by their code."""
+    # Where the model is wrong, its signal crosses zero too early or too late, or creeps.
+    creep = CREEP * max(float(np.abs(row).max()), 1e-300)
+    return {
+        name: row,
+        f"abs({name}) * {name}": np.abs(row) * row,
+        f"{name}**2": row**2,
+        f"{name}**3": row**3,
+        f"sign({name})": np.tanh(row / creep),
+    }
 
 
 def dynamic_equations(part: RecordPart) -> dict[int, set[str]]:
