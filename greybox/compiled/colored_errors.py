@@ -6,7 +6,6 @@ covariance M (the *meat*); for white ones it is JᵀJ. Correlated residuals coun
 numbers: as many as make the parameters take from white ones what they take from these.
 """
 
-import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -24,10 +23,14 @@ FEWEST = 4
 # fifth in the mean.
 FEWEST_TIMES = 12.0
 
-# Correlation times per degree of freedom of an exponential correlation's spectrum at zero
-# frequency: the coefficient φ of n samples has the variance (1 - φ²)/n, so that the relative
-# variance of 1/(1 - φ)² is 8 times per n.
-TIMES_PER_DOF = 4.0
+# Correlation times per degree of freedom, at least. An exponential correlation's spectrum at zero
+# frequency has one for four: the coefficient φ of n samples has the variance (1 - φ²)/n, so that
+# the relative variance of 1/(1 - φ)² is 8 times per n. Estimates depend on higher frequencies too,
+# which are known better. With two, intervals of 2050 records of five plants, with 16 kinds of
+# errors, contained the truth in 96 to 100 % of records shorter than 16 correlation times, and in 92
+# to 96 % of longer ones. A limit for the shortest alone let the intervals of equal experiments
+# differ by factors of two to six.
+TIMES_PER_DOF = 2.0
 
 
 def colored_errors(
@@ -79,18 +82,16 @@ def colored_errors(
     if not effect.corrected:
         larger *= (remaining + paid) / remaining
     dof = 1 / (1 / remaining + effect.uncertainty / 2)
-    longest = max(e.shape[1] for e in residuals)
-    slowest = float(effect.correlation_times.max())
-    times = longest / slowest if slowest > 0 else math.inf
-    if times < FEWEST_TIMES:
-        dof = min(dof, max(times / TIMES_PER_DOF, 1.0))
+    lengths = [e.shape[1] for e in residuals]
+    longest, slowest = max(lengths), max(float(effect.correlation_times.max()), 1e-300)
+    dof = min(dof, max(sum(lengths) / slowest / TIMES_PER_DOF, 1.0))
 
     return ColoredErrors(
         meat=larger * effect.meat,
         dof=dof,
         correlation_times=effect.correlation_times * step,
         duration=longest * step,
-        is_long_enough=times >= FEWEST_TIMES,
+        is_long_enough=longest / slowest >= FEWEST_TIMES,
         spectrum=None if effect.spectrum is None else effect.spectrum.enlarged(larger),
         process_noise=effect.process_noise,
     )

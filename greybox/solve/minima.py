@@ -166,6 +166,8 @@ def find_minima(
     """
     columns = Runs.of(runs)
     order = np.flatnonzero(columns.converged)
+    if not order.size:
+        return ()
     order = order[np.argsort(columns.cost[order], kind="stable")]
     costs, indices = columns.cost[order], columns.indices[order]
     z = nlp.scaling.to_solver(columns.estimate[order])

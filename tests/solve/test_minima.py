@@ -161,3 +161,8 @@ def test_the_first_start_decides_between_equivalent_estimates_of_equal_cost(roun
     assert minimum.runs[0] == 2
     assert minimum.estimate.tolist() == [1.001, 2]
     assert minimum.variants == 2
+
+
+def test_runs_of_which_none_was_made_or_converged_have_no_minima():
+    assert find_minima(problem(), [], []) == ()
+    assert find_minima(problem(), [run_to(0, 1.0, status="lost")], [np.ones(2)]) == ()
