@@ -20,10 +20,9 @@ def check_fits(fits: Sequence[Fit]) -> None:
             raise TypeError(
                 f"cannot compare {fit!r:.80}: give fits, such as gb.fit(problem) returns."
             )
+        fit.require_estimate()
     if len(fits) < 2:
         raise ValueError(f"there is {len(fits) or 'no'} fit to compare: give at least two.")
-    for fit in fits:
-        fit.require_estimate()
 
 
 def labels_of(fits: Sequence[Fit]) -> tuple[str, ...]:
