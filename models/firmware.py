@@ -29,6 +29,10 @@ from greybox.models.digital_filters import SampledLag, SampledLowPass, SampledNo
 GAINS = (*ardupilot.GAINS, "K")  # K is PX4's factor of P, I and D
 # What is logged of a control of 1, by the message or the column; 45 degrees of a surface are 4500.
 CONTROL_UNITS = {"AETR": 4500.0, "axisSum": betaflight.MIXER}
+RATE_ALONE = (
+    "The fit is of a rate, so that the angle controller is left out: the margins are those of the "
+    "rate loop alone. Fit the angle for both."
+)
 # Filters of the gyro that follow the motors, and are not modeled.
 FOLLOWING = ("IMU_GYRO_DNF_EN", "dyn_notch_count", "rpm_filter_harmonics", "gyro_notch_hz")
 
@@ -443,7 +447,8 @@ def flown_controllers(recording, fit, axis="pitch", *, signals=None):
     flown = from_log(recording, axis, start=start, end=end, signals=names, raw_rate=raw)
     if "theta" not in names and "q" in names:
         used = [c for c in flown.controllers if "theta" not in c.inputs]
-        flown = replace(flown, controllers=tuple(used))
+        left_out = (RATE_ALONE,) * (len(used) < len(flown.controllers))
+        flown = replace(flown, controllers=tuple(used), notes=(*flown.notes, *left_out))
     check = flown.check(recording)
     if unit != 1:
         rate, outside = flown.law.rate, {"u": plant_input}
@@ -512,7 +517,8 @@ def loop_of_log(
 
     loops, refusals = [], []
     data, model = fit.parts[0].data, fit.model_of(0)
-    if "mixer" in flown.signals:
+    # What was injected went through the angle controller, too.
+    if "mixer" in flown.signals and RATE_ALONE not in flown.notes:
         try:
             loop = broken_loop(flown.sensitivity(recording, check))
             loops.append(replace(loop, input=of_model.signal, name="the injected signal"))

@@ -273,6 +273,31 @@ def fit_of(model, gain, signals, output="theta"):
     return gb.fit(gb.Problem(model, data), starts=[{"K": 2 * gain}], progress=False)
 
 
+class Rate(gb.TransferFunction):
+    input, output = "u", "q"
+    K = gb.Parameter(90.0)
+
+    def response(self, s, p):
+        return p.K / ((s + 0.7) * (0.05 * s + 1))
+
+
+def test_a_fit_of_a_rate_has_the_margins_of_the_rate_loop_alone(flight):
+    fit = fit_of(Rate(), 90.0, "u = RATE.POut, q = RATE.P", "q")
+    flown, _ = flown_controllers(flight, fit)
+    assert [type(c).__name__ for c in flown.controllers] == ["RateController"]
+    assert "rate loop alone" in str(flown)
+    # The injected signal has measured the loop with the angle controller.
+    time = flight["RATE"].time
+    injection = {
+        "SIDS": gb.Record([0.0, 0.1], {"Ax": [11.0, 11.0]}),
+        "SIDD": gb.Record(time, {"Targ": 0 * time}),
+    }
+    injected = replace(flight, records={**flight.records, **injection})
+    assert "mixer" in from_log(injected).signals
+    answer = loop_of_log(injected, fit)
+    assert not any("injected" in text for text in answer.notes)
+
+
 def test_settings_of_blackbox_explorer_have_older_names():
     settings = {f"rollPID[{k}]": v for k, v in enumerate((45.0, 80.0, 40.0, 30.0, 120.0))}
     settings |= {"looptime": 125.0, "dterm_lpf_hz": 75.0, "dterm_filter_type": 2.0}
