@@ -13,6 +13,7 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 import gc
 import signal
 import sys
+from importlib import import_module
 
 import pytest
 from hypothesis import settings
@@ -64,13 +65,13 @@ def few_draws(monkeypatch):
 
     For tests in which the ends of intervals do not matter to a few per cent.
     """
-    from greybox.experiment import drawn_loops, margins
-    from greybox.plotting import loops
-
     plants = {"DRAWS": 64, "DRAWN": slice(1, 65), "BESIDE": slice(65, None)}
-    for module in (drawn_loops, margins, loops):
+    # By their paths: `greybox.experiment.margins` is the function.
+    for path in ("experiment.drawn_loops", "experiment.margins", "plotting.loops"):
+        module = import_module(f"greybox.{path}")
         for name in plants.keys() & vars(module).keys():
             monkeypatch.setattr(module, name, plants[name])
+    monkeypatch.setattr(import_module("greybox.experiment.safe_gains"), "DRAWS", 64)
 
 
 @pytest.fixture

@@ -8,6 +8,8 @@ from command_line import refused, run
 import greybox as gb
 from greybox.problems import sitl_pitch
 
+pytestmark = pytest.mark.usefixtures("few_draws")
+
 
 def test_the_best_gains_are_written_for_the_ground_station(capsys, rate_loop, tmp_path):
     out = tmp_path / "roll.param"
@@ -47,7 +49,7 @@ def test_what_does_not_fit_is_refused(capsys, rate_loop, words, message):
 
 def test_the_controllers_of_a_log_have_the_gains_of_the_firmware(capsys, tmp_path):
     path, out = tmp_path / "pitch.h5", tmp_path / "pitch.param"
-    gb.save(gb.fit(sitl_pitch.problem(), starts=4, profiles=False, progress=False), path)
+    gb.save(gb.fit(sitl_pitch.problem(), starts=1, profiles=False, progress=False), path)
     words = ("--log", sitl_pitch.LOG, "--parameters", out)
     status, text, _ = run(
         capsys, "tune", path, *words, "--gains", "ATC_RAT_PIT_P=0.1:0.15", "--json"
