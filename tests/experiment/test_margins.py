@@ -194,6 +194,28 @@ def test_intervals_of_a_record_follow_the_profile_too():
     assert margin.low - by_error.value > 0.08 * (high - low)
 
 
+def test_intervals_of_a_precise_record_are_those_of_its_covariance():
+    values = {**TRUTH, "tau": 0.02}
+    kick = {"u": np.r_[0.1 * np.sign(np.sin(4 * np.arange(300) / RATE)), np.zeros(100)]}
+    record = gb.virtual_flight(RateDynamics(), values, kick, rate=RATE, noise={"q": 0.1}, seed=1)
+    fixed = {name: values[name] for name in ("K", "tau")}
+    fit = gb.fit(gb.Problem(RateDynamics(), record, fixed=fixed), starts=1, progress=False)
+    assert abs(fit.correlation[0, 1]) > 0.3
+
+    def phase_margin(name, step):
+        at = {**fit.estimate, name: fit.estimate[name] + step}
+        return gb.margins(RateDynamics(), RateLoop(), at)["phase margin"].value
+
+    errors = [fit.standard_error[name] for name in fit.free]
+    slopes = [
+        (phase_margin(name, error) - phase_margin(name, -error)) / 2
+        for name, error in zip(fit.free, errors, strict=True)
+    ]
+    deviation = np.sqrt(slopes @ fit.correlation @ slopes)
+    margin = gb.margins(fit, RateLoop())["phase margin"]
+    assert margin.high - margin.low == pytest.approx(2 * 1.98 * deviation, rel=0.1)
+
+
 @pytest.mark.usefixtures("few_draws")
 def test_a_pole_that_cannot_pass_zero_makes_no_draw_unstable():
     # 300 bootstrap replicates are stable, although the standard error of a2 is twice its value.
