@@ -36,7 +36,7 @@ def notch(center, quality, attenuation, rate):
 
 
 def at_loop_rate(frequency, rate, gyro_rate):
-    """Return the frequency, Hz, that gives a filter of the gyro's rate at the rate of the loop.
+    """Return the frequency, Hz, at which a filter at the loop's rate acts as the gyro's does.
 
     Both come from the same filter in continuous time: their phases agree at low frequencies, where
     a loop crosses over, even if the filter's frequency is above half of the loop's rate.

@@ -151,8 +151,8 @@ def at_samples(data: SampledData, every: int, *, spread: bool = False) -> tuple[
 
     Gaps of the outputs are interpolated.
 
-    The first of a stretch is its first sample; with `spread` it is another in every stretch, since
-    many short ones that begin at rest would show nothing else.
+    They begin with the first sample of a stretch. With `spread` they begin with another sample in
+    every stretch: many short stretches that begin at rest would otherwise show only the rest.
     """
     outputs, inputs = [], []
     everywhere = np.hstack([stretch.outputs for stretch in data.stretches])

@@ -33,7 +33,7 @@ def ardupilot_script(excitation: Excitation, axis: str = "pitch") -> str:
     Parameters
     ----------
     excitation : Excitation
-        Of `sine_schedule`, in rad.
+        The schedule that `sine_schedule` returns, in rad.
     axis : {"roll", "pitch", "yaw"}
 
     Raises

@@ -127,7 +127,7 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
         ``("gyro-filter",)``; ``()`` for none. By default those that the output is known to have
         passed.
     fixed, free, bounds, start : of parameters, optional
-        As of `Problem`, for the structures that have the parameter.
+        As in `Problem`, for the structures that have the parameter.
     all_points : bool
         Fit also the frequencies of which the check of the response warns.
     starts, seed : int

@@ -114,7 +114,7 @@ class Kind:
         self._values = array("d")
 
     def append(self, number: int, received: float, packet: Any) -> None:
-        """Append a packet; of a kind that is neither timed nor stored, nothing is needed."""
+        """Append a packet, unless its kind is neither timed nor stored."""
         if not (self.timer or self._is_stored):
             return
         self.numbers.append(number)
