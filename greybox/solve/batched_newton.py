@@ -14,9 +14,7 @@ over the variables that the gradient does not hold at a bound (Bertsekas, SIAM J
 1982).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -50,9 +48,6 @@ from greybox.solve.newton_iteration import (
 BARRIERS = np.array([[1.0, 1e-2, 1e-4, 0.0], [1e-2, 1e-3, 1e-4, 0.0]])
 SMOOTHINGS = np.array([1.0, 1e-2, 1e-4, SMOOTHING])
 LAST = BARRIERS.shape[1] - 1
-
-# Searches for which the derivatives take longer to build than to evaluate, at most.
-FEW = 16
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +128,8 @@ class BatchedNewton:
         The function also takes the `roots` of z, if there are any, which its derivatives may
         contain, and what differs between the searches: `given` of `minimize`.
         """
-        self._function = SecondOrder(program)
+        inputs = program.sx_in()
+        self._function = SecondOrder(inputs, program(*inputs)[0])
         self._roots = None if roots is None else Columns(roots)
         self._bounds = lower[:, None], upper[:, None]
         self._p = len(lower)
@@ -149,7 +145,6 @@ class BatchedNewton:
         smoothing: float | None = None,
         given: Array | None = None,
         bounds: tuple[Array, Array] | None = None,
-        shared: bool = False,
     ) -> Ends:
         """Search from the columns of z (p, m); with `from_near` at the last level only.
 
@@ -157,8 +152,7 @@ class BatchedNewton:
 
         A search ends where its projected gradient is at most the `tolerance`, relative to the cost
         where that is above one. The columns of `given` (g, m) are further inputs of the program for
-        each search; `bounds`, (p, m) each, replace those of the problem. Derivatives that problems
-        of one structure have in common are `shared` by `FEW` searches.
+        each search; `bounds`, (p, m) each, replace those of the problem.
         """
         m = z.shape[1]
         low, high = bounds or self._bounds
@@ -170,9 +164,7 @@ class BatchedNewton:
         margin = np.where(np.isfinite(high - low) & (not from_near), 1e-2 * (high - low), 0.0)
         z = np.clip(z, low + margin, high - margin)
         searches = self._begun(z, low, high, LAST if from_near else 0, given)
-        function = self._function.of_few if shared else self._function
-        advance = partial(self._advance, function, tolerance, smoothing)
-        advance(searches)
+        self._advance(searches, tolerance, smoothing)
         for _ in range(max_iterations):
             ended = searches.live & (searches.numbers[END] != 0)
             if ended.any():
@@ -180,7 +172,7 @@ class BatchedNewton:
             if reason_to_end() or not searches.live.any():
                 break
             searches = _narrowed(searches)
-            advance(searches)
+            self._advance(searches, tolerance, smoothing)
         self._end(searches, searches.live, ends)
         return ends
 
@@ -210,13 +202,7 @@ class BatchedNewton:
         ends.iterations[owner] = numbers[ITERATIONS]
         searches.live &= ~which
 
-    def _advance(
-        self,
-        function: Callable[..., tuple[Array, Array, Array]],
-        tolerance: float,
-        smoothing: float | None,
-        searches: _Searches,
-    ) -> None:
+    def _advance(self, searches: _Searches, tolerance: float, smoothing: float | None) -> None:
         """Evaluate the trial of every search, accept it or not, and find the next trial."""
         numbers, rows, p = searches.numbers, self._rows, self._p
         trial = numbers[rows.trial]
@@ -225,7 +211,7 @@ class BatchedNewton:
         inputs = [trial, smoothings[levels][None]]
         inputs += [] if self._roots is None else self._roots(trial)
         inputs += [searches.given] if len(searches.given) else []
-        cost, gradient, hessian = function(*inputs)
+        cost, gradient, hessian = self._function(*inputs)
 
         advance, within_radius = _iterations.result(p)
         barrier = BARRIERS[searches.path, levels][None]

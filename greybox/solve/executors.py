@@ -12,6 +12,7 @@ take twice as long: memory is given back and asked for again. Start them with it
 """
 
 import hashlib
+import io
 import math
 import os
 import pickle
@@ -119,7 +120,11 @@ def require_executor(executor: Any) -> None:
 
 def runner_fingerprint(runner: Runner) -> str:
     """Return a name of a runner that is the same in every process."""
-    return hashlib.sha256(pickle.dumps(runner)).hexdigest()
+    text = io.BytesIO()
+    pickler = pickle.Pickler(text)
+    pickler.fast = True  # references to earlier objects would tell equal strings from same ones
+    pickler.dump(runner)
+    return hashlib.sha256(text.getvalue()).hexdigest()
 
 
 def _batches(numbered: Iterable[tuple[int, Array]], size: int) -> Iterator[Batch]:

@@ -17,14 +17,12 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.alike_terms import SMALL, structure_of
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING
-from greybox.compiled.response_programs import CostProgram
 from greybox.files.arrays import Array
-from greybox.modeling.one_thread import PerThread, cached_property
+from greybox.modeling.one_thread import cached_property
 from greybox.modeling.symbolic_reading import input_symbols
-from greybox.solve.batched_newton import FEW, BatchedNewton, Ends
+from greybox.solve.batched_newton import BatchedNewton, Ends
 from greybox.solve.interruption import Response, one_run, reason_to_end, responding, stop_requested
 from greybox.solve.ipopt import CONVERGED, ROUNDED, WARM, WITHOUT_BARRIER, Ipopt
 from greybox.solve.local_solver import LocalSolver, Profile, Screened
@@ -78,7 +76,10 @@ class ResponseSolver(LocalSolver):
     ) -> None:
         """Build IPOPT; without `batched`, it makes all runs and compares no starts."""
         self._problem, self._options, self._batched = problem, dict(options), batched
-        self._stages = [_ipopt(program, options) for program in problem.programs]
+        self._stages = [
+            Ipopt(_statement(program.function), options, program.derivatives)
+            for program in problem.programs
+        ]
         self._lower = problem.scaling.to_solver(problem.lower)
         self._upper = problem.scaling.to_solver(problem.upper)
         limits = np.zeros(problem.constraint.numel_out())
@@ -118,17 +119,15 @@ class ResponseSolver(LocalSolver):
         began = time.perf_counter()
         problem, stages = self._problem, self._stages
         if options:
-            options = {**options, **self._options}
-            stages = [(stage.variant(options), constants) for stage, constants in stages]
+            stages = [stage.variant({**options, **self._options}) for stage in stages]
         z = problem.scaling.to_solver(start)
         iterations, status, located = 0, "", False
-        for stage, constants in stages:
-            p = np.append(smoothing, constants)
+        for stage in stages:
             located = status in CONVERGED
-            z, status, count = stage.solve(z, p, self._bounds)
+            z, status, count = stage.solve(z, smoothing, self._bounds)
             iterations += count
             if status == STAGNATED:
-                end, again, count = stage.variant(WITHOUT_BARRIER).solve(z, p, self._bounds)
+                end, again, count = stage.variant(WITHOUT_BARRIER).solve(z, smoothing, self._bounds)
                 iterations += count
                 z, status = (end, again) if again in CONVERGED else (z, status)
             if status in (*CUT_SHORT, STAGNATED):
@@ -183,7 +182,7 @@ class ResponseSolver(LocalSolver):
         z = problem.scaling.to_solver(starts).T
         iterations, arrived = np.zeros(len(starts), int), np.zeros(len(starts), bool)
         for k, batch in enumerate(self._batches):
-            ends = batch.minimize(z, **self._limits, from_near=k > 0, shared=len(starts) <= FEW)
+            ends = batch.minimize(z, **self._limits, from_near=k > 0)
             if k == 0:
                 ends = self._away_from_zero(z, ends)
             z, iterations, arrived = ends.z, iterations + ends.iterations, ends.at_minimum
@@ -290,8 +289,7 @@ class ResponseSolver(LocalSolver):
             if not self._problem.limits:
                 first = search.runs.start[0]
                 close = [replace(m, estimate=self._in_order(m.estimate, first)) for m in close]
-            shared = len(search.brought) <= FEW
-            polished = [*(self._polish(m, shared) for m in close), *minima[len(close) :]]
+            polished = [*map(self._polish, close), *minima[len(close) :]]
         return replace(search, minima=tuple(sorted(polished, key=lambda m: m.cost)))
 
     def _in_order(self, x: Array, first: Array) -> Array:
@@ -309,7 +307,7 @@ class ResponseSolver(LocalSolver):
                 x = y if change.max() < SAME_BUT_ROUNDING else x
         return x
 
-    def _polish(self, best: Minimum, shared: bool) -> Minimum:
+    def _polish(self, best: Minimum) -> Minimum:
         """Return a minimum solved again with less smoothing, as long as the cost does not grow."""
         problem, is_served = self._problem, self.serves(self._problem)
         # In steps: at the kink of a zero residual a search stalls when the smoothing falls at once.
@@ -317,12 +315,7 @@ class ResponseSolver(LocalSolver):
             if is_served:
                 z = problem.scaling.to_solver(best.estimate)[:, None]
                 ends = self._batches[-1].minimize(
-                    z,
-                    max_iterations=100,
-                    tolerance=1e-13,
-                    from_near=True,
-                    smoothing=smoothing,
-                    shared=shared,
+                    z, max_iterations=100, tolerance=1e-13, from_near=True, smoothing=smoothing
                 )
                 estimate = self._estimates(ends.z)[0]
             else:
@@ -346,19 +339,6 @@ def _statement(program: ca.Function) -> dict[str, Any]:
     x, p = input_symbols(program)
     f, g = program(x, p)
     return {"x": x, "p": p, "f": f, "g": g}
-
-
-def _ipopt(program: CostProgram, options: Mapping[str, Any]) -> tuple[Ipopt, Array]:
-    """Return IPOPT, the same for all small programs of one structure, and their constants."""
-    explicit = program.explicit
-    is_shared = fits_a_batch(explicit) and not options and not program.roots
-    if explicit is None or not is_shared or explicit.n_instructions() > SMALL:
-        return Ipopt(_statement(program.function), options, program.derivatives), np.zeros(0)
-    structure, constants = structure_of(explicit)
-    return _shared_ipopt.result(structure), constants
-
-
-_shared_ipopt = PerThread(lambda structure: Ipopt(_statement(structure.opened()), {}), 16)
 
 
 def _instructions(program: ca.Function) -> int:

@@ -3,15 +3,17 @@
 Begin with `batch`.
 """
 
+import pickle
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
+
+import numpy as np
 
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.compiled.transcription.method import Transcription
@@ -24,7 +26,7 @@ from greybox.files.text_table import counted, printable
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Starts, as_starts
 from greybox.formulation.sum import Sum
-from greybox.solve.executors import ExecutorLostError, require_executor
+from greybox.solve.executors import ExecutorLostError, require_executor, run_all
 from greybox.solve.interruption import (
     Response,
     TimeLimits,
@@ -34,11 +36,12 @@ from greybox.solve.interruption import (
     responding,
 )
 from greybox.solve.kept_runs import KeptRunsError
-from greybox.solve.local_solver import LocalSolver
+from greybox.solve.local_solver import LocalSolver, Runner
 from greybox.solve.multistart import BATCHED
 from greybox.solve.response_solver import ResponseSolver
+from greybox.solve.runs import Outcome
 from greybox.study.ranking import held_out_error
-from greybox.study.store import StoredRuns, StudyMember, add_members, locked
+from greybox.study.store import UNWRITTEN, StoredRuns, StudyMember, add_members, locked
 from greybox.study.study import Study, read_study
 
 # Errors of a user's input, whose messages say enough; of others the class is named, too.
@@ -64,7 +67,7 @@ class Member:
     starts: int | Starts | Sequence[Mapping[str, float] | Starts] | None = None
     seed: int | None = None
     method: Transcription | None = None
-    solver_options: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    solver_options: Mapping[str, Any] = field(default_factory=dict)
     name: str = ""
     search: str = BATCHED
     held: Sequence[Any] = ()
@@ -178,10 +181,17 @@ def batch(
             shown = bar(is_shown=progress, total=len(listed), unit="fit")
             with listening(), shown, ExitStack() as ending:
                 ending.callback(runs.write)
+                # The time limit of a start would apply to a whole member.
+                by_workers = executor if start_seconds is None else None
+                new = {m: None for m in listed if by_workers and not stored[m.name].runs}
+                made = _by_workers([*new], by_workers)
                 for member in listed:
                     if is_search_over():
                         break
-                    _fit_member(member, runs, stored[member.name], executor, shown)
+                    if changes := next(made, []) if member in new else []:
+                        runs.changes += changes
+                    else:
+                        _fit_member(member, runs, stored[member.name], executor, shown)
                     shown.update()
                     runs.look()
                     if runs.trouble:
@@ -200,6 +210,51 @@ def require_distinct(members: Sequence[Member]) -> None:
         raise ValueError(
             f"{counted(count, 'member')} have the name {name!r}: give different names."
         )
+
+
+class _Unwritten(StoredRuns):
+    """Runs that another process writes."""
+
+    def look(self) -> None:
+        """Write nothing."""
+
+
+class _WholeMembers(Runner):
+    """Fits members, one in each row (1,), pickled; the estimate of an outcome is what to store.
+
+    That is nothing for a member that takes longer than `UNWRITTEN`: workers then share its runs.
+    """
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _WholeMembers, ()
+
+    def run(self, start: Any) -> Outcome:
+        """Fit a member."""
+        began, runs = time.perf_counter(), _Unwritten(Path())
+        changes: Any = []
+        # A member that cannot be pickled, or whose classes a worker lacks, is fitted here later.
+        with suppress(Exception), limited(TimeLimits.from_now(UNWRITTEN, None)):
+            member = pickle.loads(start[0])
+            _fit_member(member, runs, StudyMember(Path(), 0, member.name, {}, 0), None, None)
+            changes = [] if is_search_over() else runs.changes
+        return Outcome(changes, "", 0, time.perf_counter() - began, converged=True)
+
+
+def _by_workers(members: Sequence[Member], executor: Executor | None) -> Iterator[Any]:
+    """Yield what every member stores; nothing if it is large, or if its worker was lost."""
+    rows = ((k, np.array([_pickled(member)])) for k, member in enumerate(members))
+    with suppress(ExecutorLostError):
+        for number, _, outcome in run_all(_WholeMembers(), rows, len(members), executor):
+            changes = [] if outcome.status else outcome.estimate
+            if not (changes or number):
+                return  # members of a study are mostly alike: none is small
+            yield changes
+
+
+def _pickled(member: Member) -> bytes:
+    with suppress(Exception):
+        return pickle.dumps(member)
+    return b""
 
 
 def _fit_member(
@@ -226,7 +281,7 @@ def _fit_member(
             by=member.by,
             executor=executor,
             profiles=False,  # `greybox profile` makes them for the member that matters
-            progress=report,
+            progress=bar is not None and report,
         )
         error = "" if result.converged else ": ".join([result.status, *result.warnings[:1]])
     except (ExecutorLostError, KeptRunsError):  # of the workers or the folder, not of the member

@@ -279,7 +279,7 @@ class StoredRuns(KeptRuns):
     def __init__(self, folder: Path, name: str = "") -> None:
         self._folder = folder
         self.fingerprint = self.trouble = ""
-        self._changes: list[tuple[str, tuple[Any, ...]]] = []
+        self.changes: list[tuple[str, tuple[Any, ...]]] = []
         self._work, self._written_at = 0.0, time.monotonic()
         self.begin(name)
 
@@ -341,7 +341,7 @@ class StoredRuns(KeptRuns):
         self._change(statement, *values, _checksum(*values, self._name), self._name)
 
     def _change(self, statement: str, *values: Any) -> None:
-        self._changes.append((statement, values))
+        self.changes.append((statement, values))
 
     def look(self) -> None:
         """Write what is older, or took longer, than `UNWRITTEN`."""
@@ -362,16 +362,16 @@ class StoredRuns(KeptRuns):
         """
         # The time of the attempt: a full disk is not tried again for every run.
         self._written_at = time.monotonic()
-        if not self._changes:
+        if not self.changes:
             return
         try:
             with responding(Response.FINISH), _database(self._folder, create=True) as database:
-                for change in self._changes:
+                for change in self.changes:
                     database.execute(*change)
         except OSError as error:
             self.trouble = str(error)
             raise
-        self.trouble, self._changes, self._work = "", [], 0.0
+        self.trouble, self.changes, self._work = "", [], 0.0
 
     @property
     def count(self) -> int:
@@ -384,7 +384,7 @@ class StoredRuns(KeptRuns):
 
     def remove(self) -> None:
         """Remove all runs."""
-        self._changes = []
+        self.changes = []
         (self._folder / DATABASE).unlink(missing_ok=True)
 
 

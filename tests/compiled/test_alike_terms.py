@@ -6,17 +6,12 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from greybox.compiled.alike_terms import SecondOrder, grouped, structure_of, summands
+from greybox.compiled.alike_terms import SecondOrder, grouped, summands
 
 OMEGA = np.array(
     [0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 13.0]
 )  # at one a product is simplified: a term of another form
 MEASURED = 0.03 * np.array([9, 8, -4, 3, 1, -2, 0.5])
-
-
-def second_order(inputs, whole):
-    """Return the cost of symbols with its derivatives."""
-    return SecondOrder(ca.Function("whole", inputs, [whole]))
 
 
 def cost(z, smoothing):
@@ -40,14 +35,12 @@ def test_derivatives_are_those_of_the_sum(m, copies):
     )
     rng = np.random.default_rng(m)
     points, smooth = rng.uniform(0.1, 1, (3, m)), rng.uniform(1e-6, 1e-2, (1, m))
-    function = second_order([z, smoothing], whole)
-    for evaluate in (function, function.of_few):
-        values = evaluate(points, smooth)
-        for k in {0, m // 2, m - 1}:
-            for value, known in zip(values, expected(points[:, k], smooth[:, k]), strict=True):
-                assert value.reshape(-1, m)[:, k] == pytest.approx(
-                    np.asarray(known).ravel(), rel=1e-12, abs=1e-12
-                )
+    found = SecondOrder([z, smoothing], whole)(points, smooth)
+    for k in {0, m // 2, m - 1}:
+        for value, known in zip(found, expected(points[:, k], smooth[:, k]), strict=True):
+            assert value.reshape(-1, m)[:, k] == pytest.approx(
+                np.asarray(known).ravel(), rel=1e-12, abs=1e-12
+            )
 
 
 def test_terms_of_one_form_differ_in_their_constants():
@@ -65,27 +58,13 @@ def test_terms_of_one_form_differ_in_their_constants():
     assert float(at_zero) == pytest.approx(2 * (1 - 0.24) + 16 - 3)
 
 
-def test_functions_with_other_constants_have_one_structure():
-    z, smoothing = ca.SX.sym("z", 3), ca.SX.sym("smoothing")
-    first, second = (
-        ca.Function("cost", [z, smoothing], [cost(factor * z, smoothing)]) for factor in (0.3, 0.7)
-    )
-    structure, _ = structure_of(first)
-    same, constants = structure_of(second)
-    assert structure == same
-    other = ca.Function("cost", [z, smoothing], [cost(z, smoothing) ** 2])
-    assert structure_of(other)[0] != structure
-    opened, _ = structure.opened()([0.2, 0.5, 0.9], [0.01, *constants])
-    assert float(opened) == float(second([0.2, 0.5, 0.9], 0.01))
-
-
 def test_a_cost_without_alike_terms_and_a_constant_one():
     z = ca.SX.sym("z", 2)
     point = np.array([[1.0], [2.0]])
-    value, gradient, hessian = second_order([z], z[0] ** 2 * z[1])(point)
+    value, gradient, hessian = SecondOrder([z], z[0] ** 2 * z[1])(point)
     assert (*value, *gradient[:, 0]) == (2, 4, 1)
     assert hessian[:, 0].tolist() == [4, 2, 2, 0]
-    assert [v.tolist() for v in second_order([z], ca.SX(3))(point)] == [[3], [[0], [0]], [[0]] * 4]
+    assert [v.tolist() for v in SecondOrder([z], ca.SX(3))(point)] == [[3], [[0], [0]], [[0]] * 4]
 
 
 def test_terms_and_factors_of_sums_differences_multiples_and_shares():

@@ -6,9 +6,10 @@ import sqlite3
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from pathlib import Path
-from threading import Timer
+from threading import Timer, current_thread, main_thread
 
 import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
@@ -86,6 +87,26 @@ def test_members_are_the_fits_that_gb_fit_makes(finished):
         )
     assert study["record"].fit.parts[0].data.checksum == lag_problem().data.checksum
     assert "other seed  done" in str(study)
+
+
+@pytest.mark.parametrize("limit", [1000.0, 1e-9], ids=["small", "large"])
+def test_workers_fit_whole_members_while_these_are_small(tmp_path, monkeypatch, finished, limit):
+    in_main_thread, finish = [], StoredRuns.finish
+
+    def noted(self, *values):
+        in_main_thread.append(current_thread() is main_thread())
+        finish(self, *values)
+
+    monkeypatch.setattr(StoredRuns, "finish", noted)
+    monkeypatch.setattr(sys.modules["greybox.study.batch"], "UNWRITTEN", limit)
+    with ThreadPoolExecutor(2) as workers:
+        gb.batch(members(), tmp_path, executor=workers, progress=False)
+    # The first is fitted here, which shows whether members are small.
+    assert sorted(in_main_thread) == ([False, False, True] if limit > 1 else [True] * 3)
+    times = {"seconds": 0, "finished": 0}
+    for member, expected in zip(read_members(tmp_path), read_members(finished), strict=True):
+        assert {**member.answer, **times} == {**expected.answer, **times}
+        require_same(member.fit, expected.fit)
 
 
 def test_what_is_done_is_not_made_again(tmp_path, made, finished):
