@@ -47,7 +47,7 @@ class SecondOrder:
         if self._remainder is None:
             values = [np.zeros((size, m)) for size in (1, p, p * p)]
         else:
-            values = self._remainder(*inputs)
+            values = [*self._remainder(*inputs)]
         for function, constants in self._groups:
             # All terms at once would not fit into the cache.
             total = constants.shape[1]
