@@ -46,7 +46,7 @@ from greybox.formulation.starts import Listed, Starts, as_starts
 from greybox.formulation.sum import Sum
 from greybox.modeling.one_thread import LOCK, one_thread_at_a_time
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
-from greybox.solve.executors import require_executor, runner_fingerprint
+from greybox.solve.executors import require_executor, value_fingerprint
 from greybox.solve.interruption import (
     Response,
     TimeLimits,
@@ -319,7 +319,7 @@ def fit_keeping(
 @one_thread_at_a_time  # also frees what it compiles
 def fingerprint(problem: AnyProblem, by: SolverChoice) -> str:
     """Return the key of stored runs: of the compiled problem, its data and the solver options."""
-    return runner_fingerprint(by.compiled(problem)[1])
+    return value_fingerprint(by.compiled(problem)[1])
 
 
 def _cut_short(search: Multistart, count: int, *, interrupted: bool) -> Iterator[str]:

@@ -118,12 +118,12 @@ def require_executor(executor: Any) -> None:
         )
 
 
-def runner_fingerprint(runner: Runner) -> str:
-    """Return a name of a runner that is the same in every process."""
+def value_fingerprint(value: Any) -> str:
+    """Return a key of a value, such as a runner, that is the same in every process."""
     text = io.BytesIO()
     pickler = pickle.Pickler(text)
     pickler.fast = True  # references to earlier objects would tell equal strings from same ones
-    pickler.dump(runner)
+    pickler.dump(value)
     return hashlib.sha256(text.getvalue()).hexdigest()
 
 

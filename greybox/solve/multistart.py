@@ -14,7 +14,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.strategies import with_options
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
-from greybox.solve.executors import run_all, runner_fingerprint
+from greybox.solve.executors import run_all, value_fingerprint
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.shared_runs import SharedRuns
 from greybox.solve.interruption import one_run, stop_requested
@@ -81,7 +81,7 @@ def multistart(
     began = time.perf_counter()
     # Without moves 5 of 156 runs fewer end at the best minimum (tanks, conversion, reactor).
     points = FiniteStarts(nlp, solver, starts) if movable else starts
-    memory = Memory() if kept is None else Memory(kept, runner_fingerprint(solver))
+    memory = Memory() if kept is None else Memory(kept, value_fingerprint(solver))
     few, enough = promising or (len(starts), 0)
     screened = solver.screened(starts) if movable and few < len(starts) else None
     begins = {} if screened is None else dict(enumerate(screened.begins))

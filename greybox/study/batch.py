@@ -3,13 +3,15 @@
 Begin with `batch`.
 """
 
+import inspect
 import pickle
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +28,7 @@ from greybox.files.text_table import counted, printable
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Starts, as_starts
 from greybox.formulation.sum import Sum
-from greybox.solve.executors import ExecutorLostError, require_executor, run_all
+from greybox.solve.executors import ExecutorLostError, require_executor, run_all, value_fingerprint
 from greybox.solve.interruption import (
     Response,
     TimeLimits,
@@ -185,13 +187,14 @@ def batch(
                 by_workers = executor if start_seconds is None else None
                 new = {m: None for m in listed if by_workers and not stored[m.name].runs}
                 made = _by_workers([*new], by_workers)
+                compiled: set[str] = set()
                 for member in listed:
                     if is_search_over():
                         break
                     if changes := next(made, []) if member in new else []:
                         runs.changes += changes
                     else:
-                        _fit_member(member, runs, stored[member.name], executor, shown)
+                        _fit_member(member, runs, stored[member.name], compiled, executor, shown)
                     shown.update()
                     runs.look()
                     if runs.trouble:
@@ -235,7 +238,7 @@ class _WholeMembers(Runner):
         # A member that cannot be pickled, or whose classes a worker lacks, is fitted here later.
         with suppress(Exception), limited(TimeLimits.from_now(UNWRITTEN, None)):
             member = pickle.loads(start[0])
-            _fit_member(member, runs, StudyMember(Path(), 0, member.name, {}, 0), None, None)
+            _fit_member(member, runs, StudyMember(Path(), 0, member.name, {}, 0), set())
             changes = [] if is_search_over() else runs.changes
         return Outcome(changes, "", 0, time.perf_counter() - began, converged=True)
 
@@ -258,10 +261,15 @@ def _pickled(member: Member) -> bytes:
 
 
 def _fit_member(
-    member: Member, runs: StoredRuns, stored: StudyMember, executor: Executor | None, bar: Any
+    member: Member,
+    runs: StoredRuns,
+    stored: StudyMember,
+    compiled: set[str],
+    executor: Executor | None = None,
+    bar: Any = None,
 ) -> None:
     """Fit a member, unless it is done; an error of its own is its answer."""
-    if _is_done(member, stored):
+    if _is_done(member, stored, compiled):
         return
     runs.begin(member.name, is_new=not stored.stored_runs)
 
@@ -294,7 +302,8 @@ def _fit_member(
     if is_search_over():  # its runs are stored, and the next call resumes it
         return
 
-    marks = {"fingerprint": runs.fingerprint, "asked": _asked(member), "finished": time.time()}
+    marks = {"fingerprint": runs.fingerprint, "stated": _keys(member)[1]}
+    marks |= {"asked": _asked(member), "finished": time.time()}
     answer = {**(summary(result) if result else _stated(member.problem)), **marks}
     if member.held and result:
         answer["held_out"] = held_out_error(result, member.held)
@@ -313,8 +322,35 @@ def _stated(problem: AnyProblem) -> dict[str, Any]:
     }
 
 
-def _is_done(member: Member, stored: StudyMember) -> bool:
+@cache
+def _source(kind: type) -> str:
+    with suppress(OSError, TypeError):  # a class that was typed in
+        return inspect.getsource(kind)
+    return ""
+
+
+def _keys(member: Member) -> tuple[str, str]:
+    """Return keys of the formulas of a member and of all that it states; empty with a lambda."""
+    parts, by = member.problem.parts, member.by
+    formulas = [
+        (_source(type(p.model)), p.model, p.criterion, p.tied, p.constraints, p.delay, p.amplitude)
+        for p in parts
+    ]
+    signals = [getattr(p.data, "output", "") for p in parts]
+    stated = [[getattr(p, field.name) for field in fields(p)] for p in parts]
+    with suppress(Exception):
+        options = by.method, by.search, dict(by.options)
+        first, second = map(value_fingerprint, ((formulas, signals), (formulas, stated, options)))
+        return first, second
+    return "", ""
+
+
+def _is_done(member: Member, stored: StudyMember, compiled: set[str]) -> bool:
     """Return whether a member has a usable answer from the requested starts.
+
+    To compile a member takes ten times as long as to compare what it states. So only the first
+    member with the same formulas is compiled: it shows that nobody has changed them. `compiled` has
+    the keys of these formulas.
 
     Raises
     ------
@@ -324,12 +360,15 @@ def _is_done(member: Member, stored: StudyMember) -> bool:
     # A failed member is tried again: the cause, such as a missing file, may be gone.
     if stored.status != "done":
         return False
-    if stored.answer.get("fingerprint") != fingerprint(member.problem, member.by):
+    formulas, stated = _keys(member)
+    is_same = stated and formulas in compiled and stored.answer.get("stated") == stated
+    if not is_same and stored.answer.get("fingerprint") != fingerprint(member.problem, member.by):
         raise ValueError(
             f"the answer of {member.name!r} in this study belongs to another problem, to other "
             "options, or to another version of greybox or CasADi: repeat what the study began "
             "with, or begin another study."
         )
+    compiled.add(formulas)
     return stored.answer.get("asked") == _asked(member)
 
 

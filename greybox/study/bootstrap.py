@@ -31,7 +31,7 @@ from greybox.files.progress import bar
 from greybox.files.text_table import alternatives, counted, number, one_line, some, text_table
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.discretization_error import refine_discretization
-from greybox.solve.executors import require_executor, run_all, runner_fingerprint
+from greybox.solve.executors import require_executor, run_all, value_fingerprint
 from greybox.solve.interruption import Response, listening, responding, take_interrupt
 from greybox.solve.kept_runs import Memory
 from greybox.solve.minima import same_cost
@@ -428,7 +428,7 @@ def _made(
     shown = bar(is_shown=progress is True, total=replicates, unit="replicate")
     with lock, listening(), shown:
         try:
-            memory = Memory() if runs is None else Memory(runs, runner_fingerprint(runner))
+            memory = Memory() if runs is None else Memory(runs, value_fingerprint(runner))
             with responding(Response.STOP):
                 for _, _, outcome in run_all(runner, rows, replicates, executor, memory):
                     outcomes.append(outcome)

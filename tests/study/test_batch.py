@@ -119,6 +119,25 @@ def test_what_is_done_is_not_made_again(tmp_path, made, finished):
     assert str(again).splitlines()[1:] == str(first).splitlines()[1:]
 
 
+def test_a_finished_member_is_not_compiled_unless_it_may_have_changed(tmp_path, monkeypatch):
+    problems = [lag_problem(seed) for seed in range(3)]
+    stated = [gb.study.Member(p, 2, name=f"record {k}") for k, p in enumerate(problems)]
+    gb.batch(stated, tmp_path, progress=False)
+    compiled, compile_it = [], SolverChoice.compiled
+
+    def noted(self, problem):
+        compiled.append(problem)
+        return compile_it(self, problem)
+
+    monkeypatch.setattr(SolverChoice, "compiled", noted)
+    gb.batch(stated, tmp_path, progress=False)
+    assert compiled == problems[:1]
+    changed = problems[2].with_(bounds={"K": (0.5, 9.0)})
+    stated[2] = gb.study.Member(changed, 2, name="record 2")
+    with pytest.raises(ValueError, match="belongs to another problem"):
+        gb.batch(stated, tmp_path, progress=False)
+
+
 @pytest.mark.parametrize(
     ("damage", "missing"), [("answer and run", [3]), ("fit", []), ("database", [*range(12)])]
 )
