@@ -333,8 +333,7 @@ def _keys(member: Member) -> tuple[str, str]:
     """Return keys of the formulas of a member and of all that it states; empty with a lambda."""
     parts, by = member.problem.parts, member.by
     formulas = [
-        (_source(type(p.model)), p.model, p.criterion, p.tied, p.constraints, p.delay, p.amplitude)
-        for p in parts
+        (_source(type(p.model)), p.model, p.criterion, p.tied, p.constraints) for p in parts
     ]
     signals = [getattr(p.data, "output", "") for p in parts]
     stated = [[getattr(p, field.name) for field in fields(p)] for p in parts]
