@@ -22,7 +22,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError, Executor, Future
 from concurrent.futures import TimeoutError as StillRunning
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from itertools import islice
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -125,6 +125,16 @@ def value_fingerprint(value: Any) -> str:
     pickler.fast = True  # references to earlier objects would tell equal strings from same ones
     pickler.dump(value)
     return hashlib.sha256(text.getvalue()).hexdigest()
+
+
+def pickled(value: Any) -> bytes:
+    """Return a value for a worker; empty if it cannot travel."""
+    with suppress(Exception):
+        return pickle.dumps(value)
+    return b""
+
+
+unpickled = pickle.loads
 
 
 def _batches(numbered: Iterable[tuple[int, Array]], size: int) -> Iterator[Batch]:

@@ -4,7 +4,6 @@ Begin with `batch`.
 """
 
 import inspect
-import pickle
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,7 +27,14 @@ from greybox.files.text_table import counted, printable
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Starts, as_starts
 from greybox.formulation.sum import Sum
-from greybox.solve.executors import ExecutorLostError, require_executor, run_all, value_fingerprint
+from greybox.solve.executors import (
+    ExecutorLostError,
+    pickled,
+    require_executor,
+    run_all,
+    unpickled,
+    value_fingerprint,
+)
 from greybox.solve.interruption import (
     Response,
     TimeLimits,
@@ -237,7 +243,7 @@ class _WholeMembers(Runner):
         changes: Any = []
         # A member that cannot be pickled, or whose classes a worker lacks, is fitted here later.
         with suppress(Exception), limited(TimeLimits.from_now(UNWRITTEN, None)):
-            member = pickle.loads(start[0])
+            member = unpickled(start[0])
             _fit_member(member, runs, StudyMember(Path(), 0, member.name, {}, 0), set())
             changes = [] if is_search_over() else runs.changes
         return Outcome(changes, "", 0, time.perf_counter() - began, converged=True)
@@ -245,19 +251,13 @@ class _WholeMembers(Runner):
 
 def _by_workers(members: Sequence[Member], executor: Executor | None) -> Iterator[Any]:
     """Yield what every member stores; nothing if it is large, or if its worker was lost."""
-    rows = ((k, np.array([_pickled(member)])) for k, member in enumerate(members))
+    rows = ((k, np.array([pickled(member)])) for k, member in enumerate(members))
     with suppress(ExecutorLostError):
         for number, _, outcome in run_all(_WholeMembers(), rows, len(members), executor):
             changes = [] if outcome.status else outcome.estimate
             if not (changes or number):
                 return  # members of a study are mostly alike: none is small
             yield changes
-
-
-def _pickled(member: Member) -> bytes:
-    with suppress(Exception):
-        return pickle.dumps(member)
-    return b""
 
 
 def _fit_member(
