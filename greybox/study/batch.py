@@ -333,13 +333,20 @@ def _keys(member: Member) -> tuple[str, str]:
     """Return keys of the formulas of a member and of all that it states; empty with a lambda."""
     parts, by = member.problem.parts, member.by
     formulas = [
-        (_source(type(p.model)), p.model, p.criterion, p.tied, p.constraints) for p in parts
+        (
+            _source(type(p.model)),
+            p.model,
+            p.criterion,
+            p.tied,
+            p.constraints,
+            getattr(p.data, "output", ""),
+        )
+        for p in parts
     ]
-    signals = [getattr(p.data, "output", "") for p in parts]
     stated = [[getattr(p, field.name) for field in fields(p)] for p in parts]
     with suppress(Exception):
         options = by.method, by.search, dict(by.options)
-        first, second = map(value_fingerprint, ((formulas, signals), (formulas, stated, options)))
+        first, second = map(value_fingerprint, (formulas, (formulas, stated, options)))
         return first, second
     return "", ""
 
