@@ -18,6 +18,7 @@ from greybox.data.record import Record
 from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted
 from greybox.spectral.estimated_points import (
+    EPS,
     HZ,
     STRONG,
     EstimatedPoint,
@@ -29,6 +30,9 @@ from greybox.spectral.uniform_stretches import UniformStretch, uniform_stretches
 # Amplitude of an excited line over the largest one. `greybox.experiment.multisine` gives all lines
 # one amplitude; the limit of -30 dB only has to exceed noise and distortion between them.
 EXCITED = 0.03
+
+# Weights of the neighbors of a line, by which its signal-to-noise ratio is expected.
+BESIDE = (0.25, 0.25, 0.0, 0.25, 0.25)
 
 # Relative error of the period: after 100 periods the phase of the fundamental is off by 2π/1000.
 WHOLE = 1e-5
@@ -125,6 +129,8 @@ def whole_periods(stretch: UniformStretch, period: float) -> UniformStretch:
 
 def _estimates(u: ComplexArray, y: ComplexArray, r: ComplexArray) -> list[EstimatedPoint]:
     """Return the estimates at all lines from the spectra (periods, lines) of the three signals."""
+    from scipy.ndimage import correlate1d  # noqa: PLC0415  (takes a tenth of a second)
+
     n = len(u)
 
     def power(signal: ComplexArray) -> Array:
@@ -138,9 +144,17 @@ def _estimates(u: ComplexArray, y: ComplexArray, r: ComplexArray) -> list[Estima
         k = power(u) * spread
         variance = power(y - response * u) / (n - 2 + k) * spread
         dof = 2 * (n - 2 + k) ** 2 / (n - 2 + k**2)
-        # 1 / k is the coherence of instrument and input.
-        coherence = np.minimum(1 / k, np.abs(response) ** 2 / (power(y) * spread))
-        weak = STRONG * (k - 1) > n - 1
+        # Those of the instrument with input and output.
+        coherences = np.array([1 / k, np.abs(response) ** 2 / (power(y) * spread)])
+    if not np.array_equal(r, u):
+        # Noise that adds to a weak line makes it look strong, its response too large and its
+        # variance too small: its own coherence would select it. Its neighbors have other noise of
+        # about the same size, and the power of the instrument says what to expect beside them.
+        drive, sure = power(r), np.clip(coherences, EPS, 1 - EPS)
+        odds = correlate1d(np.log(sure / (1 - sure) / drive), BESIDE, mode="mirror")
+        coherences = 1 / (1 + np.exp(-odds) / drive)
+    weak = STRONG * (1 / coherences[0] - 1) > n - 1
+    coherence = coherences.min(axis=0)
 
     columns = (response, np.where(weak, np.nan, variance), dof, coherence, weak)
     return [EstimatedPoint(*point) for point in zip(*columns, strict=True)]

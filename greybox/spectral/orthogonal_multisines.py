@@ -104,16 +104,15 @@ def response_matrix(
     variance = (count - 1) * np.mean(np.abs(jackknife - jackknife.mean(axis=0)) ** 2, axis=0)
 
     # The unknowns are the responses of the first input at its lines, then those of the second ...
-    begins = np.concatenate([[0], np.cumsum([rows.size for rows in rows_of])])
+    ends = np.cumsum([rows.size for rows in rows_of])[:-1]
+    responses, variances = np.split(solved[0], ends), np.split(variance, ends)
     return tuple(
         FrequencyResponse(
             omega[lines[rows_of[j]]],
-            solved[0, begins[j] : begins[j + 1], i],
+            responses[j][:, i],
             inputs[j],
             outputs[i],
-            variance=np.maximum(
-                variance[begins[j] : begins[j + 1], i], np.finfo(float).tiny ** 0.5
-            ),
+            variance=np.maximum(variances[j][:, i], np.finfo(float).tiny ** 0.5),
             dof=np.full(rows_of[j].size, 2.0 * (count - 1)),
             name=f"{name} {inputs[j]} to {outputs[i]}".strip(),
             **measured_in(stretches, inputs[j], outputs[i]),

@@ -64,9 +64,7 @@ class FrequencyGrid:
     def spread_out(self, values: NDArray, part: slice = slice(None)) -> NDArray:
         """Interpolate values (..., b) of the bands at the frequencies of a part: (..., f)."""
         omega = 2 * np.pi * np.arange(len(self.weight))[part] / self.size
-        rows = values.reshape(-1, len(self.omega))
-        spread = [np.interp(omega, self.omega, row) for row in rows]
-        return np.reshape(spread, (*values.shape[:-1], -1))
+        return np.apply_along_axis(lambda row: np.interp(omega, self.omega, row), -1, values)
 
     @cached_property
     def delays(self) -> ComplexArray:

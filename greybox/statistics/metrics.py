@@ -62,7 +62,7 @@ def whiteness(stretches: Sequence[ArrayLike], lags: int = LAGS, fitted: int = 0)
     System Identification, 2nd ed., section 16.6.
     """
     series = [_present(s) for s in stretches]
-    n = sum(int(np.isfinite(s).sum()) for s in series)
+    n = sum(np.isfinite(s).sum() for s in series)
     mean = float(np.nanmean(np.concatenate(series))) if n else 0.0
     centered = [s - mean for s in series]
     sums, pairs = _lagged(centered, centered, lags)
@@ -93,7 +93,7 @@ def cross_correlation(
     71; Ljung (1999), System Identification, 2nd ed., section 16.6.
     """
     e, u = ([_present(s) for s in group] for group in (later, earlier))
-    if sum(int(np.isfinite(x * y).sum()) for x, y in zip(e, u, strict=True)) < 3:
+    if sum(np.isfinite(x * y).sum() for x, y in zip(e, u, strict=True)) < 3:
         return _unknown(lags)
 
     a, b = (_whitened(group)[0] for group in (e, u))
@@ -116,7 +116,7 @@ def mean_test(stretches: Sequence[ArrayLike]) -> tuple[float, float]:
     13.
     """
     series = [_present(s) for s in stretches]
-    n = sum(int(np.isfinite(s).sum()) for s in series)
+    n = sum(np.isfinite(s).sum() for s in series)
     if n < 3:
         return math.nan, math.nan
 
@@ -135,10 +135,7 @@ def _whitened(series: list[Array]) -> tuple[list[Array], Array]:
 
 def _filtered(values: Array, a: Array) -> Array:
     """Return Σ a_k e(t - k), NaN where a term is missing."""
-    result = np.full(values.size, np.nan)
-    if values.size >= a.size:
-        result[a.size - 1 :] = np.convolve(values, a, mode="valid")
-    return result
+    return np.convolve(np.append(np.full(a.size - 1, np.nan), values), a, mode="valid")
 
 
 def _present(values: ArrayLike) -> Array:

@@ -60,11 +60,10 @@ def noise_ratio(stretches: Sequence[ArrayLike]) -> NoiseRatio:
     series = [s for s in series if s.size > 1]
     samples = sum(s.size for s in series)
     # No difference is taken across the end of a stretch.
-    differences = sum(s.size - 1 for s in series)
     squares = sum(float(np.sum((s - s.mean()) ** 2)) for s in series)
 
     if samples < 4 or not squares > 0:
         return NoiseRatio(math.nan, samples)
     return NoiseRatio(
-        sum(float(np.sum(np.diff(s) ** 2)) for s in series) / squares, differences + 1
+        sum(float(np.sum(np.diff(s) ** 2)) for s in series) / squares, samples - len(series) + 1
     )

@@ -11,16 +11,9 @@ PREDICTABLE = 1e-12  # relative variance of the innovations, below which they ar
 
 def autocovariance(stretches: list[Array], lags: int) -> Array:
     """Return mean products (lags + 1,) of samples in stretches (n,); zeros are gaps."""
-    total = np.zeros(lags + 1)
-    count = 0
-    for e in stretches:
-        size = 1 << int(2 * e.size - 1).bit_length()
-        spectrum = np.abs(np.fft.rfft(e, size)) ** 2
-        products = np.fft.irfft(spectrum, size)[: lags + 1]
-        total[: min(lags + 1, e.size)] += products[: min(lags + 1, e.size)]
-        count += int(np.count_nonzero(e))
-
-    return total / max(count, 1)
+    rows = [[e[k:] @ e[: max(e.size - k, 0)] for k in range(lags + 1)] for e in stretches]
+    count = sum(np.count_nonzero(e) for e in stretches)
+    return np.sum(rows, axis=0) / max(count, 1)
 
 
 def levinson(r: Array) -> list[tuple[Array, float]]:
@@ -52,7 +45,7 @@ def autoregression(stretches: list[Array]) -> Array:
     Source: Box, Jenkins, Reinsel, Ljung, Time Series Analysis, 5th ed., section 6.2; Schwarz
     (1978), Annals of Statistics 6.
     """
-    count = sum(int(np.count_nonzero(e)) for e in stretches)
+    count = sum(np.count_nonzero(e) for e in stretches)
     order = int(min(HIGHEST_ORDER, count // SAMPLES_PER_TERM))
     r = autocovariance(stretches, order)
     if not r[0] > 0:

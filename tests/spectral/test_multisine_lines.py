@@ -77,7 +77,8 @@ def test_an_estimate_is_that_of_its_matrices(joint):
     assert got.dof == pytest.approx(2 * np.trace(m).real ** 2 / np.trace(m @ m).real)
     assert got.variance == pytest.approx(noise * np.linalg.norm(a) ** 2)
     shares = [abs(np.vdot(z, b)) ** 2 / (np.vdot(z, z) * np.vdot(b, b)).real for b in (y, x)]
-    assert got.coherence == pytest.approx(min(shares))
+    if not joint:
+        assert got.coherence == pytest.approx(min(shares))
 
 
 @pytest.mark.parametrize(("factor", "weak"), [(0.98, False), (1.02, True)])
@@ -91,16 +92,48 @@ def test_an_instrument_is_weak_if_it_explains_less_than_ten_times_the_noise(fact
     u = r + noise
 
     def periods(amplitudes):
-        """One line, the third of twenty samples, and another one that only the instrument has."""
-        k = np.arange(20)
-        waves = np.outer(amplitudes, np.exp(6j * math.pi * k / 20)).real
-        return (waves + 10 * np.cos(2 * math.pi * k / 20)).ravel()
+        """Four lines of forty samples, with one noise, so that neighbors expect what is there."""
+        lines = np.exp(2j * math.pi * np.outer(range(2, 6), np.arange(40)) / 40).sum(axis=0)
+        return np.outer(amplitudes, lines).real.ravel()
 
     data = record(u=periods(u), theta=periods(2 * u + 0.01 * r.conj()), r=periods(r))
-    got = periodic_response(data, 20 / RATE, instrument="r")
-    assert got.omega == pytest.approx([2 * math.pi * RATE / 20])
-    # With this noise its coherence is 0.5, so that the line is left out either way.
-    assert ("hardly moves u" in got.about["dropped"]) == weak
+    if weak:
+        with pytest.raises(ValueError, match="hardly moves u"):
+            periodic_response(data, 40 / RATE, instrument="r")
+    else:
+        assert len(periodic_response(data, 40 / RATE, instrument="r")) == 4
+
+
+def test_noise_does_not_choose_the_lines_of_a_loop():
+    """Joint estimates in gusts: of the lines that are left, errors are as large as stated.
+
+    With their own coherence to choose them, the rms of normalized errors is 1.40 instead of 1.15,
+    the root of the mean 4/3 of F with 2 and 8 degrees of freedom.
+    """
+    omega = 2 * np.pi / 20 * np.arange(3, 120, 4)
+    s = 1j * omega
+    plant, law = 20 / (s * (0.1 * s + 1)), 1.2 * (1 + 0.05 * s)
+    loop = 1 / (1 + plant * law)
+    time = np.arange(400) / 20
+    waves = np.exp(1j * np.outer(omega, time))
+    squares = []
+    for seed in range(60):
+        random = np.random.default_rng(seed)
+        injected = np.exp(2j * np.pi * random.random(omega.size)) * np.ones((5, 1))
+        gust = 3 * plant / np.abs(1 + s / 2) * (random.normal(size=(5, omega.size, 2)) @ [1, 1j])
+        signals = {
+            "r": injected,
+            "u": loop * (injected - law * gust),
+            "theta": loop * (plant * injected + gust),
+        }
+        data = Record(
+            np.arange(2000) / 20, {n: (x @ waves).real.ravel() for n, x in signals.items()}
+        )
+        got = periodic_response(data, 20.0, instrument="r")
+        true = np.interp(got.omega, omega, plant)
+        squares += [*(np.abs(got.response - true) ** 2 / got.variance)]
+    assert len(squares) > 1000
+    assert 1.05 < np.sqrt(np.mean(squares)) < 1.25
 
 
 @pytest.mark.parametrize(
