@@ -33,7 +33,7 @@ VALUES = {
     "LinearSystem": gb.modeling.linearize(Drag(), {"a5": 0.2, "C_x": 0.1}, {"v": 1.0}),
     "Listed": gb.solve.Listed([{"K": 1.0, "T": 2.0}] * 20),
     "Minimum": FIT.minima[0],
-    "Multistart": Multistart(FIT.runs, FIT.minima, 1.0),
+    "Multistart": Multistart(FIT.runs, FIT.minima),
     "NestedTest": gb.validation.nested_test(SMALL, LARGE),
     "Prediction": gb.predict(SMALL),
     "Problem": PROBLEM,

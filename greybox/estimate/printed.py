@@ -61,7 +61,7 @@ def title(fit: Any) -> str:
 def facts(fit: Any) -> list[tuple[str, str]]:
     """Return starts, cost, data and residuals as pairs of a label and a text."""
     # Screened starts were evaluated but not run: they cannot agree on a minimum.
-    tried = Multistart(fit.runs, fit.minima, fit.seconds)
+    tried = Multistart(fit.runs, fit.minima)
     screened = len(fit.runs) - len(tried.brought)
     only_screened = f" ({screened} of {len(fit.runs)} starts were screened out)" if screened else ""
     minima = counted(len(fit.minima), "distinct minimum", "distinct minima")

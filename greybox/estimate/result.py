@@ -212,7 +212,7 @@ class Fit:
         """The word "converged", or why there is no answer."""
         if self.converged:
             return "converged"
-        return f"no start converged ({Multistart(self.runs, (), 0.0).failures})"
+        return f"no start converged ({Multistart(self.runs, ()).failures})"
 
     def require_estimate(self) -> None:
         """Raise ValueError if no start converged."""

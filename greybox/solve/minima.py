@@ -66,7 +66,6 @@ class Multistart:
 
     runs: Runs
     minima: tuple[Minimum, ...]
-    seconds: float
     nodes: tuple[Array, ...] | None = None
     ends: tuple[tuple[Array, ...] | None, ...] = ()
 

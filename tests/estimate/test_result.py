@@ -76,7 +76,7 @@ def test_a_multistart_counts_its_failures_by_status():
         run(0, 1.0, 0.1),
         *(run(k, 1.0, np.nan, False, s) for k, s in enumerate("aba", start=1)),
     )
-    search = Multistart(runs, (), 1.0)
+    search = Multistart(runs, ())
     assert search.converged == 1
     assert search.failures == "2 × a, 1 × b"
 
@@ -139,6 +139,6 @@ def test_the_best_run_that_did_not_end():
     assert best_unfinished(runs).index == 3
     assert best_unfinished(runs[:2]).index == 1
     assert best_unfinished(runs[:1]) is None
-    search = Multistart(runs, (), 1.0)
+    search = Multistart(runs, ())
     assert [r.index for r in search.brought] == [0, 2, 3, 4, 5]
     assert repr(search) == "<Multistart 1 of 5 runs converged, 0 minima>"

@@ -172,7 +172,7 @@ def search_of(*minima):
         )
         runs += members
     runs.append(made_run(len(runs), (99.0, 1.0), 0.0, converged=False))
-    return Multistart(tuple(runs), tuple(found), 1.0, nodes=(np.zeros((1, 1)),))
+    return Multistart(tuple(runs), tuple(found), nodes=(np.zeros((1, 1)),))
 
 
 def test_rivals_move_to_finer_steps_with_their_runs_and_may_change_places():

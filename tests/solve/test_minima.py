@@ -145,7 +145,7 @@ def test_what_failed_is_counted_by_its_reason_but_not_what_was_left_out():
         run_to(3, math.inf, status="not finite", reason="at t = 3 s"),
         run_to(4, math.inf, status="lost", stage=SCREENED),
     ]
-    search = Multistart(tuple(runs), (Minimum(1.0, np.zeros(2), (0,), 1),), 0.5)
+    search = Multistart(tuple(runs), (Minimum(1.0, np.zeros(2), (0,), 1),))
     assert search.failures == "2 × lost, 1 × not finite (at t = 3 s)"
     assert (search.converged, len(search.brought)) == (1, 4)
     assert "1 of 4 runs converged, 1 minimum" in repr(search)

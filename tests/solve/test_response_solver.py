@@ -351,7 +351,7 @@ def test_minima_close_to_the_best_are_polished_and_sorted_again():
         Minimum(best.cost * factor, x * (1 + 1e-5), (k,), 1)
         for k, factor in enumerate((1.0001, 1.0002, 1.02))
     )
-    polished = solver.polished(Multistart((), minima, 0.0)).minima
+    polished = solver.polished(Multistart((), minima)).minima
     assert [m.cost for m in polished[:2]] == pytest.approx([best.cost] * 2, rel=1e-9)
     assert polished[2].cost == minima[2].cost
     assert polished[0].estimate == pytest.approx(x, rel=1e-6)
@@ -361,7 +361,7 @@ def test_a_minimum_is_never_polished_to_a_higher_cost():
     nlp = compile_problem(NOISY)
     x = np.array([nlp.problem.parameters[name].start for name in nlp.free])
     claimed = Minimum(0.0, x, (0,), 1)
-    [minimum] = ResponseSolver(nlp).polished(Multistart((), (claimed,), 0.0)).minima
+    [minimum] = ResponseSolver(nlp).polished(Multistart((), (claimed,))).minima
     assert minimum.cost == 0.0
     assert_array_equal(minimum.estimate, x)
 
