@@ -100,7 +100,14 @@ def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(
             RuntimeError,
             match="the executor gave up its tasks: its workers or its scheduler are gone",
         ):
-            gb.batch([member], tmp_path / "study", executor=client.get_executor(), progress=False)
+            # With a time limit of starts, workers share the starts of small members too.
+            gb.batch(
+                [member],
+                tmp_path / "study",
+                executor=client.get_executor(),
+                start_seconds=100,
+                progress=False,
+            )
         assert gb.study.read_study(tmp_path / "study")["response"].status == "unfinished"
         kept = len(made)
         assert 20 <= kept < 80
