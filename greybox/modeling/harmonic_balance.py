@@ -22,7 +22,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, BoolArray, ComplexArray
+from greybox.files.arrays import Array, ComplexArray
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.formula_structure import has_switches, interval_means
 from greybox.modeling.functions import exp
@@ -101,17 +101,11 @@ def directly_found(
         # Infinite parts would make NaN as a product, and NaN alone marks a missing motion.
         response = np.full(omega.size, np.nan + 0j)
         response[is_finite] = real[is_finite] + 1j * imaginary[is_finite]
-        if previous and agree(few, response).all():
+        if previous and np.allclose(few, response, rtol=ENOUGH, atol=0, equal_nan=True):
             return response, previous
         previous = number
 
     return response, previous
-
-
-def agree(few: ComplexArray, many: ComplexArray) -> BoolArray:
-    """Return where the response with more harmonics is the same, or missing as well."""
-    is_same = np.abs(many - few) <= ENOUGH * np.abs(many)
-    return is_same | (np.isnan(few) & np.isnan(many))
 
 
 def check_sine(model: Model, sine: Sine, input: str, omega: Array) -> None:

@@ -164,9 +164,9 @@ def periodic_motions(
         raised = _followed(balance, column, np.geomspace(1e-3, 1, 40))
         lowered = _followed(balance, column, np.geomspace(10, 1, 20))
         motions = [m for m in (raised, direct[k], lowered) if np.isfinite(m)]
-        if motions and not _same(motions[0], direct[k]):
+        if motions and not np.isclose(motions[0], direct[k], DISTINCT, 0):
             response[k] = motions[0]
-        distinct = [motion for motion in motions if not _same(motion, response[k])]
+        distinct = [m for m in motions if not np.isclose(m, response[k], DISTINCT, 0)]
         if distinct:
             messages.append(
                 f"{model.label} has several periodic motions {_place(sine, *column[-2:])}: the "
@@ -180,30 +180,15 @@ def periodic_motions(
 
 def _followed(balance: HarmonicBalance, settings: Array, shares: Array) -> complex:
     """Return the response at the given amplitude, approached in `shares` of it; NaN if lost."""
-    x = None
-    response = complex(np.nan)
-    for share in shares:
-        step = np.append(settings[:-1], share * settings[-1])
-        motion = None if x is None else _motion(balance, x, step)
-        if motion is None:  # the first step, or past a jump
-            motion = _motion(balance, balance.guess(step), step)
-        if motion is None:
-            return complex(np.nan)
-        x, response = motion
-    return response
-
-
-def _motion(
-    balance: HarmonicBalance, guess: ca.DM, settings: Array
-) -> tuple[ca.DM, complex] | None:
-    """Return the harmonics and the response that Newton's method finds from a guess, if any."""
-    x = balance.careful(x0=guess, p=settings)["x"]
-    response, converged = balance.finish(x, settings)
-    return (x, complex(*map(float, ca.vertsplit(response)))) if converged else None
-
-
-def _same(response: complex, other: complex) -> bool:
-    return bool(abs(response - other) <= DISTINCT * abs(other))
+    steps = [np.append(settings[:-1], share * settings[-1]) for share in shares]
+    x = balance.guess(steps[0])
+    for step in steps:
+        x = balance.careful(x0=x, p=step)["x"]
+        response, converged = balance.finish(x, step)
+        if not converged:  # past a jump
+            x = balance.guess(step)
+            response, converged = balance.finish(x, step)
+    return complex(*map(float, ca.vertsplit(response))) if converged else complex(np.nan)
 
 
 def _place(sine: Sine, omega: float, amplitude: float) -> str:
