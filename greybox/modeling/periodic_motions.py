@@ -184,10 +184,9 @@ def _followed(balance: HarmonicBalance, settings: Array, shares: Array) -> compl
     x = balance.guess(steps[0])
     for step in steps:
         x = balance.careful(x0=x, p=step)["x"]
-        response, converged = balance.finish(x, step)
-        if not converged:  # past a jump
+        if not balance.finish(x, step)[1]:  # past a jump
             x = balance.guess(step)
-            response, converged = balance.finish(x, step)
+    response, converged = balance.finish(x, settings)
     return complex(*map(float, ca.vertsplit(response))) if converged else complex(np.nan)
 
 
