@@ -95,6 +95,8 @@ def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(
                 head.kill()
 
         monkeypatch.setattr(StoredRuns, "add", noted)
+        # A small member would be fitted as a whole: its workers share the runs of a large one.
+        monkeypatch.setattr(sys.modules["greybox.study.batch"], "UNWRITTEN", 1e-9)
         member = gb.study.Member(RESPONSE, 80, name="response", search="multistart")
         with pytest.raises(
             RuntimeError,
