@@ -122,10 +122,13 @@ class SafeGains:
             rows.append((name, *(number(v, 3) for v in (*ends, *chosen))))
         header = ("allowed, not in every combination", "from", "to", "best", "today")
         some = f"Some sets were refused: {self.cure}" if self.cure and self.best else ""
+        at_end = [n for n, value in self.best.items() if value in self.values[n][[0, -1]]]
+        wider = f"At an end of the tried range: the best {listed(at_end)}." if at_end else ""
         today = number(100 * self.today_confidence, 3)
         lines = [
             self.verdict[0].upper() + self.verdict[1:],
             text_table(header, rows),
+            wider,
             some,
             f"Today's gains meet the requirements with {today} % confidence.",
             PROMISE,

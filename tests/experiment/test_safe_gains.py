@@ -78,6 +78,12 @@ def test_the_best_gain_rejects_disturbances_best(answers):
     assert answer.today == {"K_P": 0.15}
     assert answer.today_confidence == 1.0
     assert "Not promised: structural modes" in str(answer)
+    assert "At an end" not in str(answer)
+
+
+def test_a_best_gain_at_an_end_of_the_range_is_named():
+    narrow = gb.safe_gains(fitted(0), RateLoop(), {"K_P": (0.02, 0.03)})
+    assert "At an end of the tried range: the best K_P." in str(narrow)
 
 
 def test_unmodeled_delay_and_a_second_flight_leave_fewer_gains(answers):
