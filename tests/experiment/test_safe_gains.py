@@ -82,7 +82,7 @@ def test_the_best_gain_rejects_disturbances_best(answers):
 
 
 def test_a_best_gain_at_an_end_of_the_range_is_named():
-    narrow = gb.safe_gains(fitted(0), RateLoop(), {"K_P": (0.02, 0.03)})
+    narrow = gb.safe_gains(fitted(0), RateLoop(), {"K_P": (0.1, 0.12)})
     assert "At an end of the tried range: the best K_P." in str(narrow)
 
 
