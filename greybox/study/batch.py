@@ -243,15 +243,16 @@ class _WholeMembers(Runner):
         changes: Any = []
         # A member that cannot be pickled, or whose classes a worker lacks, is fitted here later.
         with suppress(Exception), limited(TimeLimits.from_now(UNWRITTEN, None)):
-            member = unpickled(start[0])
-            _fit_member(member, runs, StudyMember(Path(), 0, member.name, {}, 0), set())
+            member, key = unpickled(start[0])
+            _fit_member(member, runs, StudyMember(Path(), 0, member.name, {}, 0), set(), key=key)
             changes = [] if is_search_over() else runs.changes
         return Outcome(changes, "", 0, time.perf_counter() - began, converged=True)
 
 
 def _by_workers(members: Sequence[Member], executor: Executor | None) -> Iterator[Any]:
     """Yield what every member stores; nothing if it is large, or if its worker was lost."""
-    rows = ((k, np.array([pickled(member)])) for k, member in enumerate(members))
+    # In a worker, classes of the user's script have another module, and members another key.
+    rows = ((k, np.array([pickled((m, _keys(m)[1]))])) for k, m in enumerate(members))
     with suppress(ExecutorLostError):
         for number, _, outcome in run_all(_WholeMembers(), rows, len(members), executor):
             changes = [] if outcome.status else outcome.estimate
@@ -267,8 +268,12 @@ def _fit_member(
     compiled: set[str],
     executor: Executor | None = None,
     bar: Any = None,
+    key: str = "",
 ) -> None:
-    """Fit a member, unless it is done; an error of its own is its answer."""
+    """Fit a member, unless it is done; an error of its own is its answer.
+
+    The `key` is that of what it states, where it is known.
+    """
     if _is_done(member, stored, compiled):
         return
     runs.begin(member.name, is_new=not stored.stored_runs)
@@ -302,7 +307,7 @@ def _fit_member(
     if is_search_over():  # its runs are stored, and the next call resumes it
         return
 
-    marks = {"fingerprint": runs.fingerprint, "stated": _keys(member)[1]}
+    marks = {"fingerprint": runs.fingerprint, "stated": key or _keys(member)[1]}
     marks |= {"asked": _asked(member), "finished": time.time()}
     answer = {**(summary(result) if result else _stated(member.problem)), **marks}
     if member.held and result:
