@@ -141,7 +141,7 @@ class ColoredErrors:
     duration: float
     is_long_enough: bool
     spectrum: ErrorSpectrum | None
-    process_noise: float = 0.0
+    process_noise: float
 
 
 @dataclass(frozen=True, eq=False)

@@ -187,12 +187,15 @@ def structural_identifiability(
     best, *others = [point for point in points if point.rank == rank]
     names = best.nlp.free
     groups = invisible_groups(best.directions[rank:].T, best.size, names, [best.initial])
-    elsewhere = others[0].seen if others else None
+    directions = replace(best.seen, elsewhere=others[0].seen if others else None)
+    units = [best.nlp.problem.parameters[name].unit for name in names]
+    judged = identifiability(names, units, directions, ())
+    lost = {name for group in groups for name in group.names}
     return StructuralIdentifiability(
         model=model.label,
         names=names,
         groups=groups,
-        combinations=tuple(_determined(best, replace(best.seen, elsewhere=elsewhere), groups)),
+        combinations=tuple(c.formula for c in judged.combinations if set(c.names) <= lost),
         data=f"the {'response' if in_frequency else 'course'} of {listed(chosen)}",
     )
 
@@ -353,14 +356,3 @@ def _times(
 
     gaps = np.arange(STRETCHES * (length + 1)) % (length + 1) == length
     return step * np.arange(gaps.size), gaps
-
-
-def _determined(
-    point: _Sensitivity, directions: KnownDirections, groups: Sequence[Combination]
-) -> Iterator[str]:
-    """Yield the combinations of what is not identifiable that are."""
-    lost = {name for group in groups for name in group.names}
-    units = [point.nlp.problem.parameters[name].unit for name in point.nlp.free]
-    for combination in identifiability(point.nlp.free, units, directions, ()).combinations:
-        if set(combination.names) <= lost:
-            yield combination.formula

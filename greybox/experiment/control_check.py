@@ -1,5 +1,6 @@
 """Whether a controller computes the control of a log from the error of the log."""
 
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -90,25 +91,22 @@ def check_controller(controller: Controller, record: Record) -> ControlCheck:
     size = float(np.std(logged[settled]))
     if not size > 0:
         raise ValueError(f"the logged control {name} does not change: the loop was open.")
-    late = dict.fromkeys([n for n in controller.setpoints if n in record.signals], 0)
+    delayed = [n for n in controller.setpoints if n in record.signals]
     names = (*controller.inputs, *controller.setpoints)
-    best = math.inf
-    # The delay of one setpoint moves the best of another: go through them twice.
-    for setpoint in [*late, *list(late)[:-1]] or [""]:
-        for samples in range(LATEST + 1):
-            trial = {**late, setpoint: samples}
-            shifted = [np.roll(row, trial.get(n, 0)) for n, row in zip(names, rows, strict=True)]
-            _, control = simulate(controller.initial, np.array(shifted))
-            computed = np.interp(time, grid, np.asarray(control)[0])
-            residual = float(np.std((logged - computed)[settled])) / size
-            if residual < best:
-                best, late = residual, trial
+    best, late = math.inf, {}
+    for samples in itertools.product(range(LATEST + 1), repeat=len(delayed)):
+        trial = dict(zip(delayed, samples, strict=True))
+        shifted = [np.roll(row, trial.get(n, 0)) for n, row in zip(names, rows, strict=True)]
+        _, control = simulate(controller.initial, np.array(shifted))
+        computed = np.interp(time, grid, np.asarray(control)[0])
+        residual = float(np.std((logged - computed)[settled])) / size
+        if residual < best:
+            best, late = residual, trial
     if best > REFUSED:
         raise ValueError(
             f"{type(controller).__name__} does not reproduce the logged {name}: {100 * best:.0f} % "
             "of it remains; check that the gains and the log are of this controller and axis."
         )
-    late.pop("", None)
     return ControlCheck(best, late, record.rate, controller.rate)
 
 

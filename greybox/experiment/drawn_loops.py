@@ -30,8 +30,8 @@ def drawn_loops(
     controller: Controller | Sequence[Controller],
     values: Mapping[str, float] | None = None,
     *,
-    at: Mapping[str, float] | None = None,
-    part: int = 0,
+    at: Mapping[str, float] | None,
+    part: int,
 ) -> SampledLoop:
     """Return the loops of the estimate, of draws from its distribution, and of plants near it.
 

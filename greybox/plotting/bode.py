@@ -221,7 +221,7 @@ def phases(responses: Sequence[DrawnResponse]) -> list[Array]:
 def _unwrapped(response: FrequencyResponse) -> _Phase:
     """Return the sorted omega (n,) and the phase (n,), unwrapped from within (-180°, 180°]."""
     order = np.argsort(response.omega)
-    phase = np.degrees(np.unwrap(np.angle(response.response[order])))
+    phase = response.degrees[order]
     return response.omega[order], phase + 360 * (phase[0] <= -180)
 
 

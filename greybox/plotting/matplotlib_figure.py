@@ -51,7 +51,7 @@ class _NotebookFigure(MatplotlibFigure):
         return buffer.getvalue()
 
 
-def new_figure(width: float, height: float, title: str = "") -> MatplotlibFigure:
+def new_figure(width: float, height: float, title: str) -> MatplotlibFigure:
     """Return an empty figure of this size in inches."""
     # Not pyplot, which keeps every figure in memory until it is closed.
     layout = ConstrainedLayoutEngine(w_pad=0.08, h_pad=0.08)
@@ -126,7 +126,7 @@ def draw_into(
     return axes
 
 
-def height_of(figures: Sequence[Figure], inches: float = 2.5, columns: int = 1) -> float:
+def height_of(figures: Sequence[Figure], inches: float, columns: int = 1) -> float:
     """Return the height in inches that figures with panels of this height need."""
     rows: float = -(-len(_panels(figures)) // columns)
     if len(figures) == 1:

@@ -81,7 +81,7 @@ class _Part:
 
 
 def drawn_responses(
-    items: Sequence[Fit | FrequencyResponse], labels: Sequence[str], level: float | None = None
+    items: Sequence[Fit | FrequencyResponse], labels: Sequence[str], level: float | None
 ) -> list[DrawnResponse]:
     """Return the curves of all items, then their data; shared data only once.
 
@@ -203,8 +203,8 @@ def _lies_on(curve: FrequencyResponse, longer: FrequencyResponse) -> bool:
     low, high = 0.999 * longer.omega.min(), 1.001 * longer.omega.max()
     reference = interpolated(curve.omega, longer.omega, longer.response)
     # Curves that differ by less than 1 % look like one line.
-    is_near = np.abs(curve.response - reference) <= 0.01 * np.abs(reference)
-    return bool(np.all((low <= curve.omega) & (curve.omega <= high) & is_near))
+    is_near = np.allclose(curve.response, reference, rtol=0.01, atol=0)
+    return is_near and bool(low <= curve.omega.min() and curve.omega.max() <= high)
 
 
 def _label(item: Fit | FrequencyResponse) -> str:

@@ -44,7 +44,7 @@ def spectrum(
     return draw([spectrum_figure(item, part)], axes, size=(7.0, 2.5))
 
 
-def spectrum_figure(item: Fit | TransientSpectrum, part: int = 0) -> Figure:
+def spectrum_figure(item: Fit | TransientSpectrum, part: int) -> Figure:
     """Return the spectrum of one manoeuvre."""
     if isinstance(item, TransientSpectrum):
         data, fitted = item, None

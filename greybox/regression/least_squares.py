@@ -66,7 +66,7 @@ def undetermined(slopes: Array) -> list[tuple[int, ...]]:
     _, values, directions = np.linalg.svd(triangle[:, nonzero] / sizes[nonzero], full_matrices=True)
     values = np.pad(values, (0, nonzero.size - values.size))
     open_directions = directions[values < UNDETERMINED * values[0]]
-    share = np.sqrt(np.sum(open_directions**2, axis=0))
+    share = np.linalg.norm(open_directions, axis=0)
     combined = tuple(int(k) for k in nonzero[share > PART])
     return [*zero, combined] if combined else zero
 

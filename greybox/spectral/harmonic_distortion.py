@@ -98,7 +98,7 @@ def _share(omega: Array, response: ComplexArray, u: float, harmonics: Harmonics)
     # Errors of the interpolated response and of the sensor are not distortion.
     allowed = error * np.abs(harmonics.control) + SENSOR * abs(harmonics.sine) / np.abs(plant)
     excess = np.where(e > DETECTED * noise, np.maximum(e - allowed, 0), 0)
-    return float(np.sqrt(np.sum(excess**2)) / u)
+    return float(np.linalg.norm(excess) / u)
 
 
 def interpolated(omega: Array, response: ComplexArray, at: NDArray[np.floating]) -> ComplexArray:

@@ -67,7 +67,7 @@ def periodic_response(
     signals = (input, output, instrument or input)
     stretches, spectra = period_spectra(records, period, signals)
     # The instrument has no noise of the loop, so that its lines stand out best.
-    amplitude = np.sqrt(np.sum(np.abs(spectra[:, 2]) ** 2, axis=0))
+    amplitude = np.linalg.norm(spectra[:, 2], axis=0)
     lines = np.flatnonzero(amplitude > EXCITED * amplitude.max())
     points = _estimates(*np.moveaxis(spectra[:, :, lines], 1, 0))
     omega = np.asarray((1 + lines) * (HZ / period), float)

@@ -186,7 +186,7 @@ def _point(
             f"barely excited: the control's amplitude is {abs(u):.2g}, its noise {noise:.2g}"
         )
 
-    harmonics = np.sqrt(np.sum(np.abs(amplitudes[:2, 1:]) ** 2, axis=1))
+    harmonics = np.linalg.norm(amplitudes[:2, 1:], axis=1)
     distortion = harmonics / np.maximum(np.abs(amplitudes[:2, 0]), 1e-300)
     point = FrequencyPoint(
         omega,

@@ -198,7 +198,7 @@ class AveragedSpectrum:
     typical: Array
     taken: float
     uncertainty: float
-    score: float = 0.0
+    score: float
 
 
 @dataclass(frozen=True, eq=False)
