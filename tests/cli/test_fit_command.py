@@ -276,7 +276,9 @@ def test_a_fit_that_is_killed_goes_on(capsys, own, monkeypatch):
     with subprocess.Popen(command(name, "--starts", "2000")) as process:
         while kept_runs() < 8 and process.poll() is None:
             time.sleep(0.01)
-        refusal = refused(capsys, *command(name)[3:])
+        with monkeypatch.context() as hasty:
+            hasty.setattr("greybox.study.store.PATIENCE", 0.1)
+            refusal = refused(capsys, *command(name)[3:])
         process.kill()
     assert process.returncode == -signal.SIGKILL
     assert "another process is writing to own.h5.runs" in refusal

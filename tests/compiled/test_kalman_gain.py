@@ -68,7 +68,7 @@ def test_a_predictor_follows_every_stretch_as_segments_that_join_do():
 
 
 def test_all_starts_end_in_one_minimum_with_all_gains_free():
-    problem = gb.Problem(FullTilt(), windy_flight(2, {"q": 2.0}, 40), WIND, fixed=ROTOR)
+    problem = gb.Problem(FullTilt(), windy_flight(2, {"q": 2.0}, 20), WIND, fixed=ROTOR)
     found = fit(problem, starts=2)
     assert len([name for name in found.free if name.startswith("K_")]) == 12
     assert (found.agreeing, found.converged) == (2, True)
@@ -90,7 +90,7 @@ def test_standard_errors_of_a_predictor_use_the_residuals_not_the_deviations_tha
 
 def test_a_likelihood_that_grows_toward_the_limit_of_stability_is_no_stall():
     """The velocity is not measured and hardly disturbed: its pole would leave the unit circle."""
-    problem = gb.Problem(BlindTilt(), windy_flight(3, {"q": 0.3}, 30), WIND, fixed=ROTOR)
+    problem = gb.Problem(BlindTilt(), windy_flight(3, {"q": 0.3}, 20), WIND, fixed=ROTOR)
     found = fit(problem, starts=1)
     assert [run.status for run in found.runs] == ["converged"]
     assert_true(found, {name: value for name, value in TILT.items() if name not in ROTOR})

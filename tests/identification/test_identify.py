@@ -218,9 +218,9 @@ def filtered_rate_log():
     """A sweep of the control through K / ((T s + 1)(s + a)), logged behind the gyro's low-pass filter and its notch."""
     from scipy.signal import bilinear, chirp, lfilter
 
-    time = np.arange(0, 60, 0.0025)
-    inside = (time > 2) & (time < 58)
-    u = np.where(inside, 0.1 * chirp(time - 2, 0.15, 56, 12, method="logarithmic", phi=-90), 0)
+    time = np.arange(0, 32, 0.0025)
+    inside = (time > 2) & (time < 30)
+    u = np.where(inside, 0.1 * chirp(time - 2, 0.15, 28, 12, method="logarithmic", phi=-90), 0)
     rate = lsim(([90], [0.05, 1 + 0.05 * 0.7, 0.7]), u, time)
     notch, low_pass = 2 * np.pi * 60, 2 * np.pi * 20
     width = (

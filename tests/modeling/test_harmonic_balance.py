@@ -71,7 +71,8 @@ def simulated_velocity(omega, swing, middle=0.0, C_x=TRUTH["C_x"]):
         return PAPER_G * math.tan(middle + swing * math.cos(omega * t)) - C_x * abs(v[0]) * v[0]
 
     begin = np.sign(middle) * np.sqrt(PAPER_G * np.tan(abs(middle)) / C_x)
-    last = (PERIODS + np.arange(256) / 256) * period
+    periods = PERIODS if omega >= 1 else 4  # in a slow one the drag has longer to forget
+    last = (periods + np.arange(256) / 256) * period
     found = solve_ivp(
         slope, (0, last[-1]), [begin], t_eval=last, rtol=1e-9, atol=1e-11, method="LSODA"
     )
