@@ -284,12 +284,10 @@ def at_work(tmp_path, folder, *, workers):
 def test_a_killed_batch_resumes_and_refuses_a_second_writer(tmp_path, monkeypatch):
     folder = tmp_path / "study"
     with at_work(tmp_path, folder, workers=False):
-        with (
-            monkeypatch.context() as hasty,
-            pytest.raises(BlockingIOError, match="another process is writing to"),
-        ):
+        with monkeypatch.context() as hasty:
             hasty.setattr("greybox.study.store.PATIENCE", 0.1)
-            gb.batch(members(), folder, progress=False)
+            with pytest.raises(BlockingIOError, match="another process is writing to"):
+                gb.batch(members(), folder, progress=False)
         assert len(gb.study.read_study(folder).members) == 3  # reading is free
     with at_work(tmp_path, folder, workers=True):
         pass
