@@ -347,7 +347,7 @@ def assemble(
     *,
     seed: int | None,
     starts: str,
-    error: DiscretizationError | None = None,
+    error: DiscretizationError | None,
 ) -> Fit:
     """Turn the runs of a search into the answer.
 

@@ -117,9 +117,9 @@ class Misfit:
     noise: float
     tried: int
     causes: tuple[Cause, ...]
-    p_common: float = 1.0
-    drift: float = 0.0
-    is_unstable: bool = False
+    p_common: float
+    drift: float
+    is_unstable: bool
 
     @property
     def p_value(self) -> float:

@@ -80,7 +80,7 @@ def to_bytes(fit: Fit) -> bytes:
     return json.dumps([LAYOUT, fit.checksum, write(replace(fit, runs=Runs.of(fit.runs)))]).encode()
 
 
-def from_bytes(data: bytes, models: Sequence[Any] = (), place: str = "the stored fit") -> Fit:
+def from_bytes(data: bytes, models: Sequence[Any], place: str = "the stored fit") -> Fit:
     """Return the fit of `to_bytes`; `models` as in `load`, `place` for messages.
 
     Raises

@@ -65,7 +65,7 @@ def run_all(
     solver: Runner,
     numbered: Iterable[tuple[int, Array]],
     count: int,
-    executor: Executor | None = None,
+    executor: Executor | None,
     memory: Memory | None = None,
     begins: Mapping[int, Array] = MappingProxyType({}),
 ) -> Iterator[tuple[int, Array, Outcome]]:

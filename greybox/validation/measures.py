@@ -20,7 +20,7 @@ def fit_rows(
     *,
     same_data: bool,
     comparable: bool,
-    likelihoods: Likelihoods | None = None,
+    likelihoods: Likelihoods | None,
 ) -> list[Row]:
     """Return the rows of the fits as a whole: costs, sizes, AIC, AICc and BIC.
 
