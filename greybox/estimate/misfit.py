@@ -74,6 +74,8 @@ class Cause:
         The same if errors of neighboring points of a response may be correlated.
     alike : tuple of str
         Terms that have nearly the same effect, so that the data cannot tell them apart.
+    is_offset : bool
+        Whether it is an offset of an output.
     """
 
     text: str
@@ -84,11 +86,12 @@ class Cause:
     p_value: float
     p_correlated: float
     alike: tuple[str, ...] = ()
+    is_offset: bool = False
 
     @property
     def explained(self) -> str:
         """What the term is, with the share of the misfit that it explains, and its test."""
-        return f"{self.text} ({_percent(self.share)} of the misfit, {_chance(self.p_value)})"
+        return f"{self.text} ({percent(self.share)} % of the misfit, {_chance(self.p_value)})"
 
 
 @dataclass(frozen=True)
@@ -124,14 +127,16 @@ class Misfit:
     @property
     def p_value(self) -> float:
         """Probability of such residuals if the model explains the data."""
-        return min(self.p_common, *(cause.p_correlated for cause in self.causes), 1.0)
+        # The outputs of an unstable model follow from later inputs, which contain the errors. An
+        # offset is judged by the slow errors themselves.
+        answered = self.is_unstable and self.noise > 0.5 * self.left
+        chances = (c.p_correlated for c in self.causes if c.is_offset or not answered)
+        return min(self.p_common, *chances, 1.0)
 
     @property
     def explains(self) -> bool:
         """Whether the residuals look like noise."""
-        # The outputs of an unstable model follow from later inputs, which contain the errors.
-        answered = self.is_unstable and self.noise > 0.5 * self.left
-        return answered or not self.p_value < FALSE_ALARMS
+        return not self.p_value < FALSE_ALARMS
 
     @property
     def may_be_feedback(self) -> bool:
@@ -151,13 +156,13 @@ class Misfit:
             if self.is_unstable:
                 excuse = "inputs answer to the errors, as those of a controller do"
             return (
-                f"explains the data only if {excuse}: otherwise, {_percent(self.left)} of their "
+                f"explains the data only if {excuse}: otherwise, {percent(self.left)} % of their "
                 "variance is left and follows what drove the test; noise alone would leave about "
-                f"{_percent(self.noise)}"
+                f"{percent(self.noise)} %"
             )
         if self.explains and self.drift > DRIFTING and self.left > NOTICED:
             return (
-                f"explains the data only if errors drift: {_percent(self.left)} of their variance "
+                f"explains the data only if errors drift: {percent(self.left)} % of their variance "
                 f"is left and follows from earlier samples, but from none of {self.tried} missing "
                 "terms"
             )
@@ -165,9 +170,9 @@ class Misfit:
             return f"explains the data: the residuals follow none of {self.tried} missing terms"
         common = self.p_common < FALSE_ALARMS
         return (
-            f"does not explain the data: {_percent(self.left)} of their variance is left and "
+            f"does not explain the data: {percent(self.left)} % of their variance is left and "
             f"follows what drove the test ({_chance(self.p_value)}); noise alone would leave about "
-            f"{_percent(self.noise)}{'; one set of values does not serve all parts' * common}"
+            f"{percent(self.noise)} %{'; one set of values does not serve all parts' * common}"
         )
 
     def __str__(self) -> str:
@@ -176,7 +181,7 @@ class Misfit:
             [
                 cause.text,
                 *with_error(cause.value, cause.error),
-                _percent(cause.share),
+                f"{percent(cause.share)} %",
                 number(cause.p_value, 2),
                 cause.code,
             ]
@@ -237,9 +242,9 @@ def assessed_misfit(
     groups = [_of_group(g, in_time=g is records) for g in (responses, records) if g and g[0].terms]
     if not groups:
         return None
-    # What explains most comes first, among what is significant.
-    causes = [cause for group in groups for cause in group.causes]
-    causes.sort(key=lambda cause: (cause.p_value >= FALSE_ALARMS, -cause.share))
+    # What explains most comes first, among what is significant; the best stands for equal texts.
+    best = {cause.text: cause for group in groups for cause in reversed(group.causes)}
+    causes = sorted(best.values(), key=lambda cause: (cause.p_value >= FALSE_ALARMS, -cause.share))
     return replace(
         max(groups, key=lambda group: group.left - group.noise),
         tried=sum(group.tried for group in groups),
@@ -380,10 +385,10 @@ def _stacked_outputs(parts: Sequence[_Regression], lengths: Sequence[int]) -> Ou
 
 def _separate(parts: Sequence[_Regression]) -> tuple[Array, Array]:
     """Return the residuals (N, 1) of parts with values of their own, and the columns (N, ·)."""
+    from scipy.linalg import block_diag  # noqa: PLC0415  (slow to import)
+
     residuals, columns = zip(*(part.separate() for part in parts if part.separate), strict=True)
-    own = np.eye(len(columns))
-    blocks = [np.kron(row, block) for row, block in zip(own, columns, strict=True)]
-    return np.vstack(residuals), np.vstack(blocks)
+    return np.vstack(residuals), np.asarray(block_diag(*columns))
 
 
 def _numbered(terms: Any) -> dict[Key, Term]:
@@ -462,7 +467,7 @@ def _offsets(part: RecordPart, residuals: Array, present: BoolArray) -> Iterator
         p_value = float(chance(1 / (1 + (value / error) ** 2 / PIECES), PIECES - 1))
         share = value**2 / float(np.mean(row[measured] ** 2) + TINY)
         text, code = f"an offset of {name} by {number(value, 2)}", f"the output {name} + p.offset"
-        yield Cause(text, code, value, error, share, p_value, p_value)
+        yield Cause(text, code, value, error, share, p_value, p_value, is_offset=True)
 
 
 def _lines(measured: BoolArray) -> Array:
@@ -537,10 +542,6 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
         rows,
         separate,
     )
-
-
-def _percent(share: float) -> str:
-    return f"{percent(share)} %"
 
 
 def _chance(p_value: float) -> str:

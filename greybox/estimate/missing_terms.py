@@ -41,6 +41,10 @@ TEXTS = {
         "a dead zone of {a} near ±{level}",
         "gb.minimum(gb.maximum(u.{a}, -p.limit), p.limit), or u.{a} less that",
     ),
+    "gain": (
+        "an effect of {a}, whose gain is nearly zero",
+        "other starts or wider bounds of the parameters that multiply u.{a}",
+    ),
     "direct": (
         "a direct effect of {a} on {b}, one more zero",
         "the output {b} gets + p.direct * u.{a}",
@@ -119,6 +123,8 @@ class Term:
         Returns the effect of the unit term on a record, or the factor (n,) on a response.
     scale : float
         The size of the term is the size of the factor times this.
+    largest : float
+        Size beyond which the model hardly answers to the signal `a`, which is then the cause.
     """
 
     kind: str
@@ -127,6 +133,7 @@ class Term:
     b: str = ""
     level: float = 0.0
     scale: float = 1.0
+    largest: float = np.inf
 
     @property
     def family(self) -> tuple[str, str, str]:
@@ -135,8 +142,9 @@ class Term:
 
     def described(self, factor: float, error: float) -> tuple[str, str]:
         """Return what it is for a factor with its standard error, and how a model gets it."""
-        text, *opposite, code = TEXTS[self.kind]
-        text = opposite[0] if opposite and factor < 0 else text
+        is_absurd = abs(factor) * self.scale > self.largest
+        *texts, code = TEXTS["gain" if is_absurd else self.kind]
+        text = texts[-1 if factor < 0 else 0]
         size, deviation = (number(abs(x) * self.scale, 2) for x in (factor, error))
         level = number(self.level, 2)
         values = {"a": self.a, "b": self.b, "level": level, "size": size, "error": deviation}
@@ -178,16 +186,18 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
     rate = record.by_stretch(_backward, u)
     change = float(np.std(u) / max(np.std(rate), 1e-300))
     about = u - np.median(u)
+    # Where a gain is nearly zero, only a term longer than the record would explain anything.
+    longest = len(u) * record.part.data.stretches[0].step
 
     def term(kind: str, row: Array, level: float = 0.0, scale: float = 1.0) -> Term:
-        return Term(kind, lambda: record.by_input(j, row), a, level=level, scale=scale)
+        return Term(kind, lambda: record.by_input(j, row), a, "", level, scale, longest)
 
     yield term("timing", -rate)
     for T in change * np.array(TIMES):
         yield term("timing", record.by_stretch(_delayed, u, T) - u, scale=T)
         yield term("lag", record.by_stretch(_lagged, u, T) - u, scale=T)
     for level in float(np.abs(about).max()) * np.array(LEVELS):
-        yield term("curve", np.clip(about, -level, level), level=level)
+        yield term("curve", np.clip(about, -level, level), level, change)
 
 
 def _of_feedback(record: DisturbedRecord) -> Iterator[Term]:

@@ -93,7 +93,8 @@ class Study:
         In this long form members of different structures share a table: rows are selected,
         grouped and, by ``pivot(index="member", columns="parameter", values="value")``, spread. The
         columns are ``member``, the factors, ``grade, cost, converged, agreeing, minima, held_out``
-        (the error of held-out predictions in percent), ``starts, warnings, reason``, then
+        (the error of held-out predictions in percent), ``explains`` (whether the model explains
+        the data), ``starts, warnings, reason``, then
         ``parameter, value, standard_error``, the ends ``low, high`` of the 95 % interval, and
         ``unit``. A member without an estimate has one row without a parameter.
 
@@ -237,7 +238,7 @@ FAILURES = ("failed", "members", "reason and cure")
 # Fits of a structure that are alike in these can be compared by their costs.
 ALIKE = ("data", "checksum", "criterion", "bounds")
 OVERVIEW = (
-    *("member", "status", "criterion", "delay", "starts"),
+    *("member", "explains", "status", "criterion", "delay", "starts"),
     *("converged", "agreeing", "minima", "cost", "warnings"),
 )
 
@@ -248,7 +249,7 @@ def _overview(members: Sequence[StudyMember]) -> str:
         row = _rows(member)[0]
         row["cost"] = number(row["cost"], 6) if member.status == "done" else None
         rows.append(["" if row[name] is None else str(row[name]) for name in OVERVIEW])
-    return text_table(OVERVIEW, rows, left=(0, 1, 2, 3))
+    return text_table(OVERVIEW, rows, left=(0, 1, 2, 3, 4))
 
 
 def _rows(member: StudyMember) -> list[dict[str, Any]]:
@@ -258,6 +259,7 @@ def _rows(member: StudyMember) -> list[dict[str, Any]]:
     numbers = ("cost", "converged", "agreeing", "minima", "held_out")
     common |= {name: answer.get(name) for name in numbers}
     common |= {
+        "explains": (answer.get("misfit") or {}).get("explains"),
         "starts": member.runs,
         "warnings": len(answer["warnings"]) if is_done else None,
         "reason": member.reason,

@@ -302,6 +302,17 @@ def test_an_offset_is_named_and_drift_is_none():
     assert not any("offset" in cause.text for cause in fitted(color="drift").misfit.likely)
 
 
+def test_an_input_without_gain_has_no_absurd_delay():
+    # The other sign of the gain is out of bounds.
+    flown = problem()
+    flown = flown.with_(data=flown.data.with_signals(x=-flown.data["x"]))
+    misfit = gb.fit(flown, starts=1, progress=False, profiles=False).misfit
+    assert not misfit.explains
+    assert "whose gain is nearly zero" in misfit.likely[0].text
+    assert "bounds" in misfit.likely[0].code
+    assert not any(" of u by " in cause.text for cause in misfit.causes)
+
+
 def test_slow_errors_of_any_size_are_a_condition_of_the_verdict():
     slow = problem()
     walk = np.cumsum(lfilter([0.01], [1, -0.9], np.random.default_rng(6).normal(size=SAMPLES)))
@@ -312,7 +323,8 @@ def test_slow_errors_of_any_size_are_a_condition_of_the_verdict():
     assert "only if errors drift" in misfit.verdict
 
 
-def test_errors_that_an_unstable_loop_answers_are_no_misfit():
+@pytest.mark.parametrize("offset", [0.0, 0.3])
+def test_only_offsets_are_misfit_where_an_unstable_loop_answers_errors(offset):
     class Fall(Spring):
         """x'' = b u + k x - d x'."""
 
@@ -327,6 +339,7 @@ def test_errors_that_an_unstable_loop_answers_are_no_misfit():
 
     n, random = 1000, np.random.default_rng(2)
     e = 0.05 * lfilter([np.sqrt(1 - 0.81)], [1, -0.9], random.normal(size=(2, n)), axis=1)
+    e[0] += offset
     step = expm(STEP * np.array([[0, 1, 0], [5, -2, 25], [0, 0, 0]]))[:2]
     wanted = np.repeat(random.uniform(-1, 1, n // 25), 25)
     u, y, past = np.zeros(n), np.zeros((2, n)), np.zeros(2)
@@ -339,6 +352,10 @@ def test_errors_that_an_unstable_loop_answers_are_no_misfit():
     flight = gb.Record(STEP * np.arange(n), signals, hold={"u": np.inf})
     misfit = gb.fit(gb.Problem(Fall(), flight), starts=1, progress=False).misfit
     assert misfit.is_unstable
-    assert misfit.p_value < 1e-3
-    assert misfit.explains
-    assert "only if inputs answer" in misfit.verdict
+    assert misfit.likely[0].p_value < 1e-3
+    if offset:
+        assert not misfit.explains
+        assert "an offset of x" in misfit.likely[0].text
+    else:
+        assert misfit.explains
+        assert "only if inputs answer" in misfit.verdict

@@ -16,6 +16,7 @@ ANSWER = {
     "rule": "Sobol",
     "checksum": "1f",
     "verdict": {"grade": "good"},
+    "misfit": {"explains": False},
     "model": ["Lag"],
     "data": ["pitch"],
     "starts": 20,
@@ -85,6 +86,7 @@ def test_members_with_the_same_quantities_are_compared_in_one_table(tmp_path):
     rows = {line.split()[0]: line.split() for line in overview.splitlines()}
     assert rows["fast"] == [
         "fast",
+        "False",
         "done",
         "relative",
         "error",
