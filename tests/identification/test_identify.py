@@ -1,5 +1,6 @@
 """From a log to a model in one go, held against a simulator's truth."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -324,7 +325,7 @@ def test_an_axis_without_a_known_control_asks_for_the_input():
         choose(log)
 
 
-def plant_log(duration=60.0, gain=-4e-4, delay=0.03, seed=0):
+def plant_log(duration=40.0, gain=-4e-4, delay=0.03, seed=0):
     """A chirp through gain / (s (s + 2)) with a delay, from a control in hundreds to an output named y."""
     time = np.arange(0, duration, 0.01)
     rate = np.log(12 / 0.4) / (duration - 4)
@@ -383,4 +384,4 @@ def test_less_than_an_octave_and_noise_are_no_basis_for_a_model():
     random = np.random.default_rng(0).normal(size=len(log["log"]))
     noise = gb.identify(Recording({"log": log["log"].with_signals(y=random)}, "noise"), **OF_PLANT)
     assert noise.fit is None
-    assert any("coherence" in text for text in noise.refusals)
+    assert any(re.search(r"coherence .*no basis for a model", text) for text in noise.refusals)
