@@ -116,7 +116,7 @@ class Segments:
             built[key] = Columns(function, shared=() if self._own else (1,))
         return built[key]
 
-    def _evaluate(self, columns: Columns, states: Array, q: Array, data: Array) -> list[Array]:
+    def _evaluate(self, columns: Columns, states: Array, q: Array, data: Array) -> Sequence[Array]:
         """Evaluate for columns of the segments that q is given for."""
         q = np.tile(q, data.shape[1] // q.shape[1]) if self._own else q
         return columns(states, q, data)
