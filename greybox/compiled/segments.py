@@ -385,7 +385,7 @@ class Segments:
         return [slice(first, first + size) for first in range(0, self.count, size)]
 
 
-def _finite(values: list[Array]) -> list[Array]:
+def _finite(values: Sequence[Array]) -> list[Array]:
     """Return derivatives with zeros for non-finite ones, as 0 · inf of sqrt(max(h, 0))."""
     return [
         v if math.isfinite(v.sum()) else np.nan_to_num(v, nan=0.0, posinf=0.0, neginf=0.0)
