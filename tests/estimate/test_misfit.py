@@ -8,6 +8,8 @@ from scipy.linalg import expm
 from scipy.signal import lfilter
 
 import greybox as gb
+from greybox.estimate.diagnostics.unexplained import unexplained
+from greybox.estimate.misfit import Misfit
 from greybox.problems import pitch_5deg, pitch_hover
 
 SAMPLES, STEP = 500, 0.04
@@ -190,6 +192,12 @@ def test_larger_errors_at_the_highest_frequencies_are_no_misfit():
     error[-4:] *= 10
     data = gb.FrequencyResponse(s.imag, 25 / (s**2 + 2 * s + 25) * (1 + error), "u", "y")
     assert gb.fit(gb.Problem(Resonance(), data), starts=2, progress=False).misfit.explains
+
+
+def test_parts_may_disagree_without_a_cause():
+    misfit = Misfit(0.1, 0.01, 3, (), p_common=1e-9, drift=0.0, is_unstable=False)
+    [sentence] = unexplained(misfit)
+    assert "only if it did. What was tried: fit.misfit." in sentence
 
 
 def test_one_set_of_values_does_not_serve_both_tables_of_the_paper():
