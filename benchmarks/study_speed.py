@@ -112,8 +112,11 @@ def work(kind, count, by):
         elif by == "processes":
             executor = gb.solve.WorkerPool(2)
         else:
-            from distributed import Client, LocalCluster  # noqa: PLC0415  (optional)
+            import dask  # noqa: PLC0415  (optional)
+            from distributed import Client, LocalCluster  # noqa: PLC0415
 
+            memory = {"MALLOC_TRIM_THRESHOLD_": 2**27, "MALLOC_MMAP_THRESHOLD_": 2**25}
+            dask.config.set({"distributed.nanny.pre-spawn-environ": memory})
             cluster = LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
             executor = Client(cluster).get_executor()
         # The first members build what later ones share, and start the workers.
