@@ -18,7 +18,8 @@ FOLDER = Path(__file__).parent / "data"
 def table(number, prefix, output, name):
     """Return one response of a table, e.g. ``table("3.1", "pitch_", "theta", "pitch hover")``."""
     file = FOLDER / f"table_{number.replace('.', '_')}.csv"
-    return gb.read_response(file, prefix, input="u", output=output, name=name)
+    response = gb.read_response(file, prefix, input="u", output=output, name=name)
+    return response.with_independent_errors()  # of sines one after another
 
 
 def coefficients(numerator, *factors):

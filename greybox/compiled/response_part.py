@@ -169,7 +169,7 @@ class ResponsePart(Part):
 
         def correlated(correction: float, root: Array, dof: float) -> CorrelatedPoints | None:
             neighbors = self.neighbors(values, root, correction)
-            if neighbors is None:
+            if neighbors is None or data.has_independent_errors:
                 return None
             order = np.argsort(data.omega, kind="stable")
             bread, meat = criterion.spread(response, data, correction)

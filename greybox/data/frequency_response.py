@@ -19,6 +19,10 @@ from greybox.files.text_table import all_printable, counted, one_line, printable
 
 COLUMNS = ("omega", "response", "coherence", "variance", "dof")
 
+# Key and value of `FrequencyResponse.about`, and so a line of a file: the errors of different
+# frequencies are independent by the design of the test.
+ERRORS, INDEPENDENT = "errors along frequency", "independent"
+
 
 @dataclass(frozen=True)
 class Stretch:
@@ -205,6 +209,22 @@ class FrequencyResponse:
             return np.ones(len(self))
         # Rounding in a file may leave a share slightly below zero.
         return np.maximum(1 - (np.abs(self.common_errors) ** 2).sum(axis=0) / self.variance, 0.0)
+
+    @property
+    def has_independent_errors(self) -> bool:
+        """Whether the errors of different frequencies were stated to be independent."""
+        return self.about.get(ERRORS) == INDEPENDENT
+
+    def with_independent_errors(self) -> "FrequencyResponse":
+        """State that the errors of different frequencies are independent by the design of the test.
+
+        They are if each frequency was flown by itself, as sines one after another are. Otherwise
+        a fit asks its residuals, and few points can hardly answer: intervals then allow for a
+        correlation. Residuals that are still alike at neighboring frequencies show that the
+        model is incomplete. In a file, the comment ``# errors along frequency: independent``
+        states the same.
+        """
+        return replace(self, about={**self.about, ERRORS: INDEPENDENT})
 
     @property
     def alpha(self) -> Array:

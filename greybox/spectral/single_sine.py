@@ -143,6 +143,9 @@ def finite_frequency(
     points = [with_unexplained(p, float(share)) for p, share in zip(points, shares, strict=True)]
     merged = tuple(averaged([p for p in points if p.omega == omega]) for omega in frequencies)
     response = _response(merged, record, input, output)
+    # Sines were flown one after another; only distortion is alike at neighboring frequencies.
+    if not np.any(shares):
+        response = response.with_independent_errors()
     stretches = [Stretch(record.checksum, p.start, p.end) for p in points]
     return FiniteFrequency(replace(response, stretches=stretches), merged, tuple(left_out))
 

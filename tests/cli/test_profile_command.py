@@ -15,5 +15,5 @@ def test_a_saved_fit_is_profiled(capsys, tmp_path):
     answer = json.loads(out)["profiles"]["a2"]
     assert "no upper limit up to the bound 2000" in answer["text"]
     assert answer["high"] is None
-    assert 60 < answer["low"] < 100
+    assert 100 < answer["low"] < 170
     assert "has no quantity to profile 'a9'" in refused(capsys, "profile", result, "a9")

@@ -48,6 +48,25 @@ def test_correlated_errors_are_said_and_independent_ones_not(criterion):
     assert sum(said(fitted(0.8, criterion, seed)) for seed in range(4)) >= 3
 
 
+@pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.MaximumLikelihood()], ids=str)
+def test_errors_that_are_stated_to_be_independent_are_taken_as_such(criterion, tmp_path):
+    fit = fitted(0.8, criterion, 0)
+    data = fit.parts[0].data.with_independent_errors()
+    gb.data.write_response(data, tmp_path / "sines.csv")
+    read = gb.read_response(tmp_path / "sines.csv")
+    assert read.has_independent_errors
+    assert not fit.parts[0].data.has_independent_errors
+    assert read.checksum == data.checksum == fit.parts[0].data.checksum
+
+    stated = gb.fit(gb.Problem(Lag(), read, criterion), starts=[fit.estimate], progress=False)
+    assert stated.independent is None
+    np.testing.assert_allclose(stated.covariance, fit.independent[0], rtol=1e-5)
+    assert stated.dof == fit.independent[1]
+    # The residuals contradict the statement.
+    assert not said(stated)
+    assert any("stated to be independent" in text for text in stated.warnings)
+
+
 def test_points_closer_than_the_resolution_are_said():
     """Bands of three points need some 8 / 30 Hz; these have 0.0125 Hz between them."""
     rng = np.random.default_rng(2)

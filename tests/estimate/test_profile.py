@@ -118,9 +118,9 @@ def yaw():
 def test_the_yaw_damping_is_positive_and_has_no_upper_limit(yaw):
     profiles = gb.profile(yaw, ["a2", "a3_tilde"])
     low, high = profiles["a2"].interval
-    assert (
-        60 < low < 100
-    )  # above 100 if the errors of neighboring points were independent, which they do not look
+    # Errors are independent, of sines flown one after another; if their residuals decided, the
+    # limit would lie below 100.
+    assert 100 < low < 170
     assert high == np.inf
     assert profiles["a2"].ends == ("crossed", "bound")
     # a3 / a2 is determined, so that the upper end of a3 is made by the bound of a2.

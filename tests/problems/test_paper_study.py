@@ -62,5 +62,5 @@ def test_the_minima_are_those_of_the_problems_and_stand_beside_the_paper(tmp_pat
 
     lines = paper.beside_the_paper(study).splitlines()
     (first,) = (k for k, line in enumerate(lines) if line.startswith("pitch (4.25), (4.28)"))
-    assert lines[first].split()[3:8] == ["a1", "-14.61", "-13.6", "±", "1.8"]
+    assert lines[first].split()[3:8] == ["a1", "-14.61", "-13.6", "±", "1.3"]
     assert lines[first + 4].split()[2:4] == ["0.5866", "0.5592"]

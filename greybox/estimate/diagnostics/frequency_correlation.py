@@ -30,14 +30,28 @@ STRONG = 6.0
 
 
 def correlated_frequencies(
-    nlp: CompiledProblem, trajectories: Sequence[Trajectory], accuracy: Accuracy
+    nlp: CompiledProblem,
+    trajectories: Sequence[Trajectory],
+    accuracy: Accuracy,
+    x: Array,
 ) -> Iterator[str]:
-    """Name the responses and manoeuvres whose errors at the estimate are correlated."""
+    """Name the responses and manoeuvres whose errors at the estimate x (p,) are correlated."""
+    values = nlp.all_values(x)
     for part, trajectory, neighbors in zip(
         nlp.parts, trajectories, accuracy.neighbors, strict=True
     ):
         if isinstance(part, TransientPart):
             yield from _of_manoeuvre(part, trajectory.z, alone=len(nlp.parts) == 1)
+        elif isinstance(part, ResponsePart) and part.data.has_independent_errors:
+            errors = part.neighbors(values, np.eye(len(nlp.free)), 1.0)
+            if errors is not None and errors.independent < UNLIKELY:
+                yield (
+                    f"neighboring residuals of {part.problem.name!r} are alike "
+                    f"({errors.mean:.2f} from one point to the next), although its errors are "
+                    "stated to be independent: the model misses something, or slow changes of the "
+                    "vehicle or the air lasted for several tests. Without this statement, "
+                    "intervals allow for it."
+                )
         elif isinstance(part, ResponsePart) and neighbors is not None:
             errors, name = neighbors.errors, part.problem.name
             # Variances that include more than the scatter, such as errors of a log, need no words.

@@ -89,7 +89,7 @@ def warnings(
         *several_estimates_of_one_response(nlp, search, accuracy),
         *coarse_pade(nlp, pade_errors),
         *unlikely_noise(nlp, trajectories),
-        *(correlated_frequencies(nlp, trajectories, accuracy) if errors else ()),
+        *(correlated_frequencies(nlp, trajectories, accuracy, best.estimate) if errors else ()),
         *discontinuous_costs(nlp),
         *outlying_points(nlp, best.estimate),
         *(once(outlying_samples(answer.parts)) if errors else ()),
