@@ -115,17 +115,18 @@ def work(kind, count, by):
             import dask  # noqa: PLC0415  (optional)
             from distributed import Client, LocalCluster  # noqa: PLC0415
 
-            memory = {"MALLOC_TRIM_THRESHOLD_": 2**27, "MALLOC_MMAP_THRESHOLD_": 2**25}
-            dask.config.set({"distributed.nanny.pre-spawn-environ": memory})
+            limits = {"MALLOC_TRIM_THRESHOLD_": 2**27, "MALLOC_MMAP_THRESHOLD_": 2**25}
+            dask.config.set({"distributed.nanny.pre-spawn-environ": limits})
             cluster = LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
             executor = Client(cluster).get_executor()
         # The first members build what later ones share, and start the workers.
         gb.batch(members(kind, 4), Path(folder, "first"), executor=executor, progress=False)
         made = Path(folder, "study")
         wall, used = timed(lambda: gb.batch(listed, made, executor=executor, progress=False))
+        memory = peak()  # before the members are listed a second time
         again, _ = timed(lambda: gb.batch(members(kind, count), made, progress=False))
         size = sum(path.stat().st_size for path in made.rglob("*"))
-        print(f"{wall / count} {used / count} {again / count} {size / count} {peak()}")
+        print(f"{wall / count} {used / count} {again / count} {size / count} {memory}")
         sys.stdout.flush()
         if executor is not None:
             executor.shutdown()

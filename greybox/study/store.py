@@ -483,6 +483,8 @@ def _require_layout(connection: sqlite3.Connection, path: Path, *, create: bool)
     """Make the tables of a new database; refuse another program's, or one of a later version."""
     tables = _tables(connection)
     if create and not tables:
+        # A small member fills one and a half of the usual pages, and leaves the rest empty.
+        connection.execute("PRAGMA page_size = 1024")
         connection.execute("BEGIN")
         for statement in TABLES:
             connection.execute(statement)
