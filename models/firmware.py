@@ -134,9 +134,7 @@ class FlownController:
         response = gb.spectral.spectral_response(gb.Record(grid, columns), "mixer", "u")
         # Errors of 1/S are of first order in those of S only where these are small. At the ends of
         # a sweep they are not, and the loop would cross over in noise.
-        is_good = np.sqrt(np.asarray(response.variance) / 2) < RANDOM_ERROR * np.abs(
-            response.response
-        )
+        is_good = response.relative_error < RANDOM_ERROR
         if is_good.sum() < 3:
             raise ValueError(
                 f"u is known to {100 * RANDOM_ERROR:g} % at {is_good.sum()} frequencies only: "

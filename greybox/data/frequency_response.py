@@ -227,6 +227,18 @@ class FrequencyResponse:
         return replace(self, about={**self.about, ERRORS: INDEPENDENT})
 
     @property
+    def relative_error(self) -> Array:
+        """Standard error along and across the response over its magnitude, (n,).
+
+        NaN if the variance is not known. It is the standard error of the phase in rad and of the
+        logarithm of the magnitude if it is small.
+        """
+        if self.variance is None:
+            return np.full(len(self), np.nan)
+        # The variance is that of both components together.
+        return np.sqrt(self.variance / 2) / np.maximum(np.abs(self.response), 1e-300)
+
+    @property
     def alpha(self) -> Array:
         """Real part, (n,)."""
         return self.response.real

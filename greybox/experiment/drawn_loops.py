@@ -5,6 +5,7 @@ Begin with `drawn_loops`.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -45,11 +46,32 @@ def drawn_loops(
     TypeError
         For a plant that is neither, and for values given with a fit.
     """
+    model, center, known = plant_of_loop(plant, values, at=at, part=part)
+    rows = _draws(plant, [*center]) if isinstance(plant, Fit) else np.array([[*center.values()]])
+    return sampled_loop(model, rows, controller, **known)
+
+
+def plant_of_loop(
+    plant: Fit | Model,
+    values: Mapping[str, float] | None,
+    *,
+    at: Mapping[str, float] | None,
+    part: int,
+) -> tuple[Model, dict[str, float], dict[str, Any]]:
+    """Return the model, its values by the names of the fit, and what `sampled_loop` needs to know.
+
+    Raises
+    ------
+    ValueError
+        If the fit has no estimate.
+    TypeError
+        For a plant that is neither, and for values given with a fit.
+    """
     if not isinstance(plant, (Fit, Model)):
         raise TypeError(f"{plant!r:.60} has no loop: give a Fit, or a model with its values.")
     if isinstance(plant, Model):
-        row = np.array([list(plant.values(values).values())], dtype=float)
-        return sampled_loop(plant, row, controller, at=at)
+        center = {name: float(value) for name, value in plant.values(values).items()}
+        return plant, center, {"at": at}
     if values is not None:
         raise TypeError("values were given with a Fit, which has its own: leave them out.")
     if not plant.converged:
@@ -57,12 +79,16 @@ def drawn_loops(
 
     model, fitted = plant.model_of(part), plant.parts[part]
     is_response = isinstance(fitted, FittedResponse)
-    return sampled_loop(
+    names = [fitted.rename.get(name, name) for name in model.parameters]
+    center = {name: plant.by_name[name].value for name in names}
+    has_hold = is_response and NO_HOLD not in fitted.data.about
+    return (
         model,
-        _draws(plant, [fitted.rename.get(name, name) for name in model.parameters]),
-        controller,
-        at=fitted.at if is_response and not at else at,
-        delay_has="hold" if is_response and NO_HOLD not in fitted.data.about else "nothing",
+        center,
+        {
+            "at": fitted.at if is_response and not at else at,
+            "delay_has": "hold" if has_hold else "nothing",
+        },
     )
 
 

@@ -328,8 +328,7 @@ def _measured_points(part: FittedPart, loops: SampledLoop) -> tuple[Array, Array
 
     excess = np.abs(data.response / fitted - 1) / MISFIT
     if data.variance is not None:
-        error = np.sqrt(data.variance / 2) / np.abs(data.response)
-        excess = np.maximum(excess, error / RANDOM_ERROR)
+        excess = np.maximum(excess, data.relative_error / RANDOM_ERROR)
     if data.coherence is not None:
         # The share of noise in the output falls with the square of the amplitude.
         noise = 1 / np.maximum(data.coherence, 1e-9) - 1

@@ -184,8 +184,7 @@ def error_bars(data: FrequencyResponse, values: Array) -> list[tuple[Array | Non
     """Return the ends of bars around magnitudes in dB and phases in degrees, `values` (2, n)."""
     if data.variance is None:
         return [(None, None)] * 2
-    # The variance is that of the complex response; one component has half of it.
-    relative = np.sqrt(data.variance / 2) / np.maximum(np.abs(data.response), 1e-300)
+    relative = data.relative_error
     # A bar that reaches zero would be infinite in dB: 20 dB to either side at most.
     down, up = (_decibel(1 + np.clip(sign * relative, -0.9, 9.0)) for sign in (-1, 1))
     turn = np.degrees(np.minimum(relative, np.pi))

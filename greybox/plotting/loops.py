@@ -12,6 +12,7 @@ from greybox.files.arrays import Array
 from greybox.plotting.bode import error_bars
 from greybox.plotting.figure import ANGLES, CROSS, GRAY, INK, Figure, Panel, Series, band, rule
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
+from greybox.plotting.nyquist import circles, outlined
 
 SHOWN = (1e-2, 1e2)  # gains of the broken loop that are drawn
 CURVES = 25  # draws in the Nichols and Nyquist diagrams, where a band has no direction
@@ -26,7 +27,8 @@ def loop(margins: Margins, axes: GivenAxes | None = None) -> AxesArray:
     Parameters
     ----------
     margins : Margins
-        Its `points` are drawn, too, with bars of one standard deviation but in the Nyquist diagram.
+        Its `points` are drawn, too, with bars of one standard deviation; in the Nyquist diagram
+        with circles of that radius.
     axes : array-like of Axes, optional
         Four for the broken loop, and one more for the step. By default a new figure is made.
 
@@ -62,6 +64,9 @@ def loop_figures(margins: Margins) -> list[Figure]:
         columns = [(data.omega, size), (data.omega, angle), (angle, size)]
         bars = error_bars(data, np.array([size, angle]))
         bars += [bars[0], (None, None)]
+        if data.variance is not None:
+            outlines = circles(data, np.ones(len(data)))
+            curves[3].append(outlined(outlines, k, is_hollow=True))
         for series, (x, y), ends in zip(
             curves, [*columns, (data.response.real, data.response.imag)], bars, strict=True
         ):

@@ -7,6 +7,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.response_band import radius, require_level
 from greybox.estimate.result import Fit
+from greybox.files.arrays import Array, ComplexArray
 from greybox.plotting.figure import Figure, Limits, Panel, Series
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.responses import DrawnResponse, drawn_responses, ratio, title
@@ -120,18 +121,28 @@ def _regions(responses: Sequence[DrawnResponse], level: float | None) -> list[Se
             outlines = drawn.band.ellipses()
         elif level is not None and drawn.is_measured and response.variance is not None:
             dof = np.full(len(response), np.inf) if response.dof is None else response.dof
-            # Errors of real and imaginary part are alike, so the region is a circle.
-            radii = np.sqrt(response.variance / 2) * [radius(level, value) for value in dof]
-            circle = np.exp(1j * np.linspace(0, 2 * np.pi, 49))
-            outlines, is_hollow = response.response[:, None] + radii[:, None] * circle, True
+            sizes = np.array([radius(level, value) for value in dof])
+            outlines, is_hollow = circles(response, sizes), True
         outlines = outlines[np.isfinite(outlines).all(axis=1)]
-        # NaN ends one outline, so that one series contains all of them.
         if len(outlines):
-            vertices = np.insert(outlines, 0, np.nan, axis=1).ravel()
-            x, y = np.real(vertices), np.imag(vertices)
-            regions.append(Series("", "regions", x, y, drawn.color, is_hollow=is_hollow))
+            regions.append(outlined(outlines, drawn.color, is_hollow=is_hollow))
 
     return regions
+
+
+def circles(response: FrequencyResponse, sizes: Array) -> ComplexArray:
+    """Return circles (n, 49) around measured points, of `sizes` (n,) times the standard error."""
+    # Errors of real and imaginary part are alike.
+    circle = np.exp(1j * np.linspace(0, 2 * np.pi, 49))
+    radii = sizes * response.relative_error * np.abs(response.response)
+    return response.response[:, None] + radii[:, None] * circle
+
+
+def outlined(outlines: ComplexArray, color: int, *, is_hollow: bool) -> Series:
+    """Return closed outlines (n, m) in the complex plane as one series."""
+    # NaN ends an outline.
+    vertices = np.insert(outlines, 0, np.nan, axis=1).ravel()
+    return Series("", "regions", vertices.real, vertices.imag, color, is_hollow=is_hollow)
 
 
 def _limits(responses: Sequence[DrawnResponse]) -> tuple[Limits, Limits] | None:

@@ -309,8 +309,7 @@ def _rate(
 def _noise(response: FrequencyResponse) -> Iterator[Finding]:
     if response.variance is None:
         return
-    size = np.maximum(np.abs(response.response), 1e-300)
-    error = float(np.median(np.sqrt(response.variance / 2) / size))
+    error = float(np.median(response.relative_error))
     text = (
         f"half of the points have a standard deviation above {100 * error:.0f} %: excite more or "
         "longer."
