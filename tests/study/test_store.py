@@ -159,7 +159,9 @@ def test_a_cut_or_overwritten_database_is_refused(tmp_path):
     stored(tmp_path, PLAIN, WHOLE)
     path = tmp_path / DATABASE
     whole = path.read_bytes()
-    for damaged in (whole[:5000], b"\xff" * len(whole), whole[:4096] + b"\xff" * 4096):
+    page = 1024
+    overwritten = whole[:page] + b"\xff" * (len(whole) - page)
+    for damaged in (whole[: 2 * page + 8], b"\xff" * len(whole), overwritten):
         path.write_bytes(damaged)
         with pytest.raises(ValueError, match=f"{DATABASE} is damaged"):
             read_members(tmp_path)
