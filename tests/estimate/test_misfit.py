@@ -256,6 +256,29 @@ def test_an_output_that_turbulence_moves_has_its_criterion():
     assert "in turbulence, use PredictionError(disturbance={'v': 'colored'})" in text
 
 
+class DelayedGain(gb.StateSpace):
+    """No states, but a delay."""
+
+    states, inputs, outputs = (), ("u",), ("y",)
+    delays = {"u": "T"}
+    K = gb.Parameter(1.0, bounds=(-9, 9))
+    T = gb.Parameter(0.01, bounds=(0, 0.1), unit="s")
+
+    def derivative(self, x, u, p):
+        return ()
+
+    def output(self, x, u, p):
+        return (p.K * u.u,)
+
+
+def test_turbulence_needs_a_state_that_it_moves():
+    time = STEP * np.arange(500)
+    record = gb.Record(time, {"u": np.sin(3 * time), "y": np.sin(time) ** 3})
+    fit = gb.fit(gb.Problem(DelayedGain(), record), starts=1, progress=False, profiles=False)
+    (text,) = (text for text in fit.warnings if "almost none" in text)
+    assert "turbulence" not in text
+
+
 class Cart(gb.StateSpace):
     """A cart on a rail, whose position is measured: friction, and perhaps drag."""
 

@@ -121,7 +121,7 @@ def unexplained_outputs(
             yield f"{output} noisy", record, f"{text}, {cure}"
         elif percent < noise.attainable_fit_percent / 2:
             cure = "try other starts, narrower start boxes, or another model structure"
-            if isinstance(part.problem.model, StateSpace) and not part.is_static:
+            if isinstance(part.problem.model, StateSpace) and part.problem.model.states:
                 cure = f"in turbulence, use {gust_criterion(part)}; else {cure}"
             yield (
                 output,
