@@ -25,7 +25,7 @@ arccos arcsin arctan arctan2 cos exp g log maximum minimum sign sin sqrt tan tan
 """.split()
 
 NAMESPACES = {
-    "data": "FrequencyResponse Record Recording Segment Stretch TransientSpectrum read_response read_spectrum "
+    "data": "FrequencyResponse Record Recording Segment Stretch TransientSpectrum read_response read_responses read_spectrum "
     "segment_table write_response write_responses write_spectrum",
     "experiment": "ChosenTests ControlCheck Controller Excitation ExpectedErrors Margins SafeGains SinePlan ardupilot_script broken_loop check_controller choose_tests "
     "expected_errors margin_slopes margin_table margins measured_margins multisine plan_sines safe_gains sine_schedule sweep systemid_parameters virtual_flight write_excitation write_gains",

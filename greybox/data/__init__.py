@@ -24,6 +24,7 @@ from greybox.data.frequency_response import Stretch as Stretch
 from greybox.data.record import Record as Record
 from greybox.data.record import Recording as Recording
 from greybox.data.response_file import read_response as read_response
+from greybox.data.response_file import read_responses as read_responses
 from greybox.data.response_file import write_response as write_response
 from greybox.data.response_file import write_responses as write_responses
 from greybox.data.test_segment import Segment as Segment

@@ -17,7 +17,8 @@ from greybox.files.safe_files import require_file
 
 UNIT = "unit of "  # begins the key of a unit
 STRETCH = "stretch "  # begins the key of a stretch
-NAMES = ("input", "output", "name", "source")
+PAIRS = "pairs"  # key of the pairs of a matrix, output/input
+NAMES = ("input", "output", "name", "source", PAIRS)
 
 
 def read_response(
@@ -75,6 +76,29 @@ def read_response(
         raise ValueError(f"{path}: {error}") from None
 
 
+def read_responses(path: str | Path) -> tuple[FrequencyResponse, ...]:
+    """Read all responses of a matrix, as `write_responses` writes it, in the order of the columns.
+
+    Raises
+    ------
+    ValueError, FileNotFoundError
+        As `read_response`; also if there is no response, or if names of columns can be read as two
+        pairs: those of signals with ``_`` need a comment ``# pairs: body_rate/stick ...``.
+    """
+    path = Path(path)
+    require_file(path)
+    table = read_delimited(path, path.read_bytes())
+    prefixes = [name.removesuffix("_alpha") for name in table.header if name.endswith("_alpha")]
+    stated = {pair.replace("/", "_"): pair for pair in table.facts.get(PAIRS, "").split()}
+    pairs = [stated.get(prefix, prefix.replace("_", "/")).split("/") for prefix in prefixes]
+    if not pairs or any(len(pair) != 2 for pair in pairs):
+        raise ValueError(
+            f"{path} has no columns OUTPUT_INPUT_alpha, or signals with '_' in their names: state "
+            "the pairs in a comment, # pairs: output/input output/input."
+        )
+    return tuple(read_response(path, input=i, output=o, name=f"{o}/{i}") for o, i in pairs)
+
+
 def write_response(response: FrequencyResponse, path: str | Path) -> None:
     """Write `response` to a CSV file that `read_response` reads back exactly.
 
@@ -96,7 +120,7 @@ def write_responses(responses: Sequence[FrequencyResponse], path: str | Path) ->
     """Write several responses, as the matrix of a plant, to one CSV file with common frequencies.
 
     The columns of a response are ``<output>_<input>_alpha`` and so on, blank at the frequencies of
-    others. ``read_response(path, input=input, output=output)`` reads one of them.
+    others. `read_responses` reads them, ``read_response(path, input=input, output=output)`` one.
 
     Raises
     ------
@@ -108,6 +132,7 @@ def write_responses(responses: Sequence[FrequencyResponse], path: str | Path) ->
     # Pairs may have been measured at different frequencies: cells of the others remain blank.
     omega = sorted({w for response in responses for w in response.omega.tolist()})
     columns: dict[str, list[object]] = {OMEGA: [*omega]}
+    pairs = " ".join(f"{response.output}/{response.input}" for response in responses)
     for response in responses:
         prefix = f"{response.output}_{response.input}_"
         if f"{prefix}alpha" in columns:
@@ -117,7 +142,7 @@ def write_responses(responses: Sequence[FrequencyResponse], path: str | Path) ->
         for name, x in response.columns.items():
             values = dict(zip(response.omega.tolist(), x.tolist(), strict=True))
             columns[prefix + name] = [values.get(w, "") for w in omega]
-    write_delimited(path, {}, columns)
+    write_delimited(path, {PAIRS: pairs}, columns)
 
 
 def require_csv(path: Path) -> None:

@@ -21,7 +21,7 @@ from greybox.formulation.prior import Knowledge, NormalPrior, normal_priors
 from greybox.formulation.restated_parameter import held_at, restated
 from greybox.formulation.signal_units import check_response_units, check_units
 from greybox.formulation.spectrum_criteria import EquationError, outputs_in_spectrum
-from greybox.formulation.sum import Addable
+from greybox.formulation.sum import Addable, Sum
 from greybox.formulation.time_criteria import OutputError, TimeCriterion
 from greybox.modeling.harmonic_balance import check_sine
 from greybox.modeling.model import Model, Names, pick_signals, require_known
@@ -45,7 +45,9 @@ class Problem(Addable):
     data : FrequencyResponse, Record or TransientSpectrum
         Its signals have the names of the model's inputs and outputs. Outputs that a record or a
         spectrum lacks are not compared. Read files with `gb.read_response` or `gb.read`; for more
-        than one record, see `several`.
+        than one record, see `several`. Several responses of the model, in a list, a matrix or by
+        pair, ``{"p/lat": response}`` (output/input), make a `Sum` with one part for each, named by
+        its pair; see `gb.data.read_responses`.
     criterion : Criterion or TimeCriterion, optional
         By default `RelativeError` (4.26) for a response and `OutputError` for a record or a
         spectrum; a spectrum takes `EquationError` as well. In a sum with a likelihood the default
@@ -69,7 +71,7 @@ class Problem(Addable):
     rename : mapping of name to name
         Other names of parameters in the answer. Added problems share parameters with equal names.
     weight : float
-        Factor on this problem's cost in a sum.
+        Factor on this problem's cost in a sum; by pair, ``{"p/lat": 2}``, for several responses.
     name : str
         A label; by default that of the data.
     amplitude : ``{signal: amplitude}`` or Sine, optional
@@ -88,11 +90,37 @@ class Problem(Addable):
         `Fit.prior_share` is the share of the prior in the information. Criteria must be
         likelihoods; the default for a response is then `RelativeLikelihood`.
 
+    band : mapping of pair to (float, float), rad/s
+        For several responses: the frequencies to fit of some pairs, ``{"p/lat": (0.5, 10)}``.
+
     Raises
     ------
     ValueError
         If model, data and options do not fit together; the message has the value and the cure.
     """
+
+    def __new__(cls, model: Any = None, data: Any = None, *args: Any, **options: Any) -> Any:
+        """Return a problem, or for several responses the sum of their problems."""
+        responses = _responses_by_pair(data)
+        if not responses:
+            return object.__new__(cls)
+        weight, band = options.pop("weight", 1.0), options.pop("band", {})
+        weights = (
+            weight if isinstance(weight, Mapping) else dict.fromkeys(map(_pair, responses), weight)
+        )
+        pairs = [*map(_pair, responses)]
+        for what in (weights, band):
+            require_known(what, pairs, "pair", "the list of responses")
+        parts = (
+            cls(
+                model,
+                response.between(*band[pair]) if pair in band else response,
+                *args,
+                **{"name": pair, **options, "weight": weights.get(pair, 1.0)},
+            )
+            for pair, response in zip(pairs, responses, strict=True)
+        )
+        return Sum(tuple(parts))
 
     model: Model
     data: FrequencyResponse | Record | TransientSpectrum
@@ -158,7 +186,15 @@ class Problem(Addable):
         if isinstance(self.free, str):
             object.__setattr__(self, "free", (self.free,))
         if not self.name:
-            object.__setattr__(self, "name", self.data.name or self.model.label)
+            object.__setattr__(
+                self, "name", self.data.name or self._pair_of_several() or self.model.label
+            )
+
+    def _pair_of_several(self) -> str:
+        """Return the pair of a response if the model has several, else an empty string."""
+        model, data = self.model, self.data
+        has_several = len(model.input_names) * len(model.output_names) > 1
+        return _pair(data) if isinstance(data, FrequencyResponse) and has_several else ""
 
     def _added_by_criterion(self) -> Mapping[str, Parameter]:
         """Check model, data and criterion; return the parameters that the criterion adds."""
@@ -407,6 +443,30 @@ class Problem(Addable):
         return one_line(
             self, repr(self.name), f"{self.model.label} to {self.data!r:.60}", self.criterion.name
         )
+
+
+def _pair(response: FrequencyResponse) -> str:
+    return f"{response.output}/{response.input}" if response.output and response.input else ""
+
+
+def _responses_by_pair(given: Any) -> list[FrequencyResponse]:
+    """Return the responses of a list, a matrix or a mapping by pair; none for other data."""
+    if isinstance(given, Mapping):
+        responses = []
+        for pair, response in given.items():
+            output, _, input = pair.partition("/") if isinstance(pair, str) else ("", "", "")
+            if not (output and input and isinstance(response, FrequencyResponse)):
+                return []
+            responses.append(replace(response, output=output, input=input))
+        return responses
+    if isinstance(given, np.ndarray):
+        given = given.ravel().tolist()
+    if not isinstance(given, list | tuple):
+        return []
+    rows = [row if isinstance(row, list | tuple) else (row,) for row in given]
+    # A pair that was not measured is None in a matrix.
+    responses = [item for row in rows for item in row if item is not None]
+    return responses if all(isinstance(r, FrequencyResponse) for r in responses) else []
 
 
 def _wrong_data(given: Any) -> str:

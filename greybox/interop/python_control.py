@@ -105,7 +105,7 @@ def from_control(
     outputs: Sequence[str] = (),
     prefix: str = "",
     name: str = "",
-) -> FrequencyResponse | KnownTransferFunction | KnownStateSpace:
+) -> Any:
     """Return a system of python-control as a frequency response or as a model.
 
     The numbers of a model are parameters that are fixed, `KnownTransferFunction` or
@@ -115,7 +115,8 @@ def from_control(
     Parameters
     ----------
     system : control.FrequencyResponseData, TransferFunction or StateSpace
-        In continuous time; of one input and one output unless it is a state space.
+        In continuous time; a transfer function has one input and one output. The responses of
+        several pairs are a tuple, by output, then by input.
     inputs, outputs : sequence of str
         Names of the signals, by default those of the system.
     prefix : str
@@ -128,7 +129,7 @@ def from_control(
     ModuleNotFoundError
         Without python-control.
     ValueError, TypeError
-        For several inputs or outputs, discrete time, or another object.
+        For a transfer function of several inputs or outputs, discrete time, or another object.
     """
     control = required("control", "control", "from_control()")
     pair = (control.FrequencyResponseData, control.TransferFunction)
@@ -136,7 +137,7 @@ def from_control(
         kinds = "FrequencyResponseData, a TransferFunction or a StateSpace"
         raise TypeError(f"system is {system!r:.60}: give a {kinds} of python-control.")
 
-    if isinstance(system, pair) and (system.ninputs, system.noutputs) != (1, 1):
+    if isinstance(system, control.TransferFunction) and (system.ninputs, system.noutputs) != (1, 1):
         raise ValueError(
             f"the system has {system.ninputs} inputs and {system.noutputs} outputs: give one of "
             "its pairs, system[0, 0]."
@@ -145,10 +146,14 @@ def from_control(
     u = _signal_names(inputs, system.input_labels)
     y = _signal_names(outputs, system.output_labels)
     if isinstance(system, control.FrequencyResponseData):
-        response = np.asarray(system.frdata if hasattr(system, "frdata") else system.fresp)[0, 0]
-        return FrequencyResponse(
-            system.omega, response, input=u[0], output=y[0], name=name or (system.name or "")
+        matrix = np.asarray(system.frdata if hasattr(system, "frdata") else system.fresp)
+        name = name or (system.name or "")
+        first, *others = (
+            FrequencyResponse(system.omega, matrix[k, i], input=u[i], output=y[k], name=name)
+            for k in range(len(y))
+            for i in range(len(u))
         )
+        return (first, *others) if others else first
 
     if system.isdtime(strict=True):
         raise ValueError(

@@ -8,7 +8,7 @@ from typing import Any
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.response_columns import OMEGA, RECTANGULAR
-from greybox.data.response_file import read_response
+from greybox.data.response_file import read_response, read_responses
 from greybox.data.time_column import seconds
 from greybox.data.transient_file import claims_spectrum, read_spectrum
 from greybox.data.transient_spectrum import TransientSpectrum
@@ -32,8 +32,10 @@ def read_data(
     columns: Mapping[str, str] | None = None,
     rate: float | None = None,
     prepare: Mapping[str, Any] | None = None,
-) -> FrequencyResponse | Record | TransientSpectrum:
+) -> FrequencyResponse | tuple[FrequencyResponse, ...] | Record | TransientSpectrum:
     """Return a response, the spectrum of a manoeuvre, or the only record with the model's signals.
+
+    A table of several responses, as `write_responses` writes it, gives all of them.
 
     `columns` name the columns of a table, with units: ``{"theta": "pitch:deg"}``. They are those of
     a response if they contain its frequency or magnitude. The `rate` in Hz is that of a table
@@ -62,7 +64,12 @@ def read_data(
     if is_spectrum:
         return read_spectrum(path)
     if is_response:
-        if f"{output}_{input}_alpha" not in (_header(path) or ()):
+        names = _header(path) or ()
+        has_pairs = len(model.input_names) * len(model.output_names) > 1
+        matrix = has_pairs and any(name.endswith("_alpha") for name in names)
+        if matrix and not (input or output or columns):
+            return read_responses(path)
+        if f"{output}_{input}_alpha" not in names:
             require_known(filter(None, [input]), model.input_names, "input", model.label)
             require_known(filter(None, [output]), model.output_names, "output", model.label)
         return as_the_only_pair(
@@ -87,7 +94,7 @@ def _header(path: Path) -> tuple[str, ...] | None:
     """Return the names in the header of a table, or None if the file is not text."""
     # Only the beginning: a log may have gigabytes.
     with path.open("rb") as file:
-        head = file.read(4096)
+        head = file.read(65536)
     return None if b"\0" in head else read_delimited(path, head).header
 
 

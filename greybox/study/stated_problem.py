@@ -117,7 +117,9 @@ def _problem_of_model(options: Mapping[str, Any], read: Callable[..., Any]) -> A
     model = options["model"]
     model = find_model(model) if isinstance(model, str) else model
     choices = {name: options[name] for name in OF_FILES if name in options}
-    data = [read(x, model, **choices) if isinstance(x, str | Path) else x for x in options["data"]]
+    given = [read(x, model, **choices) if isinstance(x, str | Path) else x for x in options["data"]]
+    # A file may have the responses of several pairs.
+    data = [item for x in given for item in (x if isinstance(x, tuple) else (x,))]
     # All responses of one plant have passed the filters that the first one names.
     for word in options.get("through", ()):
         for known_filter in filters_of(word, data[0]):

@@ -123,7 +123,7 @@ def test_linear_systems_there_and_back(control):
         ),
         (lambda c: gb.interop.from_control(3), TypeError, "system is 3: give a Freq"),
         (
-            lambda c: gb.interop.from_control(c.frd(np.ones((1, 2, 3)), [1, 2, 3])),
+            lambda c: gb.interop.from_control(c.tf([[[1], [1]]], [[[1, 1], [1, 2]]])),
             ValueError,
             "2 inputs and 1 outputs",
         ),

@@ -1,0 +1,93 @@
+"""One model for many responses: a list, a matrix, a mapping or a file make the same sum."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+import greybox as gb
+
+OMEGA = np.geomspace(0.5, 20, 8)
+TRUTH = {"Lp": -3.0, "Lv": -0.5, "Yv": -0.2, "Llat": 12.0, "Lped": 2.0}
+
+
+class Roll(gb.StateSpace):
+    """Sideslip and roll with two controls."""
+
+    states = ("v", "p")
+    inputs = ("lat", "ped")
+    outputs = ("v", "p")
+    Lp, Lv, Yv, Llat, Lped = (
+        gb.Parameter(0.5 * value, bounds=(-40, 40)) for value in TRUTH.values()
+    )
+
+    def derivative(self, x, u, p):
+        return (
+            p.Yv * x.v + 2 * x.p + u.ped,
+            p.Lv * x.v + p.Lp * x.p + p.Llat * u.lat + p.Lped * u.ped,
+        )
+
+    def output(self, x, u, p):
+        return x.v, x.p
+
+
+def matrix():
+    """Return the four responses at the truth, by numpy alone."""
+    A = np.array([[TRUTH["Yv"], 2.0], [TRUTH["Lv"], TRUTH["Lp"]]])
+    B = np.array([[0.0, 1.0], [TRUTH["Llat"], TRUTH["Lped"]]])
+    G = np.linalg.solve(1j * OMEGA[:, None, None] * np.eye(2) - A, np.broadcast_to(B, (8, 2, 2)))
+    return [
+        [
+            gb.FrequencyResponse(OMEGA, G[:, k, i], input=u, output=y)
+            for i, u in enumerate(Roll.inputs)
+        ]
+        for k, y in enumerate(Roll.outputs)
+    ]
+
+
+def test_every_form_of_a_matrix_makes_the_same_sum(tmp_path):
+    rows = matrix()
+    flat = [r for row in rows for r in row]
+    gb.data.write_responses(flat, tmp_path / "matrix.csv")
+    named = {f"{r.output}/{r.input}": r for r in flat}
+    for form in (rows, flat, named, np.array(rows, dtype=object),
+                 gb.data.read_responses(tmp_path / "matrix.csv")):  # fmt: skip
+        problem = gb.Problem(Roll(), form)
+        assert [part.name for part in problem.parts] == ["v/lat", "v/ped", "p/lat", "p/ped"]
+        assert_allclose([p.response.response for p in problem.parts], [r.response for r in flat])
+
+    fit = gb.fit(problem, starts=2, progress=False)
+    assert_allclose([fit.estimate[name] for name in TRUTH], list(TRUTH.values()), rtol=1e-6)
+    assert [part.name for part in fit.responses] == list(named)
+
+
+def test_weights_and_bands_go_to_their_pairs():
+    rows = [[matrix()[0][0], None], matrix()[1]]
+    problem = gb.Problem(Roll(), rows, weight={"p/lat": 2.0}, band={"p/ped": (1.0, 10.0)})
+    assert {part.name: part.weight for part in problem.parts} == {
+        "v/lat": 1.0, "p/lat": 2.0, "p/ped": 1.0,
+    }  # fmt: skip
+    v, lat, ped = (part.response.omega for part in problem.parts)
+    assert len(v) == len(lat) == 8
+    assert_allclose(ped, OMEGA[(OMEGA >= 1) & (OMEGA <= 10)])
+    with pytest.raises(ValueError, match="no pair 'p/pedal'"):
+        gb.Problem(Roll(), rows, weight={"p/pedal": 2.0})
+
+
+def test_an_frd_of_python_control_is_a_matrix():
+    control = pytest.importorskip("control")
+    values = np.array([[r.response for r in row] for row in matrix()])
+    system = control.frd(values, OMEGA, inputs=["lat", "ped"], outputs=["v", "p"])
+    problem = gb.Problem(Roll(), gb.interop.from_control(system))
+    assert_allclose([p.response.response for p in problem.parts], values.reshape(4, 8))
+
+
+def test_names_with_underscores_need_their_pairs(tmp_path):
+    path = tmp_path / "matrix.csv"
+    r = matrix()[0][0]
+    pair = gb.FrequencyResponse(OMEGA, r.response, input="stick_x", output="rate")
+    gb.data.write_responses([pair], path)
+    [back] = gb.data.read_responses(path)
+    assert (back.input, back.output) == ("stick_x", "rate")
+    path.write_text(path.read_text().split("\n", 1)[1])
+    with pytest.raises(ValueError, match="state the pairs"):
+        gb.data.read_responses(path)
