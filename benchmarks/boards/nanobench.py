@@ -116,8 +116,8 @@ def flights(folder: Path) -> tuple[dict[str, gb.Record], list[str]]:
 
 
 def predictions(model: gb.StateSpace, fit: gb.Fit, record: gb.Record) -> gb.Record:
-    """Return the outputs for the inputs of a flight, from a rotor that turns as commanded."""
-    initial = {name: [piece["u"][0] for piece in record.pieces] for name in model.states}
+    """Return the outputs for the inputs of a flight, from rotors at their mean command."""
+    initial = {name: float(record["u"].mean()) for name in model.states}
     values = {name: fit.estimate[name] for name in model.parameters}  # without the offsets
     return gb.simulate(model, values, record, initial=initial)
 
