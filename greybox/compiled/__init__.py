@@ -8,6 +8,7 @@ Begin with `compiled_problem`.
 | `part` | the interface of every part of a problem |
 | `response_part`, `response_map` | a frequency response; many points as one mapped function |
 | `response_programs` | all frequency responses as programs for a solver |
+| `shared_response` | many responses of one state space, with one solution for all of them |
 | `transient_part` | the spectrum of a manoeuvre |
 | `record_model` | a record with its model, whatever the cut into segments |
 | `segmented_part` | records cut into segments: placement, trajectories, cost, linearization |

@@ -17,6 +17,7 @@ import numpy as np
 from greybox.compiled.limits import Limit, limits_of, stacked
 from greybox.compiled.response_map import LARGE, Mapped, lagrangian_hessian
 from greybox.compiled.response_part import ResponsePart
+from greybox.compiled.shared_response import SharedResponses, shared_responses
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.problem import Problem
@@ -46,12 +47,33 @@ class CostProgram:
         where responses exist as MX functions only.
     roots : casadi.Function or None
         (z) -> w, the unknowns of all operating points that Newton's method finds.
+    shared : SharedResponses or None
+        The cost in numpy, where all models are state spaces and the program is too large for a
+        batch.
     """
 
     function: ca.Function
     derivatives: dict[str, ca.Function] = field(default_factory=dict)
     explicit: ca.Function | None = None
     roots: ca.Function | None = None
+    shared: SharedResponses | None = None
+
+
+def fits_a_batch(program: ca.Function | None) -> bool:
+    """Tell whether the derivatives of a program, as expressions, suit a batch.
+
+    The program (z, smoothing, ...) -> cost, constraints needs an explicit cost (an SX function) and
+    no constraints but bounds. From 50 000 instructions of cost, gradient and Hessian on, these take
+    most of IPOPT's time, and from 20 unknowns on eigenvalues do: a batch gains little then.
+    """
+    if program is None or not program.is_a("SXFunction") or program.numel_out(1):
+        return False
+    return program.numel_in(0) <= 20 and instructions(program) <= 50_000
+
+
+def instructions(program: ca.Function) -> int:
+    """Estimate the instructions of cost, gradient and Hessian: two an operation and unknown."""
+    return max(program.n_instructions() * 2 * program.numel_in(0), 1)
 
 
 def compile_responses(
@@ -116,8 +138,22 @@ def compile_responses(
                 for part, response, weight in zip(parts, mapped, solver_weights(parts), strict=True)
             ]
             hessian = lagrangian_hessian(terms, point, stacked(limits, named, ca.SX))
-            return CostProgram(function, {"hess_lag": hessian})
-        return CostProgram(function, explicit=function if kind is ca.SX else None)
+            return CostProgram(function, {"hess_lag": hessian}, shared=shared(choose))
+        explicit = function if kind is ca.SX else None
+        large = None if fits_a_batch(explicit) else shared(choose)
+        return CostProgram(function, explicit=explicit, shared=large)
+
+    def shared(choose: ChooseCriterion) -> SharedResponses | None:
+        if limits or len(parts) < len(problem.parts):
+            return None
+        named = values_at(point)
+        return shared_responses(
+            parts,
+            solver_weights(parts),
+            [*map(choose, parts)],
+            point,
+            lambda part: ca.SX(_values(part, named)),
+        )
 
     is_located = any(_own_criterion(part).locator is not None for part in parts)
     criteria = (_locator, _own_criterion) if is_located else (_own_criterion,)

@@ -105,10 +105,8 @@ class Problem(Addable):
         if not responses:
             return object.__new__(cls)
         weight, band = options.pop("weight", 1.0), options.pop("band", {})
-        weights = (
-            weight if isinstance(weight, Mapping) else dict.fromkeys(map(_pair, responses), weight)
-        )
         pairs = [*map(_pair, responses)]
+        weights = weight if isinstance(weight, Mapping) else dict.fromkeys(pairs, weight)
         for what in (weights, band):
             require_known(what, pairs, "pair", "the list of responses")
         parts = (
@@ -454,7 +452,7 @@ def _responses_by_pair(given: Any) -> list[FrequencyResponse]:
     if isinstance(given, Mapping):
         responses = []
         for pair, response in given.items():
-            output, _, input = pair.partition("/") if isinstance(pair, str) else ("", "", "")
+            output, _, input = str(pair).partition("/")
             if not (output and input and isinstance(response, FrequencyResponse)):
                 return []
             responses.append(replace(response, output=output, input=input))

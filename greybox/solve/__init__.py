@@ -8,6 +8,7 @@ Begin with `multistart`.
 | `local_solver` | what every solver answers |
 | `response_solver` | frequency responses: many starts improved at once, minima confirmed by IPOPT |
 | `batched_newton`, `newton_iteration` | Newton's method from many points, and its iteration |
+| `equation_error_start` | starts of state spaces by regression |
 | `zero_response` | a wall around a response of zero, where searches would end |
 | `gauss_newton/` | Gauss-Newton steps on records |
 | `transcribed_program` | records as one sparse program for IPOPT |

@@ -15,6 +15,7 @@ over the variables that the gradient does not hold at a bound (Bertsekas, SIAM J
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -121,15 +122,18 @@ class BatchedNewton:
 
     @one_thread_at_a_time
     def __init__(
-        self, program: ca.Function, lower: Array, upper: Array, roots: ca.Function | None = None
+        self, program: Any, lower: Array, upper: Array, roots: ca.Function | None = None
     ) -> None:
         """Take an SX function (z, smoothing, ...) -> cost, ..., and the bounds (p,) of z.
 
         The function also takes the `roots` of z, if there are any, which its derivatives may
-        contain, and what differs between the searches: `given` of `minimize`.
+        contain, and what differs between the searches: `given` of `minimize`. Or a function in
+        numpy that returns what `SecondOrder` does.
         """
-        inputs = program.sx_in()
-        self._function = SecondOrder(inputs, program(*inputs)[0])
+        self._function = program
+        if isinstance(program, ca.Function):
+            inputs = program.sx_in()
+            self._function = SecondOrder(inputs, program(*inputs)[0])
         self._roots = None if roots is None else Columns(roots)
         self._bounds = lower[:, None], upper[:, None]
         self._p = len(lower)

@@ -19,10 +19,12 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING
+from greybox.compiled.response_programs import fits_a_batch, instructions
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import cached_property
 from greybox.modeling.symbolic_reading import input_symbols
 from greybox.solve.batched_newton import BatchedNewton, Ends
+from greybox.solve.equation_error_start import EquationErrors
 from greybox.solve.interruption import Response, one_run, reason_to_end, responding, stop_requested
 from greybox.solve.ipopt import CONVERGED, ROUNDED, WARM, WITHOUT_BARRIER, Ipopt
 from greybox.solve.local_solver import LocalSolver, Profile, Screened
@@ -43,19 +45,8 @@ FINER = (1e-10, 1e-12, 1e-14, 1e-16)
 # Relative change of a response: rounding leaves 1e-13, of parameters that no data see less.
 SAME_BUT_ROUNDING = 1e-9
 NO_OPTIONS: Mapping[str, Any] = MappingProxyType({})
+SHARED = 16  # starts of shared responses at once: more do not become cheaper
 TOLERANCE = 1e-8  # on the projected gradient in the solver's variables, as in IPOPT
-
-
-def fits_a_batch(program: ca.Function | None) -> bool:
-    """Tell whether a batch is faster than single runs of IPOPT.
-
-    The program (z, smoothing, ...) -> cost, constraints needs an explicit cost (an SX function) and
-    no constraints but bounds. From 50 000 instructions of cost, gradient and Hessian on, these take
-    most of IPOPT's time, and from 20 unknowns on eigenvalues do: a batch gains little then.
-    """
-    if program is None or not program.is_a("SXFunction") or program.numel_out(1):
-        return False
-    return program.numel_in(0) <= 20 and _instructions(program) <= 50_000
 
 
 class ResponseSolver(LocalSolver):
@@ -76,10 +67,6 @@ class ResponseSolver(LocalSolver):
     ) -> None:
         """Build IPOPT; without `batched`, it makes all runs and compares no starts."""
         self._problem, self._options, self._batched = problem, dict(options), batched
-        self._stages = [
-            Ipopt(_statement(program.function), options, program.derivatives)
-            for program in problem.programs
-        ]
         self._lower = problem.scaling.to_solver(problem.lower)
         self._upper = problem.scaling.to_solver(problem.upper)
         limits = np.zeros(problem.constraint.numel_out())
@@ -94,8 +81,20 @@ class ResponseSolver(LocalSolver):
             "tolerance": float(self._options.get("tol", TOLERANCE)),
         }
         explicit = problem.programs[-1].explicit
-        if batched and explicit and self.serves(problem):
+        self._shared = problem.programs[-1].shared if batched else None
+        if self._shared is not None:
+            self.together = SHARED
+        elif batched and explicit and self.serves(problem):
             self.together = _batch_size(explicit)
+        if options:  # those that IPOPT does not take are refused here
+            _ = self._stages
+
+    @cached_property
+    def _stages(self) -> list[Ipopt]:
+        return [
+            Ipopt(_statement(program.function), self._options, program.derivatives)
+            for program in self._problem.programs
+        ]
 
     def __reduce__(self) -> tuple[Callable[..., "ResponseSolver"], tuple[Any, ...]]:
         """Return what builds the same solver."""
@@ -181,6 +180,14 @@ class ResponseSolver(LocalSolver):
         problem = self._problem
         z = problem.scaling.to_solver(starts).T
         iterations, arrived = np.zeros(len(starts), int), np.zeros(len(starts), bool)
+        if self._shared is not None:
+            # One start in four stays: the others end alike, and might agree on a wrong minimum.
+            moved = np.arange(len(starts)) % 4 > 0
+            errors = BatchedNewton(EquationErrors(self._shared, z), self._lower, self._upper)
+            ends = errors.minimize(
+                z[:, moved], max_iterations=50, tolerance=TOLERANCE, from_near=True
+            )
+            z[:, moved] = ends.z
         for k, batch in enumerate(self._batches):
             ends = batch.minimize(z, **self._limits, from_near=k > 0)
             if k == 0:
@@ -202,7 +209,7 @@ class ResponseSolver(LocalSolver):
         """Search again, from the columns of z (p, m), what ended at a response of zero."""
         costs = self._problem.programs[0].function(ends.z, SMOOTHING)[0].full().ravel()
         zero = np.flatnonzero(explains_nothing(costs, costs_of_zero(self._problem).sum()))
-        if not zero.size or self._walled is None:
+        if not zero.size or self._shared is not None or self._walled is None:
             return ends
 
         again = self._walled.minimize(z[:, zero], **self._limits)
@@ -219,9 +226,9 @@ class ResponseSolver(LocalSolver):
     def _batches(self) -> list[BatchedNewton]:
         """Build the criterion that locates the minimum, if any, then the problem's own."""
         return [
-            BatchedNewton(program.explicit, self._lower, self._upper, program.roots)
+            BatchedNewton(cost, self._lower, self._upper, program.roots)
             for program in self._problem.programs
-            if program.explicit is not None
+            if (cost := program.shared or program.explicit) is not None
         ]
 
     def _again(
@@ -240,6 +247,9 @@ class ResponseSolver(LocalSolver):
         parameters idle: these runs are made again by IPOPT, from their starts.
         """
         certified: dict[int, Outcome] = {}
+        # The gradient of a shared search is exact: it has met the same conditions.
+        if self._shared is not None:
+            return certified
         for minimum in minima:
             if np.any(runs.stage[np.array(minimum.runs)] != IMPROVED):
                 continue
@@ -309,7 +319,8 @@ class ResponseSolver(LocalSolver):
 
     def _polish(self, best: Minimum) -> Minimum:
         """Return a minimum solved again with less smoothing, as long as the cost does not grow."""
-        problem, is_served = self._problem, self.serves(self._problem)
+        problem = self._problem
+        is_served = self._shared is not None or self.serves(problem)
         # In steps: at the kink of a zero residual a search stalls when the smoothing falls at once.
         for smoothing in FINER:
             if is_served:
@@ -341,11 +352,6 @@ def _statement(program: ca.Function) -> dict[str, Any]:
     return {"x": x, "p": p, "f": f, "g": g}
 
 
-def _instructions(program: ca.Function) -> int:
-    """Estimate the instructions of cost, gradient and Hessian: two an operation and unknown."""
-    return max(program.n_instructions() * 2 * program.numel_in(0), 1)
-
-
 def _batch_size(program: ca.Function) -> int:
     """Return how many starts are improved at once: a power of two, as the columns of a batch.
 
@@ -353,5 +359,5 @@ def _batch_size(program: ca.Function) -> int:
     million instructions), so that a time limit costs no more and progress is seen. At least 128:
     below, a start takes more than twice its time.
     """
-    count = min(max(10_000_000 // _instructions(program), 128), 1024)
+    count = min(max(10_000_000 // instructions(program), 128), 1024)
     return 1 << (count.bit_length() - 1)

@@ -11,13 +11,14 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import CorrelatedPoints, Part
 from greybox.compiled.response_part import SMOOTHING, ResponsePart
+from greybox.compiled.response_programs import fits_a_batch
 from greybox.estimate.covariance import Accuracy, known_covariances
 from greybox.files.arrays import Array, ComplexArray
 from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.ipopt import CONVERGED, WARM, Ipopt
-from greybox.solve.response_solver import AT_MINIMUM, ITERATIONS, TOLERANCE, fits_a_batch
+from greybox.solve.response_solver import AT_MINIMUM, ITERATIONS, TOLERANCE
 from greybox.solve.runs import IMPROVED, Outcome
 from greybox.study.open_data import program_input
 from greybox.study.replicates import Draws, Replicates

@@ -1,0 +1,233 @@
+"""Many responses of one state space: one solve of (jωI - A)⁻¹ a frequency serves them all.
+
+With S = [[A, B], [C, D]], X = (jωI - A)⁻¹ B and Y = C (jωI - A)⁻¹ the responses are G = C X + D,
+and their derivatives by a parameter
+
+    dG = [Y, I] dS [X; I],
+
+so that outputs, parameters and points share one inverse. As one expression, the 30 responses of a
+helicopter at 20 frequencies have a hundred thousand operations, and their Hessian has millions.
+
+The Hessian of a criterion φ is composed as Jᵀ φ'' J (Gauss-Newton): the omitted term, Σ φ' r'', is
+small where the residuals are, and may be indefinite far away from a minimum.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from greybox.compiled.vectorized import Columns
+from greybox.files.arrays import Array, ComplexArray, IntArray
+from greybox.formulation.frequency_criteria import Criterion
+from greybox.formulation.problem import Problem
+from greybox.modeling.complex_arithmetic import Complex
+from greybox.modeling.linearization import jacobians
+from greybox.modeling.model import pick_signals
+from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.state_space import StateSpace
+from greybox.modeling.trim import trim_of
+
+
+@dataclass(frozen=True, eq=False)
+class SharedSystem:
+    """One state space at one operating point, for some of the responses of a problem.
+
+    Attributes
+    ----------
+    states, inputs, outputs : int
+        Their numbers n, m, l.
+    omega : (w,) array, rad/s
+        All frequencies of its responses.
+    rows : (e, 2) array of int
+        Places in S (n + l, n + m) of the entries that are not always zero.
+    entries : Columns
+        (z) -> these entries and the delays of the inputs, (e + m,), and their derivatives by z,
+        (e + m, p), column by column.
+    pairs : tuple of (part, output, input, places of its frequencies in `omega`)
+    """
+
+    states: int
+    inputs: int
+    outputs: int
+    omega: Array
+    rows: IntArray
+    entries: Columns
+    pairs: tuple[tuple[int, int, int, IntArray], ...]
+
+    def matrices(self, z: Array) -> tuple[Array, Array, Array, Array]:
+        """Return S (k, n + l, n + m), delays (k, m), and their derivatives by z (p, k).
+
+        The derivatives of the entries are (k, e, p), those of the delays (k, m, p).
+        """
+        values, slopes = self.entries(z)
+        count = len(self.rows)
+        S = np.zeros((z.shape[1], self.states + self.outputs, self.states + self.inputs))
+        S[:, self.rows[:, 0], self.rows[:, 1]] = values[:count].T
+        slopes = slopes.T.reshape(z.shape[1], len(z), -1).swapaxes(1, 2)
+        return S, values[count:].T, slopes[:, :count], slopes[:, count:]
+
+    def responses(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
+        """Return the responses at z (p, k), (k, w, pairs), and their derivatives by z, last."""
+        n, k = self.states, z.shape[1]
+        S, delays, slopes, delay_slopes = self.matrices(z)
+        pencil = 1j * self.omega[:, None, None] * np.eye(n) - S[:, None, :n, :n]
+        try:
+            inverse = np.linalg.inv(pencil)
+        except np.linalg.LinAlgError:  # a pole at a frequency: such a trial is refused
+            inverse = np.full_like(pencil, np.nan)
+        X = inverse @ S[:, None, :n, n:]
+        Y = S[:, None, n:, :n] @ inverse
+        size = (k, len(self.omega))
+        left = np.zeros((*size, self.outputs, n + self.outputs), complex)
+        left[..., :n], left[..., n:] = Y, np.eye(self.outputs)
+        right = np.zeros((*size, n + self.inputs, self.inputs), complex)
+        right[..., :n, :], right[..., n:, :] = X, np.eye(self.inputs)
+        plant = S[:, None, n:, :n] @ X + S[:, None, n:, n:]
+
+        outputs, inputs = (np.array([pair[c] for pair in self.pairs]) for c in (1, 2))
+        s = 1j * self.omega
+        lag = np.exp(-s[:, None] * delays[:, None])[..., inputs]
+        response = plant[..., outputs, inputs] * lag
+        # Of all entries only those that depend on z.
+        moving = np.flatnonzero(np.any(slopes != 0, axis=(0, 2)))
+        i, j = self.rows[moving].T
+        by_entry = left[:, :, outputs][..., i] * right.swapaxes(-1, -2)[:, :, inputs][..., j]
+        slope = by_entry.reshape(k, -1, len(moving)) @ slopes[:, moving]
+        slope = slope.reshape(*response.shape, len(z)) * lag[..., None]
+        by_delay = -s[:, None] * response
+        return response, slope + by_delay[..., None] * delay_slopes[:, None, inputs]
+
+
+class SharedResponses:
+    """The cost of many responses, with its gradient and Gauss-Newton Hessian, for many points.
+
+    Attributes
+    ----------
+    systems : sequence of SharedSystem
+    data : list of complex arrays
+        The measured responses of all parts.
+    """
+
+    def __init__(
+        self,
+        parts: Sequence[Problem],
+        systems: Sequence[SharedSystem],
+        cost: ca.SX,
+        symbols: Sequence[ca.SX],
+    ) -> None:
+        """Take the cost as an expression of `symbols`: all real, imaginary parts; smoothing."""
+        self.systems = systems
+        self.data = [part.response.response for part in parts]
+        ends = np.cumsum([0, *map(len, self.data)]).tolist()
+        self._places = [slice(a, b) for a, b in pairwise(ends)]
+        second, first = ca.hessian(cost, symbols[0])
+        rows, columns = second.sparsity().get_triplet()
+        self._second = np.array(rows, dtype=int), np.array(columns, dtype=int)
+        outputs = [cost, ca.densify(first), second.nz[:]]
+        self._criterion = Columns(ca.Function("criterion", [*symbols], outputs))
+
+    def stacked(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
+        """Return all responses at z (p, k), (k, N), and their derivatives (k, N, p)."""
+        k, p = z.shape[1], len(z)
+        values = np.empty((k, self._places[-1].stop), complex)
+        slopes = np.empty((*values.shape, p), complex)
+        with np.errstate(all="ignore"):
+            for system in self.systems:
+                response, slope = system.responses(z)
+                for c, (part, _, _, at) in enumerate(system.pairs):
+                    values[:, self._places[part]] = response[:, at, c]
+                    slopes[:, self._places[part]] = slope[:, at, c]
+        return values, slopes
+
+    def __call__(self, z: Array, smoothing: Array) -> tuple[Array, Array, Array]:
+        """Return cost (k,), gradient (p, k), Hessian (p * p, k) at z (p, k), smoothing (1, k)."""
+        from scipy.sparse import csr_array  # noqa: PLC0415  (imports slowly)
+
+        values, slopes = self.stacked(z)
+        numbers = np.concatenate([values.real, values.imag], axis=1).T
+        cost, first, second = self._criterion(numbers, smoothing)
+        p, k = z.shape
+        gradient, hessian = np.empty((p, k)), np.empty((p * p, k))
+        for c in range(k):
+            jacobian = np.concatenate([slopes[c].real, slopes[c].imag])
+            weight = csr_array((second[:, c], self._second), shape=(len(jacobian),) * 2)
+            gradient[:, c] = first[:, c] @ jacobian
+            hessian[:, c] = (jacobian.T @ (weight @ jacobian)).ravel()
+        return cost[0], gradient, hessian
+
+
+@one_thread_at_a_time
+def shared_responses(
+    parts: Sequence[Problem],
+    weights: Sequence[float],
+    criteria: Sequence[Criterion],
+    point: ca.SX,
+    values: Callable[[Problem], ca.SX],
+) -> SharedResponses | None:
+    """Return the responses of a problem if all are of state spaces; else None.
+
+    `values` gives the values of a part's own parameters at the solver's variables, `point` (p,).
+    Operating points that Newton's method finds, finite amplitudes and Padé delays are not shared.
+    """
+    groups: dict[Any, list[int]] = {}
+    for k, part in enumerate(parts):
+        if (
+            not isinstance(part.model, StateSpace)
+            or not part.model.states
+            or part.amplitude is not None
+            or part.delay != "exact"
+        ):
+            return None
+        local = ca.Function("values", [point], [values(part)]).serialize()
+        groups.setdefault((id(part.model), repr(sorted(part.at.items())), local), []).append(k)
+    systems: list[Any] = [
+        _system(parts, members, point, values(parts[members[0]])) for members in groups.values()
+    ]
+    if None in systems:
+        return None
+
+    total = sum(len(part.response) for part in parts)
+    r, smoothing = ca.SX.sym("r", 2 * total), ca.SX.sym("smoothing")
+    cost, begin = ca.SX(0), 0
+    for part, weight, criterion in zip(parts, weights, criteria, strict=True):
+        end = begin + len(part.response)
+        response = Complex(r[begin:end], r[total + begin : total + end])
+        cost += weight * ca.SX(criterion.cost(response, part.response, smoothing))
+        begin = end
+    return SharedResponses(parts, systems, cost, (r, smoothing))
+
+
+def _system(
+    parts: Sequence[Problem], members: Sequence[int], point: ca.SX, p: ca.SX
+) -> SharedSystem | None:
+    model: Any = parts[members[0]].model
+    trim = trim_of(model, parts[members[0]].at)
+    if trim.root is not None:
+        return None
+    blocks: Any = jacobians(model)(p, *trim.function(p, ca.SX(0, 1)))
+    A, B, C, D = blocks
+    system = ca.sparsify(ca.blockcat([[A, B], [C, D]]))
+    names = list(model.parameters)
+    delays = [p[names.index(model.delays[i])] if i in model.delays else 0.0 for i in model.inputs]
+    values = ca.vertcat(system.nz[:], *delays)
+    slopes = ca.vec(ca.densify(ca.jacobian(values, point)))
+    omega = np.unique(np.concatenate([parts[k].response.omega for k in members]))
+    pairs = []
+    for k in members:
+        data = parts[k].response
+        input, output = pick_signals(model, data.input, data.output)
+        places = model.output_names.index(output), model.input_names.index(input)
+        pairs.append((k, *places, np.searchsorted(omega, data.omega)))
+    return SharedSystem(
+        states=A.shape[0],
+        inputs=B.shape[1],
+        outputs=C.shape[0],
+        omega=omega,
+        rows=np.array(system.sparsity().get_triplet(), dtype=int).T,
+        entries=Columns(ca.Function("entries", [point], [ca.densify(values), slopes])),
+        pairs=tuple(pairs),
+    )

@@ -1,0 +1,73 @@
+"""Many responses from wide boxes: starts by equation error, held against SciPy from the truth."""
+
+import numpy as np
+from numpy.testing import assert_allclose
+from scipy.optimize import least_squares
+
+import greybox as gb
+
+OMEGA = np.geomspace(0.5, 20, 12)
+FREE = [(0, 0), (0, 1), (1, 0), (1, 1), (1, 2), (2, 0), (2, 1), (2, 2), (0, 3), (0, 4), (1, 3)]
+FREE += [(1, 4), (1, 5), (2, 3), (2, 4), (2, 5), (0, 2), (0, 5)]  # places in [A, B]
+DELAYS = ("tau_a", "tau_b", "tau_c")
+NAMES = [f"k{i}{j}" for i, j in FREE]
+
+
+class Axes(gb.StateSpace):
+    """Three coupled axes: a rate, an acceleration and two rates are measured."""
+
+    states, inputs, outputs = ("u", "p", "q", "theta"), ("a", "b", "c"), ("p", "q", "ax")
+    delays = dict(zip(inputs, DELAYS, strict=True))
+    locals().update({n: gb.Parameter(0.5, bounds=(-20.0, 20.0)) for n in NAMES})
+    locals().update({n: gb.Parameter(0.02, bounds=(0.0, 0.2)) for n in DELAYS})
+
+    def derivative(self, x, u, p):
+        signals = (x.u, x.p, x.q, u.a, u.b, u.c)
+        rates = [0.0, 0.0, 0.0]
+        for (i, j), name in zip(FREE, NAMES, strict=True):
+            rates[i] += p[name] * signals[j]
+        return rates[0] - gb.g * x.theta, rates[1], rates[2], x.q
+
+    def output(self, x, u, p):
+        return x.p, x.q, self.derivative(x, u, p)[0] + gb.g * x.theta
+
+
+def by_numpy(values):
+    entries = np.zeros((3, 6))
+    entries[tuple(np.transpose(FREE))] = values[: len(FREE)]
+    A = np.zeros((4, 4))
+    A[:3, :3], A[0, 3], A[3, 2] = entries[:, :3], -gb.g, 1.0
+    B = np.vstack([entries[:, 3:], np.zeros(3)])
+    pencil = 1j * OMEGA[:, None, None] * np.eye(4) - A
+    x = np.linalg.solve(pencil, np.broadcast_to(B, (OMEGA.size, 4, 3)))
+    ax = entries[0, :3] @ x[:, :3] + entries[0, 3:]
+    y = np.concatenate([x[:, 1:3], ax[:, None]], axis=1)
+    return y * np.exp(-1j * OMEGA[:, None, None] * values[len(FREE) :])
+
+
+def test_the_default_search_finds_the_minimum_in_wide_boxes():
+    costs, references = [], []
+    for seed in range(2):
+        random = np.random.default_rng(seed)
+        truth = random.choice([-1, 1], len(FREE)) * random.uniform(0.5, 4.0, len(FREE))
+        truth[[0, 3, 7]] = -random.uniform(0.3, 4.0, 3)  # damped
+        truth = np.concatenate([truth, random.uniform(0.01, 0.06, 3)])
+        exact = by_numpy(truth)
+        noise = random.standard_normal((2, *exact.shape)) * 0.05 / np.sqrt(2)
+        measured = exact * (1 + noise[0] + 1j * noise[1])
+
+        def residuals(values, measured=measured):
+            error = (by_numpy(values) / measured - 1).ravel()
+            return np.concatenate([error.real, error.imag])
+
+        references.append(2 * least_squares(residuals, truth, x_scale=abs(truth)).cost)
+        matrix = [
+            [gb.FrequencyResponse(OMEGA, measured[:, k, i], input=u, output=y)
+             for i, u in enumerate(Axes.inputs)]
+            for k, y in enumerate(Axes.outputs)
+        ]  # fmt: skip
+        problem = gb.Problem(Axes(), matrix, criterion=gb.SquaredRelativeError())
+        fit = gb.fit(problem, profiles=False, progress=False)
+        costs.append(fit.cost)
+        assert fit.agreeing >= 4
+    assert_allclose(costs, references, rtol=1e-6)
