@@ -62,7 +62,7 @@ logs LOG...
 
 def run(options: argparse.Namespace) -> Answer:
     """Identify; write response, result and figure."""
-    prefix = options.out or Path(options.logs[0]).stem or "log"
+    prefix = (options.out or Path(options.logs[0]).stem).removesuffix(".h5") or "log"
     responses = _response_files(prefix, len(options.logs))
     result, figure = Path(f"{prefix}_fit.h5"), Path(f"{prefix}.png")
     # All files that will be written are checked before the log is read.

@@ -131,7 +131,7 @@ def test_the_single_commands_say_what_was_stated(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     stated = ["--axis", "pitch", "--settle", "1.0", "--band", "1.5", "15"]
     values = ["--fix", "T_delay=0.002"]
-    out = run(capsys, "identify", LOG, *stated, *values, "--out", "my flight", "--json")[1]
+    out = run(capsys, "identify", LOG, *stated, *values, "--out", "my flight.h5", "--json")[1]
     found, measured, fitted = json.loads(out)["commands"]
     assert found == f"greybox inspect {LOG} --announced SINE"
     assert measured == (
