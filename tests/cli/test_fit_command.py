@@ -91,7 +91,7 @@ def test_a_full_disk_costs_the_file_but_not_the_answer(capsys, tmp_path, monkeyp
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("greybox.study.store.UNWRITTEN", 0.0)
-    with limited_files(8192):
+    with limited_files(4096):
         status, out, err = run(capsys, "fit", "pitch_hover", "--starts", "3", "--out", "x.h5")
     assert status == 1
     assert "a1" in out

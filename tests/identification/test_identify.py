@@ -91,6 +91,7 @@ def test_the_chain_says_what_it_chose(flown):
         "hold of the input, s": "0.0025",
         "excitation": "10 sines of 2, amplitude 3, 1 to 20.11 rad/s, 65.70 to 309.99 s",
         "estimate": "single sines",
+        "errors along frequency": "independent",
         "gyro-filter": "LowPass(20.0, 0.7071067811865476)",
         "d-term-filter": "FirstOrderLowPass(20.0)",
         "target-filter": "FirstOrderLowPass(20.0)",

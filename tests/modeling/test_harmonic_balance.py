@@ -518,7 +518,7 @@ def test_a_saved_fit_answers_at_the_amplitude_it_was_tested_with(tmp_path):
     assert np.abs(linear.response / fit.parts[0].response - 1).max() > 0.02
     assert fit.parts[0].curve is not None
     ends = fit.parts[0].curve.response[[0, -1]]
-    assert_allclose(ends, fit.parts[0].response[[0, -1]], rtol=1e-9)
+    assert_allclose(ends, fit.parts[0].response[[0, -1]], rtol=1e-6)  # for figures: six digits
 
 
 def test_between_the_frequencies_the_amplitude_is_interpolated():
