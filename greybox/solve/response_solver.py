@@ -3,7 +3,9 @@
 Starts that are improved together end at a minimum of the same smoothed cost as those of IPOPT.
 IPOPT then solves one run of every distinct minimum again: a minimum counts only where IPOPT's
 conditions of optimality (KKT) are met. IPOPT alone makes all runs of problems for which
-`fits_a_batch` is false.
+`fits_a_batch` is false. Exceptions are large problems whose responses share one solve
+(`greybox.compiled.shared_response`): their starts are improved together too, three of four from a
+regression by equation error, and a minimum counts where the gradient of the same cost vanishes.
 """
 
 import time

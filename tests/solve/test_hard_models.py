@@ -39,8 +39,10 @@ def test_tanks_are_found_from_starts_that_would_drain_them(model):
 
 
 def test_a_reactor_that_ignites_is_found_in_a_wide_box():
-    found = fit(reactor(), 2)
-    assert found.agreeing >= 2
+    # Rounding decides which start stalls: of eight, six to eight arrive with the matrix kernels of
+    # four processors.
+    found = fit(reactor(), 6)
+    assert found.agreeing >= 3
     near(found, REACTOR)
 
 
