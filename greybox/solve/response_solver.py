@@ -69,6 +69,8 @@ class ResponseSolver(LocalSolver):
     ) -> None:
         """Build IPOPT; without `batched`, it makes all runs and compares no starts."""
         self._problem, self._options, self._batched = problem, dict(options), batched
+        if options:  # those that IPOPT does not take are refused here
+            _ = self._stages
         self._lower = problem.scaling.to_solver(problem.lower)
         self._upper = problem.scaling.to_solver(problem.upper)
         limits = np.zeros(problem.constraint.numel_out())
@@ -88,8 +90,6 @@ class ResponseSolver(LocalSolver):
             self.together = SHARED
         elif batched and explicit and self.serves(problem):
             self.together = _batch_size(explicit)
-        if options:  # those that IPOPT does not take are refused here
-            _ = self._stages
 
     @cached_property
     def _stages(self) -> list[Ipopt]:
