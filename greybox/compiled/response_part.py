@@ -168,8 +168,10 @@ class ResponsePart(Part):
             return bread, jacobian.T @ weighted + common_meat(bread)
 
         def correlated(correction: float, root: Array, dof: float) -> CorrelatedPoints | None:
+            if data.has_independent_errors:
+                return None
             neighbors = self.neighbors(values, root, correction)
-            if neighbors is None or data.has_independent_errors:
+            if neighbors is None:
                 return None
             order = np.argsort(data.omega, kind="stable")
             bread, meat = criterion.spread(response, data, correction)
