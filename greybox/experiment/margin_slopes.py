@@ -70,20 +70,22 @@ def margin_slopes(
     if not loop.is_stable[0]:
         raise ValueError("the loop is unstable: it has no margins, so change its gains first.")
 
-    answer = {}
     located = refined(
         loop,
         lambda loops, omega: margin_numbers(loops.broken_at(signal, omega), omega, loops.is_stable),
     )
+    places = {}
     for name, quantity in located.items():
         value, omega = quantity.first
         # A loop that rejects no disturbance has a bandwidth of zero, wherever its gain crosses.
         if math.isfinite(value) and math.isfinite(omega) and value != 0:
-            if name in LEAST:
-                omega = _nearest(loop, signal, omega)
-            inside = plant_slopes(model, row, loop, omega, **known)
-            slope = _slope(name.rstrip(" 0123456789"), *_gain(loop, signal, omega, inside), omega)
-            answer[name] = dict(zip(center, slope.tolist(), strict=True))
+            places[name] = _nearest(loop, signal, omega) if name in LEAST else omega
+
+    inside = plant_slopes(model, row, loop, np.array([*places.values()]), **known)
+    answer = {}
+    for (name, omega), slopes in zip(places.items(), inside, strict=True):
+        slope = _slope(name.rstrip(" 0123456789"), *_gain(loop, signal, omega, slopes), omega)
+        answer[name] = dict(zip(center, slope.tolist(), strict=True))
     return answer
 
 

@@ -293,17 +293,18 @@ def plant_slopes(
     model: Model,
     values: Array,
     loop: SampledLoop,
-    omega: float,
+    omega: Array,
     *,
     at: Mapping[str, float] | None = None,
     delay_has: Literal["hold", "nothing"] = "nothing",
 ) -> ComplexArray:
     """Return exact derivatives of a sampled plant's response by the parameters of its model.
 
-    They are (parameters, sensors, inputs), at `omega` and the `values` (parameters,) of the first
-    plant of the loop; `at` and `delay_has` are those of `sampled_loop`. CasADi differentiates the
-    equations, also through their trim, and a matrix [[M, dM], [0, M]] carries the derivative
-    through the exponential over a sample.
+    They are (n, parameters, sensors, inputs), at `omega` (n,) and the `values` (parameters,) of the
+    first plant of the loop; at a delay of whole samples, they are those toward longer delays. `at`
+    and `delay_has` are those of `sampled_loop`. CasADi differentiates the equations, also through
+    their trim, and a matrix [[M, dM], [0, M]] carries the derivative through the exponential over a
+    sample.
 
     Source: Van Loan (1978), as in `greybox.modeling.held_inputs`.
     """
@@ -321,26 +322,26 @@ def plant_slopes(
     if delay_has == "hold":
         ddelay = ddelay * (delay > loop.period / 2)
 
-    z = np.exp(1j * omega * loop.period)
+    def over(time: float, slope: Array, b: Array, db: Array) -> tuple[Array, Array]:
+        """Return the transition over a time with a slope, and the effect of an input."""
+        slope = slope[:, None, None]
+        return held_response(
+            _dual(A * time, dA * time + A * slope), _dual(b * time, db * time + b * slope), 1.0
+        )
+
+    z = np.exp(1j * omega * loop.period)[:, None, None, None]
     decay, _ = held_response(_dual(A, dA) * loop.period, _dual(B, dB), 1.0)
-    answer = np.zeros((values.size, *D.shape), dtype=complex)
+    pencil = z * np.eye(decay.shape[-1]) - decay
+    answer = np.zeros((omega.size, values.size, *D.shape), dtype=complex)
     for j in range(D.shape[1]):
-        b, db = B[:, [j]], dB[:, :, [j]]
-
-        def over(time: float, slope: Array, b: Array = b, db: Array = db) -> tuple[Array, Array]:
-            """Return the transition over a time with a slope, and the effect of input j."""
-            slope = slope[:, None, None]
-            return held_response(
-                _dual(A * time, dA * time + A * slope), _dual(b * time, db * time + b * slope), 1.0
-            )
-
-        _, first = over(part[j] * loop.period, ddelay[:, j, 0])
-        remaining, second = over((1 - part[j]) * loop.period, -ddelay[:, j, 0])
+        column, slope = (B[:, [j]], dB[:, :, [j]]), ddelay[:, j, 0]
+        _, first = over(part[j] * loop.period, slope, *column)
+        remaining, second = over((1 - part[j]) * loop.period, -slope, *column)
         newest = z ** -whole[j]
         driven = second * newest + remaining @ first * newest / z
-        states = np.linalg.solve(z * np.eye(decay.shape[-1]) - decay, driven)
+        states = np.linalg.solve(pencil, driven)
         both = _dual(C, dC) @ states + _dual(D[:, [j]], dD[:, :, [j]]) * newest / z
-        answer[:, :, j] = both[:, : len(D), 1]
+        answer[..., j] = both[..., : len(D), 1]
 
     return answer
 
