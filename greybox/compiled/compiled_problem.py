@@ -49,6 +49,8 @@ class CompiledProblem:
     programs : tuple of CostProgram
         What IPOPT minimizes for frequency responses, one after the other: with the criteria that
         locate the minimum, where they differ, then with the problem's own.
+    zero_costs : array
+        The cost of a zero response, by frequency response, as the first program weighs it.
     constraint : casadi.Function
         (all values) -> what must be >= 0, stacked.
     limits : tuple of str
@@ -69,6 +71,7 @@ class CompiledProblem:
     method: Transcription
     parts: tuple[Part, ...]
     programs: tuple[CostProgram, ...]
+    zero_costs: Array
     constraint: ca.Function
     limits: tuple[str, ...]
     response_cost: ca.Function

@@ -19,7 +19,7 @@ from greybox.compiled.response_map import LARGE, Mapped, lagrangian_hessian
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.shared_response import SharedResponses, shared_responses
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.formulation.frequency_criteria import Criterion
+from greybox.formulation.frequency_criteria import Criterion, cost_of_zero
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.complex_arithmetic import Complex
@@ -174,7 +174,9 @@ def compile_responses(
             strict=True,
         )
     )
+    zero = [cost_of_zero(_locator(part), part.response) for part in parts]
     functions = {
+        "zero_costs": np.array(solver_weights(parts)) * zero,
         "programs": tuple(program(choose) for choose in criteria),
         "response_cost": ca.Function("cost", [x], [ca.vertcat(kind(0, 1), *costs)]),
         "responses": ca.Function("responses", [x], [ca.vertcat(kind(0, 1), *real, *imaginary)]),

@@ -32,7 +32,7 @@ from greybox.solve.ipopt import CONVERGED, ROUNDED, WARM, WITHOUT_BARRIER, Ipopt
 from greybox.solve.local_solver import LocalSolver, Profile, Screened
 from greybox.solve.minima import AT_ONCE, Minimum, Multistart, explains_nothing, same_cost
 from greybox.solve.runs import CUT_SHORT, IMPROVED, STAGNATED, Outcome, Run, Runs, spent
-from greybox.solve.zero_response import costs_of_zero, walled
+from greybox.solve.zero_response import walled
 
 AT_MINIMUM = "At_Minimum"  # status of a run whose projected gradient vanishes
 
@@ -210,7 +210,7 @@ class ResponseSolver(LocalSolver):
     def _away_from_zero(self, z: Array, ends: Ends) -> Ends:
         """Search again, from the columns of z (p, m), what ended at a response of zero."""
         costs = self._problem.programs[0].function(ends.z, SMOOTHING)[0].full().ravel()
-        zero = np.flatnonzero(explains_nothing(costs, costs_of_zero(self._problem).sum()))
+        zero = np.flatnonzero(explains_nothing(costs, self._problem.zero_costs.sum()))
         if not zero.size or self._shared is not None or self._walled is None:
             return ends
 

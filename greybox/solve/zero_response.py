@@ -12,25 +12,12 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING, ResponsePart
-from greybox.compiled.response_programs import solver_weights
-from greybox.files.arrays import Array
-from greybox.formulation.frequency_criteria import Criterion, cost_of_zero
 
 # Height of the wall at the first level of a search, as a share of the cost of a zero response. The
 # square root of the smoothing takes it down by ten from level to level. Of 1024 searches for (2.7)
 # in the box above, 99.9 % end at the minimum with 0.5, 93 % with 1 and 71 % with 0.2; in its
 # declared box 86 % do if it falls with the root, and half of them if it falls with the smoothing.
 WALL = 0.5
-
-
-def costs_of_zero(problem: CompiledProblem) -> Array:
-    """Return the cost of a zero response by part, as the first program of a problem weighs it."""
-    parts = [part.problem for part in problem.parts]
-    costs = []
-    for part in parts:
-        assert isinstance(part.criterion, Criterion)
-        costs.append(cost_of_zero(part.criterion.locator or part.criterion, part.response))
-    return np.array(solver_weights(parts)) * costs
 
 
 def walled(problem: CompiledProblem) -> ca.Function | None:
@@ -46,7 +33,7 @@ def walled(problem: CompiledProblem) -> ca.Function | None:
     z, smoothing = program.sx_in()
     cost, limits = program(z, smoothing)
     share = WALL * ca.sqrt(ca.fmax(smoothing - SMOOTHING, 0))
-    for part, height in zip(problem.parts, costs_of_zero(problem), strict=True):
+    for part, height in zip(problem.parts, problem.zero_costs, strict=True):
         assert isinstance(part, ResponsePart)
         relative = part.scaled_response(z) / np.tile(part.magnitude, 2)
         square = ca.sumsqr(relative) / len(part.magnitude)

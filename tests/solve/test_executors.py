@@ -28,6 +28,7 @@ from numpy.testing import assert_array_equal
 from sampled_lag import lag_problem
 
 import greybox as gb
+from greybox.problems import pitch_hover
 from greybox.solve.executors import (
     TASK_SECONDS,
     ExecutorLostError,
@@ -148,6 +149,15 @@ def test_batches_on_workers_give_the_same_runs(workers):
     fit = gb.fit(RESPONSE, 200, executor=workers, progress=False)
     require_same(fit, alone)
     assert [run.stage for run in fit.runs] == [run.stage for run in alone.runs]
+
+
+def test_more_starts_than_one_batch_go_to_workers(workers):
+    problem = pitch_hover.problem()
+    here, there = (
+        gb.fit(problem, starts=1100, executor=executor, profiles=False, progress=False)
+        for executor in (None, workers)
+    )
+    assert_array_equal(here.runs.cost, there.runs.cost)
 
 
 def test_time_limits_hold_on_workers(workers):
