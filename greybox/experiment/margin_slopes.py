@@ -32,7 +32,8 @@ def margin_slopes(
     A margin is a function of the parameters that is defined by a root: the frequency at which the
     gain is one, or is real. Its derivative follows from those of the loop at this frequency
     (implicit function theorem), which are exact. A parameter limits a margin by its derivative
-    times its standard error; `margins` has intervals that hold for large errors, too.
+    times its standard error; `margins` has intervals that hold for large errors, too. At a delay of
+    whole samples, where the derivative by the delay jumps, it is that toward longer delays.
 
     Parameters
     ----------

@@ -259,7 +259,8 @@
       for (const series of this.visible(panel)) {
         series.at.forEach((x, k) => {
           if (series.kind !== "rule" && (x < low || x > high)) return;
-          for (const column of ["yAt", "lowAt", "highAt"]) if (series[column]) values.push(series[column][k]);
+          // Circles of poor points may be many times as large as the curve.
+          for (const column of this.figure.is_plane ? ["yAt"] : ["yAt", "lowAt", "highAt"]) if (series[column]) values.push(series[column][k]);
         });
       }
       return span(values);
@@ -380,6 +381,11 @@
       let d = "";
       for (let k = from; k < to; k += 1) {
         if (series.lowAt[k] === null || series.highAt[k] === null) continue;
+        if (this.figure.is_plane) {
+          const radius = (this.py(panel, series.lowAt[k]) - this.py(panel, series.highAt[k])) / 2;
+          d += MARKERS[0](Number(this.px(series.at[k]).toFixed(1)), Number(this.py(panel, series.yAt[k]).toFixed(1)), Number(radius.toFixed(1)));
+          continue;
+        }
         if (series.is_across) {
           d += `M${this.px(series.lowAt[k]).toFixed(1)},${this.py(panel, series.yAt[k]).toFixed(1)}H${this.px(series.highAt[k]).toFixed(1)}`;
           continue;

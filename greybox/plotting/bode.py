@@ -19,6 +19,7 @@ from greybox.plotting.responses import (
     title,
 )
 
+BARS = "Bars: one standard deviation of the measurement."
 DB_PER_NEPER = 20 / np.log(10)
 
 _Phase = tuple[Array, Array]  # sorted omega (n,) in rad/s, phase (n,) in degrees
@@ -155,7 +156,7 @@ def _caption(
     if level is not None and any(drawn.band is not None for drawn in responses):
         sentences.append(f"Shaded: {100 * level:g} % confidence band of the fitted response.")
     if any(drawn.response.variance is not None for drawn in responses):
-        sentences.append("Bars: one standard deviation of the measurement.")
+        sentences.append(BARS)
     if panels[-1].label.startswith("Error"):
         sentences.append("Errors are measured less fitted values.")
     return " ".join(sentences)

@@ -6,7 +6,7 @@ from typing import Literal
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, ComplexArray
 
 Limits = tuple[float, float]
 
@@ -35,7 +35,7 @@ class Series:
     style : int
         Number of the dash pattern or of the marker; CROSS.
     low, high : (n,) arrays or None
-        Ends of error bars, or of the band.
+        Ends of error bars, or of the band. In the complex plane, bars are diameters of circles.
     notes : sequence of str
         What the page shows when a point is read, instead of its numbers.
     labels : sequence of str
@@ -63,6 +63,13 @@ class Series:
 def band(name: str, x: Array, low: Array, high: Array, color: int = 0) -> Series:
     """Return the area between two curves (n,)."""
     return Series(name, "band", x, low, color, low=low, high=high)
+
+
+def outlined(outlines: ComplexArray, color: int, *, is_hollow: bool = False) -> Series:
+    """Return closed outlines (n, m) in the complex plane as one series."""
+    # NaN ends an outline.
+    vertices = np.insert(outlines, 0, np.nan, axis=1).ravel()
+    return Series("", "regions", vertices.real, vertices.imag, color, is_hollow=is_hollow)
 
 
 def rule(y: float = 0.0, name: str = "", style: int = 0) -> Series:

@@ -1,6 +1,7 @@
 """Loops with confidence bands, as Bode, Nichols, Nyquist diagram and step; and safe gains."""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -9,10 +10,10 @@ from greybox.experiment.loop_numbers import loop_frequencies, step_responses
 from greybox.experiment.margins import Margins
 from greybox.experiment.safe_gains import SafeGains
 from greybox.files.arrays import Array
-from greybox.plotting.bode import error_bars
+from greybox.plotting.bode import BARS, error_bars
 from greybox.plotting.figure import ANGLES, CROSS, GRAY, INK, Figure, Panel, Series, band, rule
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
-from greybox.plotting.nyquist import circles, outlined
+from greybox.plotting.nyquist import CIRCLES, in_plane
 
 SHOWN = (1e-2, 1e2)  # gains of the broken loop that are drawn
 CURVES = 25  # draws in the Nichols and Nyquist diagrams, where a band has no direction
@@ -28,7 +29,7 @@ def loop(margins: Margins, axes: GivenAxes | None = None) -> AxesArray:
     ----------
     margins : Margins
         Its `points` are drawn, too, with bars of one standard deviation; in the Nyquist diagram
-        with circles of that radius.
+        with circles, their regions at the level of the margins.
     axes : array-like of Axes, optional
         Four for the broken loop, and one more for the step. By default a new figure is made.
 
@@ -63,23 +64,26 @@ def loop_figures(margins: Margins) -> list[Figure]:
         angle -= 360 * np.round(np.mean(angle - np.interp(data.omega, omega, phase[0])) / 360)
         columns = [(data.omega, size), (data.omega, angle), (angle, size)]
         bars = error_bars(data, np.array([size, angle]))
-        bars += [bars[0], (None, None)]
-        if data.variance is not None:
-            outlines = circles(data, np.ones(len(data)))
-            curves[3].append(outlined(outlines, k, is_hollow=True))
-        for series, (x, y), ends in zip(
-            curves, [*columns, (data.response.real, data.response.imag)], bars, strict=True
-        ):
-            series.append(Series(data.name or "measured", "points", x, y, k, k, *ends))
+        looks: list[dict[str, Any]] = [
+            dict(zip(("x", "y", "low", "high"), (*column, *ends), strict=True))
+            for column, ends in zip(columns, [*bars, bars[0]], strict=True)
+        ]
+        looks.append(in_plane(data, margins.level))
+        for series, look in zip(curves, looks, strict=True):
+            series.append(Series(data.name or "measured", "points", color=k, style=k, **look))
 
     panels = [Panel("Gain, dB", curves[0]), Panel("Phase, °", curves[1], steps=ANGLES)]
     nichols = Panel("Gain, dB", curves[2])
     # Low frequencies are far away; what matters is around the critical point.
     nyquist = Panel("Imaginary part", curves[3], limits=(-2.0, 2.0))
+    captions = (BARS, CIRCLES) if margins.points else ("", "")
+    plane: dict[str, Any] = {"limits": (-2.5, 1.5), "is_plane": True, "caption": captions[1]}
     figures = [
-        Figure(f"Loop broken at {signal}", "ω, rad/s", panels, is_logarithmic=True),
-        Figure("Nichols diagram", "Phase, °", [nichols]),
-        Figure("Nyquist diagram", "Real part", [nyquist], limits=(-2.5, 1.5), is_plane=True),
+        Figure(
+            f"Loop broken at {signal}", "ω, rad/s", panels, caption=captions[0], is_logarithmic=True
+        ),
+        Figure("Nichols diagram", "Phase, °", [nichols], caption=captions[0]),
+        Figure("Nyquist diagram", "Real part", [nyquist], **plane),
     ]
     for settling in (row.value for row in margins.margins if row.name == "settling time"):
         time, steps = step_responses(loops, margins.setpoint, margins.response)

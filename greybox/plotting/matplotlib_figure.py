@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure as MatplotlibFigure
@@ -21,7 +22,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 from numpy.typing import NDArray
 
 from greybox.files.arrays import Array
-from greybox.plotting.figure import CROSS, GRAY, INK, Figure, Panel, Series
+from greybox.plotting.figure import CROSS, GRAY, INK, Figure, Panel, Series, outlined
 
 # Okabe and Ito's colors, which readers with a color vision deficiency can tell apart; yellow is too
 # pale for lines.
@@ -180,6 +181,9 @@ def _draw_panels(axes: AxesArray, figures: Sequence[Figure]) -> list[tuple[AxesA
 def _draw_panel(ax: Axes, figure: Figure, panel: Panel) -> None:
     for start, end, color in figure.spans:
         ax.axvspan(start, end, color=color_of(color), alpha=0.15, linewidth=0)
+    if figure.is_plane:
+        # One scale, or distances and angles in the complex plane would mislead.
+        ax.set_aspect("equal", adjustable="datalim")
     for series in panel.series:
         _DRAWERS[series.kind](ax, series)
     if figure.is_plane:
@@ -205,7 +209,11 @@ def _draw_line(ax: Axes, series: Series) -> None:
 def _draw_points(ax: Axes, series: Series) -> None:
     y = _finite(series.y)
     layer = 3.0 if len(y) <= CROWD else 1.5
-    if series.low is not None and series.high is not None:
+    if series.low is not None and series.high is not None and ax.get_aspect() == 1:
+        turn = np.exp(1j * np.linspace(0, 2 * np.pi, 49))
+        circles = (series.x + 1j * y)[:, None] + (series.high - series.low)[:, None] / 2 * turn
+        _draw_regions(ax, outlined(circles, series.color, is_hollow=True))
+    elif series.low is not None and series.high is not None:
         middle = series.x if series.is_across else y
         ends = [middle - _finite(series.low), _finite(series.high) - middle]
         look = {"ecolor": color_of(series.color), "elinewidth": 1.0, "alpha": 0.2 * layer}
@@ -256,12 +264,10 @@ def _polygons(series: Series) -> list[Array]:
 
 
 def _draw_plane(ax: Axes, figure: Figure, panel: Panel) -> None:
-    """Give both axes one scale and their lines through zero, and number the points."""
-    # One scale, or distances and angles in the complex plane would mislead.
+    """Give both axes their lines through zero, and number the points."""
     ax.axhline(0, color="0.6", linewidth=0.8, zorder=1)
     ax.axvline(0, color="0.6", linewidth=0.8, zorder=1)
     ax.margins(0.12)
-    ax.set_aspect("equal", adjustable="datalim")
 
     # Confidence regions may be many times as wide as the data, which would then be a dot: they
     # widen the limits by half at most.
@@ -352,6 +358,8 @@ def _vertical_axis(ax: Axes, panel: Panel) -> None:
         ax.set_yscale("log")
     if panel.limits is not None and ax.get_aspect() != 1:  # equal aspect changes the limits
         ax.set_ylim(panel.limits)
+    if panel.is_logarithmic:
+        _number_decades(ax.yaxis, *ax.get_ylim())
 
     # Below 60 degrees the steps 1, 2, 5 read well for angles too.
     span = float(np.ptp(ax.get_ylim()))
@@ -383,14 +391,18 @@ def _make_logarithmic(axes: AxesArray) -> None:
     # From everything in the axes, including what a user drew into them before.
     low = min(ax.dataLim.minposx for ax in axes)
     high = max(ax.dataLim.xmax for ax in axes)
-    ratio = high / low
     for ax in axes:
         ax.set(xscale="log", xlim=(low / 1.15, high * 1.15))
-        linear = MaxNLocator(6, steps=[1, 2, 2.5, 5, 10])
-        decades = LogLocator(subs=(1, 2, 5) if ratio < 1e3 else (1,))
-        ax.xaxis.set_major_locator(linear if ratio < 5 else decades)
-        ax.xaxis.set_major_formatter("{x:g}")
-        ax.xaxis.set_minor_formatter("")
+        _number_decades(ax.xaxis, low, high)
+
+
+def _number_decades(axis: Axis, low: float, high: float) -> None:
+    """Write plain numbers at a logarithmic axis: 60, not 6 times a power of ten."""
+    linear = MaxNLocator(6, steps=[1, 2, 2.5, 5, 10])
+    decades = LogLocator(subs=(1, 2, 5) if high < 1e3 * low else (1,))
+    axis.set_major_locator(linear if high < 5 * low else decades)
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter("")
 
 
 # --- legends

@@ -1,17 +1,18 @@
 """The Nyquist diagram: points and curves in the complex plane, a panel for signals of each size."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.response_band import radius, require_level
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, ComplexArray
-from greybox.plotting.figure import Figure, Limits, Panel, Series
+from greybox.plotting.figure import Figure, Limits, Panel, outlined
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.responses import DrawnResponse, drawn_responses, ratio, title
 
+CIRCLES = "Circles: confidence regions of the measured points."
 UNLIKE = 5.0  # ratio of magnitudes above which the data would vanish beside the curves
 
 
@@ -78,22 +79,25 @@ def columns_of(count: int) -> int:
 
 def _figure(responses: Sequence[DrawnResponse], level: float | None) -> Figure:
     limits = _limits(responses)
-    series = _regions(responses, level)
+    series = [
+        outlined(outlines[np.isfinite(outlines).all(axis=1)], drawn.color)
+        for drawn in responses
+        if drawn.band is not None
+        for outlines in [drawn.band.ellipses()]
+    ]
     for drawn in responses:
         response = drawn.response
-        # A curve runs along frequency, and the numbers of points stand beside their neighbors.
-        order = np.argsort(response.omega)
-        labels, notes = [], []
         if drawn.is_measured:
             # Three digits, without exponent where that is readable.
-            labels = [f"{float(f'{omega:.3g}'):g}" for omega in response.omega[order]]
-            values = zip(response.response[order], response.omega[order], strict=True)
-            notes = [f"{value:.4g} at {omega:.4g} rad/s" for value, omega in values]
-        x = response.alpha[order]
-        series.append(drawn.series(x, response.beta[order], notes=notes, labels=labels))
+            labels = [f"{float(f'{omega:.3g}'):g}" for omega in np.sort(response.omega)]
+            series.append(drawn.series(**in_plane(response, level), labels=labels))
+        else:
+            order = np.argsort(response.omega)  # a curve runs along frequency
+            series.append(drawn.series(response.alpha[order], response.beta[order]))
 
     name = ratio(responses)
     note = "Curves that reach farther are cut off." if limits else ""
+    circles = any(row.low is not None for row in series)
     panel = Panel(
         f"Imaginary part of {name}",
         series,
@@ -104,45 +108,32 @@ def _figure(responses: Sequence[DrawnResponse], level: float | None) -> Figure:
         "Nyquist diagram" if name == "P(jω)" else f"Nyquist diagram, {name}",
         f"Real part of {name}",
         [panel],
-        caption=note,
+        caption=f"{note} {CIRCLES}".strip() if circles else note,
         bands="" if level is None else f"{100 * level:g} % band",
         is_plane=True,
         limits=limits and limits[0],
     )
 
 
-def _regions(responses: Sequence[DrawnResponse], level: float | None) -> list[Series]:
-    """Return the ellipses along curves and the circles around measured points."""
-    regions = []
-    for drawn in responses:
-        response = drawn.response
-        outlines, is_hollow = np.zeros((0, 48), dtype=complex), False
-        if drawn.band is not None:
-            outlines = drawn.band.ellipses()
-        elif level is not None and drawn.is_measured and response.variance is not None:
-            dof = np.full(len(response), np.inf) if response.dof is None else response.dof
-            sizes = np.array([radius(level, value) for value in dof])
-            outlines, is_hollow = circles(response, sizes), True
-        outlines = outlines[np.isfinite(outlines).all(axis=1)]
-        if len(outlines):
-            regions.append(outlined(outlines, drawn.color, is_hollow=is_hollow))
+def in_plane(response: FrequencyResponse, level: float | None) -> dict[str, Any]:
+    """Return places and notes of measured points, in the order of their frequencies.
 
-    return regions
-
-
-def circles(response: FrequencyResponse, sizes: Array) -> ComplexArray:
-    """Return circles (n, 49) around measured points, of `sizes` (n,) times the standard error."""
-    # Errors of real and imaginary part are alike.
-    circle = np.exp(1j * np.linspace(0, 2 * np.pi, 49))
-    radii = sizes * response.relative_error * np.abs(response.response)
-    return response.response[:, None] + radii[:, None] * circle
-
-
-def outlined(outlines: ComplexArray, color: int, *, is_hollow: bool) -> Series:
-    """Return closed outlines (n, m) in the complex plane as one series."""
-    # NaN ends an outline.
-    vertices = np.insert(outlines, 0, np.nan, axis=1).ravel()
-    return Series("", "regions", vertices.real, vertices.imag, color, is_hollow=is_hollow)
+    With a variance and a level, they have circles: the regions of the true response.
+    """
+    order = np.argsort(response.omega)
+    x, y = response.alpha[order], response.beta[order]
+    values = zip(response.response[order], response.omega[order], strict=True)
+    look: dict[str, Any] = {
+        "x": x,
+        "y": y,
+        "notes": [f"{value:.4g} at {omega:.4g} rad/s" for value, omega in values],
+    }
+    if level is not None and response.variance is not None:
+        dof = np.full(len(response), np.inf) if response.dof is None else response.dof
+        sizes = np.array([radius(level, value) for value in dof])
+        radii = (sizes * response.relative_error * np.abs(response.response))[order]
+        look |= {"low": y - radii, "high": y + radii}
+    return look
 
 
 def _limits(responses: Sequence[DrawnResponse]) -> tuple[Limits, Limits] | None:

@@ -37,6 +37,29 @@ def test_an_integrator_in_a_sampled_loop_has_closed_forms():
     delay_margin = -late * by_gain / omega - lag / omega**2 * by_gain
     assert_allclose(slopes["delay margin"]["K"], delay_margin, rtol=1e-7)
     assert_allclose(slopes["gain margin"]["K"], -20 / np.log(10) / 8.0, rtol=1e-7)
+    # Behind three samples, a share d of a sample mixes two samples: L becomes L (1 - d + d / z).
+    later = (np.cos(omega * h) - 1) / h * 2 / h * np.tan(omega * h / 2)  # of the crossover
+    assert_allclose(slopes["crossover"]["T"], later, rtol=1e-7)
+    by_delay = -np.degrees(np.sin(omega * h) / h + late * later)
+    assert_allclose(slopes["phase margin"]["T"], by_delay, rtol=1e-7)
+
+
+def test_a_fast_loop_has_the_slopes_of_the_continuous_one():
+    # k / s e^(-s L) has a phase margin of pi / 2 - k L, a delay margin of pi / (2 k) - L, and a
+    # gain margin of pi / (2 k L). A loop at 2 kHz holds its control for another half sample.
+    P, k, T = 0.15, 1.2, 0.0753
+    late = T + 0.5 / 2000
+    loop = RateLoop({"K_I": 0.0, "K_P": P}, rate=2000)
+    slopes = gb.experiment.margin_slopes(Integrator(), loop, {"K": k / P, "T": T})
+    decibels = 20 / np.log(10)
+    for margin, by_gain, by_delay, error in (
+        ("phase margin", -np.degrees(late), -np.degrees(k), 1e-5),
+        ("delay margin", -np.pi / 2 / k**2, -1.0, 2e-4),
+        ("gain margin", -decibels / k, -decibels / late, 2e-3),
+        ("crossover", 1.0, 0.0, 1e-4),
+    ):
+        assert_allclose(slopes[margin]["K"], P * by_gain, rtol=error)
+        assert_allclose(slopes[margin]["T"], by_delay, rtol=error, atol=error)
 
 
 @pytest.mark.parametrize(

@@ -5,11 +5,14 @@ Figures are there and can be read and zoomed, tables sorted, and names do no har
 
 import math
 import os
+import re
 import shutil
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from page_results import MARKUP, crafted, lag
+from scipy import stats
 
 import greybox as gb
 from greybox.html_report.report import members_of
@@ -86,6 +89,24 @@ def test_every_figure_is_drawn_and_shows_its_numbers(show, one, fit):
     marks = shown.locator(".plot >> nth=0 >> .panel >> nth=0 >> path.marks")
     assert marks.get_attribute("d").count("M") == len(fit.parts[0].data)
     assert shown.locator("tbody tr").count() >= len(fit.quantities) + len(fit.parts)
+
+
+def test_circles_in_the_plane_have_the_radius_of_the_regions_of_points(show, one, fit):
+    shown = show(one)
+    data = fit.parts[0].data
+    (plot,) = (
+        p for p in shown.locator("figure").all() if "Nyquist" in p.locator("strong").inner_text()
+    )
+    (circles,) = plot.locator("path.bars").all()
+    number = r"(-?[\d.]+)"
+    rows = re.findall(f"M{number},{number}a{number},", circles.get_attribute("d"))
+    left, y, radii = np.array(rows, dtype=float).T
+    middles = left + radii - 1j * y
+    per_unit = abs(np.ptp(middles.real)) / np.ptp(data.alpha)
+    expected = np.sqrt(data.variance / 2 * stats.chi2.ppf(0.95, 2))
+    assert radii == pytest.approx(per_unit * expected, abs=0.1)  # px: what the page rounds to
+    places = np.diff(data.response) * per_unit
+    assert np.diff(middles) == pytest.approx(places, abs=0.3)
 
 
 def test_measured_points_are_read_by_mouse_and_keyboard(show, one, fit):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import stats
 
 import greybox as gb
 from greybox.models.rate import BasicRate
@@ -60,6 +61,10 @@ def test_measured_points_lie_on_the_loop_in_the_turn_of_the_critical_point(fit):
     assert np.all((points.x > -360) & (points.x <= 0))
     points = next(s for s in nyquist.panels[0].series if s.name == "injected")
     np.testing.assert_allclose(points.x + 1j * points.y, gain)
+    # The region of a complex number with a known variance: twice that has two degrees of freedom.
+    radius = np.sqrt(variance / 2 * stats.chi2.ppf(0.95, 2))
+    np.testing.assert_allclose(points.high - points.y, radius)
+    np.testing.assert_allclose(points.y - points.low, radius)
 
 
 def test_allowed_gains_todays_and_the_best_are_drawn(fit):

@@ -87,11 +87,16 @@ def test_angles_have_few_lines_at_parts_or_multiples_of_a_turn(span, step):
     np.testing.assert_allclose(np.diff(ticks) % 15, 0)
 
 
-@pytest.mark.parametrize("x", [[3.0], [3.0, 4.2], [0.01, 2000.0]])
-def test_every_logarithmic_axis_has_numbers(x):
-    ax = drawn(Series("p", "points", np.array(x), np.ones(len(x))), figure={"is_logarithmic": True})
-    (low, high), ticks = ax.get_xlim(), ax.xaxis.get_majorticklocs()
-    assert np.sum((low <= ticks) & (ticks <= high)) >= 2
+@pytest.mark.parametrize("x", [[3.0], [3.0, 4.2], [40.0, 75.0], [0.01, 2000.0]])
+def test_every_logarithmic_axis_has_numbers_without_powers_of_ten(x):
+    points = Series("p", "points", np.array(x), np.array(x))
+    ax = drawn(points, figure={"is_logarithmic": True}, is_logarithmic=True)
+    ax.figure.draw_without_rendering()
+    for axis in (ax.xaxis, ax.yaxis):
+        (low, high), ticks = axis.get_view_interval(), axis.get_majorticklocs()
+        assert np.sum((low <= ticks) & (ticks <= high)) >= 2
+        labels = [text.get_text() for text in axis.get_ticklabels(which="both")]
+        assert [float(label) for label in labels if label] == pytest.approx(ticks, rel=1e-5)
 
 
 def test_limits_spans_and_whole_numbers():
