@@ -47,7 +47,8 @@ fits RESULT...
 --names GAIN=PARAMETER...
     names of the gains in the firmware, for --parameters
 --parameters FILE
-    write the best gains to a file for a ground station: .param for ArduPilot, .params for PX4
+    write the best gains to a file for a ground station: .param for ArduPilot, .params for PX4,
+    .txt for the command line of Betaflight
 --plot FILE
     draw the allowed gains into this png, pdf or svg file
 --force
@@ -57,7 +58,7 @@ fits RESULT...
 def run(options: argparse.Namespace) -> Answer:
     """Read the fits, try the gains, and return which of them are safe."""
     require_writable(
-        options.parameters, options.force, (".param", ".parm", ".params"), "parameter file"
+        options.parameters, options.force, (".param", ".parm", ".params", ".txt"), "parameter file"
     )
     require_figure(options.plot, options.force)
     fits = [saved_fit(path, options) for path in options.fits]

@@ -40,7 +40,7 @@ def test_gains_whose_crossover_was_not_measured_are_refused(capsys, rate_loop, t
         ((), "--gains"),
         (("--gains", "K_P=0.1"), "NAME=LOW:HIGH"),
         (("--gains", "K_Q=0:1"), "no gain 'K_Q'"),
-        (("--gains", "K_P=0:1", "--parameters", "x.txt"), ".param"),
+        (("--gains", "K_P=0:1", "--parameters", "x.csv"), ".param"),
     ],
 )
 def test_what_does_not_fit_is_refused(capsys, rate_loop, words, message):

@@ -165,3 +165,8 @@ def test_files_of_gains_are_those_of_the_ground_stations(tmp_path):
     gb.experiment.write_gains({"MC_PITCHRATE_P": 0.14}, tmp_path / "pitch.params")
     lines = (tmp_path / "pitch.params").read_text(encoding="utf-8").splitlines()
     assert lines[-1].split("\t") == ["1", "1", "MC_PITCHRATE_P", "0.14", "9"]
+    gb.experiment.write_gains({"p_pitch": 46.6, "d_pitch": 0.0}, tmp_path / "pitch.txt")
+    lines = (tmp_path / "pitch.txt").read_text(encoding="utf-8").splitlines()
+    assert lines == ["set p_pitch = 47", "set d_pitch = 0", "save"]
+    with pytest.raises(ValueError, match="ATC_RAT_PIT_P is below 1"):
+        gb.experiment.write_gains({"ATC_RAT_PIT_P": 0.14}, tmp_path / "other.txt")
