@@ -44,6 +44,9 @@ results RESULT...
     where to break the loop: an input of the plant (default: the first one) or a measured signal
 --tracking SETPOINT SIGNAL
     of which setpoint and response to give bandwidth and step (default: the first ones)
+--boundary DELAY:BANDWIDTH...
+    corners of a boundary between levels of handling qualities: the least ADS-33 bandwidth in rad/s
+    at a phase delay in s
 --at NAME=VALUE...
     operating point of an ODE
 --level
@@ -65,7 +68,10 @@ def run(options: argparse.Namespace) -> Answer:
             fits[str(path)] = saved_fit(path, options)
     require_figure(options.plot, options.force)
     require_writable(options.report, options.force, (".html", ".htm"), "page")
-    tracking = tuple(options.tracking) if options.tracking else None
+    settings = {
+        "tracking": tuple(options.tracking) if options.tracking else None,
+        **attributes(options, "at", "level", "boundary"),
+    }
     wrong = ""
     # A log has the controller that flew, with its gains and its rate.
     if options.log:
@@ -77,8 +83,8 @@ def run(options: argparse.Namespace) -> Answer:
             *fits.values(),
             options.axis,
             broken_at=options.broken_at or (),
-            tracking=tracking,
-            **attributes(options, "signals", "at", "level"),
+            signals=options.signals,
+            **settings,
         )
         loops = [flown.model, *flown.others]
         answer, text = flown.to_dict(), [str(flown)]
@@ -86,7 +92,6 @@ def run(options: argparse.Namespace) -> Answer:
             wrong = "the controllers of the log do not reproduce its control."
     else:
         controllers = stated_controllers(options)
-        settings = {"tracking": tracking, **attributes(options, "at", "level")}
         labeled = [
             (label, margins(fit, controllers, broken_at=place, **settings))
             for label, fit in fits.items()
