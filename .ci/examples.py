@@ -1,12 +1,21 @@
-"""Write the Python examples of README.md and docs/guide/, one file a page, for the type checker."""
+"""Write the Python of README.md, docs/guide/ and notebooks/, one file a page, for pyright."""
 
+import json
 import re
 import sys
 from pathlib import Path
 
 target = Path(sys.argv[1])
 target.mkdir()
-for page in [Path("README.md"), *sorted(Path("docs/guide").glob("*.md"))]:
-    blocks = re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.S | re.M)
+pages = {
+    page.stem: re.findall(r"^```python\n(.*?)^```", page.read_text(encoding="utf-8"), re.S | re.M)
+    for page in [Path("README.md"), *sorted(Path("docs/guide").glob("*.md"))]
+}
+for notebook in sorted(Path("notebooks").glob("*.ipynb")):
+    cells = json.loads(notebook.read_text(encoding="utf-8"))["cells"]
+    sources = ["".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"]
+    pages[notebook.stem] = sources
+
+for name, blocks in pages.items():
     if blocks:
-        (target / f"{page.stem}.py").write_text("\n".join(blocks), encoding="utf-8")
+        (target / f"{name}.py").write_text("\n".join(blocks) + "\n", encoding="utf-8")

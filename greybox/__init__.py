@@ -54,7 +54,7 @@ def __getattr__(name: str) -> object:
 
 def __dir__() -> list[str]:
     """List the public names, those not yet imported included."""
-    return sorted({*globals(), *_MODULES})
+    return sorted([*_MODULES, "__version__"])
 
 
 # In a clone, models/ and problems/ stand beside this package; in a wheel they are inside it.

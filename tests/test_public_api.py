@@ -72,6 +72,7 @@ def listed():
 
 
 def test_the_list_is_complete(listed):
+    assert dir(gb) == sorted((*NAMESPACES, *NAMES, *FORMULAS, "__version__"))
     assert sorted(set(listed["greybox"]) - set(NAMESPACES)) == sorted((*NAMES, *FORMULAS))
 
 

@@ -3,10 +3,11 @@
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
+from inspect import Signature, signature
 from itertools import combinations
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, TypeVar, overload
 
 import casadi as ca
 import numpy as np
@@ -32,9 +33,61 @@ from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import require_no_nan, traced
 from greybox.modeling.transfer_function import require_no_operating_point
 
+_Stated = TypeVar("_Stated", bound="Problem")
+
+
+class _OneOrSeveral(type):
+    """Returns a problem, or for several responses of one model the sum of their problems."""
+
+    @property
+    def __signature__(cls) -> Signature:
+        return signature(partial(cls.__init__, None))
+
+    # A type checker takes the types of the options from the fields.
+    @overload
+    def __call__(
+        cls: "type[_Stated]",
+        model: Model,
+        data: FrequencyResponse | Record | TransientSpectrum,
+        *args: Any,
+        **options: Any,
+    ) -> "_Stated": ...
+
+    @overload
+    def __call__(
+        cls,
+        model: Model,
+        data: Mapping[str, FrequencyResponse] | Sequence[Any] | np.ndarray[Any, Any],
+        *args: Any,
+        **options: Any,
+    ) -> "Sum[Problem]": ...
+
+    def __call__(cls, model: Any = None, data: Any = None, *args: Any, **options: Any) -> Any:
+        problem = super().__call__
+        responses = _responses_by_pair(data)
+        if not responses:
+            return problem(model, data, *args, **options)
+
+        weight, band = options.pop("weight", 1.0), options.pop("band", {})
+        pairs = [*map(_pair, responses)]
+        weights = weight if isinstance(weight, Mapping) else dict.fromkeys(pairs, weight)
+        for what in (weights, band):
+            require_known(what, pairs, "pair", "the list of responses")
+
+        parts = (
+            problem(
+                model,
+                response.between(*band[pair]) if pair in band else response,
+                *args,
+                **{"name": pair, **options, "weight": weights.get(pair, 1.0)},
+            )
+            for pair, response in zip(pairs, responses, strict=True)
+        )
+        return Sum(tuple(parts))
+
 
 @dataclass(frozen=True, eq=False)
-class Problem(Addable):
+class Problem(Addable, metaclass=_OneOrSeveral):
     """One model, one set of data, one criterion.
 
     Parameters
@@ -98,27 +151,6 @@ class Problem(Addable):
     ValueError
         If model, data and options do not fit together; the message has the value and the cure.
     """
-
-    def __new__(cls, model: Any = None, data: Any = None, *args: Any, **options: Any) -> Any:
-        """Return a problem, or for several responses the sum of their problems."""
-        responses = _responses_by_pair(data)
-        if not responses:
-            return object.__new__(cls)
-        weight, band = options.pop("weight", 1.0), options.pop("band", {})
-        pairs = [*map(_pair, responses)]
-        weights = weight if isinstance(weight, Mapping) else dict.fromkeys(pairs, weight)
-        for what in (weights, band):
-            require_known(what, pairs, "pair", "the list of responses")
-        parts = (
-            cls(
-                model,
-                response.between(*band[pair]) if pair in band else response,
-                *args,
-                **{"name": pair, **options, "weight": weights.get(pair, 1.0)},
-            )
-            for pair, response in zip(pairs, responses, strict=True)
-        )
-        return Sum(tuple(parts))
 
     model: Model
     data: FrequencyResponse | Record | TransientSpectrum

@@ -1,5 +1,6 @@
 """Statements of problems: fixed, free, tied, constrained and renamed parameters, sums, and every refusal."""
 
+import inspect
 import re
 from dataclasses import replace
 
@@ -535,3 +536,7 @@ def test_values_at_bounds_are_kept():
         TypeError, match=r"^bounds is \['c'\]: give \{name of a parameter: \.\.\.\}\.$"
     ):
         gb.Problem(Cube(), ROWS, bounds=["c"])
+
+
+def test_help_shows_the_options():
+    assert {"model", "fixed", "prior"} < {*inspect.signature(gb.Problem).parameters}
