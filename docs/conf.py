@@ -1,7 +1,7 @@
 """The documentation site: `sphinx-build -W docs site`.
 
-Pages are the Markdown files here; the notebooks are executed, and the API reference is made from
-the docstrings of the public names, both into folders that are not kept.
+Pages are the Markdown files here. The notebooks are executed, the page of the commands is made from
+their parser, and the API reference from the docstrings of the public names; none of these is kept.
 """
 
 import inspect
@@ -11,6 +11,7 @@ from importlib import import_module
 from pathlib import Path
 
 import greybox as gb
+from greybox.cli.main import GROUPS, parser_of
 
 HERE = Path(__file__).parent
 FOLDERS = """
@@ -30,7 +31,7 @@ extensions = [
     "sphinx_copybutton",
 ]
 exclude_patterns = ["jupyter_execute"]
-myst_enable_extensions = ["dollarmath"]
+myst_enable_extensions = ["deflist", "dollarmath"]
 myst_heading_anchors = 3
 nb_execution_timeout = 600
 nb_execution_raise_on_error = True
@@ -70,8 +71,49 @@ def page(title, module, names):
     return "\n".join(text)
 
 
+OF_ALL = ("--help", "--json", "--quiet", "--debug")  # options of every command
+
+
+def commands_page():
+    """Return the page of the commands, from their parser."""
+    parser = parser_of()
+    (parsers,) = (action.choices for action in parser._actions if action.choices)
+    text = [
+        "# Commands",
+        "",
+        "`greybox COMMAND --help` prints the same. Every command also takes these options:",
+        "",
+        *options(parsers["list"], lambda action: action.option_strings[-1:] and is_of_all(action)),
+    ]
+    for group, names in GROUPS.items():
+        text += [f"## {group.capitalize()}", ""]
+        for name in names:
+            command = parsers[name]
+            examples = command.epilog.partition("\n")[2].replace("  greybox", "$ greybox")
+            text += [f"### `greybox {name}`", "", command.description, ""]
+            text += ["```console", examples, "```", ""]
+            text += options(command, lambda action: not is_of_all(action))
+    return "\n".join(text)
+
+
+def is_of_all(action):
+    return action.option_strings[-1:] and action.option_strings[-1] in OF_ALL
+
+
+def options(command, chosen):
+    """Yield the options of a command as a list of definitions."""
+    formatter = command._get_formatter()
+    for action in filter(chosen, command._actions):
+        form = formatter._format_action_invocation(action)
+        form = re.sub(r"(\S+) \[\1 \.\.\.\]", r"\1...", form)
+        about = re.sub(r"([\\*_\[<$|])", r"\\\1", action.help)
+        about = re.sub(r"(?<!\S)(--[\w-]+|'[^']+')", lambda m: f"`{m[1].strip(chr(39))}`", about)
+        yield from (f"`{form}`", f": {about}", "")
+
+
 def write_sources(_):
-    """Copy the notebooks and write the pages of the reference."""
+    """Copy the notebooks and write the pages of the commands and of the reference."""
+    (HERE / "commands.md").write_text(commands_page(), encoding="utf-8")
     shutil.rmtree(HERE / "notebooks", ignore_errors=True)
     shutil.copytree(
         HERE.parent / "notebooks", HERE / "notebooks", ignore=shutil.ignore_patterns(".*")

@@ -19,30 +19,49 @@ from greybox.cli.output import BAD_INPUT, write_answer
 from greybox.files.text_table import alternatives, nearest
 
 # The command `fit` is the module `greybox.cli.fit_command`.
-COMMANDS = {
-    "list": "list the included models and problems",
-    "inspect": "show what a log contains, its test segments and its defects",
-    "identify": "go from a log to a fitted model in one step",
-    "response": "measure a frequency response from a log",
-    "orders": "choose the orders of a rational transfer function",
-    "identifiability": "which parameters the model structure, or a fit, can determine",
-    "fit": "fit a problem from many starts",
-    "profile": "compute intervals that need not be symmetric",
-    "bootstrap": "compute errors and intervals from resampled data",
-    "margins": "compute stability margins of a fit in the loop of a controller",
-    "tune": "compute which gains of a controller are safe, and the best of them",
-    "stepwise": "choose terms of a model from a list of candidates, by tests",
-    "batch": "fit many problems, and lose nothing when killed",
-    "compare": "compare saved fits, or the fits of a study",
-    "predict": "simulate a saved model on another log, and compare",
-    "report": "write a page about results that can be shared",
-    "new": "write a commented file to start from",
+GROUPS = {
+    "log": {
+        "inspect": "show what a log contains, its test segments and its defects",
+        "identify": "go from a log to a fitted model in one step",
+        "response": "measure a frequency response from a log",
+    },
+    "fit": {
+        "list": "list the included models and problems",
+        "new": "write a commented file to start from",
+        "fit": "fit a problem from many starts",
+        "orders": "choose the orders of a rational transfer function",
+        "stepwise": "choose terms of a model from a list of candidates, by tests",
+    },
+    "judge": {
+        "compare": "compare saved fits, or the fits of a study",
+        "predict": "predict another log with a saved fit, window by window",
+        "identifiability": "which parameters a model, or a fit, can determine",
+        "profile": "compute intervals that need not be symmetric",
+        "bootstrap": "compute errors and intervals from resampled data",
+    },
+    "studies": {"batch": "fit many problems, and lose nothing when killed"},
+    "hand on": {
+        "report": "write a page about results that can be shared",
+        "margins": "compute stability margins of a fit in the loop of a controller",
+        "tune": "compute which gains of a controller are safe, and the best",
+    },
 }
+COMMANDS = {name: about for group in GROUPS.values() for name, about in group.items()}
 
 # MB of address space: enough for any number of threads in OpenBLAS, and for one, with which fits
 # take 570 to 610.
 ADDRESSES = (1024, 600)
 
+# argparse has no groups of commands.
+ABOUT = "\n\n".join(
+    [
+        "Grey-box estimation of models from flight data.",
+        *(
+            "\n".join([f"{group}:", *(f"    {name:16} {about}" for name, about in names.items())])
+            for group, names in GROUPS.items()
+        ),
+    ]
+)
 BEGIN = """\
 begin with:
   greybox list
@@ -113,7 +132,8 @@ def parser_of(commands: Collection[str] = tuple(COMMANDS)) -> argparse.ArgumentP
     """Return the parser, with the options of these commands only."""
     parser = _Parser(
         prog="greybox",
-        description="Grey-box estimation of models from flight data.",
+        usage="greybox [-h] [--version] COMMAND ...",
+        description=ABOUT,
         epilog=BEGIN,
         formatter_class=HelpFormatter,
         allow_abbrev=False,
@@ -121,11 +141,12 @@ def parser_of(commands: Collection[str] = tuple(COMMANDS)) -> argparse.ArgumentP
     # No abbreviations: a new option could make one in a script ambiguous.
     parser.add_argument("--version", action="version", version=f"greybox {version('greybox-id')}")
 
-    subparsers = parser.add_subparsers(metavar="COMMAND", required=True)
+    subparsers = parser.add_subparsers(
+        prog="greybox", metavar="COMMAND", required=True, help=argparse.SUPPRESS
+    )
     for name, about in COMMANDS.items():
         command = subparsers.add_parser(
             name,
-            help=about,
             description=f"{about[0].upper()}{about[1:]}.",
             formatter_class=HelpFormatter,
             allow_abbrev=False,

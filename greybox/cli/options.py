@@ -62,13 +62,6 @@ class HelpFormatter(argparse.RawDescriptionHelpFormatter):
     def __init__(self, prog: str) -> None:
         super().__init__(prog, max_help_position=26)
 
-    def format_help(self) -> str:
-        """Return the help."""
-        # argparse does not count the indentation of commands, and breaks the line of the longest
-        # one.
-        self._action_max_length += 2
-        return super().format_help()
-
 
 # --- how options are stated
 

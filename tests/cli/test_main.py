@@ -38,7 +38,7 @@ from greybox.cli.output import BAD_INPUT, FAILED, USABLE, write_answer
         (["list", "tilt:Tlit"], "did you mean 'Tilt'?"),
         (
             ["refit"],
-            "there is no 'refit'; there are list, inspect, identify, response,",
+            "there is no 'refit'; there are inspect, identify, response, list,",
         ),
         (
             ["fit", "pitch_hover", "--stars", "5"],

@@ -7,6 +7,7 @@ import operator
 import re
 
 import pytest
+from command_line import run
 from PIL import Image
 from readme_blocks import NUMBER, PICTURE, README, draw_picture
 
@@ -73,6 +74,18 @@ def test_the_names_are_there(page):
 def test_the_commands_are_there():
     for command in ("run", "test"):
         assert re.search(rf"<!-- {command} -->\n```bash\n.+\n```", TEXT)
+
+
+def test_the_commands_for_a_log_run(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "problems").symlink_to(README.parent / "problems")
+    commands = re.findall(r"^\$ greybox (.+?) *(?:#.*)?$", TEXT, re.MULTILINE)
+    assert len(commands) == 3
+    for command in commands:
+        status, out, _ = run(capsys, *command.split())
+        assert status == 0
+    assert "sitl_pitch_fit.html" in out
+    assert gb.load("sitl_pitch_fit.h5").misfit.explains
 
 
 def test_the_study_file_is_read(tmp_path):
