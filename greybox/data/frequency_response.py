@@ -83,6 +83,15 @@ class FrequencyResponse:
     ValueError
         For empty data, different lengths, NaN or infinite values, values above 1e75 or below 1e-75
         (zero is allowed), non-positive or repeated frequencies.
+
+    Examples
+    --------
+    >>> omega = np.array([1.0, 2.0, 4.0])  # rad/s
+    >>> data = gb.FrequencyResponse(omega, 3 / (0.5j * omega + 1), input="u", output="p")
+    >>> abs(data.response).round(3)
+    array([2.683, 2.121, 1.342])
+    >>> len(data.between(1.5, 5))
+    2
     """
 
     omega: Array

@@ -69,6 +69,15 @@ class Record:
     ValueError
         For empty records, different lengths, times that do not increase, units of unknown signals,
         or a hold below 0.
+
+    Examples
+    --------
+    >>> time = np.arange(0, 1, 0.1)  # s
+    >>> record = gb.Record(time, {"u": np.sin(time)}, units={"u": "N"}, hold={"u": np.inf})
+    >>> record["u"][:2].round(3)
+    array([0. , 0.1])
+    >>> len(record.between(0.3, 0.7))
+    4
     """
 
     time: Array

@@ -52,6 +52,13 @@ def read_response(
         can be read as two. The message names file, line and cell.
     FileNotFoundError
         If there is no such file.
+
+    Examples
+    --------
+    >>> omega = np.array([1.0, 2.0])
+    >>> gb.data.write_response(gb.FrequencyResponse(omega, 1 / (1j * omega + 1)), "lag.csv")
+    >>> abs(gb.read_response("lag.csv").response).round(3)
+    array([0.707, 0.447])
     """
     path = Path(path)
     require_file(path)

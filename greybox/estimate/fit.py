@@ -165,6 +165,15 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     KeyboardInterrupt
         After Ctrl-C, at the end of the current iteration; its attribute ``fit`` is the best fit so
         far.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> answer = gb.fit(pitch_hover.problem(), starts=20)
+    >>> answer.converged, answer.agreeing
+    (True, 20)
+    >>> round(answer.estimate["a1"], 2), round(answer.standard_error["a1"], 1)
+    (-13.58, 1.3)
     """
     by = SolverChoice(method, search, solver_options)
     with limited(TimeLimits.from_now(seconds, start_seconds)):

@@ -37,6 +37,13 @@ def misfit(
     ------
     ValueError, LookupError
         If the problem does not follow from the fit, or is another one.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> fit = gb.fit(pitch_hover.problem(), starts=20)
+    >>> gb.misfit(fit).explains
+    True
     """
     fit.require_estimate()
     nlp = compiled_again(fit, problem)

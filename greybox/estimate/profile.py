@@ -86,6 +86,14 @@ def profile(
         the fitted one.
     LookupError
         If a loaded fit does not know its model.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> fit = gb.fit(pitch_hover.problem(), starts=20)
+    >>> low, high = gb.profile(fit, ["a1"])["a1"].interval
+    >>> low < fit.estimate["a1"] < high
+    True
     """
     nlp = _compiled(fit, problem, level)
     # A quantity that follows from constants alone has the standard error zero and no profile.
@@ -681,6 +689,13 @@ def contour(
     ------
     ValueError
         As for `profile`; and for names that are not two free parameters within their bounds.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> fit = gb.fit(pitch_hover.problem(), starts=20)
+    >>> gb.contour(fit, "a1", "a2", directions=8).level
+    0.95
     """
     nlp = _compiled(fit, problem, level)
     lines = {q.name: q for q in fit.quantities if q.kind == "free" and not q.at_bound}

@@ -141,6 +141,16 @@ class Fit:
         Arguments of the ``greybox`` command that made the fit; empty from Python.
     models, given : tuple of Model or None, tuple of Model or class
         The fitted models, None for a loaded fit; and the models that were given to `load`.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> fit = gb.fit(pitch_hover.problem(), starts=20)
+    >>> low, high = fit.interval(0.95)["a1"]
+    >>> low < fit.estimate["a1"] < high
+    True
+    >>> fit.misfit.explains
+    True
     """
 
     name: str

@@ -42,6 +42,14 @@ def save(fit: Fit, path: str | Path) -> None:
         If the name of the file does not end in .h5 or .hdf5: it would be taken for something else.
     OSError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> fit = gb.fit(pitch_hover.problem(), starts=20)
+    >>> gb.save(fit, "pitch.h5")
+    >>> gb.load("pitch.h5").cost == fit.cost
+    True
     """
     path = Path(path)
     if path.suffix.lower() not in HDF5:
@@ -71,6 +79,15 @@ def load(
         If the file does not exist.
     ValueError
         If it is not a greybox fit, is damaged, or was written by another version.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> fit = gb.fit(pitch_hover.problem(), starts=20)
+    >>> gb.save(fit, "pitch.h5")
+    >>> again = gb.load("pitch.h5")  # models=[Mine] for a model of your own
+    >>> again.estimate == fit.estimate
+    True
     """
     return from_bytes(read_sealed(Path(path), KIND), models, f"{path}")
 

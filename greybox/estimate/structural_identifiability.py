@@ -146,6 +146,12 @@ def structural_identifiability(
     Sources: Bellman and Åström (1970), On structural identifiability, Mathematical Biosciences 7;
     Jacquez and Greif (1985), Numerical parameter identifiability and estimability, Mathematical
     Biosciences 77.
+
+    Examples
+    --------
+    >>> from greybox.models.yaw import YawRate
+    >>> gb.structural_identifiability(YawRate()).identifiable
+    ('a1_tilde', 'a2', 'a3_tilde', 'a4')
     """
     if not isinstance(model, Model):
         raise TypeError(f"model is {model!r:.60}: give an instance such as Tilt(), not the class.")

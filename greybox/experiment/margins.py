@@ -305,6 +305,16 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     Military Rotorcraft, paragraph 3.3.2.1 (bandwidth and phase delay of attitudes); Tischler
     et al. (2017), Practical Methods for Aircraft and Rotorcraft Flight Control Design, section 3.3
     (disturbance rejection); Chandler and Bate (2007), Biometrika 94 (the likelihood ratio).
+
+    Examples
+    --------
+    >>> from greybox.models.controller import AttitudeController
+    >>> from greybox.models.tilt import Tilt
+    >>> flown = AttitudeController({"K_P": 0.12}, rate=400, signals={"q": "theta_dot"})
+    >>> values = {"a1": -14.6, "a2": 3.0, "a3": 8.5, "a4": 295.0, "a5": 0.16, "T_delay": 0.0042}
+    >>> margins = gb.margins(Tilt(), flown, values)  # with intervals if the plant is a fit
+    >>> print(f"{margins['phase margin'].value:.0f}°")
+    56°
     """
     if isinstance(plant, FrequencyResponse):
         if controller or values or broken_at or tracking or at or part:

@@ -106,6 +106,17 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     ------
     ValueError
         For names that do not match, and a flight that diverges; the sentence says when.
+
+    Examples
+    --------
+    >>> from greybox.models.controller import AttitudeController
+    >>> from greybox.models.tilt import LinearTilt
+    >>> truth = {"a1": -14.6, "a2": 3.0, "a3": 8.5, "a4": 295.0}
+    >>> sines = gb.experiment.sine_schedule([1.7, 4.5], 0.1, rate=100, periods=2, least=5)
+    >>> loop, noise = AttitudeController(rate=100), {"theta": 0.002}  # rad
+    >>> record = gb.virtual_flight(LinearTilt(), truth, sines, controller=loop, noise=noise)
+    >>> sorted(record.signals)
+    ['q', 'q_reference', 'reference', 'theta', 'u', 'v']
     """
     if not isinstance(model, Model):
         raise TypeError(f"{model!r} is not a model: give an instance, such as LinearTilt().")

@@ -397,6 +397,15 @@ class MaximumLikelihood(Criterion):
     91 %, since few points then decide. If the residuals are larger than the variances, the standard
     errors are widened by the root of the ratio, the scale factor of the Particle Data Group (Review
     of Particle Physics, introduction).
+
+    Examples
+    --------
+    >>> from greybox.models.rate import DampedAngle
+    >>> from greybox.problems import sitl_pitch
+    >>> data = sitl_pitch.data()  # with variances
+    >>> problem = gb.Problem(DampedAngle(), data, criterion=gb.MaximumLikelihood())
+    >>> gb.fit(problem, starts=4).criterion
+    'maximum-likelihood'
     """
 
     rule: ClassVar[str] = "maximum likelihood, given variances"

@@ -150,6 +150,14 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     ------
     ValueError
         If model, data and options do not fit together; the message has the value and the cure.
+
+    Examples
+    --------
+    >>> from greybox.models.rate import DampedAngle
+    >>> from greybox.problems import sitl_pitch
+    >>> problem = gb.Problem(DampedAngle(), sitl_pitch.data(), fixed={"T_delay": 0.0})
+    >>> [name for name, parameter in problem.parameters.items() if not parameter.fixed]
+    ['K_phi', 'a', 'T_rotor']
     """
 
     model: Model

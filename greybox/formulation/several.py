@@ -35,6 +35,15 @@ def several(
     ------
     ValueError
         For a name that is not a parameter, or fewer than two records.
+
+    Examples
+    --------
+    >>> from greybox.models.specific_force import BodyDrag
+    >>> from greybox.problems import nanobench_drag
+    >>> criterion = gb.OutputError(biases=("a_x", "a_y"))  # offsets of each flight
+    >>> both = gb.several(BodyDrag(), nanobench_drag.data(), criterion=criterion)
+    >>> len(both.parts)
+    2
     """
     if not isinstance(records, Sequence) or len(records) < 2:
         raise ValueError(

@@ -197,6 +197,16 @@ class OutputError(TimeCriterion):
         sensor do not decide the estimate; the standard deviation follows from the median. Standard
         errors are those of this M-estimator, 5 % of the variance more for normal errors. The cost
         is that of the record with outliers moved in. Only for records.
+
+    Examples
+    --------
+    >>> from greybox.models.specific_force import BodyDrag
+    >>> from greybox.problems import nanobench_drag
+    >>> record = nanobench_drag.data()[0]
+    >>> offsets = gb.OutputError(biases=("a_x", "a_y"))  # constant errors of the sensors
+    >>> fit = gb.fit(gb.Problem(BodyDrag(), record, criterion=offsets), starts=1)
+    >>> fit.converged
+    True
     """
 
     errors: Literal["normal", "huber"] = "normal"
@@ -247,6 +257,15 @@ class PredictionError(TimeCriterion):
         state per √s, as in `virtual_flight`. The noise of the sensors is white, too, with a
         standard deviation ``v_<output>``. The filter is that of the linearization about the means
         of the record; a sample at which an output is missing is not compared.
+
+    Examples
+    --------
+    >>> from greybox.models.specific_force import RotorThrust
+    >>> from greybox.problems import nanobench_thrust
+    >>> record = nanobench_thrust.data()[0]
+    >>> gusty = gb.Problem(RotorThrust(), record, criterion=gb.PredictionError())
+    >>> gb.fit(gusty, starts=1).converged
+    True
     """
 
     corrected: Sequence[str] = ()

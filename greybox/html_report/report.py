@@ -51,6 +51,14 @@ def report(
         For an object that is not a fit, or for no fit.
     OSError
         If the folder cannot be written.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from greybox.problems import pitch_hover
+    >>> gb.report(gb.fit(pitch_hover.problem(), starts=20), "pitch.html", title="Pitch in hover")
+    >>> Path("pitch.html").stat().st_size > 50_000  # bytes
+    True
     """
     results = [fits] if isinstance(fits, Fit | Study) else list(fits)
     for result in results:

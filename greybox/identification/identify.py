@@ -140,6 +140,14 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     ------
     FileNotFoundError, KeyError, ValueError
         If a log has no usable test, or not what an argument names.
+
+    Examples
+    --------
+    >>> from greybox.models.rate import DampedAngle
+    >>> from greybox.problems import sitl_pitch
+    >>> found = gb.identify(sitl_pitch.LOG, structures=[DampedAngle()], starts=4)
+    >>> found.selection.explains
+    True
     """
     logs = [log] if isinstance(log, str | Path | Recording) else list(log)
     recordings = [item if isinstance(item, Recording) else read(item) for item in logs]

@@ -109,6 +109,14 @@ def prepare(
         For a signal that does not exist.
     ValueError
         For a bad rate, or if the signals have no time in common.
+
+    Examples
+    --------
+    >>> from greybox.problems import sitl_pitch
+    >>> log = gb.read(sitl_pitch.LOG)  # a part of a simulated flight, included with greybox
+    >>> record = gb.prepare(log, {"u": "RATE.POut", "theta": "ATT.Pitch"})
+    >>> record.units["theta"]  # degrees in the log
+    'rad'
     """
     if isinstance(recording, Record):
         records = {recording.name or "record": recording}

@@ -63,7 +63,13 @@ def maximum(a: Any, b: Any) -> Any:
 
 
 def where(condition: Any, a: Any, b: Any) -> Any:
-    """Return `a` where `condition` is true, else `b`, of numbers or CasADi expressions."""
+    """Return `a` where `condition` is true, else `b`, of numbers or CasADi expressions.
+
+    Examples
+    --------
+    >>> gb.where(np.array([-1.0, 2.0]) > 0, 1.0, 0.0)
+    array([0., 1.])
+    """
     return _applied(ca.if_else, np.where, condition, a, b)
 
 

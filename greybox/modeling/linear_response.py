@@ -42,6 +42,14 @@ def frequency_response(
     ------
     ValueError
         For an unknown name, or a response that is not finite, as at a pole on the imaginary axis.
+
+    Examples
+    --------
+    >>> from greybox.models.rate import DampedAngle
+    >>> values = {"K_phi": 91.0, "a": 0.68, "T_rotor": 0.05, "T_delay": 0.0}
+    >>> response = gb.frequency_response(DampedAngle(), values, omega=[1.0, 10.0])
+    >>> abs(response.response).round(3)
+    array([75.156,  0.812])
     """
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
     input, output = pick_signals(model, input, output)

@@ -36,6 +36,14 @@ class Parameter:
     ValueError
         If a number is not finite where it must be, bounds are reversed, or a start lies outside
         them.
+
+    Examples
+    --------
+    >>> K = gb.Parameter(50.0, bounds=(0, 500), unit="1/s", about="rate per control")
+    >>> K.start, K.bounds, K.unit
+    (50.0, (0, 500), '1/s')
+    >>> gb.Parameter(0.0042, fixed=True, unit="s").fixed
+    True
     """
 
     start: float

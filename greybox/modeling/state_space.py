@@ -22,6 +22,23 @@ class StateSpace(Model):
     A delayed input is known before the record only if it rests at the beginning. If it moves, a fit
     leaves out as many seconds there as the upper bound of its delay, so give delays tight upper
     bounds (see `TimeCriterion`).
+
+    Examples
+    --------
+    >>> class Spring(gb.StateSpace):
+    ...     states, inputs, outputs = ("x", "v"), ("F",), ("x",)
+    ...     units = {"x": "m", "v": "m/s", "F": "N"}
+    ...     k = gb.Parameter(9.0, bounds=(0.1, 100), unit="N/m")
+    ...     d = gb.Parameter(0.5, bounds=(0, 10), unit="N s/m")
+    ...
+    ...     def derivative(self, x, u, p):
+    ...         return x.v, u.F - p.k * x.x - p.d * x.v  # a mass of 1 kg
+    ...
+    ...     def output(self, x, u, p):
+    ...         return (x.x,)
+    >>> at_resonance = gb.frequency_response(Spring(), {"k": 4.0, "d": 0.5}, omega=[2.0])
+    >>> abs(at_resonance.response).round(4)  # 1 / (d omega)
+    array([1.])
     """
 
     states: Sequence[str] = ()

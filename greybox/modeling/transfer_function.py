@@ -14,6 +14,18 @@ class TransferFunction(Model):
     A subclass declares `input` and `output`, its parameters, and `response`. Transfer functions
     multiply: ``rotor * tilt`` is the series connection in which the signal passes `rotor` first. A
     name that both use for a parameter is either changed or declared shared, see `series`.
+
+    Examples
+    --------
+    >>> class Lag(gb.TransferFunction):
+    ...     K = gb.Parameter(1.0, bounds=(0, 10))
+    ...     T = gb.Parameter(0.5, bounds=(0.01, 5), unit="s")
+    ...
+    ...     def response(self, s, p):
+    ...         return p.K / (p.T * s + 1) * gb.exp(-0.02 * s)
+    >>> at_corner = gb.frequency_response(Lag(), {"K": 2.0, "T": 0.5}, omega=[2.0])
+    >>> abs(at_corner.response).round(4)
+    array([1.4142])
     """
 
     input: str = "u"
@@ -195,7 +207,16 @@ class FeedbackLoop(Connection):
 def feedback(
     forward: TransferFunction, back: TransferFunction | None = None, sign: int = -1
 ) -> TransferFunction:
-    """Close the loop around `forward`, through `back` if given; `sign` is that of the feedback."""
+    """Close the loop around `forward`, through `back` if given; `sign` is that of the feedback.
+
+    Examples
+    --------
+    >>> from greybox.models.filters import FirstOrderLowPass
+    >>> loop = gb.feedback(FirstOrderLowPass(10.0))
+    >>> values = {name: parameter.start for name, parameter in loop.parameters.items()}
+    >>> abs(gb.frequency_response(loop, values, omega=[1e-3]).response).round(3)
+    array([0.5])
+    """
     return FeedbackLoop(forward, back, sign)
 
 

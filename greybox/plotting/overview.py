@@ -25,6 +25,11 @@ def plot(fit: Fit) -> MatplotlibFigure:
     Figure
         Not axes, as from the other functions, since it arranges several diagrams. pyplot does not
         know it: show it as the last line of a notebook cell, or save it with ``savefig``.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> figure = gb.plot(gb.fit(pitch_hover.problem(), starts=20))  # figure.savefig("pitch.png")
     """
     # The complex plane needs a square. Beside time histories there is no room for it.
     nyquist = [] if fit.records or fit.spectra else nyquist_figures((fit,))

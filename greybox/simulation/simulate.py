@@ -81,6 +81,24 @@ def simulate(
     ValueError
         If an input is missing, the samples are not uniform, the simulation diverges, or a formula
         of the model is not finite.
+
+    Examples
+    --------
+    >>> class Lag(gb.StateSpace):
+    ...     states = outputs = ("y",)
+    ...     inputs = ("u",)
+    ...     T = gb.Parameter(0.5, bounds=(0.01, 5), unit="s")
+    ...
+    ...     def derivative(self, x, u, p):
+    ...         return ((u.u - x.y) / p.T,)
+    ...
+    ...     def output(self, x, u, p):
+    ...         return (x.y,)
+    >>> time = np.linspace(0, 2, 201)
+    >>> step = gb.Record(time, {"u": np.ones(201)}, hold={"u": np.inf})
+    >>> motion = gb.simulate(Lag(), {"T": 0.5}, record=step)  # from y = 0
+    >>> print(motion["y"][50].round(4))  # after one time constant
+    0.6321
     """
     estimated, record = _model_and_record(model, values, record, inputs, part)
     estimated = estimated.driven_by(record)
@@ -181,6 +199,26 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
         If an input or all outputs are missing, a length is shorter than a sample, no stretch is
         long enough, the delay is longer than the lead-in, or the model has no finite value in a
         window.
+
+    Examples
+    --------
+    >>> class Lag(gb.StateSpace):
+    ...     states = outputs = ("y",)
+    ...     inputs = ("u",)
+    ...     T = gb.Parameter(0.5, bounds=(0.01, 5), unit="s")
+    ...
+    ...     def derivative(self, x, u, p):
+    ...         return ((u.u - x.y) / p.T,)
+    ...
+    ...     def output(self, x, u, p):
+    ...         return (x.y,)
+    >>> time = np.linspace(0, 2, 201)
+    >>> step = gb.Record(time, {"u": np.ones(201)}, hold={"u": np.inf})
+    >>> motion = gb.simulate(Lag(), {"T": 0.5}, record=step)
+    >>> flown = gb.Record(time, {"u": step["u"], "y": motion["y"]}, hold=step.hold)
+    >>> prediction = gb.predict(Lag(), {"T": 0.5}, record=flown)
+    >>> prediction.rms("y") < 1e-6
+    True
     """
     require_lengths(**{n: v for n, v in (("horizon", horizon), ("lead", lead)) if v is not None})
     estimated, record = _model_and_record(model, values, record, inputs, part)

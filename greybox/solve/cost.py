@@ -25,6 +25,12 @@ def cost(
     ValueError
         For a name that is not a parameter of the problem, or another value of a fixed one where
         data are records.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> round(gb.cost(pitch_hover.problem(), pitch_hover.published["values"]), 4)
+    0.5866
     """
     require_known(values, problem.parameters, "parameter", repr(problem.name))
     nlp = compile_problem(problem, method)

@@ -174,6 +174,14 @@ def batch(
         If the executor has lost its workers; the same call resumes with another executor.
     KeyboardInterrupt
         After Ctrl-C; its attribute ``study`` has the results so far.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover, roll_hover
+    >>> members = [gb.study.Member(m.problem(), starts=8) for m in (pitch_hover, roll_hover)]
+    >>> study = gb.batch(members, "axes", progress=False)
+    >>> study
+    <Study axes, 2 members: 2 done>
     """
     listed = [member if isinstance(member, Member) else Member(member) for member in members]
     require_distinct(listed)

@@ -306,6 +306,15 @@ def bootstrap(
         If the executor has lost its workers.
     KeyboardInterrupt
         After Ctrl-C; with a folder the same call resumes.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> fit = gb.fit(pitch_hover.problem(), starts=20)
+    >>> samples = gb.bootstrap(fit, replicates=100, progress=False)
+    >>> low, high = samples.interval(0.95)["a1"]
+    >>> low < fit.estimate["a1"] < high
+    True
     """
     began = time.perf_counter()
     fit.require_estimate()

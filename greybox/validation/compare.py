@@ -76,6 +76,15 @@ def compare(
     (1999), System Identification, 2nd ed., sections 16.4 to 16.6; Jategaonkar (2006), Flight
     Vehicle System Identification, chapter 11; Burnham and Anderson (2002), Model Selection and
     Multimodel Inference.
+
+    Examples
+    --------
+    >>> from greybox.models.rate import DampedAngle
+    >>> from greybox.problems import sitl_pitch
+    >>> damped = gb.Problem(DampedAngle(), sitl_pitch.data(), criterion=gb.RelativeLikelihood())
+    >>> fits = gb.fit(damped, starts=8), gb.fit(damped.with_(fixed={"a": 0.0}), starts=8)
+    >>> gb.compare(*fits, labels=["damped", "undamped"]).supported
+    'damped'
     """
     if len(fits) == 1 and hasattr(fits[0], "ranking"):
         return fits[0].ranking(records=records or (), window=window, lead=lead)

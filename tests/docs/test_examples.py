@@ -4,6 +4,7 @@ An answer that changes fails here. The blocks of the guide without answers run i
 """
 
 import doctest
+import inspect
 import re
 from pathlib import Path
 
@@ -32,3 +33,16 @@ def test_a_page(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     blocks = re.findall(r"```pycon\n(.*?)```", page.read_text(encoding="utf-8"), re.DOTALL)
     _hold("\n".join(blocks), page.name)
+
+
+NAMES = [name for name in dir(gb) if ">>> " in (inspect.getdoc(getattr(gb, name)) or "")]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_docstring(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    _hold(inspect.getdoc(getattr(gb, name)), name)
+
+
+def test_the_most_used_names_have_examples():
+    assert len(NAMES) >= 30

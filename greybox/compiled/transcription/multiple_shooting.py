@@ -29,6 +29,15 @@ class MultipleShooting(Shooting):
         Solve one sparse problem by IPOPT instead.
     strategies : Strategies
         Of the Gauss-Newton solver: each can be switched off.
+
+    Examples
+    --------
+    >>> from greybox.models.specific_force import RotorThrust
+    >>> from greybox.problems import nanobench_thrust
+    >>> problem = gb.Problem(RotorThrust(), nanobench_thrust.data()[0])
+    >>> fits = [gb.fit(problem, 1, method=gb.MultipleShooting(segment=k)) for k in (5, 20)]
+    >>> abs(fits[0].cost - fits[1].cost) < 1e-3
+    True
     """
 
     ipopt: bool = False

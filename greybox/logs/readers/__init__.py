@@ -129,6 +129,13 @@ def read(
         If there is no such file, or it cannot be opened.
     ValueError
         If it is of no known format, or nothing in it can be read.
+
+    Examples
+    --------
+    >>> from greybox.problems import sitl_pitch
+    >>> log = gb.read(sitl_pitch.LOG)  # a part of a simulated flight, included with greybox
+    >>> log
+    <Recording 'sitl_pitch.BIN', 7 messages, MODE, ATT, RATE, EV, ARM, VER, SINE>
     """
     path = Path(path)
     names = (messages,) if isinstance(messages, str) else messages
