@@ -21,6 +21,8 @@ from greybox.compiled.transcription import Transcription as Transcription
 from greybox.data import FrequencyResponse as FrequencyResponse
 from greybox.data import Record as Record
 from greybox.data import read_response as read_response
+from greybox.estimate.draws import Draws as Draws
+from greybox.estimate.draws import draws as draws
 from greybox.estimate.fit import fit as fit
 from greybox.estimate.misfit_test import misfit as misfit
 from greybox.estimate.profile import contour as contour

@@ -12,10 +12,10 @@ import pytest
 import greybox as gb
 
 NAMES = """
-Bootstrap Collocation Contour Controller Criterion EquationError Fit FrequencyResponse Integrator MagnitudePhase
+Bootstrap Collocation Contour Controller Criterion Draws EquationError Fit FrequencyResponse Integrator MagnitudePhase
 MaximumLikelihood MultipleShooting OutputError Parameter PredictionError Problem Profiles Record RelativeError
 RelativeLikelihood Rosenbrock RungeKutta SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion
-Transcription TransferFunction batch bootstrap compare contour cost feedback fit frequency_response identify load margins misfit
+Transcription TransferFunction batch bootstrap compare contour cost draws feedback fit frequency_response identify load margins misfit
 plot predict prepare profile read read_response report safe_gains save several simulate stepwise
 structural_identifiability virtual_flight
 """.split()

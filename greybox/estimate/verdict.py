@@ -1,6 +1,7 @@
 """The verdict on a fit in a few sentences: model, minimum, parameters."""
 
 from dataclasses import dataclass
+from operator import itemgetter
 from typing import Any, Literal
 
 import numpy as np
@@ -10,6 +11,13 @@ from greybox.files.text_table import counted, percent, some
 from greybox.solve.runs import SCREENED
 
 Grade = Literal["good", "doubt", "poor", "failed"]
+
+LEVELS = {
+    "good": "Sound: use the values with their intervals.",
+    "doubt": "In doubt: see the reason before you use the values.",
+    "poor": "Do not use the values: the model does not describe these data.",
+    "failed": "There are no values.",
+}
 
 
 @dataclass(frozen=True)
@@ -22,12 +30,17 @@ class Verdict:
         Poor if the model does not explain the data. In doubt if there is a warning, if the error of
         a parameter is beyond its guideline, or if only one start reached the minimum.
     sentences : tuple of str
-        Whether the model explains the data, where that can be decided; then its minimum, and its
-        parameters. For a failed fit, the reasons of the failure.
+        Whether the model explains the data, where that can be decided; its minimum; its parameters.
+        Reasons for doubt come first. For a failed fit, the reasons of the failure.
     """
 
     grade: Grade
     sentences: tuple[str, ...]
+
+    @property
+    def level(self) -> str:
+        """What the grade means for the use of the values."""
+        return LEVELS[self.grade]
 
 
 def verdict(fit: Any) -> Verdict:
@@ -40,11 +53,14 @@ def verdict(fit: Any) -> Verdict:
     determined, well = _determined(fit)
     grade: Grade = "good" if found_again and well and not fit.warnings else "doubt"
     # No start agrees on the minimum of a model that explains nothing, wherever they end.
-    if fit.agreeing == 0 or (fit.misfit is not None and not fit.misfit.explains):
+    explains = fit.misfit is None or fit.misfit.explains
+    if fit.agreeing == 0 or not explains:
         grade = "poor"
-    explained = () if fit.misfit is None else (f"The model {fit.misfit.verdict}.",)
+    sentences = [(found_again, minimum), (well, determined)]
+    if fit.misfit is not None:
+        sentences.insert(0, (explains, f"The model {fit.misfit.verdict}."))
 
-    return Verdict(grade, (*explained, minimum, determined))
+    return Verdict(grade, tuple(text for _, text in sorted(sentences, key=itemgetter(0))))
 
 
 def _minimum(fit: Any) -> tuple[str, bool]:
@@ -54,7 +70,8 @@ def _minimum(fit: Any) -> tuple[str, bool]:
     count = counted(len(brought), "start")
     if fit.agreeing == 1:
         return (
-            f"Only 1 of {count} reached the best minimum, so another one may have a lower cost.",
+            f"Only 1 of {count} reached the best minimum, so another one may have a lower cost: "
+            "run more starts.",
             False,
         )
 
@@ -87,7 +104,7 @@ def _determined(fit: Any) -> tuple[str, bool]:
         well = len(fit.free) - len({*at_bound, *judged.beyond})
         return (
             f"Of {counted(len(fit.free), 'free parameter')}, {well} are well determined: "
-            f"{'; '.join(texts)}.",
+            f"{'; '.join(texts)}. To determine more, fix a parameter or add data.",
             # Insensitivity is the error if all others were known: it limits no use of an estimate
             # whose error, which is larger, is within the guideline.
             not at_bound and bool(np.all(judged.error <= ERROR_GUIDELINE)),

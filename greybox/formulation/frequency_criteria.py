@@ -188,7 +188,9 @@ class _Relative(Criterion):
 
 @dataclass(frozen=True, eq=False)
 class RelativeError(_Relative):
-    """Sum of relative errors, (4.26): Σ |P - P̂| / |P̂|, with P the model and P̂ the measurement.
+    """Sum of relative errors, Σ |P - P̂| / |P̂|, with P the model and P̂ the measurement.
+
+    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, (4.26).
 
     `normalized` by the "measured" magnitude as in the paper, or by that of the "model". With
     relative noise σ in each component, the first biases the gain by about -σ², the second by 2 σ².
@@ -198,7 +200,7 @@ class RelativeError(_Relative):
     cost at the truth by p s √(π/2) / π, so that the mean |e| is too small; s is corrected for this.
     """
 
-    rule: ClassVar[str] = "sum of relative errors, (4.26)"
+    rule: ClassVar[str] = "sum of relative errors"
     power: ClassVar[int] = 1
     smoothed: ClassVar[bool] = True
 

@@ -52,7 +52,7 @@ def fit_section(entry: Entry) -> Iterator[tuple[str, list[Element]]]:
 
 def _verdict_box(fit: Fit) -> Element:
     judged = verdict(fit)
-    sentences = [tag("p", text) for text in judged.sentences]
+    sentences = [tag("p", tag("strong", judged.level)), *(tag("p", s) for s in judged.sentences)]
     return tag("div", sentences, class_=f"verdict {judged.grade}")
 
 

@@ -12,8 +12,13 @@ from greybox.html_report.elements import Child, tag
 def description(text: str) -> Iterator[Element]:
     """Yield paragraphs with the formulas between dollar signs as images, as LaTeX writes them."""
     for paragraph in text.replace("`", "").split("\n\n"):
-        pieces = re.split(r"(\$\$.+?\$\$|\$.+?\$)", paragraph, flags=re.DOTALL)
-        yield tag("p", [_formula(piece) if k % 2 else piece for k, piece in enumerate(pieces)])
+        yield tag("p", with_formulas(paragraph))
+
+
+def with_formulas(text: str) -> list[Child]:
+    """Return a text with the formulas between dollar signs as images."""
+    pieces = re.split(r"(\$\$.+?\$\$|\$.+?\$)", text, flags=re.DOTALL)
+    return [_formula(piece) if k % 2 else piece for k, piece in enumerate(pieces)]
 
 
 def _formula(piece: str) -> Child:

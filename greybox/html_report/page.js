@@ -40,6 +40,8 @@
     }
     const ticks = [];
     for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k += 1) ticks.push(k * step);
+    // An axis with one number has no scale.
+    if (ticks.length < 2 && count < 64 && high > low && !least) return linearTicks(low, high, 2 * Math.max(count, 1), steps);
     return ticks.map((tick) => ({ at: tick, text: shown(Math.abs(tick) < step * 1e-9 ? 0 : tick, 6) }));
   };
 
@@ -47,8 +49,9 @@
     if (high - low < 0.7) {
       return linearTicks(10 ** low, 10 ** high, count, []).filter((tick) => tick.at > 0).map((tick) => ({ at: Math.log10(tick.at), text: tick.text }));
     }
-    const every = Math.ceil((high - low) / Math.max(count, 1));
-    const named = (high - low) * 3 <= count ? [1, 2, 5] : [1];
+    const powers = Math.floor(high + 1e-9) - Math.ceil(low - 1e-9) + 1;
+    const every = powers < 2 ? 1 : Math.min(Math.ceil((high - low) / Math.max(count, 1)), powers - 1);
+    const named = (high - low) * 3 <= count || powers < 2 ? [1, 2, 5] : [1];
     const ticks = [];
     for (let power = Math.floor(low); power <= high; power += 1) {
       for (let digit = 1; digit < 10; digit += 1) {
@@ -92,6 +95,9 @@
   const CROSS = -1;
   const cross = (x, y, r) => `M${x - r},${y - r}l${2 * r},${2 * r}M${x - r},${y + r}l${2 * r},${-2 * r}`;
   const colorOf = (series) => (series.color === -1 ? "gray" : series.color === -2 ? "ink" : `c${series.color % 6}`);
+
+  // What sets the limits and can be read: a region may be many times as large as the data.
+  const isData = (series) => series.kind !== "rule" && series.kind !== "regions";
 
   let plots = 0;
 
@@ -139,7 +145,7 @@
 
     reset() {
       const { limits } = this.figure;
-      this.view = limits ? limits.map(this.toX) : span(this.series.filter((series) => series.kind !== "rule").flatMap((series) => (series.is_across ? [...series.at, ...series.lowAt, ...series.highAt] : series.at)));
+      this.view = limits ? limits.map(this.toX) : span(this.series.filter(isData).flatMap((series) => (series.is_across ? [...series.at, ...series.lowAt, ...series.highAt] : series.at)));
       this.whole = [...this.view];
       for (const panel of this.figure.panels) panel.view = null;
       this.reading = null;
@@ -258,7 +264,7 @@
       const values = [];
       for (const series of this.visible(panel)) {
         series.at.forEach((x, k) => {
-          if (series.kind !== "rule" && (x < low || x > high)) return;
+          if (series.kind === "regions" || (series.kind !== "rule" && (x < low || x > high))) return;
           // Circles of poor points may be many times as large as the curve.
           for (const column of this.figure.is_plane ? ["yAt"] : ["yAt", "lowAt", "highAt"]) if (series[column]) values.push(series[column][k]);
         });
@@ -327,7 +333,10 @@
         return;
       }
       const [from, to] = this.rows(series);
-      if (series.kind === "band") {
+      if (series.kind === "regions") {
+        const d = this.path(panel, series.at, series.yAt, 0, series.at.length).replace(/(.)M/g, "$1zM");
+        inside.append(svg("path", { d: `${d}z`, class: series.is_hollow ? `bars ${color}` : `band ${color}` }));
+      } else if (series.kind === "band") {
         inside.append(svg("path", { d: this.band(panel, series, from, to), class: `band ${color}` }));
       } else if (series.kind === "line") {
         inside.append(svg("path", { d: this.path(panel, series.at, series.yAt, from, to), class: `line ${color}`, "stroke-dasharray": DASHES[series.style % 4] }));
@@ -336,7 +345,23 @@
         const places = [];
         for (let k = from; k < to; k += 1) if (series.yAt[k] !== null) places.push([this.px(series.at[k]), this.py(panel, series.yAt[k])]);
         inside.append(this.marks(series, places, places.length > MANY ? 1.6 : places.length > 100 ? 2.4 : 3.6));
+        if (series.labels.length === places.length) this.write(inside, series.labels, places);
       }
+    }
+
+    // Labels beside points, away from the middle of all, where they cover neither points nor labels.
+    write(inside, labels, places) {
+      const middle = [0, 1].map((k) => (Math.min(...places.map((place) => place[k])) + Math.max(...places.map((place) => place[k]))) / 2);
+      const taken = [...places];
+      places.forEach(([x, y], k) => {
+        const half = 3.2 * labels[k].length;
+        const side = x - 2 * half - 8 > this.left && (x < middle[0] || x + 2 * half + 8 > this.right) ? -1 : 1;
+        const spot = [x + side * (8 + half), y + (y < middle[1] ? -6 : 6)];
+        const room = 9 + half;
+        if (taken.some(([a, b], other) => other !== k && Math.abs(a - spot[0]) < room + (other < places.length ? 2 : 10) && Math.abs(b - spot[1]) < 10)) return;
+        taken.push(spot);
+        inside.append(svg("text", { x: spot[0], y: spot[1] + 4, class: "beside", "text-anchor": "middle" }, labels[k]));
+      });
     }
 
     // The rows in sight, and one to either side.
@@ -399,7 +424,7 @@
 
     // The points that can be read one after the other: the measured ones where there are any.
     stops() {
-      const all = this.figure.panels.flatMap((panel) => this.visible(panel).filter((series) => series.kind !== "rule").map((series) => ({ panel, series })));
+      const all = this.figure.panels.flatMap((panel) => this.visible(panel).filter(isData).map((series) => ({ panel, series })));
       const points = all.filter(({ series }) => series.kind === "points");
       const stops = [];
       for (const { panel, series } of points.length ? points : all.slice(0, 1)) {
@@ -439,7 +464,7 @@
       const found = [];
       for (const panel of this.figure.panels) {
         for (const series of this.visible(panel)) {
-          if (series.kind === "rule") continue;
+          if (!isData(series)) continue;
           const k = near(series, x);
           if (series.kind === "points") {
             if (k !== null && Math.abs(this.px(series.at[k]) - this.px(x)) < 0.5 && series.yAt[k] !== null) found.push({ panel, series, k, y: series.yAt[k] });
@@ -690,9 +715,14 @@
     const few = document.querySelectorAll("main > section > details").length <= 3;
     closed = few ? [...document.querySelectorAll("details:not([open])")] : [];
     for (const details of closed) details.open = true;
-    for (const plot of drawn) plot.fit();
+    // Columns of A4 between margins of 15 mm: a figure that was drawn for a screen has small numbers.
+    for (const plot of drawn) {
+      plot.width = plot.holder.closest("figure").classList.contains("wide") ? 680 : 330;
+      plot.draw();
+    }
   });
   window.addEventListener("afterprint", () => {
     for (const details of closed) details.open = false;
+    for (const plot of drawn) plot.fit();
   });
 })();

@@ -4,6 +4,7 @@ import base64
 import hashlib
 import re
 from collections.abc import Sequence
+from datetime import date
 from importlib.metadata import version
 from pathlib import Path
 from xml.etree.ElementTree import Element
@@ -56,6 +57,7 @@ def page(
     title: str,
     studies: Sequence[Study] = (),
     margins: Sequence[Margins] = (),
+    author: str = "",
 ) -> str:
     """Return the page of these results, and of the margins of their loops, as HTML."""
     loops = [(tag("pre", str(loop)), figure_grid(loop_figures(loop))) for loop in margins]
@@ -64,7 +66,7 @@ def page(
     # A single result needs no comparison, and its sections are those of the page.
     if len(entries) == 1 and fits and comparison is None:
         sections = [_section(name, content) for name, content in fit_section(entries[0])]
-        return _document(title, [*sections, *appended])
+        return _document(title, [*sections, *appended], author)
 
     content = [overview(entries), *comparison_section(entries, comparison)]
     if any(entry.fit is None and not entry.error for entry in entries):
@@ -81,7 +83,7 @@ def page(
     sections += [
         _details(entry, is_open=len(entries) <= OPEN) for entry in entries if entry.fit is not None
     ]
-    return _document(title, [*sections, *appended])
+    return _document(title, [*sections, *appended], author)
 
 
 def _details(entry: Entry, *, is_open: bool) -> Element:
@@ -95,15 +97,16 @@ def _section(title: str, content: Child) -> Element:
     return tag("section", tag("h2", title), content, id=re.sub(r"\W+", "-", title.lower()))
 
 
-def _document(title: str, sections: Sequence[Element]) -> str:
+def _document(title: str, sections: Sequence[Element], author: str) -> str:
     script, style = ((HERE / name).read_text(encoding="utf-8") for name in ("page.js", "page.css"))
     links = [
         tag("li", tag("a", section.findtext(".//h2"), href=f"#{section.get('id')}"))
         for section in sections
     ]
+    byline = ", ".join(filter(None, [author, str(date.today())]))
     return PAGE.format(
         title=html(tag("title", title)),
-        heading=html(tag("h1", title)),
+        heading=html(tag("h1", title)) + html(tag("p", byline, class_="soft")),
         links=html(tag("ul", links)),
         main=html(tag("main", *sections)),
         policy=POLICY.format(_hash(script), _hash(style)),

@@ -26,6 +26,7 @@ def report(
     comparison: Comparison | None = None,
     margins: Sequence[Margins] = (),
     title: str = "",
+    author: str = "",
 ) -> None:
     """Write a page about fits: one HTML file for a browser, for print, or for a colleague.
 
@@ -44,6 +45,8 @@ def report(
         Of loops of these fits, shown with their figures.
     title : str
         By default the name of the fit.
+    author : str
+        Who answers for the page; it stands below the title, with today's date.
 
     Raises
     ------
@@ -85,7 +88,7 @@ def report(
     # A file of a stranger may contain any numbers, and warnings about them help nobody.
     with np.errstate(all="ignore"):
         studies = [result for result in results if isinstance(result, Study)]
-        text = page(entries, comparison, title or default, studies, margins)
+        text = page(entries, comparison, title or default, studies, margins, author)
     write_text(Path(path), text)
 
 

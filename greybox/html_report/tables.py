@@ -11,6 +11,7 @@ from greybox.estimate.identifiability import ERROR_GUIDELINE, INSENSITIVITY_GUID
 from greybox.estimate.result import Fit
 from greybox.files.text_table import is_number, number, percent, with_error
 from greybox.html_report.elements import Child, tag
+from greybox.html_report.formula import with_formulas
 
 
 @dataclass(frozen=True)
@@ -39,6 +40,8 @@ def parameter_table(fit: Fit) -> Element:
     """Return the table of all quantities; for a failed fit, the last values of its best run."""
     header, rows, _ = printed.parameter_table(fit)
     cells = [[Cell(x, float(x)) if is_number(x) else Cell(x) for x in row] for row in rows]
+    for row, (*_, about) in zip(cells, rows, strict=True):
+        row[-1] = Cell(with_formulas(about) if "$" in about else about)
     if fit.converged:
         header = [*header[:3], "95 % interval", "CR, %", "insensitivity, %", *header[3:]]
         intervals, errors, insensitivities = fit.interval(0.95), {}, {}

@@ -26,8 +26,7 @@ class Series:
         Entry in the legend; empty for none. Series with the same name share an entry.
     kind : "line", "points", "band", "rule" or "regions"
         A band lies between `low` and `high`. A rule is a horizontal line at ``y[0]``. Regions are
-        polygons with NaN between them, filled with a pale color or, if hollow, outlined; the page
-        leaves them out.
+        polygons with NaN between them, filled with a pale color or, if hollow, outlined.
     x, y : (n,) arrays
         NaN in y interrupts a line.
     color : int
@@ -39,7 +38,7 @@ class Series:
     notes : sequence of str
         What the page shows when a point is read, instead of its numbers.
     labels : sequence of str
-        What matplotlib writes beside the points.
+        Written beside the points.
     is_hollow : bool
         Of a line: hair-thin.
     is_across : bool

@@ -89,10 +89,14 @@ def _figure(profile: ProfileOf, limit: float) -> Figure:
         cone = profile.estimate + profile.standard_error * reach
         series.append(Series("standard error", "line", cone, np.abs(reach), GRAY, 1))
 
-    roots = np.abs(profile.roots)
+    from scipy.interpolate import PchipInterpolator  # noqa: PLC0415  (imports slowly)
+
+    # The signed root rises along the profile: monotone cubics add no bends of their own.
+    fine = np.union1d(np.linspace(*ends, 200), profile.values)
+    curve = PchipInterpolator(profile.values, profile.roots)(fine)
     series += [
-        Series("profile", "line", profile.values, roots),
-        Series("", "points", profile.values, roots),
+        Series("profile", "line", fine, np.abs(curve)),
+        Series("", "points", profile.values, np.abs(profile.roots)),
     ]
     panel = Panel("|r|", series, limits=(0.0, top))
     return Figure(

@@ -128,7 +128,7 @@ class RationalFit:
             f"frequencies, {how}",
             f"P(s) = {self.factored}",
             text_table(("", "rad/s", "size", "damping"), rows),
-            f"cost (4.26) {number(self.cost)}",
+            f"sum of relative errors {number(self.cost)}",
             *(f"nearly cancel: {pair}" for pair in self.near_pairs),
         ]
         if not self.determined:

@@ -33,7 +33,9 @@ def test_a_minimum_that_was_found_once_is_in_doubt(fit, count):
     minima = (replace(fit.minima[0], runs=(first.index,), cost=first.cost),)
     judged = verdict(replace(fit, warnings=(), runs=runs, minima=minima, agreeing=1))
     assert judged.grade == "doubt"
-    assert "another" in judged.sentences[1]
+    assert "another" in judged.sentences[0]  # the reason first, with its cure
+    assert judged.sentences[0].endswith("run more starts.")
+    assert judged.level.startswith("In doubt")
 
 
 def test_what_is_not_determined_is_named(fit):
@@ -46,12 +48,12 @@ def test_what_is_not_determined_is_named(fit):
     assert judged.grade == "doubt"
     assert (
         "0 are well determined: b0 and a0 exceeded the guidelines (20 % error"
-        in judged.sentences[2]
+        in judged.sentences[0]
     )
 
     bound = tuple(replace(q, at_bound=q.name == "a0") for q in fit.quantities)
     assert (
-        "a0 ended at a bound" in verdict(replace(fit, quantities=bound, warnings=())).sentences[2]
+        "a0 ended at a bound" in verdict(replace(fit, quantities=bound, warnings=())).sentences[0]
     )
 
 
@@ -94,14 +96,14 @@ def told(**parts):
         ({"agreeing": 2}, "2 of 3 starts agree on the best minimum."),
         (
             {"agreeing": 1},
-            "Only 1 of 3 starts reached the best minimum, so another one may have a lower cost.",
+            "Only 1 of 3 starts reached the best minimum, so another one may have a lower cost: run more starts.",
         ),
         (
             {
                 "runs": [SimpleNamespace(stage="screened"), SimpleNamespace(stage="polished")],
                 "agreeing": 1,
             },
-            "Only 1 of 1 start reached the best minimum, so another one may have a lower cost.",
+            "Only 1 of 1 start reached the best minimum, so another one may have a lower cost: run more starts.",
         ),
     ],
 )
@@ -131,7 +133,7 @@ def quantity(name, at_bound):
         ({"free": ()}, "No parameter was free.", True),
         (
             {"quantities": (quantity("a", True), quantity("b", False))},
-            "Of 3 free parameters, 2 are well determined: a ended at a bound.",
+            "Of 3 free parameters, 2 are well determined: a ended at a bound. To determine more, fix a parameter or add data.",
             False,
         ),
         (
@@ -140,7 +142,7 @@ def quantity(name, at_bound):
                 "quantities": (quantity("a", True),),
             },
             "Of 3 free parameters, 1 are well determined: a ended at a bound; c exceeded the guidelines (20 % error, "
-            "10 % insensitivity).",
+            "10 % insensitivity). To determine more, fix a parameter or add data.",
             False,
         ),
         (
@@ -149,14 +151,14 @@ def quantity(name, at_bound):
                 "free": tuple("abcdef"),
             },
             "Of 6 free parameters, 2 are well determined: a, b, c and d exceeded the guidelines (20 % error, 10 % "
-            "insensitivity).",
+            "insensitivity). To determine more, fix a parameter or add data.",
             False,
         ),
     ],
 )
 def test_how_well_the_parameters_are_determined(parts, sentence, well):
     judged = told(**parts)
-    assert judged.sentences[1] == sentence
+    assert judged.sentences[1 if well else 0] == sentence
     assert (judged.grade == "good") == well
 
 

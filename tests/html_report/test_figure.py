@@ -16,9 +16,11 @@ def values(figure):
 def test_numbers_keep_the_digits_that_zooming_needs():
     clock = 1.7e9 + 0.01 * np.arange(5)
     line = Series("a", "line", clock, np.array([1 / 3, np.nan, np.inf, 2.0, 1e-9]))
-    region = Series("", "regions", clock, clock)
+    outline = np.array([np.nan, *range(8), np.nan, *range(10, 18)])
+    region = Series("", "regions", outline, outline)
     (panel,) = values(Figure("a", "x", [Panel("y", [line, region])]))["panels"]
-    (series,) = panel["series"]
+    series, thinned = panel["series"]
+    assert thinned["x"] == thinned["y"] == [None, 3, 7, None, 13, 17]
     assert np.diff(series["x"]) == pytest.approx(np.full(4, 0.01), rel=1e-3)
     assert series["y"] == [0.33333, None, None, 2, 1e-9]
     assert (series["name"], series["kind"], "low" in series) == ("a", "line", False)

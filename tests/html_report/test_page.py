@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from datetime import date
 
 import numpy as np
 import pytest
@@ -78,8 +79,10 @@ def test_the_title_is_that_of_the_fit_or_their_number(fit, tmp_path):
     for fits, title in ((brief, fit.name), ([brief] * 2, "2 results side by side")):
         gb.report(fits, tmp_path / "x.html")
         assert f"<h1>{title}</h1>" in (tmp_path / "x.html").read_text(encoding="utf-8")
-    gb.report(brief, tmp_path / "x.html", title="own")
-    assert "<h1>own</h1>" in (tmp_path / "x.html").read_text(encoding="utf-8")
+    gb.report(brief, tmp_path / "x.html", title="own", author="A. <b>")
+    assert f'<h1>own</h1><p class="soft">A. &lt;b&gt;, {date.today()}</p>' in (
+        tmp_path / "x.html"
+    ).read_text(encoding="utf-8")
     assert np.geterr()["invalid"] != "ignore"
 
 

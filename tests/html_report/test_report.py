@@ -91,6 +91,16 @@ def test_every_figure_is_drawn_and_shows_its_numbers(show, one, fit):
     assert shown.locator("tbody tr").count() >= len(fit.quantities) + len(fit.parts)
 
 
+def test_every_axis_has_a_scale_and_points_their_frequencies(show, one):
+    for width in (1200, 390):
+        shown = show(one, viewport={"width": width, "height": 900})
+        for panel in shown.locator(".panel").all():
+            assert panel.locator("text[text-anchor=end]").count() >= 2
+        (plane,) = shown.locator("figure:has-text('Nyquist')").all()
+        assert plane.locator("text.beside").count() >= 3
+        assert plane.locator("path.band").count() == 1  # the confidence ellipses of the curve
+
+
 def test_circles_in_the_plane_have_the_radius_of_the_regions_of_points(show, one, fit):
     shown = show(one)
     data = fit.parts[0].data

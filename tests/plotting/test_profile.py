@@ -30,7 +30,13 @@ def test_a_profile_has_its_limit_its_interval_and_the_cone_of_the_standard_error
     profiles = [profile(), profile(name="K", unit="", standard_error=np.nan)]
     first, second = profile_figures(SimpleNamespace(profiles=profiles, limit={"T": 2.0, "K": 3.0}))
     (panel,) = first.panels
-    assert named(panel, "profile", "line").y == pytest.approx([2.5, 0.0, 2.6])
+    curve, points = named(panel, "profile", "line"), named(panel, "", "points")
+    assert points.y == pytest.approx([2.5, 0.0, 2.6])
+    # Smooth, through the points, and without bends of its own.
+    assert curve.x.size > 190
+    assert curve.y[np.isin(curve.x, points.x)] == pytest.approx(points.y)
+    turns = np.diff(np.sign(np.diff(curve.y)))
+    assert np.count_nonzero(turns) == 1
     cone = named(panel, "standard error", "line")
     assert cone.x == pytest.approx([1 - 0.15 * 3.2, 1, 1 + 0.15 * 3.2])
     assert cone.y == pytest.approx([3.2, 0, 3.2])

@@ -200,7 +200,7 @@ def test_a_fit_prints_itself():
     # Damping ratios: the real part over the size, negative on the right; none of a pole at zero.
     assert [line.split()[-2:] for line in lines[4:7]] == [["11.7", "1"], ["0", "-"], ["1.228", "1"]]
     assert lines[7].split()[-2:] == ["31.57", f"{25.66 / 2 / np.sqrt(996.6):.3g}"]
-    assert lines[8] == "cost (4.26) 2.1065"
+    assert lines[8] == "sum of relative errors 2.1065"
     assert "reweighted 2 times" in str(levy(table("roll"), 4, 1, iterations=2))
     assert "nearly cancel: unstable zero" in str(levy(table("roll"), 6, 3))
 

@@ -1,0 +1,120 @@
+"""Draws from an estimate: held against profiles, held-out truths, and readers of the files."""
+
+import json
+import runpy
+from xml.etree import ElementTree as ET
+
+import numpy as np
+import pytest
+
+import greybox as gb
+
+OMEGA = np.geomspace(0.5, 20, 14)
+TRUTH = {"k": 2.0, "T": 0.06}
+
+
+class Lag(gb.TransferFunction):
+    """A lag; its bandwidth follows from it."""
+
+    k = gb.Parameter(1.0, bounds=(0.01, 100))
+    T = gb.Parameter(0.03, bounds=(0.01, 1))
+    derived = {"bandwidth": lambda p: 1 / p.T}
+
+    def response(self, s, p):
+        return p.k / (p.T * s + 1)
+
+
+def fitted(seed, noise=0.15):
+    clean = gb.frequency_response(Lag(), TRUTH, OMEGA)
+    errors = noise * np.random.default_rng(seed).normal(size=(2, OMEGA.size))
+    data = gb.FrequencyResponse(OMEGA, clean.response * (1 + errors[0] + 1j * errors[1]))
+    data = data.with_independent_errors()
+    return gb.fit(gb.Problem(Lag(), data), starts=2, progress=False)
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return fitted(1)
+
+
+@pytest.fixture(scope="module")
+def drawn(fit):
+    return gb.draws(fit, 2000)
+
+
+def test_ranges_are_those_of_the_profile(fit, drawn):
+    profiles = gb.profile(fit, ["T", "k", "bandwidth"])
+    for name, (low, high) in profiles.intervals.items():
+        ends = np.quantile(drawn.columns[name], (0.025, 0.975))
+        assert np.allclose(ends, (low, high), atol=0.08 * (high - low)), name
+
+
+def test_motions_cover_the_true_step_response():
+    time = np.array([0.01, 0.03, 0.06, 0.12, 0.3])
+    step = TRUTH["k"] * (1 - np.exp(-time / TRUTH["T"]))
+    inside = []
+    for seed in range(24):
+        columns = gb.draws(fitted(seed), 200, seed).columns
+        k, T = columns["k"][:, None], columns["T"][:, None]
+        low, high = np.quantile(k * (1 - np.exp(-time / T)), (0.025, 0.975), axis=0)
+        inside.append((low <= step) & (step <= high))
+    # benchmarks/draws_coverage.py has 300 repeats.
+    assert 0.9 <= np.mean(inside) <= 0.99
+
+
+def test_sets_stay_within_bounds_and_simulate(fit, drawn):
+    assert drawn.columns["T"].min() >= 0.01
+    assert np.allclose(drawn.columns["bandwidth"], 1 / drawn.columns["T"])
+    assert gb.draws(fit, 3).values.tolist() == gb.draws(fit, 3).values.tolist()
+    assert gb.draws(fit, 3, seed=1).values.tolist() != gb.draws(fit, 3).values.tolist()
+    frame = drawn.to_pandas()
+    assert frame.shape == (2000, 3)
+    assert frame["k"][7] == drawn[7]["k"]
+    response = gb.frequency_response(Lag(), drawn[7], OMEGA).response
+    assert np.allclose(response, drawn[7]["k"] / (1j * OMEGA * drawn[7]["T"] + 1))
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "read"),
+    [
+        ("quad.xml", '<a><b T="$T"/></a>', lambda p: ET.parse(p).getroot()[0].get("T")),
+        ("quad.json", '{"cost": "$$5", "T": $T}', lambda p: json.loads(p.read_text())["T"]),
+        ("quad.py", "parameters = {'T': ${T}}", lambda p: runpy.run_path(p)["parameters"]["T"]),
+        ("quad.parm", "SIM_T,$T\n", lambda p: p.read_text().strip().split(",")[1]),
+    ],
+)
+def test_files_of_simulators(name, text, read, fit, tmp_path):
+    (tmp_path / name).write_text(text)
+    drawn = gb.draws(fit, 3)
+    paths = drawn.write(tmp_path / name, tmp_path / "sets")
+    assert [path.name for path in paths] == [name.replace(".", f"_00{k}.") for k in range(3)]
+    assert [float(read(path)) for path in paths] == [drawn[k]["T"] for k in range(3)]
+
+
+def test_mistakes_are_named(fit, tmp_path):
+    template = tmp_path / "quad.xml"
+    template.write_text("<a b='$mass'/>")
+    with pytest.raises(ValueError, match="names mass: the draws have k, T, bandwidth"):
+        gb.draws(fit, 3).write(template, tmp_path)
+    template.write_text("<a/>")
+    with pytest.raises(ValueError, match="no \\$name"):
+        gb.draws(fit, 3).write(template, tmp_path)
+
+
+def test_directions_without_information_are_refused():
+    class Product(Lag):
+        c = gb.Parameter(1.0, bounds=(0.1, 10))
+
+        def response(self, s, p):
+            return p.c * super().response(s, p)
+
+    data = gb.frequency_response(Lag(), TRUTH, OMEGA)
+    with pytest.raises(ValueError, match="do not determine k and c"):
+        gb.draws(gb.fit(gb.Problem(Product(), data), starts=2, progress=False))
+
+
+def test_a_prior_narrows_the_draws(fit):
+    data = fit.responses[0].data
+    narrow = gb.Problem(Lag(), data, prior={"T": (0.06, 1e-4)})
+    drawn = gb.draws(gb.fit(narrow, starts=2, progress=False), 100)
+    assert np.std(drawn.columns["T"]) == pytest.approx(1e-4, rel=0.15)
