@@ -92,7 +92,7 @@ def _figure(profile: ProfileOf, limit: float) -> Figure:
     from scipy.interpolate import PchipInterpolator  # noqa: PLC0415  (imports slowly)
 
     # The signed root rises along the profile: monotone cubics add no bends of their own.
-    fine = np.union1d(np.linspace(*ends, 200), profile.values)
+    fine = np.union1d(np.linspace(ends[0], ends[1], 200), profile.values)
     curve = PchipInterpolator(profile.values, profile.roots)(fine)
     series += [
         Series("profile", "line", fine, np.abs(curve)),
