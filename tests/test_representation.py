@@ -10,6 +10,7 @@ from drag_flights import QUADRATIC, Drag, LinearDrag, fitted, flight
 
 import greybox as gb
 from greybox.files.html_text import html_table
+from greybox.models.yaw import YawAngle
 from greybox.solve.minima import Multistart
 from greybox.spectral.frequency_points import FiniteFrequency
 
@@ -112,11 +113,24 @@ def test_the_table_of_a_fit_has_its_numbers():
         assert words in text
 
 
+@pytest.mark.parametrize("thing", [VALUES["Comparison"], FIT.identifiability, gb.draws(FIT, 4)])
+def test_a_notebook_shows_what_else_is_printed_as_it_is(thing):
+    shown = Elements(thing._repr_html_())
+    assert shown.seen == {"pre"}
+    assert shown.text.strip() == str(thing).strip()
+
+
+def test_a_notebook_shows_the_equation_of_a_model():
+    assert YawAngle()._repr_markdown_().startswith("**YawAngle**\n\nYaw angle")
+    assert r"$$P_\psi(s) = \frac{" in YawAngle()._repr_markdown_()
+
+
 def test_names_from_files_are_text_and_never_markup():
     evil = "<script>alert(1)</script>"
     things = [
         replace(FIT, name=evil, warnings=(evil,), notes=(evil,)),
         replace(FIT, name=evil, minima=(), warnings=(evil,)),
+        replace(gb.draws(FIT, 4), name=evil),
     ]
     for thing in things:
         assert "script" not in Elements(thing._repr_html_()).seen

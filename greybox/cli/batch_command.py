@@ -15,7 +15,8 @@ from greybox.cli.workers import stated_executor
 from greybox.files.safe_files import require_file
 from greybox.files.text_table import counted, some, text_table
 from greybox.solve.executors import ExecutorLostError
-from greybox.study.batch import BatchInterrupted, Member, batch
+from greybox.solve.interruption import Interrupted
+from greybox.study.batch import Member, batch
 from greybox.study.progress import progress
 from greybox.study.store import DATABASE, locked
 from greybox.study.study import Study, read_study
@@ -80,7 +81,7 @@ def run(options: argparse.Namespace) -> Answer:
     try:
         with stated_executor(options) as executor:
             study = batch(members, folder, executor=executor, seconds=options.seconds)
-    except BatchInterrupted as stopped:
+    except Interrupted as stopped:
         answer = {**as_json(stopped.study), "error": f"interrupted; {RESUME.format(folder)}."}
         return answer, str(stopped.study)
     # Another process writes to the folder, or it is a file: the study has not failed.

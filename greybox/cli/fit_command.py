@@ -11,12 +11,13 @@ from greybox.cli.output import Answer, require_figure, save_figure
 from greybox.cli.problem_options import PROBLEM_OPTIONS
 from greybox.cli.saved_fits import require_fit_file
 from greybox.cli.workers import stated_executor
-from greybox.estimate.fit import Interrupted, SolverChoice, fit_keeping
+from greybox.estimate.fit import SolverChoice, fit_keeping
 from greybox.estimate.result import Fit
 from greybox.estimate.storage import save
 from greybox.estimate.summary import summary
 from greybox.files.text_table import counted
 from greybox.solve.interruption import (
+    Interrupted,
     Response,
     TimeLimits,
     building,

@@ -15,6 +15,7 @@ from greybox.data.pandas_frames import Frame, frame_of
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
+from greybox.files.html_text import Printed
 from greybox.files.safe_files import write_text
 from greybox.files.text_table import alternatives, counted, number, one_line, some, text_table
 from greybox.modeling.model import Names
@@ -24,7 +25,7 @@ LONGEST = 4.0  # times a step: the error of a lag of half its value is that much
 
 
 @dataclass(frozen=True, eq=False)
-class Draws:
+class Draws(Printed):
     """Parameter sets from the distribution of an estimate, made by `draws`; they print themselves.
 
     ``draws[0]`` is the first set, by name, and ``gb.simulate(model, draws[0], record)`` runs it.
@@ -35,27 +36,19 @@ class Draws:
         Name of the problem.
     names : tuple of str
         Free, fixed and tied parameters, as `Fit.names`.
-    values : (n, k) array
-        A row for each set, in the units of the fit.
-    derived : mapping of name to (n,) array
-        The derived quantities of the models, evaluated for each set.
+    columns : mapping of name to (n,) array
+        Parameters in the units of the fit, then derived quantities of the models.
     """
 
     name: str
     names: tuple[str, ...]
-    values: Array
-    derived: dict[str, Array]
+    columns: dict[str, Array]
 
     def __len__(self) -> int:
-        return len(self.values)
+        return len(self.columns[self.names[0]])
 
     def __getitem__(self, row: int) -> dict[str, float]:
-        return dict(zip(self.names, self.values[row].tolist(), strict=True))
-
-    @property
-    def columns(self) -> dict[str, Array]:
-        """Parameters and derived quantities by name, each (n,)."""
-        return {**dict(zip(self.names, self.values.T, strict=True)), **self.derived}
+        return {name: float(self.columns[name][row]) for name in self.names}
 
     def to_pandas(self) -> Frame:
         """Return a row for every set and a column for every quantity as a pandas data frame."""
@@ -75,22 +68,22 @@ class Draws:
         OSError
             If the template cannot be read, or a file not be written.
         """
-        source, columns = Path(template), self.columns
+        source = Path(template)
         text = Template(source.read_text(encoding="utf-8"))
         fields = text.get_identifiers()
-        missing = [name for name in fields if name not in columns]
+        missing = [name for name in fields if name not in self.columns]
         if missing or not fields:
             what = f"names {some(missing)}" if missing else "has no $name in it"
             raise ValueError(
                 f"the template {source} {what}: the draws have "
-                f"{alternatives(missing[0] if missing else '', columns)}"
+                f"{alternatives(missing[0] if missing else '', self.columns)}"
             )
 
         Path(folder).mkdir(parents=True, exist_ok=True)
         paths = []
         for row in range(len(self)):
             paths.append(Path(folder) / f"{source.stem}_{row:03d}{source.suffix}")
-            numbers = {name: repr(float(columns[name][row])) for name in fields}
+            numbers = {name: repr(float(self.columns[name][row])) for name in fields}
             write_text(paths[-1], text.substitute(numbers))
         return paths
 
@@ -138,13 +131,12 @@ def draws(fit: Fit, count: int = 200, seed: int = 0) -> Draws:
 
     values = drawn_values(fit, count, fit.names, seed)
     columns = dict(zip(fit.names, values.T, strict=True))
-    derived = {}
     for k, part in enumerate(fit.parts if fit.derived else ()):
         model = fit.model_of(k)
         local = Names({name: columns[part.outside(name)] for name in model.parameters})
-        for name in fit.derived.keys() & model.derived.keys() - derived.keys():
-            derived[name] = np.broadcast_to(model.derived[name](local), count)
-    return Draws(fit.name, fit.names, values, derived)
+        for name in fit.derived.keys() & model.derived.keys() - columns.keys():
+            columns[name] = np.broadcast_to(model.derived[name](local), count)
+    return Draws(fit.name, fit.names, columns)
 
 
 def drawn_values(fit: Fit, count: int, names: Sequence[str], seed: int = 0) -> Array:
@@ -158,7 +150,6 @@ def drawn_values(fit: Fit, count: int, names: Sequence[str], seed: int = 0) -> A
     # The cost depends on every parameter of the fit, also on those of its other parts.
     known = fit.known_directions(fit.names)
     lines = [fit.by_name[name] for name in fit.names]
-    center = np.array([line.value for line in lines])
     variances, axes = np.linalg.eigh(known.covariance)
     root = axes * np.sqrt(np.maximum(variances, 0))
     dof = fit.fewest_degrees(names)
@@ -173,7 +164,7 @@ def drawn_values(fit: Fit, count: int, names: Sequence[str], seed: int = 0) -> A
     limits = np.array([line.bounds for line in lines]).T
 
     def drawn(steps: Array) -> Array:
-        return _within(limits, center + steps, known.covariance)
+        return _within(limits, known.at + steps, known.covariance)
 
     return drawn(_lengths(fit, steps, drawn)[:, None] * steps)
 

@@ -48,6 +48,7 @@ from greybox.modeling.one_thread import LOCK, one_thread_at_a_time
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
 from greybox.solve.executors import require_executor, value_fingerprint
 from greybox.solve.interruption import (
+    Interrupted,
     Response,
     TimeLimits,
     building,
@@ -67,28 +68,6 @@ from greybox.solve.robust_errors import with_robust_errors
 from greybox.solve.runs import RUN_OVER, SEARCH_OVER
 
 _version = cache(version)  # reading it takes 2 ms
-
-
-class Interrupted(KeyboardInterrupt):
-    """Ctrl-C during a fit.
-
-    Attributes
-    ----------
-    fit : Fit or None
-        The best fit so far, from the starts that were done; None if there were none.
-    """
-
-    def __init__(self, fit: Fit | None) -> None:
-        super().__init__(fit)
-        self.fit = fit
-
-    def __str__(self) -> str:
-        if self.fit is None:
-            return "interrupted before the first start"
-        return (
-            f"interrupted after {counted(len(self.fit.runs), 'start')}; the best fit so far is in "
-            "the attribute fit"
-        )
 
 
 def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
@@ -250,7 +229,7 @@ def _interruptible() -> Iterator[None]:
     except Interrupted:
         raise
     except KeyboardInterrupt as pressed:
-        raise Interrupted(None) from pressed
+        raise Interrupted("interrupted before the first start") from pressed
 
 
 @_interruptible()
@@ -306,7 +285,7 @@ def fit_keeping(
         nlp, search, solver = with_robust_errors(nlp, search, solver)
 
     if not search.runs:
-        raise Interrupted(None)
+        raise KeyboardInterrupt
 
     # Ctrl-C no longer ends the work: the search is complete, and judging it takes a moment.
     with responding(Response.FINISH):
@@ -324,7 +303,11 @@ def fit_keeping(
     with LOCK:
         del run, nlp, search, solver
     if take_interrupt():
-        raise Interrupted(answer)
+        raise Interrupted(
+            f"interrupted after {counted(len(answer.runs), 'start')}; the best fit so far is "
+            "sys.last_value.fit in a notebook, and the attribute fit of this exception",
+            fit=answer,
+        )
     return answer
 
 

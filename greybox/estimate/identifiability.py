@@ -9,6 +9,7 @@ import numpy as np
 
 from greybox.estimate.undetermined import BLIND
 from greybox.files.arrays import Array, BoolArray
+from greybox.files.html_text import Printed
 from greybox.files.text_table import counted, number, one_line, text_table, with_error
 
 # Guidelines, of the value. Source: Tischler and Remple (2012), Aircraft and Rotorcraft System
@@ -126,7 +127,7 @@ class DeterminedCombination:
 
 
 @dataclass(frozen=True, eq=False)
-class Identifiability:
+class Identifiability(Printed):
     """How well the data determine each parameter; printed, it is CIFER's table.
 
     Attributes

@@ -7,6 +7,7 @@ from typing import Any, Literal
 import numpy as np
 
 from greybox.files.arrays import Array
+from greybox.files.html_text import Printed
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import alternatives, number, one_line
 
@@ -90,7 +91,7 @@ class ProfileOf:
 
 
 @dataclass(frozen=True, eq=False)
-class Profiles:
+class Profiles(Printed):
     """Profiles of one fit. Printing them gives a line for each.
 
     Attributes

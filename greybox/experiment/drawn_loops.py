@@ -94,8 +94,7 @@ def _plants(fit: Fit, names: Sequence[str]) -> Array:
     The others differ from the estimate in directions about which the data say nothing.
     """
     known = fit.known_directions(fit.names)
-    center = np.array([fit.by_name[name].value for name in fit.names])
     limits = np.array([fit.by_name[name].bounds for name in fit.names]).T
-    beside = np.clip(center + 0.1 * (known.size[:, None] * known.unseen).T, *limits)
-    plants = np.vstack([center, drawn_values(fit, DRAWS, names), beside])
+    beside = np.clip(known.at + 0.1 * (known.size[:, None] * known.unseen).T, *limits)
+    plants = np.vstack([known.at, drawn_values(fit, DRAWS, names), beside])
     return plants[:, [fit.names.index(name) for name in names]]

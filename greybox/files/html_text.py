@@ -41,4 +41,11 @@ def html_table(
 
 def _escaped(text: str) -> str:
     # Names come from files, which must not write HTML into a notebook.
-    return escape(printable(text))
+    return escape(printable(text, keep="\n"))
+
+
+class Printed:
+    """What a notebook shows as the text that it prints, not as one line."""
+
+    def _repr_html_(self) -> str:
+        return html_text(str(self), "pre")

@@ -2,9 +2,9 @@
 
 import sys
 from collections.abc import Iterable
+from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
-
-from tqdm import tqdm
 
 DELAY = 2  # s, before which no bar is worth a look
 
@@ -15,5 +15,7 @@ def bar(items: Iterable[Any] | None = None, *, is_shown: bool = True, **options:
     The options, such as ``total``, ``desc`` and ``unit``, are those of tqdm.
     """
     # A file or a pipe gets no bar. A notebook is neither a terminal nor a file.
-    hidden = (None if "ipykernel" not in sys.modules else False) if is_shown else True
+    in_notebook = "ipykernel" in sys.modules
+    hidden = (None if not in_notebook else False) if is_shown else True
+    tqdm = import_module("tqdm.auto" if in_notebook and find_spec("ipywidgets") else "tqdm").tqdm
     return tqdm(items, disable=hidden, delay=DELAY, leave=False, **options)

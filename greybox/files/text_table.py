@@ -113,7 +113,7 @@ def with_error(value: float, error: float) -> tuple[str, str]:
         return number(value), "-"
     # The digits of such an error would leave the value none, or more than a person reads.
     if error > 1e3 * abs(value) or error < 1e-9 * abs(value):
-        return number(value), f"{float(number(error, 2)):g}"
+        return number(value if error < abs(value) else 0.0), f"{float(number(error, 2)):g}"
     # Rounded first: 0.0996 has its two digits in 0.10, one place further left.
     decimals = 1 - math.floor(math.log10(float(f"{error:.1e}")))
     if not -4 <= decimals <= 7 or abs(value) >= 1e7:

@@ -149,6 +149,9 @@ class Model(ABC):
         """The name of the structure, for tables."""
         return type(self).__name__
 
+    def _repr_markdown_(self) -> str:
+        return f"**{self.label}**\n\n{equation(self)}"
+
     def values(self, values: Mapping[str, float] | None = None, **more: float) -> Names:
         """Return parameter values by name; a parameter without one has its declared start.
 

@@ -22,6 +22,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import Enum, auto
 from types import FrameType
+from typing import Any
 
 from greybox.solve.runs import INTERRUPTED, RUN_OVER, SEARCH_OVER
 
@@ -32,6 +33,24 @@ class Response(Enum):
     RAISE = auto()  # KeyboardInterrupt at once
     STOP = auto()  # noted; solvers see it and end
     FINISH = auto()  # noted; the current work is finished
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C during a fit, a bootstrap or a batch.
+
+    Attributes
+    ----------
+    fit, samples, study : Fit, Bootstrap, Study or None
+        The best fit so far, the replicates so far, the members that were fitted.
+    """
+
+    fit: Any = None
+    samples: Any = None
+    study: Any = None
+
+    def __init__(self, message: str, **done: Any) -> None:
+        super().__init__(message)
+        vars(self).update(done)
 
 
 # The signals that end a program in order, with Python's own handlers of them.

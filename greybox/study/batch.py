@@ -36,6 +36,7 @@ from greybox.solve.executors import (
     value_fingerprint,
 )
 from greybox.solve.interruption import (
+    Interrupted,
     Response,
     TimeLimits,
     is_search_over,
@@ -109,20 +110,6 @@ class Member:
         if isinstance(starts, Sequence):
             return len(starts)
         return starts if isinstance(starts, int) else int(getattr(starts, "number", 1))
-
-
-class BatchInterrupted(KeyboardInterrupt):
-    """Ctrl-C during a batch.
-
-    Attributes
-    ----------
-    study : Study
-        The members that were fitted; the same call resumes.
-    """
-
-    def __init__(self, study: Study) -> None:
-        super().__init__(f"interrupted; the same batch resumes from {study.folder}")
-        self.study = study
 
 
 def batch(
@@ -214,7 +201,8 @@ def batch(
                     if runs.trouble:
                         break  # a full disk, which the last attempt names
         except KeyboardInterrupt as pressed:
-            raise BatchInterrupted(read_study(folder, models)) from pressed
+            message = f"interrupted; the same batch resumes from {folder}"
+            raise Interrupted(message, study=read_study(folder, models)) from pressed
         return read_study(folder, models)
 
 

@@ -26,13 +26,14 @@ from greybox.estimate.quantities import Quantity, expressions
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
+from greybox.files.html_text import Printed
 from greybox.files.json_numbers import finite, plain
 from greybox.files.progress import bar
 from greybox.files.text_table import alternatives, counted, number, one_line, some, text_table
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.discretization_error import refine_discretization
 from greybox.solve.executors import require_executor, run_all, value_fingerprint
-from greybox.solve.interruption import Response, listening, responding, take_interrupt
+from greybox.solve.interruption import Interrupted, Response, listening, responding, take_interrupt
 from greybox.solve.kept_runs import Memory
 from greybox.solve.minima import same_cost
 from greybox.solve.multistart import multistart, solver_for
@@ -45,7 +46,7 @@ from greybox.study.store import StoredRuns, locked
 
 
 @dataclass(frozen=True, eq=False)
-class Bootstrap:
+class Bootstrap(Printed):
     """Replicates of an estimate; printed, they are a table of errors and intervals.
 
     Attributes
@@ -85,13 +86,18 @@ class Bootstrap:
     warnings: tuple[str, ...] = ()
     seconds: float = 0.0
 
+    @cached_property
+    def columns(self) -> dict[str, Array]:
+        """Return the values of every quantity in the replicates that did not fail."""
+        return dict(zip(self.names, self._successful.T, strict=True))
+
     def __getitem__(self, name: str) -> Array:
         """Return the values of a quantity in the replicates that did not fail."""
-        if name not in self.names:
+        if name not in self.columns:
             raise KeyError(
-                f"{name!r} has no replicates; there are {alternatives(name, list(self.names))}"
+                f"{name!r} has no replicates; there are {alternatives(name, self.names)}"
             )
-        return self._successful[:, self.names.index(name)]
+        return self.columns[name]
 
     @property
     def failed(self) -> int:
@@ -305,7 +311,8 @@ def bootstrap(
     RuntimeError
         If the executor has lost its workers.
     KeyboardInterrupt
-        After Ctrl-C; with a folder the same call resumes.
+        After Ctrl-C, with the replicates so far in its attribute ``samples``; with a folder the
+        same call resumes.
 
     Examples
     --------
@@ -328,7 +335,9 @@ def bootstrap(
     runner = refits(fit, nlp, seed)
     lines, function = _quantities(fit, nlp)
 
-    outcomes = _made(runner, replicates, executor, folder, progress)
+    outcomes, interrupted = _made(runner, replicates, executor, folder, progress)
+    if not outcomes:
+        raise KeyboardInterrupt
     points = [
         np.append(outcome.estimate, runner.draws.of(k)[0]) for k, outcome in enumerate(outcomes)
     ]
@@ -337,7 +346,7 @@ def bootstrap(
     # Where a refit failed, its last point says nothing about the estimate.
     values[[not outcome.converged for outcome in outcomes]] = np.nan
     statuses = tuple("" if outcome.converged else outcome.status for outcome in outcomes)
-    return Bootstrap(
+    samples = Bootstrap(
         name=fit.name,
         about=runner.draws.about,
         seed=seed,
@@ -352,6 +361,13 @@ def bootstrap(
         warnings=tuple(replicate_warnings(statuses, min(q.dof for q in lines))),
         seconds=time.perf_counter() - began,
     )
+    if interrupted:
+        raise Interrupted(
+            f"interrupted after {counted(len(outcomes), 'replicate')}; they are "
+            "sys.last_value.samples in a notebook, and the attribute samples of this exception",
+            samples=samples,
+        )
+    return samples
 
 
 def _require_drawable(fit: Fit) -> None:
@@ -426,8 +442,8 @@ def _made(
     executor: Executor | None,
     folder: str | Path | None,
     progress: bool | Callable[[int, int], None],
-) -> list[Outcome]:
-    """Make the replicates and return their outcomes by number."""
+) -> tuple[list[Outcome], bool]:
+    """Make the replicates; return their outcomes by number, and whether Ctrl-C ended them."""
     outcomes: list[Outcome] = []
     # A replicate is its number: workers draw the data themselves, so that the result does not
     # depend on how many there are.
@@ -444,12 +460,10 @@ def _made(
                     shown.update()
                     if callable(progress):
                         progress(len(outcomes), replicates)
-            if take_interrupt():
-                raise KeyboardInterrupt
+            return outcomes, take_interrupt()
         finally:
             if runs is not None:
                 runs.write()
-    return outcomes
 
 
 def replicate_warnings(statuses: tuple[str, ...], dof: float) -> Iterator[str]:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.data.pandas_frames import Frame
+from greybox.files.html_text import Printed
 from greybox.files.optional_package import required
 from greybox.files.text_table import (
     counted,
@@ -30,7 +31,7 @@ from greybox.validation.comparison import Comparison
 
 
 @dataclass(frozen=True, eq=False)
-class Study:
+class Study(Printed):
     """Members of a study, in their order; printed, it is a table that compares them."""
 
     folder: Path

@@ -15,8 +15,8 @@ from command_line import OWN, QUICK, RECORD, refused, run
 
 import greybox as gb
 from greybox.cli.fit_command import _stated_fit
-from greybox.estimate.fit import Interrupted
 from greybox.solve.executors import ExecutorLostError
+from greybox.solve.interruption import Interrupted
 from greybox.study.catalog import find_problem
 from greybox.study.store import StoredRuns, read_members
 
@@ -401,7 +401,7 @@ def test_ctrl_c_before_any_run_has_no_answer_and_while_drawing_no_figure(
     name = own()
 
     def stopped(*arguments, **options):
-        raise Interrupted(None)
+        raise Interrupted("interrupted before the first start")
 
     with monkeypatch.context() as before:
         before.setattr("greybox.cli.fit_command.fit_keeping", stopped)

@@ -120,6 +120,21 @@ def test_what_was_interrupted_goes_on(lag, tmp_path):
         gb.bootstrap(lag, replicates=200, seed=1, folder=tmp_path, progress=False)
 
 
+def test_replicates_survive_ctrl_c_without_a_folder(lag, press_ctrl_c):
+    def stop(done, count):
+        if done == 100:
+            press_ctrl_c()
+
+    with pytest.raises(KeyboardInterrupt, match=r"sys\.last_value\.samples") as stopped:
+        gb.bootstrap(lag, replicates=2000, progress=stop)
+    samples = stopped.value.samples
+    assert 100 <= len(samples.values) < 1000
+    assert f"after {len(samples.values)} replicates" in str(stopped.value)
+    whole = gb.bootstrap(lag, replicates=100, progress=False)
+    assert_array_equal(samples.values[:100], whole.values)
+    assert_array_equal(samples.columns["T"], samples["T"])
+
+
 def test_a_parameter_that_the_data_leave_open_has_no_upper_end():
     fit = gb.fit(yaw_hover.problem(), starts=4, profiles=False, progress=False)
     found = gb.bootstrap(fit, 200, progress=False)
