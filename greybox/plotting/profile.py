@@ -25,12 +25,13 @@ def profiles(profiles: Profiles, axes: GivenAxes | None = None) -> AxesArray:
     numpy.ndarray of Axes, shape (n,)
     """
     figures = profile_figures(profiles)
-    return draw(figures, axes, legend=False, columns=min(len(figures), 3), size=(3.0, 2.5))
+    return draw(figures, axes, columns=min(len(figures), 3), size=(3.0, 2.5))
 
 
 def profile_figures(profiles: Profiles) -> list[Figure]:
     """Return one figure for every profiled quantity."""
-    return [_figure(profile, profiles.limit[profile.name]) for profile in profiles.profiles]
+    interval = f"{100 * profiles.level:g} % interval"
+    return [_figure(p, profiles.limit[p.name], interval) for p in profiles.profiles]
 
 
 def contour(contour: Contour, axes: Axes | None = None) -> Axes:
@@ -48,6 +49,11 @@ def contour(contour: Contour, axes: Axes | None = None) -> Axes:
     is_closed = np.array([end == "crossed" for end in contour.ends])
     closed = contour.points[is_closed].T
     hollow = contour.points[~is_closed].T
+    if is_closed.all():
+        from scipy.interpolate import CubicSpline  # noqa: PLC0415  (imports slowly)
+
+        rays = np.arange(len(x))
+        x, y = CubicSpline(rays, [x, y], 1, "periodic")(np.linspace(0, rays[-1], 360))
     series = [
         Series("", "regions", x, y),
         Series("region", "line", x, y),
@@ -71,7 +77,7 @@ def _label(name: str, unit: str) -> str:
     return f"{name}, {unit}" if unit else name
 
 
-def _figure(profile: ProfileOf, limit: float) -> Figure:
+def _figure(profile: ProfileOf, limit: float, interval_name: str) -> Figure:
     ends = profile.values[[0, -1]]
     # An open interval is shaded as far as the profile goes.
     interval = np.where(np.isfinite(profile.interval), profile.interval, ends)
@@ -81,7 +87,7 @@ def _figure(profile: ProfileOf, limit: float) -> Figure:
     # A profile that never crosses the limit rises without end: cut it above the crossing.
     top = 1.6 * limit
     series = [
-        band("interval", interval, np.zeros(2), np.full(2, limit)),
+        band(interval_name, interval, np.zeros(2), np.full(2, limit)),
         Series("limit", "line", sides, limits, GRAY),
     ]
     if 0 < profile.standard_error < np.inf:
@@ -103,5 +109,6 @@ def _figure(profile: ProfileOf, limit: float) -> Figure:
         f"Profile of {profile.name}",
         _label(profile.name, profile.unit),
         [panel],
+        bands=interval_name,
         limits=(float(ends[0]), float(ends[1])),
     )

@@ -28,7 +28,9 @@ def profile(**given):
 
 def test_a_profile_has_its_limit_its_interval_and_the_cone_of_the_standard_error():
     profiles = [profile(), profile(name="K", unit="", standard_error=np.nan)]
-    first, second = profile_figures(SimpleNamespace(profiles=profiles, limit={"T": 2.0, "K": 3.0}))
+    first, second = profile_figures(
+        SimpleNamespace(profiles=profiles, limit={"T": 2.0, "K": 3.0}, level=0.95)
+    )
     (panel,) = first.panels
     curve, points = named(panel, "profile", "line"), named(panel, "", "points")
     assert points.y == pytest.approx([2.5, 0.0, 2.6])
@@ -42,14 +44,14 @@ def test_a_profile_has_its_limit_its_interval_and_the_cone_of_the_standard_error
     assert cone.y == pytest.approx([3.2, 0, 3.2])
     assert named(panel, "limit", "line").y == pytest.approx([2.1, 2.1, 1.9, 1.9])
     # Open above: to the end of the curve.
-    assert named(panel, "interval", "band").x == pytest.approx([0.8, 1.4])
+    assert named(panel, "95 % interval", "band").x == pytest.approx([0.8, 1.4])
     assert (first.limits, panel.limits, first.label) == ((0.7, 1.4), (0.0, 3.2), "T, s")
     assert second.label == "K"
     assert "standard error" not in [series.name for series in second.panels[0].series]
 
 
 def test_profiles_stand_in_a_grid_or_in_axes_of_a_user():
-    four = SimpleNamespace(profiles=[profile() for _ in range(4)], limit={"T": 2.0})
+    four = SimpleNamespace(profiles=[profile() for _ in range(4)], limit={"T": 2.0}, level=0.95)
     axes = gb.plotting.profiles(four)
     assert len(axes[0].figure.axes) == len(axes) == 4  # of a grid of six
     assert axes[0].get_xlim() == (0.7, 1.4)
@@ -79,3 +81,16 @@ def test_a_contour_is_closed_with_hollow_open_ends():
         ("a", "b"), ("s", ""), 0.95, np.array([1.0, 2.0]), np.nan * covariance, 2.0, points, ends
     )
     assert len(gb.plotting.contour(unknown, Figure().subplots()).collections) == 1
+
+
+def test_a_closed_contour_is_smooth_and_passes_through_its_points():
+    angle = np.linspace(0, 2 * np.pi, 36, endpoint=False)
+    points = np.column_stack([1 + 0.3 * np.cos(angle), 2 + 0.5 * np.sin(angle)])
+    found = Contour(
+        *(("a", "b"), ("s", ""), 0.95, np.array([1.0, 2.0])),
+        *(np.eye(2), 2.0, points, ("crossed",) * 36),
+    )
+    lines = {line.get_label(): line.get_xydata() for line in gb.plotting.contour(found).get_lines()}
+    x, y = (lines["region"] - [1.0, 2.0]).T
+    assert x.size == 360
+    np.testing.assert_allclose((x / 0.3) ** 2 + (y / 0.5) ** 2, 1.0, atol=1e-4)
