@@ -9,7 +9,8 @@
 | `orders_command`, `identifiability_command` | structures |
 | `fit_command`, `profile_command`, `bootstrap_command` | fits and their errors |
 | `stepwise_command`, `compare_command`, `report_command` | several fits |
-| `predict_command` | a fit on another log |
+| `predict_command`, `simulate_command` | a fit on another log |
+| `export_command` | a fit for other programs |
 | `margins_command`, `tune_command` | the loop of a fit and a controller, and safe gains |
 | `batch_command` | studies |
 | `options` | how options are stated and read; those that several commands share |

@@ -7,7 +7,7 @@ from pathlib import Path
 from greybox.cli.batch_command import as_json
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, attributes, require_writable
-from greybox.cli.saved_fits import saved_fit
+from greybox.cli.saved_fits import HELD_OUT, held_out_records, saved_fit
 from greybox.files.safe_files import write_text
 from greybox.study.study import read_study
 from greybox.validation.compare import compare
@@ -15,14 +15,16 @@ from greybox.validation.comparison import Comparison
 
 EXAMPLES = (
     "linear.h5 nonlinear.h5",
+    "linear.h5 nonlinear.h5 --held-out flight_2.csv",
     "results",
     "results --by model",
     "results --latex table.tex --csv table.csv",
 )
-OPTIONS = """
+OPTIONS = f"""
 results RESULT...
     fits of the same data, as greybox fit --out saves them, or the folder of a study
 --model
+{HELD_OUT}
 --by FACTOR
     compare the values of this factor over the data sets of a study: model, criterion, delay, ...
 --csv FILE
@@ -44,6 +46,8 @@ def run(options: argparse.Namespace) -> Answer:
             raise UsageError("--by, --csv and --latex are for a study: give one folder.")
         comparison = _comparison(options)
         return attributes(comparison, *SUMMARY), str(comparison)
+    if options.held_out:
+        raise UsageError("--held-out is for fits; a study holds out by `held` of its file.")
     # Members of a study may have different data, so that they are listed, not compared by tests.
     study = read_study(options.results[0], options.model)
     answer, lines = as_json(study), [str(study)]
@@ -63,4 +67,5 @@ def _comparison(options: argparse.Namespace) -> Comparison:
     # Stems are short; files with the same name in several folders need their paths.
     names = [path.stem for path in paths]
     labels = names if len(set(names)) == len(names) else list(map(str, paths))
-    return compare(*(saved_fit(path, options) for path in paths), labels=labels)
+    fits = [saved_fit(path, options) for path in paths]
+    return compare(*fits, records=held_out_records(options, fits[0]), labels=labels)

@@ -45,10 +45,8 @@ def _answer(
             streams.enter_context(contextlib.redirect_stdout(sys.stderr))
         try:
             result, *lines = options.command(options)
-            text = "" if options.quiet else "\n".join(lines)
-            # Texts about measurements name the arguments that would choose otherwise.
-            if "announced" in options:
-                text = as_options(text, options)
+            # Texts and warnings name the arguments that would choose otherwise.
+            text = "" if options.quiet else as_options("\n".join(lines), options)
             return result, text, USABLE
         except SystemExit:  # argparse has done its work before: only a user's file calls it here
             return {"error": "a file of your own called sys.exit: remove that call."}, "", BAD_INPUT

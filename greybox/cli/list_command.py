@@ -48,7 +48,7 @@ def run(options: argparse.Namespace) -> Answer:
 
 
 def _show(name: str) -> Answer:
-    if ":" in name or name.endswith(".py"):
+    if ":" in name or name.endswith(".py") or name in shipped("models"):
         model = find_model(name)
         answer = {"name": name, "about": equation(model), **_parameters(model)}
         return answer, _model_text(model)

@@ -35,6 +35,7 @@ GROUPS = {
     "judge": {
         "compare": "compare saved fits, or the fits of a study",
         "predict": "predict another log with a saved fit, window by window",
+        "simulate": "drive a saved model with the inputs of a log",
         "identifiability": "which parameters a model, or a fit, can determine",
         "profile": "compute intervals that need not be symmetric",
         "bootstrap": "compute errors and intervals from resampled data",
@@ -42,6 +43,7 @@ GROUPS = {
     "studies": {"batch": "fit many problems, and lose nothing when killed"},
     "hand on": {
         "report": "write a page about results that can be shared",
+        "export": "write a fit as a table, JSON, MATLAB file or C source",
         "margins": "compute stability margins of a fit in the loop of a controller",
         "tune": "compute which gains of a controller are safe, and the best",
     },
@@ -53,15 +55,11 @@ COMMANDS = {name: about for group in GROUPS.values() for name, about in group.it
 ADDRESSES = (1024, 600)
 
 # argparse has no groups of commands.
-ABOUT = "\n\n".join(
-    [
-        "Grey-box estimation of models from flight data.",
-        *(
-            "\n".join([f"{group}:", *(f"    {name:16} {about}" for name, about in names.items())])
-            for group, names in GROUPS.items()
-        ),
-    ]
+ABOUT = "Grey-box estimation of models from flight data." + "".join(
+    f"\n\n{group}:" + "".join(f"\n    {name:16} {about}" for name, about in names.items())
+    for group, names in GROUPS.items()
 )
+
 BEGIN = """\
 begin with:
   greybox list

@@ -180,6 +180,7 @@ def as_options(text: str, options: argparse.Namespace) -> str:
     """Return a text with arguments as options: ``settle=-1`` becomes ``--settle -1``."""
     # The library speaks of arguments. Only names of this command's options are translated: x=3 in a
     # formula stays as it is.
+    text = text.replace("fixed={", "fix={")
     names = "|".join(name for name in vars(options) if name.isidentifier())
 
     # "open_loop=True" and "name=..." have no value on the command line.
@@ -188,9 +189,10 @@ def as_options(text: str, options: argparse.Namespace) -> str:
         return flag if match[2] else f"{flag} "
 
     text = re.sub(rf"\b({names})=(\.\.\.|True\b|(?=\S))", option, text)
-    # A dict of bounds and a tuple of names are several words on the command line.
+    # A dict and a list of names are several words on the command line.
+    text = re.sub(r"\{'([^']+)': \.\.\.\}", r"\1=...", text)
     text = re.sub(r"\{'([^']+)': \(([^,]+), ([^)]+)\)\}", r"\1=\2:\3", text)
-    return re.sub(r"\('([^']+)',\)", r"\1", text)
+    return re.sub(r"(?<= )[(\[]'([^']+)',?[)\]]", r"\1", text)
 
 
 # --- types of values

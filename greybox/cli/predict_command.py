@@ -9,6 +9,7 @@ from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, attributes
 from greybox.cli.read_log import read_log
 from greybox.cli.saved_fits import saved_fit
+from greybox.data.record import Record
 from greybox.estimate.result import Fit
 from greybox.logs.prepare import prepare
 from greybox.simulation.prediction import Prediction
@@ -39,11 +40,7 @@ log LOG
 def run(options: argparse.Namespace) -> Answer:
     """Predict the log, window by window."""
     fit = saved_fit(options.result, options)
-    signals = options.signals or _signals_of(fit)
-    # Cut after resampling, which needs the samples before and after the excerpt.
-    record = prepare(read_log(options), signals, options.rate)
-    if options.between:
-        record = record.between(*options.between)
+    record = flown_record(fit, options)
     prediction = predict(fit, record=record, horizon=options.horizon)
     dead = [
         name for name in prediction.outputs if np.nanmin(record[name]) == np.nanmax(record[name])
@@ -56,6 +53,13 @@ def run(options: argparse.Namespace) -> Answer:
     notes = [f"{name} never changes: a dead sensor, or a part at rest." for name in dead]
     findings = [*notes, *record.findings]
     return _json(prediction) | {"findings": findings}, str(prediction), *findings
+
+
+def flown_record(fit: Fit, options: argparse.Namespace) -> Record:
+    """Return the stated part of the log, with the signals of the model."""
+    record = prepare(read_log(options), options.signals or _signals_of(fit), options.rate)
+    # Cut after resampling, which needs the samples before and after the excerpt.
+    return record.between(*options.between) if options.between else record
 
 
 def _signals_of(fit: Fit) -> dict[str, str]:

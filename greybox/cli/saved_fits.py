@@ -2,12 +2,24 @@
 
 import argparse
 from pathlib import Path
+from typing import Any
 
+from greybox.cli.options import UsageError
 from greybox.cli.output import require_writable
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.estimate.result import Fit
 from greybox.files.safe_files import HDF5
 from greybox.study.catalog import find_problem
+from greybox.study.data_file import read_data
+from greybox.study.study import Study
+
+HELD_OUT = """
+--held-out FILE...
+    records that none of two or more fits has seen: how well each predicts them
+--columns NAME=COLUMN[:UNIT]...
+    the columns of the held-out tables, as in greybox predict
+--rate
+"""
 
 
 def saved_fit(path: Path, options: argparse.Namespace) -> Fit:
@@ -21,6 +33,21 @@ def saved_fit(path: Path, options: argparse.Namespace) -> Fit:
     from greybox.estimate.storage import load  # noqa: PLC0415  (needs h5py)
 
     return load(path, models=options.model)
+
+
+def held_out_records(options: argparse.Namespace, first: Fit | Study) -> list[Any]:
+    """Return the held-out records of the options, with the signals of the first result.
+
+    All models must have the outputs that are compared.
+    """
+    if not options.held_out and (options.columns or options.rate):
+        raise UsageError("--columns and --rate go with --held-out.")
+    records = []
+    for path in options.held_out:
+        fit: Any = first if isinstance(first, Fit) else first.done[0].fit
+        model = fit.model_of()
+        records.append(read_data(path, model, columns=options.columns, rate=options.rate))
+    return records
 
 
 def stated_fit(options: argparse.Namespace) -> tuple[Fit, AnyProblem | None]:

@@ -64,8 +64,10 @@ def find_problem(text: str) -> tuple[AnyProblem, dict[str, Any]]:
     attribute = name or "problem"
     problem = getattr(module, attribute, None)
     if problem is None:
+        models = [f", or give model={place}:{m.__name__} data=FILE" for m in models_of(module)]
         raise ValueError(
-            f"{place} has no {attribute!r}: define {attribute}() that returns a gb.Problem."
+            f"{place} has no {attribute!r}: define {attribute}() that returns a gb.Problem"
+            f"{''.join(models[:1])}."
         )
     if callable(problem) and not isinstance(problem, Problem | Sum):
         problem = problem()

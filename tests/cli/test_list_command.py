@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from command_line import run
+from command_line import refused, run
 
 from greybox.files.text_table import number
 from greybox.models.tilt import Tilt
@@ -25,6 +25,10 @@ def test_list_shows_one_whole(capsys, name):
     assert status == 0
     assert "$$" in out
     assert "meaning" in out
+
+
+def test_a_file_of_several_models_names_them(capsys):
+    assert "tilt has Tilt, TiltRate" in refused(capsys, "list", "tilt")
 
 
 def test_a_model_is_shown_with_all_that_it_declares(capsys):

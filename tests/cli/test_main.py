@@ -75,6 +75,7 @@ def test_errors_are_json_too(capsys):
         ("import greybox as gb", "import greybox as gb\nx = (", "line 2: '(' was never closed"),
         ("return gb.Problem(Lag(), data())", "return 7", "it must be, or return, a gb.Problem"),
         ("def problem", "def stuff", "define problem()"),
+        ("def problem", "def stuff", "or give --model"),
         ("p.K / (p.T * s + 1)", "p.K / (p.tau * s + 1)", "has no 'tau'; it has K, T"),
         ("p.K / (p.T * s + 1)", "p.K / (p.T * undefined + 1)", "line 11: NameError"),
         ("p.K / (p.T * s + 1)", "p.K / 0 / (1 / 0)", "line 11: ValueError: a formula of 'own_"),

@@ -104,10 +104,15 @@ def test_probabilities_and_times():
         ("give input=u=MESSAGE.Field.", "give --input u=MESSAGE.Field."),
         ("K=2 and settled=3", "K=2 and settled=3"),
         ("settle = 2 s", "settle = 2 s"),
+        ("give fixed={'T': ...}.", "give --fix T=...."),
+        (
+            "give band=['a', 1], input=('a',) or input=['a'].",
+            "give --band ['a', 1], --input a or --input a.",
+        ),
     ],
 )
 def test_arguments_become_options(text, option):
-    options = argparse.Namespace(settle=2.0, open_loop=False, band=[], input="")
+    options = argparse.Namespace(settle=2.0, open_loop=False, band=[], input="", fix={})
     assert as_options(text, options) == option
 
 

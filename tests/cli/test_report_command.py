@@ -121,6 +121,14 @@ def test_held_out_records_are_predicted(capsys, own, tmp_path):
     page = (tmp_path / "held.html").read_text(encoding="utf-8")
     assert "held-out" in page
     assert "Time history, flight" in page
+    compared = run(capsys, "compare", *both, "--held-out", "flight.csv", "--json")[1]
+    with_held_out = gb.compare(
+        *(gb.load(name, models=[file]) for name in both[:2]),
+        records=gb.prepare(gb.read("flight.csv"), {"u": "u", "y": "y"}),
+        labels=["problem", "slow"],
+    )
+    assert json.loads(compared)["statements"] == list(with_held_out.statements)
+    assert any("held-out" in statement for statement in with_held_out.statements)
     alone = refused(
         capsys, "report", "slow.h5", "--model", file, "--held-out", "flight.csv", "--out", "x.html"
     )

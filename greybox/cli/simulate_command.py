@@ -1,0 +1,45 @@
+"""The command `greybox simulate`: a saved model driven by the inputs of a log."""
+
+import argparse
+
+from greybox.cli.output import Answer, require_writable
+from greybox.cli.predict_command import flown_record
+from greybox.cli.saved_fits import saved_fit
+from greybox.files.delimited_text import write_delimited
+from greybox.simulation.simulate import simulate
+
+EXAMPLES = (
+    "cart.h5 other.csv --initial x=0.2 --out motion.csv",
+    "pitch_fit.h5 other_flight.BIN --between 20 30 --out motion.csv",
+)
+OPTIONS = """
+result RESULT
+    a fit that greybox identify or fit --out wrote
+log LOG
+    a log or a table with the inputs of the model
+--signals NAME=SIGNAL...
+    inputs and outputs of the model in the log (default: those of the log of the fit)
+--rate HZ
+    common sampling rate
+--between START END
+    simulate only this part of the log, s
+--initial NAME=VALUE...
+    initial states; others begin at zero
+--out FILE
+    write outputs and states to this CSV file (required)
+--columns
+--model
+--force
+"""
+
+
+def run(options: argparse.Namespace) -> Answer:
+    """Simulate from the beginning to the end, without a look at the measured outputs."""
+    require_writable(options.out, options.force, (".csv",), "table")
+    fit = saved_fit(options.result, options)
+    motion = simulate(fit, record=flown_record(fit, options), initial=options.initial)
+    columns = {"time [s]": motion.time}
+    for name, values in motion.signals.items():
+        columns[f"{name} [{motion.units.get(name, '1')}]"] = values
+    write_delimited(options.out, {}, columns)
+    return {"file": options.out}, motion.name, f"wrote {options.out}"

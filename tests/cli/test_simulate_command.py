@@ -1,0 +1,52 @@
+"""`greybox simulate` drives a saved model, and `greybox export` writes it for other programs."""
+
+import json
+
+import numpy as np
+import pytest
+from command_line import RECORD, refused, run
+from scipy.io import loadmat
+
+import greybox as gb
+
+
+@pytest.fixture
+def saved(capsys, own):
+    """A fitted lag of 0.3 s, its file, and a table with a step that it has not seen."""
+    file = own(RECORD)
+    run(capsys, "fit", file, "--starts", "2", "--out", "lag.h5")
+    time = np.arange(100) / 50
+    table = np.column_stack([time, np.ones(100), np.zeros(100)])
+    np.savetxt("step.csv", table, "%.4f", ",", header="time [s],u [1 held],y [m]", comments="")
+    return file
+
+
+def test_a_step_is_simulated_from_the_stated_state(capsys, saved):
+    command = ("simulate", "lag.h5", "step.csv", "--model", saved, "--out", "motion.csv")
+    status, out, _ = run(capsys, *command, "--initial", "y=1")
+    assert status == 0
+    assert "wrote motion.csv" in out
+    motion = gb.prepare(gb.read("motion.csv"), {"y": "y"})
+    truth = 2 - np.exp(-motion.time / 0.3)  # of K = 2 and T = 0.3 s, from y = 1
+    np.testing.assert_allclose(motion["y"], truth, atol=0.02)
+    assert "exists" in refused(capsys, *command)
+
+
+def test_a_fit_is_exported(capsys, saved):
+    fit = gb.load("lag.h5", models=[saved])
+    for name in ("fit.csv", "fit.json", "fit.mat", "lag.c"):
+        arguments = ("export", "lag.h5", name, "--model", saved)
+        status, out, _ = run(capsys, *arguments)
+        assert status == 0
+        assert f"wrote {name}" in out
+        assert f"{name} exists" in refused(capsys, *arguments)
+    with open("fit.csv", encoding="utf-8") as file:
+        header, first, *_ = [line.rstrip().split(",") for line in file]
+    assert (header[:3], first[0]) == (["name", "value", "standard_error"], "K")
+    assert float(first[2]) == pytest.approx(fit.standard_error["K"])
+    with open("fit.json", encoding="utf-8") as file:
+        assert json.load(file)["estimate"] == fit.estimate
+    assert loadmat("fit.mat")["fit"]["cost"].item() == pytest.approx(fit.cost)
+    with open("lag.h", encoding="utf-8") as file:
+        assert "lag_step" in file.read()
+    assert "end it in .csv" in refused(capsys, "export", "lag.h5", "fit.txt")
