@@ -13,10 +13,10 @@ from greybox.solve.runs import SCREENED
 Grade = Literal["good", "doubt", "poor", "failed"]
 
 LEVELS = {
-    "good": "Sound: use the values with their intervals.",
+    "good": "Good: use the values with their intervals.",
     "doubt": "In doubt: see the reason before you use the values.",
-    "poor": "Do not use the values: the model does not describe these data.",
-    "failed": "There are no values.",
+    "poor": "Poor: do not use the values, since the model does not describe these data.",
+    "failed": "Failed: there are no values.",
 }
 
 

@@ -95,7 +95,7 @@ def _estimate_cells(answer: Mapping[str, Any], names: Iterable[str]) -> Iterator
 def _comparison(comparison: Comparison) -> Iterator[Element]:
     yield tag("h3", "Comparison")
     yield tag("p", f"Data: {comparison.data}.")
-    for statement in comparison.statements:
+    for statement in filter(None, (comparison.verdict, *comparison.statements)):
         yield tag("p", statement)
     rows = [
         [*map(Cell, (row.data, row.output, row.measure, row.unit)), *map(number_cell, row.values)]

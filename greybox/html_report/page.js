@@ -100,6 +100,9 @@
   const isData = (series) => series.kind !== "rule" && series.kind !== "regions";
 
   let plots = 0;
+  let inHertz = false;
+  const PER_HERTZ = 2 * Math.PI; // rad/s
+  const hertz = (omega) => shown(Number(omega) / PER_HERTZ, 3);
 
   class Plot {
     constructor(holder) {
@@ -128,6 +131,15 @@
           }
         }
       }
+    }
+
+    // The unit of the horizontal axis in rad/s: 1, or 2 pi for an axis in Hz.
+    get unit() {
+      return inHertz && this.figure.label.endsWith(", rad/s") ? PER_HERTZ : 1;
+    }
+
+    get label() {
+      return this.unit === 1 ? this.figure.label : "Frequency, Hz";
     }
 
     get series() {
@@ -236,7 +248,7 @@
       this.places(figure);
       const ticks = this.horizontalTicks(narrow);
       for (const [k, panel] of figure.panels.entries()) root.append(this.panelOf(panel, k, ticks, narrow));
-      const label = svg("text", { x: (left + this.right) / 2, y: height - 6, class: "label", "text-anchor": "middle" }, figure.label);
+      const label = svg("text", { x: (left + this.right) / 2, y: height - 6, class: "label", "text-anchor": "middle" }, this.label);
       this.overlay = svg("g", { class: "overlay" });
       root.append(label, this.overlay);
       this.area.replaceChildren(root, this.readout);
@@ -283,7 +295,12 @@
     horizontalTicks(narrow) {
       if (this.figure.ticks.length) return named(this.figure.ticks);
       const count = (this.right - this.left) / (narrow ? 48 : 64);
-      return this.figure.is_logarithmic ? logarithmicTicks(...this.seen, count) : linearTicks(...this.seen, count, [], this.figure.is_whole ? 1 : 0);
+      const { unit, seen } = this;
+      if (this.figure.is_logarithmic) {
+        const shift = Math.log10(unit);
+        return logarithmicTicks(seen[0] - shift, seen[1] - shift, count).map((tick) => ({ ...tick, at: tick.at + shift }));
+      }
+      return linearTicks(seen[0] / unit, seen[1] / unit, count, [], this.figure.is_whole ? 1 : 0).map((tick) => ({ ...tick, at: tick.at * unit }));
     }
 
     panelOf(panel, k, ticks, narrow) {
@@ -345,7 +362,8 @@
         const places = [];
         for (let k = from; k < to; k += 1) if (series.yAt[k] !== null) places.push([this.px(series.at[k]), this.py(panel, series.yAt[k])]);
         inside.append(this.marks(series, places, places.length > MANY ? 1.6 : places.length > 100 ? 2.4 : 3.6));
-        if (series.labels.length === places.length) this.write(inside, series.labels, places);
+        const labels = inHertz ? series.labels.map(hertz) : series.labels;
+        if (labels.length === places.length) this.write(inside, labels, places);
       }
     }
 
@@ -494,8 +512,8 @@
         const [cx, cy] = [this.px(reading.x), this.py(panel, y)];
         if (cy >= panel.top && cy <= panel.bottom) this.overlay.append(svg("circle", { cx, cy, r: 5, class: "cursor" }));
       }
-      const [name, unit] = quantity(figure.label);
-      if (!this.byPoint) this.readout.append(html("b", {}, `${name} = ${shown(this.fromX(reading.x))} ${unit}`.trim()));
+      const [name, unit] = quantity(this.label);
+      if (!this.byPoint) this.readout.append(html("b", {}, `${name} = ${shown(this.fromX(reading.x) / this.unit)} ${unit}`.trim()));
       let last = null;
       for (const one of found) {
         if (one.panel !== last && figure.panels.length > 1) this.readout.append(html("i", {}, quantity(one.panel.label)[0]));
@@ -507,7 +525,7 @@
 
     said({ panel, series, k, y, low, high }) {
       const name = series.name ? `${series.name}: ` : "";
-      if (k !== undefined && series.notes.length) return name + series.notes[k];
+      if (k !== undefined && series.notes.length) return name + (inHertz ? series.notes[k].replace(/([\d.e+-]+) rad\/s$/, (_, omega) => `${hertz(omega)} Hz`) : series.notes[k]);
       const unit = quantity(panel.label)[1];
       if (low !== undefined) return `${name}${shown(panel.from(low), 4)} to ${shown(panel.from(high), 4)} ${unit}`;
       const bars = k !== undefined && series.low && series.low[k] !== null && series.high[k] !== null ? ` (${shown(series.low[k], 4)} to ${shown(series.high[k], 4)})` : "";
@@ -704,10 +722,24 @@
     });
   }
 
+  // --- rad/s and Hz
+
+  function units(before, plots) {
+    if (!plots.some((plot) => plot.figure.label.endsWith(", rad/s"))) return;
+    const button = html("button", { type: "button", id: "unit" }, "Frequency: rad/s");
+    button.addEventListener("click", () => {
+      inHertz = !inHertz;
+      button.textContent = `Frequency: ${inHertz ? "Hz" : "rad/s"}`;
+      for (const plot of plots) plot.draw();
+    });
+    before.before(button);
+  }
+
   const drawn = [...document.querySelectorAll(".plot")].map((holder) => new Plot(holder));
   document.querySelectorAll("table.sortable").forEach(sortable);
   document.querySelectorAll("table.sortable").forEach(filterable);
   themes(document.getElementById("theme"));
+  units(document.getElementById("theme"), drawn);
 
   let closed = [];
   window.addEventListener("beforeprint", () => {

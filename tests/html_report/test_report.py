@@ -101,6 +101,28 @@ def test_every_axis_has_a_scale_and_points_their_frequencies(show, one):
         assert plane.locator("path.band").count() == 1  # the confidence ellipses of the curve
 
 
+def test_frequencies_are_in_hertz_on_request(show, one, fit):
+    shown = show(one)
+    plots = shown.locator(".plot")
+    bode, plane = plots.nth(0), plots.nth(1)
+    in_radians = [float(text) for text in plane.locator("text.beside").all_text_contents()]
+    assert bode.locator("text.label").all_text_contents()[-1] == "ω, rad/s"
+    shown.locator("#unit").click()
+    assert bode.locator("text.label").all_text_contents()[-1] == "Frequency, Hz"
+    in_hertz = [float(text) for text in plane.locator("text.beside").all_text_contents()]
+    for frequency in in_hertz:
+        assert np.min(np.abs(frequency * 2 * np.pi / fit.parts[0].data.omega - 1)) < 0.006
+    assert max(in_hertz) == pytest.approx(max(in_radians) / (2 * np.pi), rel=0.01)
+    bode.locator(".area").focus()
+    shown.keyboard.press("ArrowRight")
+    first = float(fit.parts[0].data.omega.min()) / (2 * np.pi)
+    text = bode.locator(".readout b").inner_text()
+    assert text.startswith("Frequency = ")
+    assert float(text.split()[2]) == pytest.approx(first, rel=1e-3)
+    shown.locator("#unit").click()
+    assert bode.locator("text.label").all_text_contents()[-1] == "ω, rad/s"
+
+
 def test_circles_in_the_plane_have_the_radius_of_the_regions_of_points(show, one, fit):
     shown = show(one)
     data = fit.parts[0].data
