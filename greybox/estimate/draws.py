@@ -121,6 +121,16 @@ def draws(fit: Fit, count: int = 200, seed: int = 0) -> Draws:
         If the fit has no estimate or no covariance, or its data do not determine a parameter.
     LookupError
         If a loaded fit does not know its model, whose derived quantities are needed.
+
+    Examples
+    --------
+    >>> from greybox.problems import pitch_hover
+    >>> fit = gb.fit(pitch_hover.problem(), starts=20)
+    >>> draws = gb.draws(fit, 100)
+    >>> len(draws), draws[0]["T_delay"]
+    (100, 0.0042)
+    >>> draws.to_pandas().shape
+    (100, 8)
     """
     if fit.known_directions(fit.names).unseen.size:
         unknown = [q.name for q in fit.quantities if math.isnan(q.standard_error)]
