@@ -56,7 +56,9 @@ def read_sealed(path: Path, kind: str) -> bytes:
     require_file(path)
     raw, title = path.read_bytes(), _title(kind).encode()
     if not raw.startswith(title):
-        raise ValueError(f"{path} is not a greybox {kind}: give a file that greybox saved as one.")
+        raise ValueError(
+            f"{path} is not a greybox {kind}: give one that greybox saved; make files of 0.2 again."
+        )
     seal = re.match(rb"(\w+) (\d+) (\d+)\n", raw[len(title) : BLOCK])
     if seal is None or seal[1].decode() != hashlib.sha256(raw[BLOCK:]).hexdigest():
         raise ValueError(
