@@ -57,7 +57,7 @@ def read_sealed(path: Path, kind: str) -> bytes:
     raw, title = path.read_bytes(), _title(kind).encode()
     if not raw.startswith(title):
         raise ValueError(
-            f"{path} is not a greybox {kind}: give one that greybox saved; make files of 0.2 again."
+            f"{path} is not a greybox {kind}: give a file that greybox saved (not 0.2)."
         )
     seal = re.match(rb"(\w+) (\d+) (\d+)\n", raw[len(title) : BLOCK])
     if seal is None or seal[1].decode() != hashlib.sha256(raw[BLOCK:]).hexdigest():
