@@ -35,7 +35,7 @@ def _function(
 
 
 exp = _function("exp", ca.exp, np.exp, "Exponential; `exp(-s * T)` is a delay")
-log = _function("log", ca.log, np.log, "Natural logarithm")
+log = _function("log", ca.log, np.log, "Natural logarithm (of flights: `logs`)")
 sqrt = _function("sqrt", ca.sqrt, np.sqrt, "Square root")
 sin = _function("sin", ca.sin, np.sin, "Sine")
 cos = _function("cos", ca.cos, np.cos, "Cosine")
