@@ -49,10 +49,13 @@ html_title = "greybox"
 html_theme_options = {
     "header_links_before_dropdown": 7,
     "navbar_align": "left",
+    # The printed answers of notebooks and the gallery need the width.
+    "secondary_sidebar_items": dict.fromkeys(("[!g]*", "api/*", "guide/*"), ["page-toc"]),
     "show_prev_next": False,
     "show_toc_level": 2,
 }
 html_show_sourcelink = False
+html_sidebars = {"commands": [], "gallery": []}  # they have no pages below them
 
 
 # The reference by task. A folder adds those of its public names that no task lists.
@@ -124,16 +127,22 @@ def write_reference(folder):
     (folder / "index.rst").write_text("\n".join(text), encoding="utf-8")
 
 
+def mathml(node, display="inline"):
+    """Return a formula as MathML, in which the bars of a magnitude take no space."""
+    text = convert(node.astext(), display=display)
+    return text.replace('<mo stretchy="false">&#x0007C;', '<mo lspace="0" rspace="0">&#x0007C;')
+
+
 def inline_formula(translator, node):
     """Write a formula as MathML."""
-    translator.body.append(convert(node.astext()))
+    translator.body.append(mathml(node))
     raise SkipNode
 
 
 def formula(translator, node):
     """Write a formula on a line of its own as MathML, which a phone may scroll."""
-    mathml = convert(node.astext(), display="block")
-    translator.body.append(f'<div style="overflow-x: auto">{mathml}</div>')
+    style = "overflow-x: auto; margin: 1em 0"
+    translator.body.append(f'<div style="{style}">{mathml(node, "block")}</div>')
     raise SkipNode
 
 
