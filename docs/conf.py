@@ -50,7 +50,7 @@ html_theme_options = {
     "header_links_before_dropdown": 7,
     "navbar_align": "left",
     # The printed answers of notebooks and the gallery need the width.
-    "secondary_sidebar_items": dict.fromkeys(("[!g]*", "api/*", "guide/*"), ["page-toc"]),
+    "secondary_sidebar_items": {key: ["page-toc"] for key in ("[!g]*", "api/*", "guide/*")},
     "show_prev_next": False,
     "show_toc_level": 2,
 }
@@ -73,7 +73,7 @@ TASKS = {
     "identify solve regression identification",
     "Judge the answer": "misfit profile Profiles contour Contour bootstrap Bootstrap compare "
     "simulate predict stepwise validation simulation",
-    "Show it and hand it on": "draws plot report save load plotting interop",
+    "Show it and hand it on": "draws Draws plot report save load plotting interop",
     "Fit many problems": "batch study",
     "Fly, plan and control": "virtual_flight Controller margins safe_gains experiment",
 }
