@@ -17,7 +17,7 @@ from greybox.experiment.sampled_loop import DOT, linear_controller
 from greybox.files.text_table import text_table
 from greybox.logs.ardupilot.signals import SYSTEMID_AXES
 from greybox.logs.axis_signals import NAMES
-from greybox.logs.flight_controllers import AXES, named_filters, passed_filters
+from greybox.logs.flight_controllers import AXES, axis_of, named_filters, passed_filters
 from greybox.logs.loop_rate import GYRO_RATE
 from greybox.logs.named_columns import in_si
 from greybox.logs.px4 import AXES as PX4_AXES
@@ -415,17 +415,19 @@ def _with_interval(row):
     return "-" if math.isnan(row.value) else f"{row.value:.4g}{interval}"
 
 
-def flown_controllers(recording, fit, axis="pitch", *, signals=None):
+def flown_controllers(recording, fit, axis="", *, signals=None):
     """Return the controllers of an axis in a log as the loop of a fit, and their `ControlCheck`.
 
+    The axis is by default that of the logged control of the fit, or pitch.
     Without `signals`, the model's output is the angle, whose derivative is the rate, or the rate if
     its unit or its name is that of one; the angle controller is then left out. A response names the
     signals of the log from which it was made: the control has the unit of that input, and the
     filters of the gyro are in the loop if the output has not passed them.
     """
-    _require_axis(axis)
     model = fit.model_of(0)
     control, sensor = _logged_signals(fit)
+    axis = axis or axis_of(control) or "pitch"
+    _require_axis(axis)
     tests = [t for t in gb.logs.find_segments(recording) if t.usable and axis in t.axis.lower()]
     start = min((t.start for t in tests), default=-math.inf)
     end = max((t.end for t in tests), default=math.inf)
@@ -496,7 +498,7 @@ def _is_raw(recording, sensor):
 def loop_of_log(
     recording,
     fit,
-    axis="pitch",
+    axis="",
     *,
     signals=None,
     broken_at=(),
@@ -536,11 +538,13 @@ def loop_of_log(
     return LoopOfLog(flown, check, of_model, measured, tuple(others), notes)
 
 
-def safe_gains_of_log(fits, recording, gains, axis="pitch", *, signals=None, **requirements):
+def safe_gains_of_log(fits, recording, gains=(), axis="", *, signals=None, **requirements):
     """Return `gb.safe_gains` of the controllers that a log shows.
 
-    The gains have the names of the firmware: ``{"ATC_RAT_PIT_P": (0.05, 0.3)}``. `signals` are as
-    in `flown_controllers`, the `requirements` as in `gb.safe_gains`.
+    The gains have the names of the firmware: ``{"ATC_RAT_PIT_P": (0.05, 0.3)}``, or names alone for
+    ranges about today's; without any, they are P and D of the rate controller, as far as the log
+    has them above 0. `signals` are as in `flown_controllers`, the `requirements` as in
+    `gb.safe_gains`.
 
     Raises
     ------
@@ -550,8 +554,13 @@ def safe_gains_of_log(fits, recording, gains, axis="pitch", *, signals=None, **r
     flown, check = flown_controllers(recording, fits[0], axis, signals=signals)
     if not check.reproduces:
         raise ValueError(f"the loop is not the one that flew. {check}")
-    names = flown.gain_names
-    require_known(gains, names, "gain", f"the log of {axis}")
+    names, law = flown.gain_names, flown.law
+    if not gains:
+        used = [n for n in ("P", "D") if n in law.parameters and law.values[n] > 0]
+        used += [f"{type(law).__name__}.{n}" for n in used]
+        gains = [name for name, own in names.items() if own in used]
+    require_known(gains, names, "gain", f"the log of {flown.axis}")
+    gains = gains if isinstance(gains, Mapping) else dict.fromkeys(gains)
     ranges = {names[name]: ends for name, ends in gains.items()}
     safe = gb.safe_gains(fits, flown.controllers, ranges, **requirements)
     values, today = (dict(zip(gains, m.values(), strict=True)) for m in (safe.values, safe.today))

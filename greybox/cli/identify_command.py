@@ -17,6 +17,7 @@ from greybox.estimate.storage import save
 from greybox.identification.families import FAMILIES, Structure
 from greybox.identification.identify import STARTS, Identification, identify
 from greybox.identification.measurement import Settings
+from greybox.logs.flight_controllers import axis_of
 from greybox.logs.readers import read
 from greybox.study.catalog import find_model
 
@@ -72,8 +73,9 @@ def run(options: argparse.Namespace) -> Answer:
     if options.vehicle and options.structures:
         raise UsageError("--vehicle and --structures exclude each other: give one of them.")
 
+    recordings = [read(log, columns=options.columns or None) for log in options.logs]
     identification = identify(
-        [read(log, columns=options.columns or None) for log in options.logs],
+        recordings,
         structures=[_structure(word) for word in options.structures],
         fixed=options.fix,
         **attributes(options, "vehicle", "through", "free", "bounds", "start"),
@@ -106,6 +108,10 @@ def run(options: argparse.Namespace) -> Answer:
 
     following = [["report", str(result)], ["profile", str(result)]]
     following.append(["predict", str(result), "ANOTHER_LOG"])
+    # Only a log with parameters has the gains of the controllers.
+    has_axis = axis_of(next(iter(identification.measurements[0].signals.values())))
+    if has_axis and recordings[0].metadata.get("parameters"):
+        following.append(["margins", str(result), "--log", str(options.logs[0])])
     answer["next"] = [shlex.join(["greybox", *words]) for words in following]
     return answer, *text, "", "Next:", *(f"  {command}" for command in answer["next"])
 

@@ -5,16 +5,15 @@ from typing import Any
 
 from greybox.cli.options import UsageError
 from greybox.cli.output import Answer, attributes, require_figure, require_writable, save_figure
-from greybox.cli.saved_fits import saved_fit
+from greybox.cli.saved_fits import flight_log, saved_fit
 from greybox.experiment.controller import Controller
 from greybox.experiment.margins import margin_table, margins
-from greybox.logs.readers import read
 from greybox.modeling.model import require_known
 from greybox.study.catalog import find_controller, shipped_module
 from greybox.study.study import read_study
 
 EXAMPLES = (
-    "pitch.h5 --log flight.BIN --axis pitch",
+    "pitch.h5 --log flight.BIN",
     "pitch.h5 --controller controller:AttitudeController --signals q=theta_dot",
     "hover.h5 forward.h5 --controller my.py:RateLoop --report margins.html",
     "rate.h5 --controller my.py:RateLoop --set K_P=0.12 K_I=0.1 --rate 400 --broken-at u q",
@@ -37,9 +36,10 @@ results RESULT...
 --model
 {CONTROLLER_OPTIONS}
 --log LOG
-    a log, whose controllers are checked; margins are also measured from it
+    a log, whose controllers are checked; margins are also measured from it (without --controller:
+    the log of the fit, if it lies beside RESULT)
 --axis AXIS
-    roll, pitch or yaw of the log (default: pitch)
+    roll, pitch or yaw of the log (default: that of the control of the fit, or pitch)
 --broken-at SIGNAL...
     where to break the loop: an input of the plant (default: the first one) or a measured signal
 --tracking SETPOINT SIGNAL
@@ -74,12 +74,13 @@ def run(options: argparse.Namespace) -> Answer:
     }
     wrong = ""
     # A log has the controller that flew, with its gains and its rate.
-    if options.log:
+    log = flight_log(next(iter(fits.values())), options.results[0], options)
+    if log:
         refuse_controllers(options)
         if len(fits) != 1:
             raise UsageError("--log is of one flight: give a single RESULT with it.")
         flown = shipped_module("models", "firmware").loop_of_log(
-            read(options.log),
+            log,
             *fits.values(),
             options.axis,
             broken_at=options.broken_at or (),
@@ -127,7 +128,7 @@ def refuse_controllers(options: argparse.Namespace) -> None:
 def stated_controllers(options: argparse.Namespace) -> list[Controller]:
     """Return the controllers with the gains and names of signals that the options state."""
     if not options.controller:
-        raise UsageError("no controller is stated: give --controller or --log.")
+        raise UsageError("no controller is stated: give --log with the flight, or --controller.")
     kinds = [find_controller(text) for text in options.controller]
     gains = [name for kind in kinds for name in kind.parameters]
     require_known(options.set, gains, "gain", "the list of controllers")

@@ -115,7 +115,7 @@ def _settings(words: Sequence[str], about: str) -> dict[str, Any]:
 
 
 def _several(word: str) -> dict[str, Any]:
-    if re.match(r"\w+=", word):
+    if re.match(r"\w+\[?=", word):
         return {"nargs": "+", "default": {}, "type": str, "action": _ByName}
     return {"nargs": "+", "default": []}
 
@@ -130,6 +130,8 @@ class _ByName(argparse.Action):
 def by_name(words: Sequence[str], flag: str, form: str) -> dict[str, Any]:
     """Return values by name from words of a form such as ``NAME=VALUE``.
 
+    A name alone has the value None where the form allows it: ``NAME[=LOW:HIGH]``.
+
     Raises
     ------
     UsageError
@@ -137,11 +139,12 @@ def by_name(words: Sequence[str], flag: str, form: str) -> dict[str, Any]:
     """
     result: dict[str, Any] = {}
     for word in words:
-        name, _, text = word.partition("=")
+        name, sign, text = word.partition("=")
+        is_bare = not sign and "[=" in form
         try:
-            if not (name and text):
+            if not (name and (text or is_bare)):
                 raise ValueError(word)
-            value = KINDS.get(form, str)(text)
+            value = None if is_bare else KINDS.get(form, str)(text)
         except ValueError:
             raise UsageError(f"{flag} {word!r} is not understood: write {form}.") from None
 
@@ -241,7 +244,7 @@ KINDS: dict[str, Callable[[str], Any]] = {
     "N": partial(_integer, least=1),
     "K": partial(_integer, least=0),
     "P": partial(_between, limit=1.0, kind="a probability between 0 and 1"),
-    "NAME=LOW:HIGH": _interval,
+    **dict.fromkeys(("NAME=LOW:HIGH", "NAME[=LOW:HIGH]"), _interval),
     "DELAY:BANDWIDTH": _corner,
     "NAME=VALUE+-SIGMA": _uncertain,
 }

@@ -7,8 +7,10 @@ from typing import Any
 from greybox.cli.options import UsageError
 from greybox.cli.output import require_writable
 from greybox.compiled.compiled_problem import AnyProblem
+from greybox.data.record import Recording
 from greybox.estimate.result import Fit
 from greybox.files.safe_files import HDF5
+from greybox.logs.readers import read
 from greybox.study.catalog import find_problem
 from greybox.study.data_file import read_data
 from greybox.study.study import Study
@@ -48,6 +50,27 @@ def held_out_records(options: argparse.Namespace, first: Fit | Study) -> list[An
         model = fit.model_of()
         records.append(read_data(path, model, columns=options.columns, rate=options.rate))
     return records
+
+
+def flight_log(fit: Fit, path: Path, options: argparse.Namespace) -> Recording | None:
+    """Return the log whose controllers flew: the stated one, or that of the fit, beside its file.
+
+    Return None if a controller is stated, or if the fit has no log there.
+
+    Raises
+    ------
+    UsageError
+        If the log beside the fit is not the one of the fit.
+    """
+    about = getattr(fit.parts[0].data, "about", {})
+    # Only its name: a file of a stranger does not choose the folder.
+    beside = path.parent / Path(about.get("log", "")).name
+    if options.log or options.controller or not beside.is_file():
+        return read(options.log) if options.log else None
+    log = read(beside)
+    if log.checksum != about.get("log sha256"):
+        raise UsageError(f"{beside} is not the log of {path}: give the right one with --log.")
+    return log
 
 
 def stated_fit(options: argparse.Namespace) -> tuple[Fit, AnyProblem | None]:

@@ -8,17 +8,16 @@ from greybox.cli.margins_command import (
     stated_controllers,
 )
 from greybox.cli.output import Answer, attributes, require_figure, require_writable, save_figure
-from greybox.cli.saved_fits import saved_fit
+from greybox.cli.saved_fits import flight_log, saved_fit
 from greybox.experiment.gain_file import write_gains
 from greybox.experiment.safe_gains import safe_gains
-from greybox.logs.readers import read
 from greybox.study.catalog import shipped_module
 
 EXAMPLES = (
     "pitch.h5 --controller controller:AttitudeController --signals q=theta_dot "
     "--gains K_P=0.02:0.5 K_D=0.001:0.02",
-    "pitch.h5 --log flight.BIN --gains ATC_RAT_PIT_P=0.05:0.3 ATC_RAT_PIT_D=0.001:0.01 "
-    "--parameters pitch.param",
+    "pitch.h5 --log flight.BIN --phase-margin 45 --gain-margin 6 --parameters pitch.param",
+    "pitch.h5 --log flight.BIN --gains ATC_RAT_PIT_P=0.05:0.3 ATC_RAT_PIT_D ATC_ANG_PIT_P",
     "light.h5 heavy.h5 --controller my.py:Loop --gains K_P=0.05:0.5 "
     "--names K_P=ATC_RAT_PIT_P --parameters pitch.param",
 )
@@ -28,11 +27,13 @@ fits RESULT...
 --model
 {CONTROLLER_OPTIONS}
 --log LOG
-    a log of the controllers; the gains then have the names of its firmware
+    a log of the controllers; the gains then have the names of its firmware (without --controller:
+    the log of the fit, if it lies beside RESULT)
 --axis AXIS
-    roll, pitch or yaw of the log (default: pitch)
---gains NAME=LOW:HIGH...
-    one to three gains, and the range in which to look for safe ones (required)
+    roll, pitch or yaw of the log (default: that of the control of the fit, or pitch)
+--gains NAME[=LOW:HIGH]...
+    one to three gains, and the range in which to look for safe ones: without one, a quarter to four
+    times today's gain; without the option, P and D of the rate controller of the log
 --phase-margin DEGREES
     required phase margin in degrees (default: 45)
 --gain-margin DB
@@ -64,11 +65,12 @@ def run(options: argparse.Namespace) -> Answer:
     fits = [saved_fit(path, options) for path in options.fits]
     names = ("phase_margin", "gain_margin", "delay", "level", "broken_at", "at")
     required = attributes(options, *names)
-    if options.log:
+    log = flight_log(fits[0], options.fits[0], options)
+    if log:
         refuse_controllers(options)
         safe = shipped_module("models", "firmware").safe_gains_of_log(
             fits,
-            read(options.log),
+            log,
             options.gains,
             options.axis,
             signals=options.signals,

@@ -29,6 +29,7 @@ from greybox.spectral import spectral_response
 
 POINTS = {1: 41, 2: 17, 3: 9}  # values of each gain, by the number of gains
 DRAWS = 256  # of them 5 % are 13
+TRIED = 4.0  # today's gain divided and multiplied by it, where no range is given
 FEW = 16  # draws whose poles are computed
 FREQUENCIES = 260  # in four decades below the Nyquist frequency: margins to 0.1 degrees
 
@@ -61,6 +62,7 @@ class SafeGains:
     today : mapping of gain to float
         The gains of the given controller.
     today_confidence : float
+    today_bandwidth : float, rad/s
     requirements : mapping of name to float
         ``phase margin`` in degrees, ``gain margin`` in dB, ``delay`` in s, ``level``.
     cure : str
@@ -73,6 +75,7 @@ class SafeGains:
     bandwidth: Array = field(repr=False)
     today: Mapping[str, float]
     today_confidence: float
+    today_bandwidth: float
     requirements: Mapping[str, float]
     cure: str
     notes: tuple[str, ...]
@@ -125,12 +128,18 @@ class SafeGains:
         at_end = [n for n, value in self.best.items() if value in self.values[n][[0, -1]]]
         wider = f"At an end of the tried range: the best {listed(at_end)}." if at_end else ""
         today = number(100 * self.today_confidence, 3)
+        rejection = ""
+        if self.best:
+            pair = [self.bandwidth[self.allowed].max(), self.today_bandwidth]
+            best, now = (number(value, 3) for value in pair)
+            rejection = f"Disturbance rejection bandwidth: {best} rad/s with the best, {now} today."
         lines = [
             self.verdict[0].upper() + self.verdict[1:],
             text_table(header, rows),
             wider,
             some,
             f"Today's gains meet the requirements with {today} % confidence.",
+            rejection,
             PROMISE,
             *self.notes,
         ]
@@ -140,7 +149,7 @@ class SafeGains:
 def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
     fits: Fit | Sequence[Fit],
     controller: Controller | Sequence[Controller],
-    gains: Mapping[str, tuple[float, float]],
+    gains: Mapping[str, tuple[float, float] | None] | Sequence[str],
     *,
     phase_margin: float = 45.0,
     gain_margin: float = 6.0,
@@ -164,9 +173,10 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
         Of the same vehicle: different batteries, payloads, speeds.
     controller : Controller or several
         With today's gains.
-    gains : mapping of gain to (low, high)
+    gains : mapping of gain to (low, high), or names
         One to three parameters of the controllers, as ``"K_P"`` or, if several have it,
-        ``"RateController.P"``. Positive ranges are divided in equal ratios.
+        ``"RateController.P"``. Positive ranges are divided in equal ratios. Without a range, or
+        with None, a quarter to four times today's gain is tried.
     phase_margin : float, degrees
     gain_margin : float, dB
         For larger and for smaller gains.
@@ -188,15 +198,21 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
         refuses.
     """
     require_level(level)
-    if len(gains) not in POINTS:
-        raise ValueError(f"{len(gains)} gains were given: give one, two or three.")
     flights = [fits] if isinstance(fits, Fit) else fits
     controllers = [controller] if isinstance(controller, Controller) else controller
     owners = _owners(controllers)
+    if len(gains) not in POINTS:
+        raise ValueError(
+            f"{len(gains)} gains were given: give one, two or three of {listed([*owners])}."
+        )
     require_known(gains, owners, "gain", "the list of controllers")
-    values = {name: _divided(name, *ends, POINTS[len(gains)]) for name, ends in gains.items()}
     places = [owners[name] for name in gains]
     today = {name: controllers[k].values[own] for name, (k, own) in zip(gains, places, strict=True)}
+    ranges = gains if isinstance(gains, Mapping) else dict.fromkeys(gains)
+    values = {
+        name: _divided(name, ranges[name], value, POINTS[len(gains)])
+        for name, value in today.items()
+    }
 
     laws = []
     for row in (*itertools.product(*values.values()), today.values()):
@@ -219,6 +235,7 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
         bandwidth[:-1].reshape(shape),
         today,
         float(confidence[-1]),
+        float(bandwidth[-1]),
         wanted | {"level": level},
         " ".join(filter(None, cures)),
         tuple(f"The fit warns: {text}" for fit in flights for text in fit.warnings),
@@ -235,7 +252,10 @@ def _owners(controllers: Sequence[Controller]) -> dict[str, tuple[int, str]]:
     }
 
 
-def _divided(name: str, low: float, high: float, count: int) -> Array:
+def _divided(name: str, ends: tuple[float, float] | None, today: float, count: int) -> Array:
+    if ends is None and not today > 0:
+        raise ValueError(f"{name} is {today:g}, which has no range about it: give its range.")
+    low, high = ends or (today / TRIED, today * TRIED)
     if not -math.inf < low < high < math.inf:
         raise ValueError(f"the range of {name} must be increasing: got {low:g} to {high:g}.")
     return (np.geomspace if low > 0 else np.linspace)(low, high, count)

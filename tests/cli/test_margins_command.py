@@ -94,7 +94,7 @@ def test_a_loop_that_is_not_stable_fails(capsys, rate_loop):
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ((), "give --controller or --log"),
+        ((), "give --log with the flight, or --controller"),
         (("--log", sitl_pitch.LOG.with_name("table_4_3.csv")), "no parameters"),
         (("--log", sitl_pitch.LOG, "--axis", "heave"), "'heave' is not one of"),
         (("--log", sitl_pitch.LOG, "--set", "P=0.2"), "--set states a controller"),

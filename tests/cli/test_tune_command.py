@@ -1,6 +1,7 @@
 """`greybox tune`: safe gains of a controller in the loop of a saved fit."""
 
 import json
+import shutil
 
 import pytest
 from command_line import refused, run
@@ -37,14 +38,43 @@ def test_gains_whose_crossover_was_not_measured_are_refused(capsys, rate_loop, t
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ((), "--gains"),
-        (("--gains", "K_P=0.1"), "NAME=LOW:HIGH"),
+        ((), "give one, two or three of K_P"),
+        (("--gains", "K_P=0.1"), "NAME[=LOW:HIGH]"),
+        (("--gains", "K_P="), "NAME[=LOW:HIGH]"),
         (("--gains", "K_Q=0:1"), "no gain 'K_Q'"),
         (("--gains", "K_P=0:1", "--parameters", "x.csv"), ".param"),
     ],
 )
 def test_what_does_not_fit_is_refused(capsys, rate_loop, words, message):
     assert message in refused(capsys, "tune", *rate_loop, *words)
+
+
+def test_a_gain_without_a_range_is_tried_about_its_value_of_today(capsys, rate_loop):
+    _, text, _ = run(capsys, "tune", *rate_loop, "--gains", "K_P", "--json")
+    tried = json.loads(text)["values"]["K_P"]
+    assert (tried[0], tried[-1]) == (pytest.approx(0.05 / 4), pytest.approx(0.05 * 4))
+    zero = (*rate_loop, "--set", "K_P=0", "--gains", "K_P")
+    assert "K_P is 0" in refused(capsys, "tune", *zero)
+
+
+def test_the_log_beside_the_fit_needs_no_option(capsys, tmp_path):
+    fit = gb.fit(sitl_pitch.problem(), starts=1, profiles=False, progress=False)
+    gb.save(fit, tmp_path / "pitch.h5")
+    words = ("tune", tmp_path / "pitch.h5", "--phase-margin", "45", "--gain-margin", "6")
+    assert "--log" in refused(capsys, *words)
+
+    shutil.copy(sitl_pitch.LOG, tmp_path)
+    status, text, _ = run(capsys, *words, "--json")
+    answer = json.loads(text)
+    assert status == 0
+    assert set(answer["today"]) == {"ATC_RAT_PIT_P", "ATC_RAT_PIT_D"}
+    status, text, _ = run(capsys, "margins", tmp_path / "pitch.h5", "--json")
+    assert status == 0
+    assert json.loads(text)["measured"]
+
+    # Another log by the same name is not the one of the fit.
+    (tmp_path / sitl_pitch.LOG.name).write_bytes(sitl_pitch.LOG.read_bytes()[:-100_000])
+    assert "is not the log of" in refused(capsys, *words)
 
 
 def test_the_controllers_of_a_log_have_the_gains_of_the_firmware(capsys, tmp_path):

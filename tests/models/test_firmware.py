@@ -259,7 +259,7 @@ def test_a_table_of_betaflight(tmp_path):
     # The plant of a control in pidSum, and of a gyro in front of its filters.
     truth = gb.margins(Roll(), flown.controllers)
     fit = fit_of(Roll(), 0.6, "u = axisSum[0], p = gyroUnfilt[0]", "p")
-    answer = loop_of_log(log, fit, "roll").model
+    answer = loop_of_log(log, fit).model
     for name in ("phase margin", "gain margin", "crossover"):
         assert answer[name].value == pytest.approx(truth[name].value, rel=1e-3)
 
