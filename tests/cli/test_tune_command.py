@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import pytest
 from command_line import refused, run
@@ -58,7 +59,9 @@ def test_a_gain_without_a_range_is_tried_about_its_value_of_today(capsys, rate_l
 
 
 def test_the_log_beside_the_fit_needs_no_option(capsys, tmp_path):
-    fit = gb.fit(sitl_pitch.problem(), starts=1, profiles=False, progress=False)
+    log = {"log": sitl_pitch.LOG.name, "log sha256": gb.read(sitl_pitch.LOG).checksum}
+    problem = replace(sitl_pitch.problem(), data=replace(sitl_pitch.data(), about=log))
+    fit = gb.fit(problem, starts=1, profiles=False, progress=False)
     gb.save(fit, tmp_path / "pitch.h5")
     words = ("tune", tmp_path / "pitch.h5", "--phase-margin", "45", "--gain-margin", "6")
     assert "--log" in refused(capsys, *words)
