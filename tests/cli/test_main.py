@@ -104,6 +104,16 @@ def test_debug_shows_the_traceback(capsys):
     status, _, err = run(capsys, "fit", "pitch_hoover", "--debug")
     assert status == 2
     assert "Traceback" in err
+    assert "Traceback" not in run(capsys, "fit", "pitch_hoover")[2]
+
+
+def test_an_error_names_its_class_if_it_has_no_message_and_takes_one_line(capsys, own):
+    first = "import greybox as gb\n"
+    silent = own(OWN.replace(first, first + "raise RuntimeError\n", 1))
+    assert refused(capsys, "fit", silent).endswith("line 2: RuntimeError: RuntimeError\n")
+
+    lines = own(OWN.replace(first, first + "raise ValueError('first\\n  second')\n", 1))
+    assert "ValueError: first second" in refused(capsys, "fit", lines)
 
 
 def test_what_a_users_file_prints_stays_off_standard_output(capsys, own):
