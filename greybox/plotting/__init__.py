@@ -19,6 +19,7 @@ alone, with the legend inside. `plot` composes several diagrams and returns the 
 | `time_history`, `residuals` | fitted and predicted records |
 | `spectrum` | transforms of manoeuvres |
 | `profile` | profiles of the likelihood |
+| `pairs` | draws and replicates: histograms, scatters and correlations |
 | `loops` | the loop of margins, with bands; safe gains |
 | `study` | members of a study: trends, estimates, costs, maps of structures |
 | `flight_log` | logs and their tests |
@@ -34,6 +35,7 @@ from greybox.plotting.loops import gains as gains
 from greybox.plotting.loops import loop as loop
 from greybox.plotting.nyquist import nyquist as nyquist
 from greybox.plotting.overview import plot as plot
+from greybox.plotting.pairs import pairs as pairs
 from greybox.plotting.profile import contour as contour
 from greybox.plotting.profile import profiles as profiles
 from greybox.plotting.residuals import residuals as residuals
