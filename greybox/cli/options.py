@@ -130,7 +130,7 @@ class _ByName(argparse.Action):
 def by_name(words: Sequence[str], flag: str, form: str) -> dict[str, Any]:
     """Return values by name from words of a form such as ``NAME=VALUE``.
 
-    A name alone has the value None where the form allows it: ``NAME[=LOW:HIGH]``.
+    A name alone has the value None where the form allows it: ``NAME[=VALUE]``.
 
     Raises
     ------
@@ -240,7 +240,7 @@ KINDS: dict[str, Callable[[str], Any]] = {
     **dict.fromkeys(
         ("HZ", "S", "DEGREES", "DB"), partial(_between, limit=math.inf, kind="a number above 0")
     ),
-    **dict.fromkeys(("SECONDS", "START", "END", "NAME=VALUE"), float),
+    **dict.fromkeys(("SECONDS", "START", "END", "NAME=VALUE", "NAME[=VALUE]"), float),
     "N": partial(_integer, least=1),
     "K": partial(_integer, least=0),
     "P": partial(_between, limit=1.0, kind="a probability between 0 and 1"),

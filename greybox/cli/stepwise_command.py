@@ -2,7 +2,6 @@
 
 import argparse
 
-from greybox.cli.options import by_name
 from greybox.cli.output import Answer, attributes
 from greybox.cli.problem_options import PROBLEM_OPTIONS
 from greybox.cli.saved_fits import require_fit_file, save_fit
@@ -30,8 +29,7 @@ def run(options: argparse.Namespace) -> Answer:
     """State the problem and choose among its terms."""
     require_fit_file(options.out, options.force)
     # A coefficient vanishes at zero; an exponent or a factor has another value without its term.
-    words = [word if "=" in word else f"{word}=0" for word in options.candidates]
-    candidates = by_name(words, "--candidates", "NAME=VALUE")
+    candidates = {name: value or 0.0 for name, value in options.candidates.items()}
     problem, _ = stated_problem(vars(options))
     selection = stepwise(problem, candidates, starts=options.starts)
     notes = save_fit(selection.fit, options.out)

@@ -122,7 +122,6 @@ def _moving(record: Record, names: Sequence[str]) -> tuple[float, float]:
 
 
 def _row(response: FrequencyResponse) -> tuple[str, ...]:
-    assert response.variance is not None
-    error = float(np.median(np.sqrt(response.variance) / np.abs(response.response)))
+    error = float(np.median(response.relative_error))
     ends = (number(float(response.omega[0]), 4), number(float(response.omega[-1]), 4))
     return (response.output, response.input, str(len(response)), *ends, number(100 * error, 2))

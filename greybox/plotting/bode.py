@@ -30,6 +30,7 @@ def bode(
     labels: Sequence[str] = (),
     axes: GivenAxes | None = None,
     level: float | None = 0.95,
+    hz: bool = False,
 ) -> AxesArray:
     """Draw the Bode diagram: magnitude in dB and unwrapped phase in degrees over omega in rad/s.
 
@@ -55,6 +56,8 @@ def bode(
         or more. By default a new figure is made.
     level : float or None
         Confidence level of the bands; None draws none.
+    hz : bool
+        Frequencies in Hz.
 
     Returns
     -------
@@ -70,7 +73,7 @@ def bode(
     # With two axes a user wants magnitude and phase, whatever else there is to draw.
     if axes is not None:
         figure = replace(figure, panels=figure.panels[: flat_axes(axes).size])
-    return draw([figure], axes)
+    return draw([figure], axes, hz=hz)
 
 
 def bode_figure(

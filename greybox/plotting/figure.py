@@ -1,7 +1,7 @@
 """A figure as a value, which matplotlib (`matplotlib_figure`) and the page of a report draw."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -155,3 +155,17 @@ class Figure:
     is_wide: bool = False
     limits: Limits | None = None
     ticks: Sequence[str] = ()
+
+
+def in_hertz(figure: Figure) -> Figure:
+    """Return a figure over omega in rad/s as one over the frequency in Hz; others as they are.
+
+    Points of the complex plane keep their numbers in rad/s.
+    """
+    if not figure.label.endswith(", rad/s"):
+        return figure
+    panels = [
+        replace(panel, series=[replace(s, x=s.x / (2 * np.pi)) for s in panel.series])
+        for panel in figure.panels
+    ]
+    return replace(figure, label="Frequency, Hz", panels=panels)

@@ -19,7 +19,7 @@ SHOWN = (1e-2, 1e2)  # gains of the broken loop that are drawn
 CURVES = 25  # draws in the Nichols and Nyquist diagrams, where a band has no direction
 
 
-def loop(margins: Margins, axes: GivenAxes | None = None) -> AxesArray:
+def loop(margins: Margins, axes: GivenAxes | None = None, *, hz: bool = False) -> AxesArray:
     """Draw the broken loop (magnitude, phase, Nichols, Nyquist) and the step of its setpoint.
 
     Shaded are bands at the level of the margins; in the Nichols and Nyquist diagrams thin curves
@@ -32,13 +32,16 @@ def loop(margins: Margins, axes: GivenAxes | None = None) -> AxesArray:
         with circles, their regions at the level of the margins.
     axes : array-like of Axes, optional
         Four for the broken loop, and one more for the step. By default a new figure is made.
+    hz : bool
+        Frequencies in Hz.
 
     Returns
     -------
     numpy.ndarray of Axes, shape (n,)
     """
     figures = loop_figures(margins)
-    return draw(figures, axes, legend=True, columns=3, size=(4.2, 3.6), title=margins.plant)
+    size = (4.2, 3.6)
+    return draw(figures, axes, legend=True, columns=3, size=size, title=margins.plant, hz=hz)
 
 
 def loop_figures(margins: Margins) -> list[Figure]:

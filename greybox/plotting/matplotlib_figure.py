@@ -22,7 +22,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 from numpy.typing import NDArray
 
 from greybox.files.arrays import Array
-from greybox.plotting.figure import CROSS, GRAY, INK, Figure, Panel, Series, outlined
+from greybox.plotting.figure import CROSS, GRAY, INK, Figure, Panel, Series, in_hertz, outlined
 
 # Okabe and Ito's colors, which readers with a color vision deficiency can tell apart; yellow is too
 # pale for lines.
@@ -73,18 +73,21 @@ def draw(
     columns: int = 1,
     size: tuple[float, float] = (6.4, 2.5),
     title: str = "",
+    hz: bool = False,
 ) -> AxesArray:
     """Draw figures into the given axes, one for each panel, or into a new matplotlib figure.
 
     Panels of a single figure are stacked over one horizontal axis. Several figures stand side by
     side, each over its own axis. `size` of a panel in inches, `columns` and `title` are those of a
-    new figure.
+    new figure. With `hz`, axes in rad/s become axes in Hz.
 
     Raises
     ------
     TypeError, ValueError
         For anything but Axes, or a wrong number of them.
     """
+    if hz:
+        figures = [in_hertz(figure) for figure in figures]
     if axes is None:
         page = new_figure(size[0] * columns, height_of(figures, size[1], columns), title)
         return draw_into(page, figures, columns, legend)

@@ -6,6 +6,7 @@ from matplotlib.figure import Figure as MatplotlibFigure
 
 from greybox.estimate.result import Fit
 from greybox.plotting.bode import bode_figure
+from greybox.plotting.figure import in_hertz
 from greybox.plotting.matplotlib_figure import draw_into, height_of, new_figure
 from greybox.plotting.nyquist import columns_of, nyquist_figures
 from greybox.plotting.responses import title
@@ -14,11 +15,17 @@ from greybox.plotting.starts import starts_figure
 from greybox.plotting.time_history import history_figure
 
 
-def plot(fit: Fit) -> MatplotlibFigure:
+def plot(fit: Fit, *, hz: bool = False) -> MatplotlibFigure:
     """Draw an overview of a fit.
 
     Nyquist and Bode diagram of responses, time histories of records, spectra of manoeuvres, and
     the starts.
+
+    Parameters
+    ----------
+    fit : Fit
+    hz : bool
+        Frequency axes in Hz; the points of the Nyquist diagram keep their numbers in rad/s.
 
     Returns
     -------
@@ -49,8 +56,9 @@ def plot(fit: Fit) -> MatplotlibFigure:
     page = new_figure(sum(widths), sum(heights) + 0.4, title((fit,)))
     sides = page.subfigures(1, len(widths), width_ratios=widths, squeeze=False)[0]
     rows = sides[0].subfigures(len(heights), 1, height_ratios=heights, squeeze=False)[:, 0]
-    for row, block in zip(rows, blocks, strict=True):
-        draw_into(row, block, columns)
     if fit.responses:
-        draw_into(sides[1], [replace(bode_figure((fit,)), subject="Bode diagram")])
+        rows = [*rows, sides[1]]
+        blocks.append([replace(bode_figure((fit,)), subject="Bode diagram")])
+    for row, block in zip(rows, blocks, strict=True):
+        draw_into(row, [in_hertz(figure) for figure in block] if hz else block, columns)
     return page

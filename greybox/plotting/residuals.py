@@ -18,7 +18,9 @@ from greybox.validation.comparison import p_text
 PARTS = 10  # of the range of a signal, and of a record
 
 
-def residuals(fit: Fit, record: int = 0, *, axes: GivenAxes | None = None) -> AxesArray:
+def residuals(
+    fit: Fit, record: int = 0, *, axes: GivenAxes | None = None, hz: bool = False
+) -> AxesArray:
     """Draw the residuals of every output of a fitted record.
 
     Their means over time, inputs and the fitted output, their coherence with inputs, and their
@@ -34,6 +36,8 @@ def residuals(fit: Fit, record: int = 0, *, axes: GivenAxes | None = None) -> Ax
         Number of the record in a fit to several.
     axes : array-like of Axes, optional
         One for each panel, output by output. By default a new figure is made.
+    hz : bool
+        Frequencies in Hz.
 
     Returns
     -------
@@ -60,6 +64,7 @@ def residuals(fit: Fit, record: int = 0, *, axes: GivenAxes | None = None) -> Ax
         size=(3.1, 2.4),
         title=part.data.name or fit.name,
         legend=False,
+        hz=hz,
     )
 
 

@@ -15,7 +15,11 @@ from greybox.plotting.signals import chosen, shown_unit
 
 
 def spectrum(
-    item: Fit | TransientSpectrum, part: int = 0, axes: GivenAxes | None = None
+    item: Fit | TransientSpectrum,
+    part: int = 0,
+    axes: GivenAxes | None = None,
+    *,
+    hz: bool = False,
 ) -> AxesArray:
     """Draw the transforms of a manoeuvre over omega in rad/s.
 
@@ -30,6 +34,8 @@ def spectrum(
         Number of the manoeuvre in a fit to several.
     axes : array-like of Axes, optional
         Two for each output and one for each input. By default a new figure is made.
+    hz : bool
+        Frequencies in Hz.
 
     Returns
     -------
@@ -41,7 +47,7 @@ def spectrum(
     TypeError, ValueError
         For an item that cannot be drawn, a fit without a manoeuvre, or a wrong number of axes.
     """
-    return draw([spectrum_figure(item, part)], axes, size=(7.0, 2.5))
+    return draw([spectrum_figure(item, part)], axes, size=(7.0, 2.5), hz=hz)
 
 
 def spectrum_figure(item: Fit | TransientSpectrum, part: int) -> Figure:

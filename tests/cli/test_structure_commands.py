@@ -119,7 +119,7 @@ def test_terms_are_chosen(capsys, own, tmp_path):
     assert found["terms"] == ["T"]
     assert gb.load(saved).estimate["extra"] == 0.0
     assert {t["term"] for t in found["trials"]} == {"extra", "T"}
-    assert "write NAME=VALUE" in refused(capsys, "stepwise", own(TERMS), "--candidates", "T=x")
+    assert "write NAME[=VALUE]" in refused(capsys, "stepwise", own(TERMS), "--candidates", "T=x")
 
 
 def test_what_is_known_before_the_data(capsys, own):

@@ -81,7 +81,7 @@ def test_what_was_used_is_said_and_tabulated(found):
         "%",
     ]
     for line, r in zip(lines[2:6], found.responses, strict=True):
-        error = 100 * np.median(np.sqrt(r.variance) / np.abs(r.response))
+        error = 100 * np.median(np.sqrt(r.variance / 2) / np.abs(r.response))
         ends = [number(float(r.omega[k]), 4) for k in (0, -1)]
         assert line.split() == [r.output, r.input, str(len(r)), *ends, number(float(error), 2)]
     assert lines[6:] == ["", first, loop]

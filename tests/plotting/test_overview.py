@@ -3,6 +3,7 @@
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from drawn_lines import curves, points
 
@@ -23,6 +24,24 @@ def test_figures_can_be_saved(tmp_path, pitch, failed):
     for figure, kind in zip(figures, ("pdf", "svg"), strict=True):
         figure.savefig(tmp_path / f"figure.{kind}")
         assert (tmp_path / f"figure.{kind}").stat().st_size > 1000
+
+
+def test_frequencies_are_in_hertz_on_request(pitch):
+    usual, hertz = gb.plotting.bode(pitch), gb.plotting.bode(pitch, hz=True)
+    for one, other in zip(usual, hertz, strict=True):
+        for line, scaled in zip(one.get_lines(), other.get_lines(), strict=True):
+            x = line.get_xdata()
+            # A line over the whole width is placed by the width.
+            factor = 1 if line.get_transform() != one.transData else 2 * np.pi
+            assert np.allclose(scaled.get_xdata(), np.divide(x, factor), equal_nan=True)
+            assert np.array_equal(scaled.get_ydata(), line.get_ydata(), equal_nan=True)
+    assert hertz[-1].get_xlabel() == "Frequency, Hz"
+
+    # Real parts, starts and times stay what they are.
+    labels = [ax.get_xlabel() for ax in gb.plot(pitch, hz=True).axes]
+    assert "Frequency, Hz" in labels
+    assert not any("rad/s" in label for label in labels)
+    assert gb.plotting.starts(pitch).get_xlabel() in labels
 
 
 def run(code):

@@ -183,7 +183,7 @@ def test_points_are_written_and_take_other_variances():
     header, _, first, second = found.table.splitlines()[-4:]
     words = "rad/s periods |u| |y| gain phase ° error % harmonics u, y % saturated %"
     assert header.split() == words.split()
-    assert first.split() == ["5", "7", "2", "8.49", "4.243", "135.00", "9.5", "12.3,", "5.0", "9.5"]
+    assert first.split() == ["5", "7", "2", "8.49", "4.243", "135.00", "6.7", "12.3,", "5.0", "9.5"]
     assert second.split() == ["8", "10", "1", "0.5", "0", "0.00", "-", "0.0,", "0.0", "-"]
     assert found.notes == ("5 rad/s: n",)
     assert found.findings == ("8 rad/s: f", "sweep from 10.0 s left out: no sine")
