@@ -150,7 +150,7 @@ def test_the_shipped_records(capsys):
     command = ["fit", "sitl_drag", "--starts", "2"]
     status, out, _ = run(capsys, *command)
     assert status == 0
-    assert "7518 samples in 2 records" in out
+    assert "7338 samples in 2 records" in out
     assert "v (sitl_drag_5deg): residual" in out
     answer = json.loads(run(capsys, *command, "--json")[1])
     assert answer["cost"] == pytest.approx(-14516.2355, abs=0.01)
