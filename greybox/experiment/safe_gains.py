@@ -41,7 +41,8 @@ SPACING = 2.0  # of the points that surround a crossover
 
 PROMISE = (
     "Promised: the fitted models with their errors meet the requirements. Not promised: structural "
-    "modes, saturation, and flight conditions other than those of the fitted flights."
+    "modes, saturation, vibration that a larger D amplifies, and flight conditions other than "
+    "those of the fitted flights."
 )
 
 
