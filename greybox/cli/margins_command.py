@@ -66,6 +66,12 @@ def run(options: argparse.Namespace) -> Answer:
             fits |= {member.name: member.fit for member in read_study(path).done}
         else:
             fits[str(path)] = saved_fit(path, options)
+    if not fits:
+        raise UsageError(
+            f"{options.results[0]} has no finished member: continue with greybox batch."
+        )
+    if options.log and len(fits) != 1:
+        raise UsageError("--log is of one flight: give a single RESULT with it.")
     require_figure(options.plot, options.force)
     require_writable(options.report, options.force, (".html", ".htm"), "page")
     settings = {
@@ -74,11 +80,10 @@ def run(options: argparse.Namespace) -> Answer:
     }
     wrong = ""
     # A log has the controller that flew, with its gains and its rate.
-    log = flight_log(next(iter(fits.values())), options.results[0], options)
+    is_one = len(fits) == 1
+    log = flight_log(next(iter(fits.values())), options.results[0], options) if is_one else None
     if log:
         refuse_controllers(options)
-        if len(fits) != 1:
-            raise UsageError("--log is of one flight: give a single RESULT with it.")
         flown = shipped_module("models", "firmware").loop_of_log(
             log,
             *fits.values(),

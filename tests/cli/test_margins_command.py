@@ -83,6 +83,15 @@ def test_several_fits_are_shown_in_a_table_and_on_a_page(capsys, rate_loop, tmp_
     assert "Stability margins" in text
     assert text.count("<strong>Nichols diagram") == 2
     assert "a single RESULT" in refused(capsys, "margins", fit, other, "--log", sitl_pitch.LOG)
+    # Nothing is said of a log that nobody stated.
+    assert "no controller" in refused(capsys, "margins", fit, other)
+
+
+def test_a_study_without_a_finished_member_has_no_margins(capsys, tmp_path):
+    member = gb.study.Member(sitl_pitch.problem(), name="slow", starts=400)
+    gb.batch([member], tmp_path / "study", seconds=0.001)
+    words = ("--controller", "controller:AttitudeController")
+    assert "no finished member" in refused(capsys, "margins", tmp_path / "study", *words)
 
 
 def test_a_loop_that_is_not_stable_fails(capsys, rate_loop):

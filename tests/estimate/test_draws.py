@@ -2,12 +2,14 @@
 
 import json
 import runpy
+from dataclasses import replace
 from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
 
 import greybox as gb
+from greybox.problems import pitch_hover
 
 OMEGA = np.geomspace(0.5, 20, 14)
 TRUTH = {"k": 2.0, "T": 0.06}
@@ -60,6 +62,21 @@ def test_motions_cover_the_true_step_response():
         inside.append((low <= step) & (step <= high))
     # benchmarks/draws_coverage.py has 300 repeats.
     assert 0.9 <= np.mean(inside) <= 0.99
+
+
+def test_a_parameter_at_its_bound_stays_there_and_the_others_are_drawn():
+    for name, bounds in (
+        ("a4", (310, 2000)),
+        ("a2", (3, 50)),
+        ("a1", (-100, -14)),
+        ("a3", (9, 50)),
+    ):
+        problem = replace(pitch_hover.problem(), bounds={name: bounds})
+        columns = gb.draws(gb.fit(problem, starts=2, progress=False), 64).columns
+        ends = np.abs(columns.pop(name)[:, None] - bounds).min(axis=1)
+        assert ends.max() < 1e-9
+        assert all(np.isfinite(column).all() for column in columns.values())
+        assert all(np.ptp(columns[other]) > 0 for other in {"a1", "a2", "a3", "a4"} - {name})
 
 
 def test_sets_stay_within_bounds_and_simulate(fit, drawn):
