@@ -223,7 +223,7 @@ def write_sources(_):
     shutil.copytree(
         HERE.parent / "notebooks", HERE / "notebooks", ignore=shutil.ignore_patterns(".*")
     )
-    stories = "# Stories\n\n```{toctree}\n:maxdepth: 1\n:glob:\n\n0*\n```\n"
+    stories = "# Stories\n\n```{toctree}\n:maxdepth: 1\n:glob:\n\n*_*\n```\n"
     (HERE / "notebooks" / "index.md").write_text(stories, encoding="utf-8")
     api = HERE / "api"
     shutil.rmtree(api, ignore_errors=True)
