@@ -137,7 +137,7 @@ def controllers(parameters, axis):
         gains["lpf1"] = low
         notes.append(f"The first filter of the D term is that of low throttle, {low:g} Hz.")
     if gains["D"] > 0 and gains["lpf1"] == gains["lpf2"] == 0:
-        notes.append("The settings name no filter of the D term, so that it has none.")
+        notes.append("The settings name no filter of the D term, so none is modeled.")
     for name in ("tpa_rate", "yaw_lowpass_hz" if axis == "yaw" else ""):
         if parameters.get(name, 0) > 0:
             notes.append(f"{name} = {parameters[name]:g} is not modeled.")

@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> Answer:
         comparison = _comparison(options)
         return attributes(comparison, *SUMMARY), str(comparison)
     if options.held_out:
-        raise UsageError("--held-out is for fits; a study holds out by `held` of its file.")
+        raise UsageError("--held-out is for fits; for a study, write `held` in its file.")
     # Members of a study may have different data, so that they are listed, not compared by tests.
     study = read_study(options.results[0], options.model)
     answer, lines = as_json(study), [str(study)]

@@ -16,7 +16,7 @@ SHARED = """
 --json
     print one JSON object on standard output and nothing else
 --quiet
-    print errors alone: no answer as text, no progress
+    print only errors: no answer as text, no progress
 --debug
     show the traceback of an error
 --level P

@@ -74,7 +74,7 @@ def _signals_of(fit: Fit) -> dict[str, str]:
     model = fit.model_of(0) if pairs else None
     names = (*model.input_names, *model.output_names) if model else ()
     if not set(names) <= set(pairs) or not names:
-        raise UsageError(f"{fit.name} does not know its signals: give --signals NAME=SIGNAL ...")
+        raise UsageError(f"{fit.name} has no signals of its log: give --signals NAME=SIGNAL ...")
     return {name: pairs[name] for name in names}
 
 

@@ -159,7 +159,7 @@ class RecordPart(SegmentedPart):
         # Gaps of a tenth of the samples leave a filter steady nearly everywhere.
         if complete < 0.9 * sum(len(s) - s.masked for s in data.stretches):
             raise ValueError(
-                f"{self.name!r} has all of {', '.join(self.outputs)} at too few samples for "
+                f"{self.name!r} has {', '.join(self.outputs)} together at too few samples for "
                 "process_noise, whose filter is steady: resample the outputs to one rate, or leave "
                 "process_noise out."
             )

@@ -374,7 +374,11 @@ class Recording(Mapping[str, Record]):
                 else "no message has it"
             )
             only = next(iter(self.records.values())).signals if len(self.records) == 1 else None
-            cure = f"write MESSAGE.{signal}." if only is None else f"it has {some([*only], 12)}."
+            cure = (
+                f"write MESSAGE.{signal}."
+                if only is None
+                else f"it has {some([*only], 12)}: name its columns, columns={signal}=COLUMN."
+            )
             raise KeyError(f"the signal {signal!r} is ambiguous or unknown, {reason}; {cure}")
 
         return self.records[holders[0]], signal

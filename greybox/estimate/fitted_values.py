@@ -38,7 +38,7 @@ def fitted_part(
     values : mapping of name to float
         The values of the model's parameters by its own names.
     """
-    raise TypeError(f"{type(part).__name__} has no form in which an answer keeps it.")
+    raise TypeError(f"{type(part).__name__} cannot be stored in an answer.")
 
 
 @fitted_part.register

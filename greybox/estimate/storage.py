@@ -190,7 +190,7 @@ def _require_consistent_part(part: AnyFittedPart) -> None:
     model = part.model
     kinds = {"class": str, "arguments": list, "keywords": dict}
     is_reference = all(isinstance(model[name], kind) for name, kind in kinds.items())
-    require(is_reference, "its model is no class with arguments")
+    require(is_reference, "its model is not a class with arguments")
 
     # Arrays of other shapes would be broadcast silently, and printed as if they belonged together.
     sizes = {"n": len(part.data)}
@@ -212,7 +212,7 @@ def _require_consistent_part(part: AnyFittedPart) -> None:
         require(is_same_time, "the simulated record has other times than its data")
         sizes["g"] = len(part.gains)
         _require_shapes(part, {"gain": "g", "gain_slope": "g*"}, sizes)
-        require(all(a.ndim == 1 for a in part.initial.values()), "an initial state is no list")
+        require(all(a.ndim == 1 for a in part.initial.values()), "an initial state is not a list")
 
     require({*part.outputs} <= known, "an output is not in the data")
 

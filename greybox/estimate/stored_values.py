@@ -100,7 +100,7 @@ def _alike(kinds: tuple[Any, ...], value: Any) -> Any:
             is_alike = not is_array and (value is None) == (kind is type(None))
         if is_alike:
             return kind
-    raise ValueError(f"{value!r:.40} is of no kind that it may have")
+    raise ValueError(f"{value!r:.40} has a type that is not allowed here")
 
 
 def _array(value: Any, item: Any) -> Any:

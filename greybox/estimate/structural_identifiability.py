@@ -102,9 +102,9 @@ class StructuralIdentifiability:
         more = lost - sum(group.directions for group in self.groups) - len(self.combinations)
         formulas = [*self.combinations]
         if more > 0:
-            formulas.append(f"{counted(more, 'combination')} that is neither product nor sum")
+            formulas.append(f"{counted(more, 'combination')} (neither product nor sum)")
         if formulas:
-            yield f"  determined are {listed(formulas)}."
+            yield f"  Determined in combination: {listed(formulas)}."
         if self.identifiable:
             yield f"  {listed(self.identifiable)} can be determined."
 
@@ -202,7 +202,7 @@ def structural_identifiability(
         names=names,
         groups=groups,
         combinations=tuple(c.formula for c in judged.combinations if set(c.names) <= lost),
-        data=f"the {'response' if in_frequency else 'course'} of {listed(chosen)}",
+        data=f"the {'response' if in_frequency else 'time history'} of {listed(chosen)}",
     )
 
 

@@ -158,7 +158,7 @@ def _require_valid(
         raise ValueError("there are no tests.")
     for name, (_, length) in tests.items():
         if not length > 0:
-            raise ValueError(f"the test {name!r} takes no time: give its seconds.")
+            raise ValueError(f"the test {name!r} has no duration: give it in seconds.")
     parameters = dict.fromkeys(name for problem, _ in tests.values() for name in problem.parameters)
     require_known(values, parameters, "parameter", "the list of tests")
 

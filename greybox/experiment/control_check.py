@@ -48,7 +48,7 @@ class ControlCheck:
 
     def __str__(self) -> str:
         is_thinned = self.rate > THINNED * self.log_rate
-        log = f"; the log has {self.log_rate:.4g} of {self.rate:g} Hz" if is_thinned else ""
+        log = f", logged at {self.log_rate:.4g} Hz of {self.rate:g} Hz" if is_thinned else ""
         cure = "log every pass of the loop" if is_thinned else "check gains, filters and scaling"
         verdict = "reproduces it." if self.reproduces else f"does not reproduce it: {cure}."
         return f"Residual {100 * self.residual:.2g} % of the control{log}: the controller {verdict}"

@@ -502,9 +502,9 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
     notes = []
     if unmeasured:
         notes.append(
-            f"Not measured, from {omega[0]:.3g} to {omega[-1]:.3g} rad/s with a gain from "
-            f"{abs(gain[0, 0]):.2g} to {abs(gain[0, -1]):.2g}: {listed(unmeasured)}. Fly other "
-            "frequencies; nothing is extrapolated."
+            f"The measurement, from {omega[0]:.3g} to {omega[-1]:.3g} rad/s with a loop gain of "
+            f"{abs(gain[0, 0]):.2g} to {abs(gain[0, -1]):.2g}, does not reach: "
+            f"{listed(unmeasured)}. Fly other frequencies; nothing is extrapolated."
         )
     if "phase margin 2" in numbers:
         notes.append("The gain is one at several frequencies; the smallest margin counts.")

@@ -124,7 +124,7 @@ class SafeGains:
             ends = (used[0], used[-1]) if used.size else (math.nan, math.nan)
             chosen = (self.best.get(name, math.nan), self.today[name])
             rows.append((name, *(number(v, 3) for v in (*ends, *chosen))))
-        header = ("allowed, not in every combination", "from", "to", "best", "today")
+        header = ("allowed (not all combinations)", "from", "to", "best", "today")
         some = f"Some sets were refused: {self.cure}" if self.cure and self.best else ""
         at_end = [n for n, value in self.best.items() if value in self.values[n][[0, -1]]]
         wider = f"At an end of the tried range: the best {listed(at_end)}." if at_end else ""

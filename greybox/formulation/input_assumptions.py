@@ -53,8 +53,8 @@ def described_inputs(inputs: Inputs, names: Sequence[str], record: Record) -> di
     for name, between in zip(names, between_samples(inputs, names, record), strict=True):
         who = "as the record says"
         if inputs != "record" or name not in record.hold:
-            who = "an assumption" if inputs == "record" else "as stated"
-            who += f", else delays differ by half a step, {number(500 * record.step, 3)} ms"
+            who = "as assumed without a hold" if inputs == "record" else "as stated"
+            who += f"; if wrong, delays change by half a step, {number(500 * record.step, 3)} ms"
         result[name] = f"{between}, {who}"
 
     return result

@@ -211,7 +211,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         if self.priors and not (self.criterion.is_likelihood or self.has_default_criterion):
             raise ValueError(
                 f"{self.priors[0].names[0]!r} has a prior, and the cost of "
-                f"{type(self.criterion).__name__} is no likelihood to which it could be added: "
+                f"{type(self.criterion).__name__} is not a likelihood, to which it could be added: "
                 "leave the criterion out, or give RelativeLikelihood(), or MaximumLikelihood() "
                 "where variances are known."
             )

@@ -356,8 +356,8 @@ def modeled_outputs(
     for name in model.input_names:
         if name not in inputs:
             raise ValueError(
-                f"{model.label} needs the input {name!r}, which the {noun} does not have; it has "
-                f"{', '.join(inputs) or 'none'}."
+                f"{model.label} needs the input {name!r}, which the {noun} does not have: rename "
+                f"one of its signals, {', '.join(inputs) or 'none'}."
             )
 
     compared = tuple(name for name in model.output_names if name in outputs)

@@ -100,10 +100,10 @@ def measure_matrix(
     ]
     measured = [signals[name] for name in (*u, *y)]
     loop = loop_text(controller_in(recording, measured[: len(u)], measured))
-    by = f"the excitations {', '.join(excitations)} tell" if e else "the inputs themselves tell"
+    by = f"the excitations {', '.join(excitations)}" if e else "the inputs themselves"
     said.append(
-        f"{loop}: averages over whole periods; {by} which lines are whose, instrument=... names "
-        "others."
+        f"{loop}: averages over whole periods; the lines of each input are those of {by}, "
+        "instrument=... names others."
     )
     return MatrixMeasurement(record, responses, tuple(said))
 

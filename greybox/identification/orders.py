@@ -174,10 +174,10 @@ def select_orders(
     rest = len(linear) - len(near)
     notes = []
     if rest:
-        notes.append(f"{counted(rest, 'other structure')}: BIC further above by least squares.")
+        notes.append(f"{counted(rest, 'other structure')} had a higher BIC by least squares.")
     if undelayed:
         notes.append(
-            f"The delay of {'; of '.join(undelayed)} ended at zero and was left out: the errors "
+            f"The delay ended at zero and was left out of: {'; '.join(undelayed)}. Their errors "
             "are those of a plant without a delay."
         )
     # In order of size, as the table is read.

@@ -102,7 +102,7 @@ def _note(
     return (
         f"{listed(texts)} {'was' if len(texts) == 1 else 'were'} estimated from {record} "
         f"itself: {counted(len(texts), 'value')} from {counted(numbers, 'number')}, "
-        "so the record is not held out in them."
+        "for which the record is not held out."
     )
 
 

@@ -402,7 +402,7 @@ def _record_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> RecordReplicate
         names = ", ".join(nlp.problem.held_estimates)
         raise ValueError(
             f"{names} of {nlp.problem.name!r} came with errors of an earlier fit, which are "
-            "compiled into records as constants: fit them along, or bootstrap that fit."
+            "compiled into records as constants: fit them too, or bootstrap that fit."
         )
     x = np.array([fit.estimate[name] for name in nlp.free])
     # A fit has no states at the nodes: one run from the estimate finds them again.

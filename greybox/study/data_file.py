@@ -129,13 +129,13 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
         available = "; ".join(f"{key}: {', '.join(r.signals)}" for key, r in log.items())
         columns = " ".join(f"{name}=COLUMN" for name in names)
         cure = (
-            f"name its columns, with units, columns=time=COLUMN:ms {columns}; for a frequency "
-            "response columns=frequency=COLUMN:Hz magnitude=COLUMN:dB phase=COLUMN:deg"
+            f"name the columns, with units, columns=time=COLUMN:ms {columns}; or, if it is a "
+            "response, columns=frequency=COLUMN:Hz magnitude=COLUMN:dB phase=COLUMN:deg"
         )
         raise ValueError(
             f"{path} has {len(records) or 'no'} messages with the signals of {model.label} "
-            f"({', '.join((*inputs, ' or '.join(outputs)))}); it has "
-            f"{available:.{LONG}}: {cure if is_table else _preparation(path, names)}."
+            f"({', '.join((*inputs, ' or '.join(outputs)))}) but has "
+            f"{available:.{LONG}}. To fit it, {cure if is_table else _preparation(path, names)}."
         )
 
     (record,) = records

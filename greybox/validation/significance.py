@@ -120,7 +120,7 @@ def prediction_verdict(
     every = np.concatenate(differences)
     windows = counted(every.size, first_predictions[0].window)
     models = " and ".join(labels)
-    data = "their own data" if kind == IDENTIFICATION else "held-out data"
+    data = "the identification data" if kind == IDENTIFICATION else "held-out data"
     if every.size < 3:  # with two windows the threshold of Student's t would be 12.7
         return (
             f"{windows} cannot show which of {models} predicts {data} better: give a shorter "
@@ -164,10 +164,7 @@ def prediction_verdict(
             f"errors differ by {percent} ({windows}, {test})."
         )
     better, worse = labels if mean > 0 else labels[::-1]
-    return (
-        f"{better} predicts {data.replace('their', 'its')} better than {worse}, in "
-        f"{share:.0f} % of {windows} ({test})."
-    )
+    return f"{better} predicts {data} better than {worse}, in {share:.0f} % of {windows} ({test})."
 
 
 def _sign_test(differences: Sequence[Array], error: float) -> float:

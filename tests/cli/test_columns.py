@@ -120,7 +120,7 @@ def test_bounds_and_starts(capsys, own):
         (["--columns", *POLAR, "--bounds", "K=3:0"], "K: bounds (3.0, 0.0) are reversed or empty"),
         (
             [],
-            "name its columns, with units, --columns time=COLUMN:ms u=COLUMN y=COLUMN",
+            "name the columns, with units, --columns time=COLUMN:ms u=COLUMN y=COLUMN",
         ),
     ],
 )

@@ -52,7 +52,7 @@ def test_signals_can_be_stated(capsys, saved, tmp_path):
     data = gb.FrequencyResponse(fit.responses[0].data.omega, fit.responses[0].data.response)
     gb.save(gb.fit(gb.Problem(Polynomial(1, 0), data), starts=1), tmp_path / "bare.h5")
     command = ("predict", tmp_path / "bare.h5", saved / "second.csv")
-    assert "does not know its signals" in refused(capsys, *command)
+    assert "has no signals of its log" in refused(capsys, *command)
     status, out, _ = run(capsys, *command, "--signals", "u=stick", "y=gyro", "--json")
     assert status == 0
     assert json.loads(out)["outputs"]["y"]["fit_percent"] > 80

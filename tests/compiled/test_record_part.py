@@ -582,6 +582,6 @@ def test_a_steady_filter_needs_nine_tenths_of_the_samples_that_are_compared(miss
     else:
         with pytest.raises(
             ValueError,
-            match=r"^'flight' has all of x, v at too few samples for process_noise, whose",
+            match=r"^'flight' has x, v together at too few samples for process_noise, whose",
         ):
             _ = part.noise_model

@@ -95,7 +95,7 @@ def test_the_answer_says_how_far_the_standard_errors_account_for_it():
         t for t in fitted(0.6, gb.RelativeError(), 1, n=60).warnings if "along frequency" in t
     ]
     assert "independent errors have a probability of" in told
-    assert told.endswith("account for the first as far as 60 points show it, not for the second.")
+    assert told.endswith("account for what 60 points show of the first, but not for the second.")
 
 
 def test_what_follows_from_the_covariance_is_as_wide():

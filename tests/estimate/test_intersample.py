@@ -65,16 +65,16 @@ def test_the_data_cannot_tell_and_the_delay_takes_half_a_sample(unknown, assumed
     assert held.cost == pytest.approx(assumed.cost, abs=1.0)
     shift = held.estimate["T_delay"] - assumed.estimate["T_delay"]
     assert shift == pytest.approx(-0.005, abs=3e-4)
-    assert "an assumption, else delays differ by half a step, 5 ms" in str(assumed)
+    assert "as assumed without a hold; if wrong, delays change by half a step, 5 ms" in str(assumed)
     against = fitted(flown(), gb.OutputError(inputs="linear"))
-    assert "as stated, else delays differ by half a step, 5 ms" in str(against)
+    assert "as stated; if wrong, delays change by half a step, 5 ms" in str(against)
 
 
 def test_records_that_know_and_do_not_know_have_a_line_each(unknown):
     halves = (unknown.between(0, 7), replace(unknown.between(7, 15), hold={"u": math.inf}))
     problem = gb.several(LinearTilt(), halves, free=["T_delay"])
     text = str(gb.fit(problem, [{name: TRUTH[name] for name in FREE}], progress=False))
-    assert "u interpolated, an assumption" in text
+    assert "u interpolated, as assumed without a hold" in text
     assert "u held until its next sample, as the record says" in text
 
 

@@ -174,18 +174,18 @@ def test_what_cannot_be_told_apart_in_words():
         Combination(("a", "b", "c"), np.inf, 2, ("x",)),
     )
     found = StructuralIdentifiability(
-        "Plant", ("k", "m", "idle", "a", "b", "c", "T"), groups, ("k m",), "the course of y"
+        "Plant", ("k", "m", "idle", "a", "b", "c", "T"), groups, ("k m",), "the time history of y"
     )
     assert str(found) == (
-        "Plant, structural identifiability from the course of y:\n"
+        "Plant, structural identifiability from the time history of y:\n"
         "  k and m cannot be separated: fix one of them.\n"
         "  idle has no effect: fix it or remove it.\n"
         "  a, b, c and the initial state of x cannot be separated: fix 2 of them.\n"
-        "  determined are k m and 1 combination that is neither product nor sum.\n"
+        "  Determined in combination: k m and 1 combination (neither product nor sum).\n"
         "  T can be determined."
     )
     assert repr(found) == "<StructuralIdentifiability Plant, 1 of 7 parameters>"
-    alone = StructuralIdentifiability("Plant", ("k", "m"), (), (), "the course of y")
+    alone = StructuralIdentifiability("Plant", ("k", "m"), (), (), "the time history of y")
     assert str(alone).splitlines()[1:] == ["  all of k and m can be determined."]
 
 

@@ -131,7 +131,7 @@ def test_there_are_tests_and_each_takes_its_time():
         choose_tests({}, TWO_LAGS, seconds=100)
     for seconds in (0.0, -3.0):
         wrong = {**TESTS, "fast": (TESTS["fast"][0], seconds)}
-        with pytest.raises(ValueError, match=r"^the test 'fast' takes no time"):
+        with pytest.raises(ValueError, match=r"^the test 'fast' has no duration"):
             choose_tests(wrong, TWO_LAGS, seconds=100)
 
 

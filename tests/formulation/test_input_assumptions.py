@@ -43,7 +43,8 @@ def test_it_is_said_with_the_half_step_that_it_means():
     assert said["held"] == "held until its next sample, as the record says"
     assert said["thinned"] == "interpolated, 1.25 ms late, as the record says"
     assert (
-        said["unknown"] == "interpolated, an assumption, else delays differ by half a step, 10 ms"
+        said["unknown"]
+        == "interpolated, as assumed without a hold; if wrong, delays change by half a step, 10 ms"
     )
     assert described_inputs("held", ["unknown"], record())["unknown"].startswith(
         "held until its next sample, as stated"
@@ -74,7 +75,9 @@ def test_rows_without_a_time_have_nothing_between_them():
     assert between_samples("held", ["u"], rows) == (LINEAR,)
     assert described_inputs("held", ["u"], rows) == {}
     told = described_inputs("record", ["u"], gb.Record(TIME, {"u": TIME}))
-    assert told == {"u": "interpolated, an assumption, else delays differ by half a step, 10 ms"}
+    assert told == {
+        "u": "interpolated, as assumed without a hold; if wrong, delays change by half a step, 10 ms"
+    }
     assert described_inputs("linear", ["u"], gb.Record(TIME, {"u": TIME}))["u"].startswith(
-        "interpolated, as stated, e"
+        "interpolated, as stated; if wrong"
     )

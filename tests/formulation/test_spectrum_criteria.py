@@ -83,7 +83,7 @@ def test_outputs_are_compared_in_the_order_of_the_model(criterion, outputs, comp
         (
             gb.OutputError(),
             {"inputs": ("F", "rain")},
-            "Cart needs the input 'wind', which the spectrum does not have; it has F, rain.",
+            "Cart needs the input 'wind', which the spectrum does not have: rename one of its signals, F, rain.",
         ),
         (
             gb.OutputError(),

@@ -372,7 +372,7 @@ def test_options_that_are_none_are_refused(criterion, words):
         (
             gb.OutputError(),
             ("x", "v"),
-            "Spring needs the input 'F', which the record does not have; it has x, v.",
+            "Spring needs the input 'F', which the record does not have: rename one of its signals, x, v.",
         ),
         (
             gb.OutputError(),

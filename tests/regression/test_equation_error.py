@@ -188,7 +188,7 @@ def test_a_held_control_on_slow_samples(delay):
 def test_what_the_record_does_not_say_is_printed_as_an_assumption():
     record = measured(slider(delay=0.083), ("F", "x", "v"), 1e-3)
     found = gb.regression.equation_error(Slider(), record, fixed={"d": 0.083})
-    assert "an assumption, else delays differ by half a step, 5 ms" in str(found)
+    assert "as assumed without a hold; if wrong, delays change by half a step, 5 ms" in str(found)
 
 
 def test_a_log_of_every_fourth_control_acts_half_a_loop_later():
@@ -470,7 +470,7 @@ def test_it_prints_itself(flown):
         (
             {"F": None},
             {},
-            "Slider needs the input 'F', which the record does not have; it has x, v",
+            "Slider needs the input 'F', which the record does not have: rename one of its signals, x, v",
         ),
         ({"F": 0.3, "x": 0.1, "v": 0.0}, {}, "F and x and v of Slider are constant in the record"),
         (

@@ -57,8 +57,8 @@ def test_a_table_of_a_record_is_fitted_with_a_model_alone(capsys):
         (
             "theta",
             "pitch",
-            "no messages with the signals of Drag (theta, v); it has data: pitch, v: name its "
-            "columns",
+            "no messages with the signals of Drag (theta, v) but has data: pitch, v. To fit it, name "
+            "the columns",
         ),
         (
             "time [s]",

@@ -22,7 +22,7 @@ def test_a_quadratic_truth_is_told_on_records_that_were_held_out(quadratic):
     found = gb.compare(wrong, right, records=other)
     text = str(found)
     assert "QuadraticDrag predicts held-out data better than LinearDrag" in text
-    assert "QuadraticDrag predicts its own data better than LinearDrag" in text
+    assert "QuadraticDrag predicts the identification data better than LinearDrag" in text
     for place in ("identification", "held-out"):
         fits = [found.value("fit", name, place, "v") for name in found.labels]
         assert fits[1] > fits[0] + 0.5
@@ -41,7 +41,7 @@ def test_a_linear_truth_is_not_taken_for_a_quadratic_one():
     assert "C_x is not needed" in found.statements[0]
     assert "equally well" in str(found)
     found = gb.compare(quadratic, linear, records=[other])
-    assert "LinearDrag predicts its own data better than QuadraticDrag" in str(found)
+    assert "LinearDrag predicts the identification data better than QuadraticDrag" in str(found)
 
 
 def test_slow_flight_does_not_determine_the_quadratic_term():
@@ -70,7 +70,7 @@ def test_too_few_held_out_windows_take_nothing_from_what_the_fits_show(quadratic
     right, wrong, other = quadratic
     found = gb.compare(right, wrong, records=other.between(0, 2.5))
     assert "2 windows cannot show which of QuadraticDrag and LinearDrag" in str(found)
-    assert "QuadraticDrag predicts its own data better than LinearDrag" in str(found)
+    assert "QuadraticDrag predicts the identification data better than LinearDrag" in str(found)
 
 
 def test_the_table_is_plain(quadratic):

@@ -72,7 +72,7 @@ def test_windows_follow_the_sample_time_and_one_model_is_as_good_as_itself(rooms
     assert "identification data: 39 windows of 36000 s, each from 36000 s before it" in text
     prediction = found.predictions["identification"][0][0]
     assert prediction.ahead.tolist() == [3600.0 * k for k in range(1, 11)]
-    for data in ("their own data", "held-out data"):
+    for data in ("the identification data", "held-out data"):
         assert f"Room and RoomLog predict {data} equally well" in text
     assert "Room and RoomLog fit the data equally well" in text
     single = gb.predict(one, record=record, horizon=3600.0, lead=7200.0)
@@ -84,7 +84,7 @@ def test_windows_follow_the_sample_time_and_one_model_is_as_good_as_itself(rooms
     assert gb.predict(one, record=record).horizon == 36000.0
     # A small difference in every window is one all the same.
     worse = fitted(Room(), record, fixed={"gain": one.estimate["gain"] + 0.05})
-    assert "Room 1 predicts its own data better than Room 2" in str(
+    assert "Room 1 predicts the identification data better than Room 2" in str(
         gb.compare(one, worse, labels=["Room 1", "Room 2"])
     )
 

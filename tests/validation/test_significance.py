@@ -44,7 +44,7 @@ def test_too_few_windows_are_no_verdict_and_equal_ones_a_tie(fits):
     assert verdict(*few).startswith("2 windows cannot show")
     same = gb.predict(fits[1])
     assert verdict(same, same, "identification").startswith(
-        "a and b predict their own data equally"
+        "a and b predict the identification data equally"
     )
 
 

@@ -62,7 +62,7 @@ def correlated_frequencies(
                 # to 93 % of fits, for 24 points in 91 to 98 %.
                 yield (
                     f"{_correlated(f'the residuals of {name!r}', errors)}; the standard errors "
-                    f"account for the first as far as {len(part.data)} points show it, not for the "
+                    f"account for what {len(part.data)} points show of the first, but not for the "
                     "second."
                 )
 

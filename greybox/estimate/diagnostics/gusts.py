@@ -41,5 +41,5 @@ def gusts(
             verdict = "show no process noise" if evidence < 0 else "hardly show process noise"
             yield (
                 f"these data {verdict}: w_{' and w_'.join(part.model.driven)} of {part.name!r} "
-                "ended at zero, and OutputError says as much with fewer unknowns."
+                "ended at zero, and OutputError has fewer unknowns."
             )

@@ -162,7 +162,7 @@ def colored_predictions(
         cause = (
             f"as in gusts, which last longer than a sample: use {gust_criterion(part)}"
             if explained and not has_gusts
-            else "as where signals were low-pass filtered, gusts reach another state, or the model "
+            else "as if signals were low-pass filtered, gusts reached another state, or the model "
             "is incomplete"
         )
         yield (
@@ -242,7 +242,7 @@ def _bounded(
             name = gain.part.model.record.name or part.problem.name
             place = "" if alone else f" of {name!r}"
             text = (
-                f"the Kalman gain{place} reached the stability limit, as where the data show no "
+                f"the Kalman gain{place} reached the stability limit, as if the data showed no "
                 "process noise in a state that it corrects. The standard errors do not account for "
                 "the limit and are too small: name fewer states in "
                 "PredictionError(corrected=...), or compare with OutputError()."

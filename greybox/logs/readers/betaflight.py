@@ -24,7 +24,7 @@ HEADER = re.compile(rb'^"?loopIteration"?\s*,', re.MULTILINE)
 FINER = 10  # steps in a deg/s where the blackbox logs in high resolution
 DOUBT = (
     "gyro and setpoint were taken in deg/s: with blackbox_high_resolution, which only the settings "
-    "before the header tell, they are in 0.1 deg/s, and a gain is ten times too large."
+    "before the header show, they are in 0.1 deg/s, and a gain is ten times too large."
 )
 TIME, LOOPS = "time", "loopIteration"
 GYRO = r"gyro(ADC|Unfilt)\[\d\]"
