@@ -54,6 +54,8 @@ OPTIONS = f"""
     save the result to this HDF5 file; after a kill, the same command continues
 --no-profiles
     omit the profiles of parameters whose standard error misleads
+--factored
+    print the transfer functions at the estimate in factors; all data must be responses
 --seconds S
     time limit of the fit
 --workers
@@ -132,6 +134,11 @@ def _answer(
             notes.append(f"saved {options.out}")
         interrupted = take_interrupt() or interrupted
         notes += save_figure(None if interrupted else options.plot, "plot", result)
+        if options.factored and result.converged:
+            answer["factored"] = [
+                f"{part.name}: {result.transfer_function(k)}" for k, part in enumerate(result.parts)
+            ]
+            notes += answer["factored"]
     except OSError as error:  # print the answer although the disk is full
         answer["error"] = str(error)
     except KeyboardInterrupt:

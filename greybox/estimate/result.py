@@ -37,6 +37,7 @@ from greybox.formulation.input_assumptions import Inputs
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.model_reference import resolve
 from greybox.modeling.periodic_motions import response_of_test
+from greybox.modeling.rational import Rational, rational
 from greybox.simulation.model_at_estimate import ModelAtEstimate
 from greybox.solve.minima import Minimum, Multistart, best_unfinished
 from greybox.solve.runs import Runs
@@ -471,6 +472,20 @@ class Fit:
             fitted,
             model,
             {name: self.estimate[fitted.outside(name)] for name in model.parameters},
+        )
+
+    def transfer_function(self, part: int = 0) -> Rational:
+        """Return the transfer function of a response at the estimate; it prints its factors.
+
+        Raises
+        ------
+        ValueError, LookupError
+            If the part is no frequency response, its model has no rational form, or a loaded fit
+            does not know the model.
+        """
+        fitted, model, values = self._response_part(part, None)
+        return rational(
+            model, values, input=fitted.data.input, output=fitted.data.output, at=fitted.at
         )
 
     @property

@@ -13,7 +13,7 @@ from scipy.optimize import minimize_scalar
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array, ComplexArray
-from greybox.files.text_table import counted, number
+from greybox.files.text_table import counted
 from greybox.identification.selection import (
     UNSTABLE,
     Candidate,
@@ -22,12 +22,14 @@ from greybox.identification.selection import (
     select,
 )
 from greybox.identification.structure_fit import fit_within_far_bounds, stated_for
+from greybox.modeling.factored_form import upper_half
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import require_known
 from greybox.modeling.model_reference import included_model
+from greybox.modeling.rational import Rational
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.regression.levy import levy, ratio
-from greybox.regression.poles_and_zeros import factored, near_pairs, root_text, upper_half
+from greybox.regression.poles_and_zeros import near_pairs, root_text
 
 POLES = 4  # beside the integrators; more are seldom told apart in two decades of frequency
 ZEROS = 2
@@ -319,10 +321,7 @@ def _described(orders: Orders, fit: Fit) -> tuple[str, tuple[str, ...]]:
     """Return the factored transfer function, and remarks on its poles and zeros."""
     if not fit.converged:
         return "", ()
-    numerator, denominator = _polynomials(orders, fit.estimate)
-    zeros, poles = np.roots(numerator), np.roots(denominator)
-    delay = f" exp(-{number(fit.estimate['T_delay'], 3)} s)" if orders.delay else ""
-    unstable = [f"{UNSTABLE} {root_text(p)}" for p in upper_half(poles) if p.real > 0]
-    pairs = map(str, near_pairs(zeros, poles))
-    formula = f"{factored(numerator, denominator)}{delay}"
-    return formula, (*unstable, *pairs, *held_by_bounds(fit))
+    form = Rational(*_polynomials(orders, fit.estimate), fit.estimate.get("T_delay", 0.0))
+    unstable = [f"{UNSTABLE} {root_text(p)}" for p in upper_half(form.poles) if p.real > 0]
+    pairs = map(str, near_pairs(form.zeros, form.poles))
+    return str(form), (*unstable, *pairs, *held_by_bounds(fit))

@@ -8,7 +8,7 @@ Begin with `model`.
 | `parameter`, `functions` | what formulas are written with |
 | `symbolic_reading`, `one_thread` | a formula traced with CasADi; the lock for its derivatives |
 | `complex_arithmetic` | real and imaginary part of a function of s |
-| `rational` | numerator, denominator and delay of a function of s |
+| `rational`, `factored_form` | numerator, denominator and delay, and their print |
 | `function_of_s` | what these two readings of s share |
 | `formula_structure` | a formula operation by operation, and the mean of its switches |
 | `pade_delay` | a delay as a rational function or as states |

@@ -10,6 +10,8 @@ import casadi as ca
 import numpy as np
 
 from greybox.files.arrays import ComplexArray
+from greybox.files.text_table import number
+from greybox.modeling.factored_form import factored
 from greybox.modeling.function_of_s import (
     FunctionOfS,
     is_casadi,
@@ -128,8 +130,10 @@ class Rational(FunctionOfS):
         return np.roots([float(c) for c in self.numerator]).astype(complex)
 
     def __str__(self) -> str:
-        delay = "" if _is_zero(self.delay) else f" exp(-{self.delay} s)"
-        return f"({_written(self.numerator)}) / ({_written(self.denominator)}){delay}"
+        if is_casadi(sum(self.numerator + self.denominator, self.delay)):
+            return f"Rational({self.numerator}, {self.denominator}, {self.delay})"
+        delay = f" exp(-{number(self.delay, 3)} s)" if self.delay else ""
+        return factored(self.numerator, self.denominator) + delay
 
     def __call__(self, s: Any) -> Any:
         """Evaluate at `s`, numbers or `Complex`."""
@@ -196,21 +200,6 @@ def _is_zero(c: Any) -> bool:
 def _is_equal(a: Sequence[Any], b: Sequence[Any]) -> bool:
     """Return whether two polynomials have the same coefficients."""
     return len(a) == len(b) and ca.is_equal(ca.SX(ca.vertcat(*a)), ca.SX(ca.vertcat(*b)), 8)
-
-
-def _written(polynomial: Sequence[Any]) -> str:
-    """Write a polynomial in s, e.g. ``2 s² + 0.3 s + 1``."""
-    terms = []
-    for power, c in zip(reversed(range(len(polynomial))), polynomial, strict=True):
-        if not _is_zero(c) or len(polynomial) == 1:
-            size = str(c) if is_casadi(c) else f"{c:.6g}"
-            terms.append(
-                size
-                + ("", " s")[power > 0]
-                + "".join("⁰¹²³⁴⁵⁶⁷⁸⁹"[int(d)] for d in str(power) if power > 1)
-            )
-
-    return " + ".join(terms).replace("+ -", "- ")
 
 
 def _without_leading_zeros(polynomial: Sequence[Any]) -> list[Any]:

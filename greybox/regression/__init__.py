@@ -5,7 +5,7 @@ Begin with `equation_error` for records and `levy` for frequency responses.
 | file | contents |
 | --- | --- |
 | `levy` | rational functions from responses, and the choice of their orders as in the paper |
-| `poles_and_zeros` | the factored form, and pairs that nearly cancel |
+| `poles_and_zeros` | how they are written, and pairs that nearly cancel |
 | `equation_error` | parameters of an ODE from measured states |
 | `linear_in_parameters` | which equations of a model become regressions |
 | `smoothing` | smoothed signals and their derivatives |

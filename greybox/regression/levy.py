@@ -19,13 +19,8 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.formulation.frequency_criteria import RelativeError, evaluate
-from greybox.regression.poles_and_zeros import (
-    NearPair,
-    factored,
-    near_pairs,
-    root_text,
-    upper_half,
-)
+from greybox.modeling.factored_form import factored, upper_half
+from greybox.regression.poles_and_zeros import NearPair, near_pairs, root_text
 
 # Singular values smaller than this share of the largest are rounding errors: 1e-16 in the columns,
 # with a margin for sums.

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -42,6 +43,18 @@ def test_json_has_the_promised_keys_and_no_nan(capsys):
     assert answer["best_effort"] is None
     assert answer["estimate"]["T_rotor"] == 0.048
     assert any("a1_tilde" in warning for warning in answer["warnings"])
+
+
+def test_the_factored_form_is_that_of_the_paper(capsys):
+    """(4.32), with the rounding of its parameters."""
+    status, out, _ = run(capsys, "fit", "pitch_5deg", *QUICK, "--factored", "--json")
+    assert status == 0
+    (line,) = json.loads(out)["factored"]
+    numbers = [float(n) for n in re.findall(r"\d+\.\d+", line)]
+    printed = [30.05, 0.16, 0.048, 0.124, 0.685, 3.79, 0.0042]
+    assert line.startswith("pitch_5deg: ")
+    assert numbers == pytest.approx(printed, rel=0.004)
+    assert line in run(capsys, "fit", "pitch_5deg", *QUICK, "--factored")[1]
 
 
 def test_unknown_is_null_in_json(capsys, own):

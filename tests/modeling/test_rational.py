@@ -149,14 +149,15 @@ def test_what_has_no_rational_form_is_said(name):
 @pytest.mark.parametrize(
     ("form", "written"),
     [
-        ((2 * S + 1) / (S**2 - 3 * S + 5), "(2 s + 1) / (1 s² - 3 s + 5)"),
-        (S / (S**10 + 0.5 * S**3), "(1 s) / (1 s¹⁰ + 0.5 s³)"),
-        (0 * S, "(0) / (1)"),
-        (gb.exp(-0.25 * S) / (S + 1), "(1) / (1 s + 1) exp(-0.25 s)"),
-        (Rational([ca.SX.sym("K"), 0.0]), "(K s) / (1)"),
+        ((2 * S + 1) / (S**2 - 3 * S + 5), "2 (s + 0.5) / [(s² - 3 s + 5)]"),
+        (S / (S**3 + 0.5 * S**2), "2 s / [s s (2 s + 1)]"),
+        (0 * S, "0"),
+        (gb.exp(-0.25 * S) / (S + 1), "1 / [(1 s + 1)] exp(-0.25 s)"),
+        (Rational([ca.SX.sym("K"), 0.0]), "Rational([SX(K), 0.0], [1.0], 0.0)"),
+        (gb.exp(-ca.SX.sym("T") * S), "Rational([1.0], [1.0], T)"),
     ],
 )
-def test_it_is_written_as_in_a_book(form, written):
+def test_it_is_written_in_factors(form, written):
     assert str(form) == written
 
 

@@ -1,12 +1,10 @@
-"""Poles and zeros: pairs that nearly cancel, and the factored form of (3.18)."""
+"""Poles and zeros: pairs that nearly cancel."""
 
-import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from rational_functions import OMEGA, evaluated, polynomial, table
 
-from greybox.regression.levy import levy
-from greybox.regression.poles_and_zeros import NearPair, factored, near_pairs, upper_half
+from greybox.modeling.factored_form import upper_half
+from greybox.regression.poles_and_zeros import NearPair, near_pairs
 
 
 def test_an_exact_pair_is_reported():
@@ -28,15 +26,6 @@ def test_pairs_are_matched_once_closest_first():
     assert near_pairs([0.01], [-0.01]) == ()
 
 
-def test_the_factored_form_is_the_same_function():
-    fit = levy(table("roll"), 4, 1)
-    assert_allclose(evaluated(fit.factored, 1j * OMEGA), fit.response(OMEGA).response, rtol=2e-3)
-    unstable = factored(2 * polynomial([0.2 + 10j]), polynomial([4, -0.5]))
-    assert unstable == "4 (s² - 0.4 s + 100) / [(2 s + 1) (s - 4)]"
-    assert factored([2.0, 0.0], [4.0]) == "0.5 s"
-    assert factored([0.0], [1.0, 2.0]) == "0 / [(0.5 s + 1)]"
-
-
 def test_a_pair_counts_below_the_tolerance_and_is_stable_off_the_axis():
     assert near_pairs([-9.0], [-10.0]) == ()  # a tenth apart
     (pair,) = near_pairs([-10.0], [-9.01])
@@ -52,13 +41,3 @@ def test_a_zero_is_matched_with_the_nearest_of_several_poles():
     pairs = near_pairs([-2.0, -2.1, -9.0], [-2.11, -2.2, -30.0])
     assert [(pair.zero, pair.pole) for pair in pairs] == [(-2.1, -2.11), (-2.0, -2.2)]
     assert upper_half([-3.0, 1 - 2j, 1 + 2j, 0.5]) == [0.5, 1 + 2j, -3.0]
-
-
-def test_every_kind_of_factor_is_written():
-    """6 (s + 0.5) s (s² - 2 s + 5) over 2 s² (s + 4) (s + 0.5) (s - 3) (s² + 2 s + 10)."""
-    above = 6 * np.real(np.poly([-0.5, 0, 1 + 2j, 1 - 2j]))
-    below = 2 * np.polymul(np.poly([0, 0, -4, -0.5, 3]), [1, 2, 10])
-    text = factored(np.round(above, 9), np.round(below, 9))
-    assert text == (
-        "1.5 s (s + 0.5) (s² - 2 s + 5) / [s s (0.25 s + 1) (2 s + 1) (s - 3) (s² + 2 s + 10)]"
-    )
