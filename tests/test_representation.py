@@ -97,7 +97,7 @@ def test_a_notebook_shows_a_small_table(kind):
     html = VALUES[kind]._repr_html_()
     assert len(html) < 12_000
     seen = Elements(html)
-    assert seen.seen <= set("b p ul li table thead tbody tr th td".split())
+    assert seen.seen <= set("b p ul li table thead tbody tr th td details summary".split())
     assert "table" in seen.seen
 
 

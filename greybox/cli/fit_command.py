@@ -151,4 +151,5 @@ def _answer(
         notes.append(f"the last runs are not stored: {stored.trouble}")
     if stored is not None and stored.count:
         notes.append(f"the same command continues with {counted(stored.count, 'run')}")
-    return answer, str(result), *notes
+    details = ["", result.details] if result.converged else []
+    return answer, str(result), *details, *notes

@@ -1,14 +1,15 @@
-"""The answer as a person reads it: facts, one table, warnings; as text and as HTML."""
+"""The answer as a person reads it: verdict, table, limits, and details on request."""
 
 import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.response_band import t_quantile
+from greybox.estimate.verdict import verdict
 from greybox.files.html_text import html_list, html_table, html_text
 from greybox.files.text_table import counted, number, percent, some, text_table, with_error
 from greybox.formulation.spectrum_criteria import EquationError
@@ -22,8 +23,7 @@ Table = tuple[list[str], list[list[str]], tuple[int, ...]]
 
 
 def text(fit: Any) -> str:
-    """Return a `Fit` as text."""
-    # In the order of a reader's questions: did it converge, to what, how precise, what is doubtful.
+    """Return a `Fit` as text: the verdict, the table, what limits it, and how close it is."""
     table = ["  " + line for line in text_table(*parameter_table(fit)).splitlines()]
     remarks = ["  " + line for line in _remarks(fit)]
     if not fit.converged:
@@ -32,24 +32,46 @@ def text(fit: Any) -> str:
 
     sections = (
         [title(fit)],
-        [f"  {label:<10} {fact}" for label, fact in facts(fit)],
+        ["  " + line for line in _judged(fit)],
         [*table, *(["", f"  {error_statement(fit)}"] if fit.dof > 0 else [])],
         _profile_lines(fit),
-        [*remarks, f"  {fit.seconds:.2f} s; starts: {fit.starts}"],
+        remarks,
+        [_labeled(closeness(fit))],
     )
 
     return "\n\n".join("\n".join(lines) for lines in sections if lines)
 
 
+def details(fit: Any) -> str:
+    """Return what the text of a `Fit` leaves out: starts, cost, delay, correlations, time."""
+    return _labeled(facts(fit))
+
+
+def _labeled(pairs: Sequence[tuple[str, str]]) -> str:
+    return "\n".join(f"  {label:<10} {fact}" for label, fact in pairs)
+
+
 def html(fit: Any) -> str:
-    """Return a `Fit` as HTML for a notebook."""
+    """Return a `Fit` as HTML for a notebook, with details that open at a click."""
     remarks = html_list(_remarks(fit))
     heading = html_text(title(fit), "b")
     if not fit.converged:
         return heading + html_text(f"FAILED: {fit.status}.") + remarks
+    level, *sentences = _judged(fit)
     statement = html_text(error_statement(fit)) if fit.dof > 0 else ""
-    listed = html_list([f"{label} {fact}" for label, fact in facts(fit)])
-    return heading + listed + html_table(*parameter_table(fit)) + statement + remarks
+    listed, more = (
+        html_list([f"{label}: {fact}" for label, fact in pairs])
+        for pairs in (closeness(fit), facts(fit))
+    )
+    return (
+        f"{heading}{html_text(level)}{html_list(sentences)}{html_table(*parameter_table(fit))}"
+        f"{statement}{remarks}{listed}<details><summary>details</summary>{more}</details>"
+    )
+
+
+def _judged(fit: Any) -> list[str]:
+    judged = verdict(fit)
+    return [judged.level, *judged.sentences]
 
 
 def title(fit: Any) -> str:
@@ -59,7 +81,7 @@ def title(fit: Any) -> str:
 
 
 def facts(fit: Any) -> list[tuple[str, str]]:
-    """Return starts, cost, data and residuals as pairs of a label and a text."""
+    """Return starts, cost, delay, correlations and time as pairs of a label and a text."""
     # Screened starts were evaluated but not run: they cannot agree on a minimum.
     tried = Multistart(fit.runs, fit.minima)
     screened = len(fit.runs) - len(tried.brought)
@@ -70,38 +92,37 @@ def facts(fit: Any) -> list[tuple[str, str]]:
         for part in fit.responses
         if part.pade_error is not None
     )
+    correlated = correlations(fit)
 
     return [
-        *_misfit_texts(fit),
         (
             "starts",
             f"{tried.converged} of {len(tried.brought)} converged{only_screened}; "
-            f"{counted(fit.agreeing, 'agrees', 'agree')} on the best of {minima}",
+            f"{counted(fit.agreeing, 'agrees', 'agree')} on the best of {minima}; {fit.starts}",
         ),
         ("cost", f"{fit.cost:.6g}  ({fit.rule})"),
-        ("data", f"{data_text(fit)}, delay {fit.delay}{pade}"),
-        *(("prior", line) for line in _prior_texts(fit)),
-        *(("inputs", line) for line in _input_texts(fit.records)),
-        *closeness(fit),
+        ("delay", f"{fit.delay}{pade}"),
+        *([("correlated", f"beyond 0.9: {correlated}")] if correlated else []),
+        ("time", f"{fit.seconds:.2f} s"),
     ]
 
 
-def _misfit_texts(fit: Any) -> Iterator[tuple[str, str]]:
-    if fit.misfit is None:
-        yield "model", "not tested for missing terms: records in time and responses are"
-        return
-    yield "model", fit.misfit.verdict
-    for cause in fit.misfit.likely:
-        alike = f"; hardly distinct from {some(cause.alike)}" if cause.alike else ""
-        yield "to add", f"{cause.explained}: {cause.code}{alike}"
+def correlations(fit: Any) -> str:
+    """Return the correlations beyond 0.9, by name; without any, an empty text."""
+    pairs = () if fit.directions is None else fit.identifiability.correlated
+    return ", ".join(f"{a} and {b} ({value:.2f})" for a, b, value in pairs).replace("-", "−")
 
 
 def closeness(fit: Any) -> list[tuple[str, str]]:
-    """Return how closely the model follows each kind of data, as pairs of a label and a text."""
+    """Return data, priors, inputs and how closely the model follows, as labels with texts."""
     return [
+        ("data", data_text(fit)),
+        *(("prior", line) for line in _prior_texts(fit)),
+        *(("inputs", line) for line in _input_texts(fit.records)),
         *(("output", line) for line in _output_texts(fit.records)),
         *(("response", line) for line in _response_texts(fit.responses)),
         *(("output", line) for line in _spectrum_texts(fit.spectra)),
+        *([("model", "not tested for missing terms")] if fit.misfit is None else []),
     ]
 
 
@@ -189,7 +210,12 @@ def _bias_text(fit: Any) -> str:
 
 
 def _remarks(fit: Any) -> list[str]:
+    causes = () if fit.misfit is None else fit.misfit.likely
+    alike = (
+        f"; hardly distinct from {some(cause.alike)}" if cause.alike else "" for cause in causes
+    )
     return [
+        *(f"to add: {c.explained}: {c.code}{also}" for c, also in zip(causes, alike, strict=True)),
         *(f"warning: {line}" for line in fit.warnings),
         *(f"note: {line}" for line in fit.notes),
     ]

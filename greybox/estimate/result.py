@@ -21,7 +21,7 @@ from greybox.estimate.identifiability import (
     identifiability,
 )
 from greybox.estimate.misfit import Misfit
-from greybox.estimate.printed import html, text
+from greybox.estimate.printed import details, html, text
 from greybox.estimate.profiles import Profiles
 from greybox.estimate.response_band import (
     ResponseBand,
@@ -229,6 +229,11 @@ class Fit:
         """Raise ValueError if no start converged."""
         if not self.converged:
             raise ValueError(f"the fit {self.name!r} has no estimate: {self.status}.")
+
+    @property
+    def details(self) -> str:
+        """What ``print(fit)`` leaves out: starts, cost, delay, correlations beyond 0.9, time."""
+        return details(self)
 
     @property
     def criterion(self) -> str:

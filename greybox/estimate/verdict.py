@@ -103,8 +103,8 @@ def _determined(fit: Any) -> tuple[str, bool]:
     if texts:
         well = len(fit.free) - len({*at_bound, *judged.beyond})
         return (
-            f"Of {counted(len(fit.free), 'free parameter')}, {well} are well determined: "
-            f"{'; '.join(texts)}. To determine more, fix a parameter or add data.",
+            f"Of {counted(len(fit.free), 'free parameter')}, {counted(well, 'is', 'are')} well "
+            f"determined: {'; '.join(texts)}. To determine more, fix a parameter or add data.",
             # Insensitivity is the error if all others were known: it limits no use of an estimate
             # whose error, which is larger, is within the guideline.
             not at_bound and bool(np.all(judged.error <= ERROR_GUIDELINE)),

@@ -6,6 +6,7 @@ from textwrap import dedent
 from typing import Any
 from xml.etree.ElementTree import Element
 
+from greybox.estimate.printed import correlations
 from greybox.estimate.profiles import Profiles
 from greybox.estimate.result import Fit
 from greybox.estimate.verdict import verdict
@@ -64,11 +65,8 @@ def _warnings(fit: Fit) -> list[Element]:
 
 def remarks(fit: Fit) -> list[Element]:
     """Return what the columns of the table mean, correlations, and combinations."""
-    if not fit.converged:
-        return []
-    try:
-        judged = fit.identifiability
-    except ValueError:  # without a covariance there is nothing to remark
+    # Without a covariance there is nothing to remark.
+    if fit.directions is None:
         return []
 
     texts = [
@@ -76,11 +74,10 @@ def remarks(fit: Fit) -> list[Element]:
         "most 20 %). Insensitivity is the same if all other parameters were known (at most 10 %). "
         "! marks larger values."
     ]
-    if judged.correlated:
-        pairs = (f"{a} and {b} ({value:.2f})" for a, b, value in judged.correlated)
-        texts.append(f"Correlated beyond 0.9: {', '.join(pairs)}.".replace("-", "−"))
-    if judged.combinations:
-        texts.append(f"Determined in combination: {'; '.join(map(str, judged.combinations))}.")
+    if correlated := correlations(fit):
+        texts.append(f"Correlated beyond 0.9: {correlated}.")
+    if combinations := fit.identifiability.combinations:
+        texts.append(f"Determined in combination: {'; '.join(map(str, combinations))}.")
     return [tag("p", text, class_="soft") for text in texts]
 
 

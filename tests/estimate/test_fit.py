@@ -254,7 +254,7 @@ def test_other_criteria_are_the_costs_of_their_own_problems():
 def test_the_answer_names_the_seed_that_was_used(rule):
     fit = gb.fit(gb.Problem(Lag(), LAG.parts[0].data), starts=rule(4, seed=7))
     assert "seed=7" in fit.starts or fit.seed == 7
-    assert "seed 0" not in str(fit)
+    assert "seed 0" not in fit.details
 
 
 def test_criteria_agree_within_their_errors():

@@ -197,7 +197,7 @@ def test_larger_errors_at_the_highest_frequencies_are_no_misfit():
 def test_parts_may_disagree_without_a_cause():
     misfit = Misfit(0.1, 0.01, 3, (), p_common=1e-9, drift=0.0, is_unstable=False)
     [sentence] = unexplained(misfit)
-    assert "only if it did. What was tried: fit.misfit." in sentence
+    assert sentence.endswith("only if it did.")
 
 
 def test_one_set_of_values_does_not_serve_both_tables_of_the_paper():

@@ -1,6 +1,9 @@
 """Printed answers are those of tests/golden/answers.txt, which tests/support/printed_answers.py renews."""
 
-from printed_answers import GOLDEN, differences, printed
+import numpy as np
+from printed_answers import GOLDEN, Line, differences, printed
+
+import greybox as gb
 
 
 def test_answers_are_printed_as_before():
@@ -13,3 +16,19 @@ def test_words_and_numbers_are_compared_but_not_the_last_digit():
     assert [*differences("a = 2.77", "a = 2.79")]
     assert [*differences("a = 2.77", "b = 2.77")]
     assert [*differences("a", "a\nb")]
+
+
+def test_details_name_correlated_parameters_and_the_text_begins_with_the_verdict():
+    random = np.random.default_rng(0)
+    u = random.normal(4.0, 1.0, size=60)
+    y = 2 * u + 1 + 0.1 * random.normal(size=60)
+    rows = gb.Record(np.arange(60.0), {"u": u, "y": y}, has_time=False)
+    fit = gb.fit(gb.Problem(Line(), rows), starts=2, progress=False)
+    # Of a straight line by least squares, -mean(u) / rms(u).
+    expected = -u.mean() / np.sqrt(np.mean(u**2))
+    assert (
+        f"beyond 0.9: slope and offset ({expected:.2f})".replace("-", "\N{MINUS SIGN}")
+        in fit.details
+    )
+    assert "correlated" not in str(fit)
+    assert str(fit).split("\n\n")[1].split()[0] in ("Good:", "In")

@@ -141,7 +141,7 @@ def quantity(name, at_bound):
                 "identifiability": SimpleNamespace(beyond=("c",), error=np.array([0.3])),
                 "quantities": (quantity("a", True),),
             },
-            "Of 3 free parameters, 1 are well determined: a ended at a bound; c exceeded the guidelines (20 % error, "
+            "Of 3 free parameters, 1 is well determined: a ended at a bound; c exceeded the guidelines (20 % error, "
             "10 % insensitivity). To determine more, fix a parameter or add data.",
             False,
         ),

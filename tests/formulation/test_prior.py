@@ -125,7 +125,7 @@ def test_it_is_saved_and_in_the_numbers(tmp_path):
     again = gb.load(tmp_path / "fit.h5")
     assert again.priors == fit.priors == {"T": (0.5, 0.05)}
     assert again.prior_share == fit.prior_share
-    assert str(again) == str(fit)
+    assert (str(again), again.details) == (str(fit), fit.details)
     told = json.loads(fit.to_json())["prior"]["T"]
     assert (told["mean"], told["standard_deviation"]) == (0.5, 0.05)
     assert 0 < told["share"] < 1

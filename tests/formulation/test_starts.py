@@ -92,7 +92,7 @@ def test_a_number_means_the_declared_values_and_sobol_points_and_the_runs_begin_
     expected = gb.solve.Sobol(5, seed=11).draw(parameters)
     assert_array_equal(fit.runs[0].start, [p.start for p in parameters.values()])
     assert_array_equal([run.start for run in fit.runs[1:]], expected)
-    assert "the declared values + 5 by Sobol, seed 11" in str(fit)
+    assert "the declared values + 5 by Sobol, seed 11" in fit.details
     assert as_starts(1, 3) == gb.solve.Listed(({},))
 
 

@@ -239,8 +239,8 @@ def test_correlations_and_combinations_are_told_below_the_parameters():
     judged = SimpleNamespace(
         correlated=[("a", "b", -0.954), ("b", "c", 0.91)], combinations=("a b", "c / d")
     )
-    unprofiled = SimpleNamespace(converged=True, profiles=None, identifiability=judged)
+    unprofiled = SimpleNamespace(directions=(), identifiability=judged)
     _, correlated, combined = (part.text for part in remarks(unprofiled))
     assert correlated == "Correlated beyond 0.9: a and b (−0.95), b and c (0.91)."
     assert combined == "Determined in combination: a b; c / d."
-    assert remarks(SimpleNamespace(converged=False)) == []
+    assert remarks(SimpleNamespace(directions=None)) == []
