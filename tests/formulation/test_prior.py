@@ -144,7 +144,7 @@ def test_knowledge_of_several_parts_counts_once():
 @pytest.mark.parametrize(
     ("options", "match"),
     [
-        ({"prior": {"T": (0.5, 0.1)}, "criterion": gb.RelativeError()}, "no likelihood"),
+        ({"prior": {"T": (0.5, 0.1)}, "criterion": gb.RelativeError()}, "not a likelihood"),
         ({"prior": {"T": (0.5, 0.0)}}, "standard deviation"),
         ({"prior": {"q": (0.5, 0.1)}}, "no free parameter 'q'"),
         ({"prior": {"T": (0.5, 0.1)}, "fixed": {"T": 0.5}}, "no free parameter 'T'"),
