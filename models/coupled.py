@@ -43,6 +43,33 @@ class CoupledVelocity(gb.StateSpace):
         return (x.p, x.phi, x.v)
 
 
+class LaggedCoupledVelocity(CoupledVelocity):
+    r"""Roll rate and sideways velocity from the roll control, (2.9) behind the rotor (2.4).
+
+    $$T_\Omega \dot w = u_\phi(t - T_{delay}) - w, \qquad
+    \begin{bmatrix} \dot v \\ \dot p \\ \dot\phi \end{bmatrix} =
+    \begin{bmatrix} a_1 & 0 & g \\ a_2 & 0 & 0 \\ 0 & 1 & 0 \end{bmatrix}
+    \begin{bmatrix} v \\ p \\ \phi \end{bmatrix} +
+    \begin{bmatrix} b_1 \\ b_2 \\ 0 \end{bmatrix} w$$
+
+    The model of reference [7] of the paper: the rotors follow the control as a first-order lag.
+    With $b_1 = 0$, and stiffness and damping in addition, it is `LinearTilt`.
+
+    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, below (2.9).
+    """
+
+    states = ("v", "p", "phi", "w")
+    T_rotor = gb.Parameter(0.05, bounds=(0.001, 1), unit="s", about="rotor time constant T_Ω")
+
+    def derivative(self, x, u, p):
+        return (
+            p.a1 * x.v + PAPER_G * x.phi + p.b1 * x.w,
+            p.a2 * x.v + p.b2 * x.w,
+            x.p,
+            (u.u - x.w) / p.T_rotor,
+        )
+
+
 class CoupledVelocityTransfer(gb.TransferFunction):
     r"""Roll rate from the roll control, the transfer function of (2.9).
 

@@ -1,5 +1,7 @@
 """From the controls of the axes to the motors, and from the rotor speeds to the torques, (2.3)."""
 
+from types import SimpleNamespace
+
 import greybox as gb
 
 
@@ -10,7 +12,7 @@ class Mixer(gb.StateSpace):
     0.5 u_\theta + u_\psi, \\ u_3 &= u_F + 0.5 u_\phi - 0.5 u_\theta - u_\psi, & u_4 &= u_F - 0.5
     u_\phi + 0.5 u_\theta - u_\psi \end{aligned}$$
 
-    A static model of the symmetric X frame, without the limits of the controls.
+    A static model of the symmetric X frame. `LimitedMixer` has the limits of the controls.
 
     Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, below (2.3).
     """
@@ -25,6 +27,29 @@ class Mixer(gb.StateSpace):
             u.u_F + 0.5 * u.u_phi - 0.5 * u.u_theta - u.u_psi,
             u.u_F - 0.5 * u.u_phi + 0.5 * u.u_theta - u.u_psi,
         )
+
+
+class LimitedMixer(Mixer):
+    r"""Motor controls within their limits, below (2.3).
+
+    $$u_k = \mathrm{sat}(m_k(u_F, \mathrm{sat}(u_\phi, \pm 0.5), \mathrm{sat}(u_\theta, \pm 0.5),
+    \mathrm{sat}(u_\psi, \pm 0.5)), 0, 1)$$
+
+    $m_k$ are the sums of `Mixer`. Within the limits both are the same. Beyond them, each motor is
+    limited by itself, so that one axis disturbs the others. A flight controller gives priority to
+    some of them, which the paper does not describe.
+
+    Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, below (2.3).
+    """
+
+    def output(self, x, u, p):
+        axes = {name: _limited(getattr(u, name), -0.5, 0.5) for name in self.inputs[1:]}
+        motors = super().output(x, SimpleNamespace(u_F=u.u_F, **axes), p)
+        return tuple(_limited(motor, 0, 1) for motor in motors)
+
+
+def _limited(value, low, high):
+    return gb.maximum(low, gb.minimum(value, high))
 
 
 class Torques(gb.StateSpace):

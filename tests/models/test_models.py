@@ -16,8 +16,9 @@ from greybox.models.coupled import (
     CoupledVelocityTransfer,
     DampedCoupledVelocity,
     DampedCoupledVelocityTransfer,
+    LaggedCoupledVelocity,
 )
-from greybox.models.mixer import Mixer, Torques
+from greybox.models.mixer import LimitedMixer, Mixer, Torques
 from greybox.models.polynomial import Polynomial
 from greybox.models.rate import BasicAngle, BasicRate, DampedRate, YawRateLag, YawRateLead
 from greybox.models.rigid_body import EulerKinematics, RigidBody
@@ -238,6 +239,38 @@ def test_coupled_velocity_has_its_printed_transfer_function(values):
     expected = response(CoupledVelocityTransfer(), printed)
     assert_allclose(response(CoupledVelocity(), values, output="p"), expected, rtol=1e-10)
     derived_quantities_equal(CoupledVelocity(), values, printed)
+
+
+@pytest.mark.parametrize("values", draws(LaggedCoupledVelocity(), 5))
+def test_2_9_behind_the_rotor(values):
+    T = values["T_rotor"]
+    unlagged = {name: value for name, value in values.items() if name != "T_rotor"}
+    for output in ("p", "phi", "v"):
+        expected = response(CoupledVelocity(), unlagged, output=output) / (1j * OMEGA * T + 1)
+        assert_allclose(
+            response(LaggedCoupledVelocity(), values, output=output), expected, rtol=1e-9
+        )
+
+
+def test_2_9_behind_the_rotor_is_4_25_without_damping():
+    shared = {"a2": 0.0, "a3": 8.5, "a4": 290.0, "a5": 0.16, "a1": 0.0}
+    values = {"a1": -0.16, "a2": -8.5, "b1": 0.0, "b2": 290.0, "T_rotor": 0.048, "T_delay": 0.0042}
+    ours = response(LaggedCoupledVelocity(), values, output="phi")
+    assert_allclose(ours, response(Tilt(), shared), rtol=1e-9)
+
+
+def test_the_limits_of_the_mixer():
+    """By numpy, for controls within and beyond the limits below (2.3)."""
+    random = np.random.default_rng(0)
+    controls = random.uniform([0, -1, -1, -1], [1, 1, 1, 1], (500, 4))
+    time = np.arange(500.0)
+    record = gb.Record(time, dict(zip(LimitedMixer().inputs, controls.T, strict=True)))
+    limited = np.clip(controls, [0, -0.5, -0.5, -0.5], [1, 0.5, 0.5, 0.5])
+    signs = np.array([[1, -0.5, -0.5, 1], [1, 0.5, 0.5, 1], [1, 0.5, -0.5, -1], [1, -0.5, 0.5, -1]])
+    motors = limited @ signs.T
+    assert 0.2 < np.mean((motors < 0) | (motors > 1)) < 0.8
+    flown = gb.simulate(LimitedMixer(), {}, record)
+    assert_allclose(np.column_stack([flown[f"u_{k}"] for k in range(1, 5)]), np.clip(motors, 0, 1))
 
 
 @pytest.mark.parametrize("values", draws(DampedCoupledVelocity(), 5))
