@@ -62,6 +62,7 @@ OPTIONS = f"""
 --scheduler
 --plot FILE
     draw responses, time histories and starts into this png, pdf or svg file
+--hz
 --force
 """
 
@@ -133,7 +134,7 @@ def _answer(
                     stored.remove()
             notes.append(f"saved {options.out}")
         interrupted = take_interrupt() or interrupted
-        notes += save_figure(None if interrupted else options.plot, "plot", result)
+        notes += save_figure(None if interrupted else options.plot, "plot", result, hz=options.hz)
         if options.factored and result.converged:
             answer["factored"] = [
                 f"{part.name}: {result.transfer_function(k)}" for k, part in enumerate(result.parts)

@@ -57,6 +57,7 @@ logs LOG...
 --out PREFIX
     first part of the names of response, result and figure (default: the name of the log, in this
     folder)
+--hz
 --force
 """
 
@@ -99,7 +100,7 @@ def run(options: argparse.Namespace) -> Answer:
     text += ["", *(f"saved {path}" for path in responses)]
     if fit is not None:
         save(replace(fit, command=options.arguments), result)
-        text += [f"saved {result}", *save_figure(figure, "plot", fit)]
+        text += [f"saved {result}", *save_figure(figure, "plot", fit, hz=options.hz)]
         answer["files"] = [*responses, result, figure]
     # The fit is saved even if no structure explains the data: the user must see what is missing.
     if fit is None or not selection.explains:

@@ -52,6 +52,7 @@ results RESULT...
 --level
 --plot FILE
     draw the loop, broken at the first signal, into this png, pdf or svg file
+--hz
 --report FILE
     write a page about the fits with their margins, as greybox report does
 --force
@@ -111,7 +112,7 @@ def run(options: argparse.Namespace) -> Answer:
     unsafe = " ".join(loop.verdict for loop in loops if not loop.is_safe)
     if unsafe or wrong:
         answer["error"] = unsafe or wrong
-    text += save_figure(options.plot, "loop", loops[0])
+    text += save_figure(options.plot, "loop", loops[0], hz=options.hz)
     if options.report:
         from greybox.html_report.report import report  # noqa: PLC0415  (slow import)
 

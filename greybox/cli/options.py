@@ -19,6 +19,8 @@ SHARED = """
     print only errors: no answer as text, no progress
 --debug
     show the traceback of an error
+--hz
+    draw frequencies in Hz instead of rad/s
 --level P
     confidence level of the intervals (default: 0.95)
 --workers N

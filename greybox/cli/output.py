@@ -77,7 +77,7 @@ def require_figure(path: Path | None, force: bool) -> None:
     require_writable(path, force, (".png", ".pdf", ".svg"), "figure")
 
 
-def save_figure(path: Path | None, name: str, *items: Any) -> list[str]:
+def save_figure(path: Path | None, name: str, *items: Any, **look: Any) -> list[str]:
     """Draw items by this function of `greybox.plotting`, and return a line about the file.
 
     Without a path it does nothing.
@@ -88,7 +88,7 @@ def save_figure(path: Path | None, name: str, *items: Any) -> list[str]:
 
     # A figure that cannot be drawn must not destroy an existing one.
     with replacing(path) as temporary:
-        drawn = getattr(plotting, name)(*items)  # a figure, axes, or an array of axes
+        drawn = getattr(plotting, name)(*items, **look)  # a figure, axes, or an array of axes
         figure = getattr(drawn, "figure", None) or drawn[0].figure
         figure.savefig(temporary, format=path.suffix[1:].lower(), dpi=150)
     return [f"drew {path}"]

@@ -23,6 +23,8 @@ results RESULT...
 {HELD_OUT}
 --title TITLE
     heading of the page (default: the name of the fit)
+--author NAME
+    who answers for the page
 --force
 """
 
@@ -39,7 +41,7 @@ def run(options: argparse.Namespace) -> Answer:
     ]
     records = held_out_records(options, results[0])
     comparison = compare(*results, records=records) if records else None
-    report(results, out, comparison=comparison, title=options.title)
+    report(results, out, comparison=comparison, title=options.title, author=options.author)
     # People mail such pages, and want to know their size.
     size = out.stat().st_size
     answer = {"page": out, "bytes": size, "results": options.results}

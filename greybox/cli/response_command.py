@@ -45,6 +45,7 @@ log LOG
     save the response to this .csv file
 --plot FILE
     draw Bode diagram and coherence into this png, pdf or svg file
+--hz
 --force
 """
 
@@ -72,7 +73,8 @@ def run(options: argparse.Namespace) -> Answer:
         if options.out is not None:
             write(options.out)
             lines.append(f"saved {options.out}")
-        lines += save_figure(options.plot, "spectrum" if options.manoeuvre else "bode", *items)
+        diagram = "spectrum" if options.manoeuvre else "bode"
+        lines += save_figure(options.plot, diagram, *items, hz=options.hz)
         if options.out is not None and len(items) > 1:
             pair = f"--input {items[0].input} --output {items[0].output}"
             lines.append(f"  fit one: greybox fit --model MODEL --data {options.out} {pair}")

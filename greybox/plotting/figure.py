@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from greybox.files.arrays import Array, ComplexArray
+from greybox.files.text_table import number
 
 Limits = tuple[float, float]
 
@@ -140,6 +141,8 @@ class Figure:
         Limits of the horizontal axis; by default everything that is drawn.
     ticks : sequence of str
         Names at 1, 2, ... of the horizontal axis in place of numbers.
+    unit : str
+        Of the frequencies that are written beside points of the complex plane.
     """
 
     title: str
@@ -155,17 +158,25 @@ class Figure:
     is_wide: bool = False
     limits: Limits | None = None
     ticks: Sequence[str] = ()
+    unit: str = "rad/s"
 
 
 def in_hertz(figure: Figure) -> Figure:
-    """Return a figure over omega in rad/s as one over the frequency in Hz; others as they are.
-
-    Points of the complex plane keep their numbers in rad/s.
-    """
-    if not figure.label.endswith(", rad/s"):
-        return figure
+    """Return a figure of omega in rad/s as one of the frequency in Hz."""
+    is_axis = figure.label.endswith(", rad/s")
     panels = [
-        replace(panel, series=[replace(s, x=s.x / (2 * np.pi)) for s in panel.series])
+        replace(
+            panel,
+            series=[
+                replace(
+                    series,
+                    x=series.x / (2 * np.pi if is_axis else 1),
+                    labels=[number(float(omega) / (2 * np.pi), 3) for omega in series.labels],
+                )
+                for series in panel.series
+            ],
+        )
         for panel in figure.panels
     ]
-    return replace(figure, label="Frequency, Hz", panels=panels)
+    label = "Frequency, Hz" if is_axis else figure.label
+    return replace(figure, label=label, panels=panels, unit="Hz")

@@ -79,18 +79,16 @@ def draw(
 
     Panels of a single figure are stacked over one horizontal axis. Several figures stand side by
     side, each over its own axis. `size` of a panel in inches, `columns` and `title` are those of a
-    new figure. With `hz`, axes in rad/s become axes in Hz.
+    new figure. With `hz`, frequencies in rad/s are in Hz.
 
     Raises
     ------
     TypeError, ValueError
         For anything but Axes, or a wrong number of them.
     """
-    if hz:
-        figures = [in_hertz(figure) for figure in figures]
     if axes is None:
         page = new_figure(size[0] * columns, height_of(figures, size[1], columns), title)
-        return draw_into(page, figures, columns, legend)
+        return draw_into(page, figures, columns, legend, hz=hz)
 
     drawn = flat_axes(axes)
     names = [panel.title or panel.label for panel in _panels(figures)]
@@ -99,7 +97,7 @@ def draw(
             f"{figures[0].title} has {len(names)} panels ({'; '.join(names)}), but `axes` has "
             f"{drawn.size}: give one for each."
         )
-    for place, figure in _draw_panels(drawn, figures):
+    for place, figure in _draw_panels(drawn, figures, hz):
         if legend:
             _draw_legend(place[0], _legend_entries([figure]), fontsize=9)
     return drawn
@@ -110,6 +108,8 @@ def draw_into(
     figures: Sequence[Figure],
     columns: int = 1,
     legend: bool = True,
+    *,
+    hz: bool = False,
 ) -> AxesArray:
     """Draw figures into an empty matplotlib figure or a part of one, with their legend below."""
     panels = _panels(figures)
@@ -123,7 +123,7 @@ def draw_into(
             spare.remove()
 
     axes = axes[: len(panels)]
-    _draw_panels(axes, figures)
+    _draw_panels(axes, figures, hz)
     place.align_ylabels(axes)
     if legend:
         _legend_below(place, figures)
@@ -163,8 +163,12 @@ def _panels(figures: Sequence[Figure]) -> list[Panel]:
     return [panel for figure in figures for panel in figure.panels]
 
 
-def _draw_panels(axes: AxesArray, figures: Sequence[Figure]) -> list[tuple[AxesArray, Figure]]:
+def _draw_panels(
+    axes: AxesArray, figures: Sequence[Figure], hz: bool
+) -> list[tuple[AxesArray, Figure]]:
     """Draw all panels, and return the figures with their axes."""
+    if hz:
+        figures = [in_hertz(figure) for figure in figures]
     places = [(axes, figures[0])]
     if len(figures) > 1:  # panels side by side are figures of their own
         single = [replace(figure, panels=[panel]) for figure in figures for panel in figure.panels]
@@ -284,10 +288,10 @@ def _draw_plane(ax: Axes, figure: Figure, panel: Panel) -> None:
         ax.dataLim.set_points(np.array([figure.limits, panel.limits]).T)
         ax.margins(0)
 
-    _write_labels(ax, panel)
+    _write_labels(ax, panel, figure.unit)
 
 
-def _write_labels(ax: Axes, panel: Panel) -> None:
+def _write_labels(ax: Axes, panel: Panel, unit: str) -> None:
     """Write labels beside the points, on the outer side of their curve, where there is room."""
     # On the inner side of a bend labels would lie on the curve.
     room = max(ax.dataLim.width, ax.dataLim.height) / 14
@@ -304,7 +308,7 @@ def _write_labels(ax: Axes, panel: Panel) -> None:
             # Points of several tests at one frequency lie near each other: one number is enough.
             if any(abs(spot - at) < room * (1 + 2 * (text == name)) for name, at in written):
                 continue
-            label = text if written else f"{text} rad/s"
+            label = text if written else f"{text} {unit}"
             ax.annotate(
                 label,
                 (spot.real, spot.imag),

@@ -21,8 +21,9 @@ def nyquist(
     labels: Sequence[str] = (),
     axes: GivenAxes | None = None,
     level: float | None = 0.95,
+    hz: bool = False,
 ) -> AxesArray:
-    """Draw the Nyquist diagram: measured points, numbered by frequency in rad/s, and fitted curves.
+    """Draw the Nyquist diagram: measured points, numbered by frequency, and fitted curves.
 
     A circle around each point of known variance is the region of the true response at this level.
     Shaded around a fitted curve are the confidence ellipses of its points (`Fit.response_band`).
@@ -41,6 +42,8 @@ def nyquist(
         One for each input-output pair. By default a new figure is made.
     level : float or None
         Confidence level of the regions; None draws none.
+    hz : bool
+        Numbers in Hz instead of rad/s.
 
     Returns
     -------
@@ -56,7 +59,7 @@ def nyquist(
         require_level(level)
     figures = nyquist_figures(fits, labels, level)
     columns = columns_of(len(figures))
-    return draw(figures, axes, columns=columns, size=(5.2, 5.0), title=title(fits))
+    return draw(figures, axes, columns=columns, size=(5.2, 5.0), title=title(fits), hz=hz)
 
 
 def nyquist_figures(

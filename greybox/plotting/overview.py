@@ -6,7 +6,6 @@ from matplotlib.figure import Figure as MatplotlibFigure
 
 from greybox.estimate.result import Fit
 from greybox.plotting.bode import bode_figure
-from greybox.plotting.figure import in_hertz
 from greybox.plotting.matplotlib_figure import draw_into, height_of, new_figure
 from greybox.plotting.nyquist import columns_of, nyquist_figures
 from greybox.plotting.responses import title
@@ -25,7 +24,7 @@ def plot(fit: Fit, *, hz: bool = False) -> MatplotlibFigure:
     ----------
     fit : Fit
     hz : bool
-        Frequency axes in Hz; the points of the Nyquist diagram keep their numbers in rad/s.
+        Frequencies in Hz instead of rad/s.
 
     Returns
     -------
@@ -60,5 +59,5 @@ def plot(fit: Fit, *, hz: bool = False) -> MatplotlibFigure:
         rows = [*rows, sides[1]]
         blocks.append([replace(bode_figure((fit,)), subject="Bode diagram")])
     for row, block in zip(rows, blocks, strict=True):
-        draw_into(row, [in_hertz(figure) for figure in block] if hz else block, columns)
+        draw_into(row, block, columns, hz=hz)
     return page

@@ -427,3 +427,10 @@ def test_ctrl_c_before_any_run_has_no_answer_and_while_drawing_no_figure(
     status, out, err = run(capsys, "fit", name, "--starts", "1", "--plot", tmp_path / "own.png")
     assert (status, err) == (130, "greybox: interrupted.\n")
     assert out.splitlines()[-1] == f"{tmp_path / 'own.png'} is not drawn"
+
+
+def test_a_figure_in_hertz(capsys, tmp_path):
+    for option in ((), ("--hz",)):
+        path = tmp_path / f"fit{len(option)}.svg"
+        run(capsys, "fit", "pitch_hover", "--starts", "2", "--plot", path, *option)
+        assert ("<!-- Frequency, Hz -->" in path.read_text()) == bool(option)

@@ -133,3 +133,9 @@ def test_held_out_records_are_predicted(capsys, own, tmp_path):
         capsys, "report", "slow.h5", "--model", file, "--held-out", "flight.csv", "--out", "x.html"
     )
     assert "give at least two" in alone
+
+
+def test_a_page_names_its_author(capsys, results, tmp_path):
+    page = tmp_path / "page.html"
+    run(capsys, "report", results / "roll.h5", "--out", page, "--author", "A. Pilot")
+    assert "A. Pilot" in page.read_text()

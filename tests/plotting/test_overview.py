@@ -44,6 +44,15 @@ def test_frequencies_are_in_hertz_on_request(pitch):
     assert gb.plotting.starts(pitch).get_xlabel() in labels
 
 
+def test_points_of_the_nyquist_diagram_are_numbered_in_hertz_on_request(pitch):
+    [plane] = gb.plotting.nyquist(pitch, hz=True)
+    first, *others = [text.get_text() for text in plane.texts]
+    assert first.endswith(" Hz")
+    for number in (first.removesuffix(" Hz"), *others):
+        ratio = float(number) * 2 * np.pi / pitch.parts[0].data.omega
+        assert np.abs(ratio - 1).min() < 0.006
+
+
 def run(code):
     return subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
