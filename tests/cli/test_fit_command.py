@@ -420,7 +420,7 @@ def test_ctrl_c_before_any_run_has_no_answer_and_while_drawing_no_figure(
         before.setattr("greybox.cli.fit_command.fit_keeping", stopped)
         assert run(capsys, "fit", name) == (130, "", "greybox: interrupted.\n")
 
-    def drawing(*arguments):
+    def drawing(*arguments, **options):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("greybox.cli.fit_command.save_figure", drawing)
