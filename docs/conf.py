@@ -54,6 +54,8 @@ html_theme_options = {
     "show_prev_next": False,
     "show_toc_level": 2,
 }
+html_static_path = ["style.css"]
+html_css_files = ["style.css"]
 html_show_sourcelink = False
 html_sidebars = {"commands": [], "gallery": []}  # they have no pages below them
 

@@ -17,7 +17,7 @@ Begin with `compiled_problem`.
 | `sample_step` | one sample as a CasADi function |
 | `segments` | all segments simulated and linearized at once |
 | `step_size` | substeps of a sample and samples of a segment |
-| `initial_states` | states to begin with |
+| `initial_states` | initial states at the nodes |
 | `record_linearization` | steady filters and known initial states in the linearization |
 | `condensing` | elimination of nodes and multipliers of continuity |
 | `residual_covariance` | the weights of the residuals |

@@ -19,8 +19,8 @@ from greybox.files.arrays import Array
 from greybox.modeling.formula_structure import walk
 from greybox.modeling.one_thread import one_thread_at_a_time
 
-# Columns from which registers of numpy pay within a few calls: their layout takes 1.5 µs for every
-# operation.
+# Number of columns from which registers of numpy save time within a few calls: their layout takes
+# 1.5 µs for every operation.
 FEWEST_COLUMNS = 512
 
 
@@ -30,8 +30,8 @@ class SecondOrder:
     @one_thread_at_a_time
     def __init__(self, inputs: Sequence[ca.SX], cost: ca.SX) -> None:
         """Take the symbols of the inputs and the cost."""
-        # Grouping pays for every size: a thousand searches on ten frequencies take a fifth less
-        # time, and on 40 to 100 frequencies half the time.
+        # Grouping saves time for every size: a thousand searches on ten frequencies take a fifth
+        # less time, and on 40 to 100 frequencies half the time.
         groups, remainder = grouped(inputs, cost)
         self._groups = [
             (Columns(_derivatives([*inputs, symbols], term)), constants)
@@ -92,7 +92,7 @@ def grouped(inputs: Sequence[ca.SX], cost: ca.SX) -> tuple[list[_Group], ca.SX]:
         function = ca.Function("term", [*inputs], [term])
         places = range(function.n_instructions())
         operations = [function.instruction_id(k) for k in places]
-        # Terms are of one form if they differ in nothing but their constants.
+        # Terms have the same form if they differ only in their constants.
         form = tuple(
             (operation, *function.instruction_input(k), *function.instruction_output(k))
             for k, operation in zip(places, operations, strict=True)

@@ -1,9 +1,9 @@
-"""Residuals that are correlated in time: how much less they say of the parameters than white ones.
+"""Residuals that are correlated in time: how much less information they carry than white ones.
 
 J is the Jacobian of the weighted residuals by p directions of the parameters, the initial states
 fitted along; e are the residuals. For errors with the spectrum of the residuals, Jᵀe has the
 covariance M (the *meat*); for white ones it is JᵀJ. Correlated residuals count as fewer independent
-numbers: as many as make the parameters take from white ones what they take from these.
+numbers: as many white ones as would lose the same share of their variance to the parameters.
 """
 
 from collections.abc import Callable, Sequence
@@ -18,18 +18,18 @@ from greybox.statistics.residual_spectrum import colored_information, product_ov
 # finite variance.
 FEWEST = 4
 
-# Correlation times in the longest stretch below which no spectrum is known well enough where it
-# matters. About ten are needed; the correlation time found in so short a record is too short by a
+# Least number of correlation times in the longest stretch: below it, the spectrum is not known well
+# enough. About ten are needed; the correlation time found in so short a record is too short by a
 # fifth in the mean.
 FEWEST_TIMES = 12.0
 
-# Correlation times per degree of freedom, at least. An exponential correlation's spectrum at zero
-# frequency has one for four: the coefficient φ of n samples has the variance (1 - φ²)/n, so that
-# the relative variance of 1/(1 - φ)² is 8 times per n. Estimates depend on higher frequencies too,
-# which are known better. With two, intervals of 2050 records of five plants, with 16 kinds of
+# Correlation times per degree of freedom, at least. The spectrum of an exponential correlation has
+# one for four at zero frequency: the coefficient φ of n samples has the variance (1 - φ²)/n, so
+# that the relative variance of 1/(1 - φ)² is 8 times per n. Estimates depend on higher frequencies
+# too, which are known better. With two, intervals of 2050 records of five plants, with 16 kinds of
 # errors, contained the truth in 96 to 100 % of records shorter than 16 correlation times, and in 92
-# to 96 % of longer ones. A limit for the shortest alone let the intervals of equal experiments
-# differ by factors of two to six.
+# to 96 % of longer ones. With a limit for the shortest records only, intervals of equal experiments
+# differed by factors of two to six.
 TIMES_PER_DOF = 2.0
 
 
@@ -44,7 +44,7 @@ def colored_errors(
     initial: Sequence[Array] | None = None,
     shocks: Callable[[], Array] | None = None,
 ) -> ColoredErrors:
-    """Return what the correlation of the residuals makes of an estimate.
+    """Return the effect of correlated residuals on the accuracy of an estimate.
 
     Parameters
     ----------
@@ -68,8 +68,7 @@ def colored_errors(
     effect = colored_information(weighted, residuals, inverse, noise, initial, shocks)
     numbers = sum(int(np.count_nonzero(e)) for e in residuals)
 
-    # What the parameters take from these residuals and would take from white ones of the same
-    # variance.
+    # What the parameters absorb of these residuals, and of white ones of the same variance.
     bread = sum(product_over_time(J, noise) for J in weighted)
     paid = float(np.sum(inverse * bread))
     squares = sum(float(np.sum((weight @ e) ** 2)) for e in residuals) / max(numbers, 1)
@@ -77,7 +76,7 @@ def colored_errors(
 
     independent = independent_numbers(numbers, initial_states, paid, factor)
     larger = independent / (independent - initial_states)
-    # Half a degree of freedom keeps what follows finite where nothing remains.
+    # If nothing remains, half a degree of freedom keeps the results finite.
     remaining = max(independent - initial_states - paid, 0.5)
     if not effect.corrected:
         larger *= (remaining + paid) / remaining
@@ -100,11 +99,11 @@ def colored_errors(
 def independent_numbers(
     measured: int, initial_states: int, parameters: float, factor: float
 ) -> float:
-    """Return as how many independent numbers the measured ones count.
+    """Return the number of independent values that the measured ones are worth.
 
     `parameters` is not rounded to a whole number: rounding errors would then decide which one.
-    `factor` is how many times more of the residuals the parameters take than they would of white
-    ones.
+    `factor` is the share of the residuals that the parameters absorb, over the share that they
+    would absorb of white ones.
     """
     most = measured / (initial_states + parameters + FEWEST)
     return max(measured / min(factor, max(most, 1.0)), initial_states + 0.5)

@@ -17,7 +17,7 @@ from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization, Segments
 from greybox.files.arrays import Array, BoolArray
 
-# Curvature, relative to that of the outputs, that holds states that no output shows.
+# Curvature, relative to that of the outputs, that keeps states in place which no output shows.
 RIDGE = 1e-10
 
 
@@ -41,7 +41,7 @@ def condense(
         node_damping = damping * _node_curvature(b, variance, data)
         node_hessian = node_hessian + node_damping[:, :, None] * np.eye(segments.n)
 
-    # The right-hand sides: what the residuals ask for, and how that follows the parameters.
+    # The right-hand sides: the gradient of the residuals, and its derivatives by the parameters.
     stationarity = -np.concatenate([b.node_gradient[:, :, None], b.cross_hessian], axis=2)
     continuity = -np.concatenate([trajectory.gaps[:, :, None], b.parameter_sensitivity], axis=2)
     x, multiplier = solve_continuity(
@@ -57,7 +57,7 @@ def condense(
         hessian[record] += change[:, 1:]
         gradient[record] += change[:, 0]
 
-    # The decrease that the quadratic model predicts for the node step alone. It is that of the
+    # The decrease that the quadratic model predicts for a step of the nodes only. It is that of the
     # undamped system, because the prediction is compared with the true merit.
     step = x[:, :, 0]
     curved = float((step * (b.node_hessian @ x[:, :, :1])[:, :, 0]).sum())
@@ -83,7 +83,7 @@ def condense(
 
 
 def _node_curvature(b: Linearization, variance: Array, data: SampledData) -> Array:
-    """Return the curvature (s, n) of outputs and continuity penalty by every free node state.
+    """Return the curvature (s, n) of outputs and continuity penalty for every free node state.
 
     Where continuity is exact the first nodes of every stretch are free.
     """

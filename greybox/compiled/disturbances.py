@@ -38,7 +38,7 @@ class DisturbedRecord:
         self.parameters = self._placed.q
 
     def _without_corrections(self) -> None:
-        """Replace predicted states by those that the inputs alone cause, where these are as small.
+        """Replace predicted states by those that the inputs alone cause, if these are not larger.
 
         Colored gusts correlate prediction errors with the states that earlier ones corrected.
         """
@@ -103,7 +103,7 @@ class DisturbedRecord:
         return slopes.reshape(u.numel(), through.numel(), -1).swapaxes(0, 1)
 
     def _by_derivatives(self, derivatives: Array) -> Array:
-        """Return the mean of additional derivatives over a step, carried on for half of it."""
+        """Return the mean of additional derivatives over a step, propagated over half of it."""
         # Terms have values at samples, and a step lasts until the next sample.
         later = np.hstack([derivatives[:, 1:], derivatives[:, -1:]])
         later = derivatives if self.is_predicted else later
@@ -136,7 +136,7 @@ class DisturbedRecord:
                 -ends[:, :, n:],
                 np.zeros(n),
             )
-            # What is known cannot make up for a term.
+            # Known initial states cannot compensate for a term.
             nodes[known] = 0
             J = np.einsum("slkn,snc->slkc", J[..., :n], nodes) + J[..., n:]
         return -J.transpose(2, 3, 0, 1).reshape(*J.shape[2:], -1)

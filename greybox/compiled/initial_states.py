@@ -1,4 +1,4 @@
-"""Initial states at the nodes: as the outputs show them, and elsewhere where the model is finite.
+"""Initial states at the nodes: as the outputs show them, or else where the model is finite.
 
 Most models rest at zero, which is a better start than noisy measurements around it; a state that
 stays away from zero begins as measured. A root, a logarithm or a division may exclude zero (the
@@ -16,7 +16,7 @@ from greybox.modeling.realization import Dynamics
 
 # Multiples of the golden ratio modulo one are spread more evenly than those of any other number.
 GOLDEN = (5**0.5 - 1) / 2
-SWEEPS = 2  # over the unmeasured states, each of which tries all sizes
+SWEEPS = 2  # over the unmeasured states, each with all sizes
 SIZES = (1.0, 0.1, 10.0, 0.01, 100.0, 1e-3, 1e3, 1e4, 1e5, -1.0, -0.1, -10.0, -100.0)
 
 
@@ -62,7 +62,7 @@ class InitialStates:
         return self._mended(states, measured, inputs, p)
 
     def as_measured(self, states: Array, measured: Array) -> Array:
-        """Return the states (n, s), those that outputs show as measured."""
+        """Return the states (n, s); those that outputs show are as measured."""
         states = states.copy()
         for state, (output, factor, offset) in self._links.items():
             states[state] = (measured[output] - offset) / factor
@@ -71,7 +71,7 @@ class InitialStates:
     def poles(self, states: Array, inputs: Array, p: Array) -> ComplexArray:
         """Return the finite poles (s, n) of the linearizations at states (n, s).
 
-        Those of delays, which no integrator follows, are left out.
+        The poles of delays, which no integrator follows, are left out.
         """
         matrices = self._model(states, inputs, p)[2][: self._n**2].T.reshape(
             inputs.shape[1], self._n, self._n
@@ -152,7 +152,7 @@ def at_samples(data: SampledData, every: int, *, spread: bool = False) -> tuple[
     Gaps of the outputs are interpolated.
 
     They begin with the first sample of a stretch. With `spread` they begin with another sample in
-    every stretch: many short stretches that begin at rest would otherwise show only the rest.
+    every stretch: otherwise many short stretches that begin at rest would show nothing but rest.
     """
     outputs, inputs = [], []
     everywhere = np.hstack([stretch.outputs for stretch in data.stretches])

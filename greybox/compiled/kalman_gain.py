@@ -44,9 +44,9 @@ class KalmanGain:
     def limit(self) -> float:
         """Return the largest magnitude of a pole: the initial state fades over the longest stretch.
 
-        A predictor beyond would fit later samples by its free initial states. Where noise hardly
-        drives a mode, the likelihood grows toward the unit circle without a maximum, as for the
-        unit root of a moving average: Sargan and Bhargava (1983), Econometrica 51(3).
+        A predictor beyond the limit would fit later samples with its free initial states. Where
+        noise hardly drives a mode, the likelihood grows toward the unit circle without a maximum,
+        as for the unit root of a moving average: Sargan and Bhargava (1983), Econometrica 51(3).
         """
         # Three time constants of the slowest pole.
         return 1 - 3.0 / max(len(stretch) for stretch in self.part.data.stretches)
@@ -111,7 +111,7 @@ class KalmanGain:
         F, C = self.part.segments.mean_transition(trajectory.states, q, placed.data)
         noise = self.part.noise_model
         covariance = self.part.covariance.covariance(trajectory.products)
-        # In units of the measurement noise, for which the equation of the filter is written.
+        # In units of the measurement noise, as the equation of the filter needs them.
         root = np.linalg.inv(np.linalg.cholesky(covariance))
         corrected = np.isin(np.arange(len(F)), self.states)
 

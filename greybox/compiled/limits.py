@@ -38,7 +38,7 @@ def limits_of(problem: Problem | Sum[Problem], kind: Any) -> list[Limit]:
             for side, bound, sign in sides:
                 if math.isfinite(bound):
                     label = f"the {side} bound {bound:g} of the tied {part.outside(name)}"
-                    # The defaults bind each variable of the loop now.
+                    # Default arguments keep the present value of each loop variable.
                     limit = Limit(label, part, lambda p, k=name, b=bound, s=sign: s * (p[k] - b))
                     limits.setdefault(label, limit)
 

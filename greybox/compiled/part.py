@@ -2,12 +2,12 @@
 
 A solver sees the unknowns of all parts as one vector z (p,), scaled. A record has hidden unknowns
 besides: the states at the beginning of its segments, its *nodes*. They belong to the part, which
-eliminates them from its linearization (condensing), so that a solver adds up Hessians and gradients
-in z whatever the data are. A frequency response has none, and a spectrum eliminates its hidden
-unknowns within its cost. `Part` answers for them: their arrays over nodes are empty, no gap is
-closed, and their residuals need no weights.
+eliminates them from its linearization (condensing), so that a solver only adds up Hessians and
+gradients in z, for any kind of data. A frequency response has none, and a spectrum eliminates its
+hidden unknowns within its cost. For these, `Part` has the answers: arrays over nodes are empty, no
+gap is closed, and residuals need no weights.
 
-What asks: the Gauss-Newton driver (`initial_trajectory` to `close_gaps`), the grouping of minima
+Callers: the Gauss-Newton driver (`initial_trajectory` to `close_gaps`), the grouping of minima
 (`signature`), the check of the discretization (`refined`), IPOPT (`program`, where there are
 nodes), the covariance of the estimate (`information`), the diagnostics (the properties at the end).
 """
@@ -27,7 +27,8 @@ from greybox.statistics.error_spectrum import ErrorSpectrum
 from greybox.statistics.neighbor_correlation import NeighborCorrelation
 
 NO_NODES = np.zeros((0, 0))
-# Output error while continuity is a penalty, as a share of a signal's standard deviation.
+# Assumed output error while continuity is a penalty, as a share of the standard deviation of a
+# signal.
 ASSUMED_ERROR = 0.1
 
 
@@ -107,14 +108,14 @@ class Condensed:
         return np.abs(self.multiplier + self.multiplier_sensitivity @ dz).max(axis=0, initial=0.0)
 
     def damping_penalty(self, dz: Array) -> float:
-        """Return what damping adds to the cost at a step dz (p,) beyond what it adds at dz = 0."""
+        """Return the damping term in the cost at a step dz (p,), less its value at dz = 0."""
         moved = self.node_step + self.node_sensitivity @ dz
         return 0.5 * float((self.damping * (moved**2 - self.node_step**2)).sum())
 
 
 @dataclass(frozen=True, eq=False)
 class ColoredErrors:
-    """What correlation of the errors of a record in time makes of an estimate.
+    """The effect of errors that are correlated in time on the accuracy of an estimate.
 
     Attributes
     ----------
@@ -146,7 +147,7 @@ class ColoredErrors:
 
 @dataclass(frozen=True, eq=False)
 class CorrelatedPoints:
-    """What correlation of the errors along frequency makes of an estimate.
+    """The effect of errors that are correlated along frequency on the accuracy of an estimate.
 
     Attributes
     ----------
@@ -185,8 +186,8 @@ class Information:
         correction: the estimate has the covariance B⁻¹ M B⁻¹ of an M-estimator, see
         `greybox.formulation.frequency_criteria`.
     reach : (k,) array
-        Lengths of the columns of the Jacobian before the initial states were fitted along: what is
-        left of them is rounding where initial states make up for a value.
+        Lengths of the columns of the Jacobian before the initial states were fitted along: if
+        initial states compensate for a value, the rest of its column is rounding.
     initial : mapping of state to (stretches, k) array
         How the initial states follow the values, in changes that the data notice; empty without
         states.
@@ -218,8 +219,8 @@ class Information:
 class Program(ABC):
     """A part as expressions for a solver of nonlinear programs, at the solver's point z (p,).
 
-    Its hidden unknowns are variables of the program. What is relaxed, weights of residuals and
-    whole samples of delays, are parameters w of it, which follow from the last solution.
+    Its hidden unknowns are variables of the program. Its parameters w are relaxed quantities, the
+    weights of residuals and the whole samples of delays, which follow from the last solution.
 
     Attributes
     ----------
@@ -291,7 +292,7 @@ class Part(ABC):
     gains: tuple[tuple[str, str], ...] = ()
 
     def __init__(self, source: "Problem | Part") -> None:
-        """Keep the problem and the facts that outlive it, or those of another part."""
+        """Keep the problem, and the facts that are needed without it, or those of another part."""
         # A part with other data shares the facts, but not what was built for the old data.
         if isinstance(source, Part):
             facts = ("problem", "name", "weight", "is_likelihood")
@@ -309,7 +310,7 @@ class Part(ABC):
         """Leave the problem behind."""
         return {name: value for name, value in vars(self).items() if name != "problem"}
 
-    # --- what the Gauss-Newton driver asks
+    # --- for the Gauss-Newton driver
 
     @property
     def travels_whole(self) -> bool:
@@ -402,7 +403,7 @@ class Part(ABC):
         """Return the part as expressions of the solver's point z (p,)."""
         raise NotImplementedError
 
-    # --- what the covariance of the estimate asks
+    # --- for the covariance of the estimate
 
     def information(
         self,
@@ -412,7 +413,7 @@ class Part(ABC):
         trajectory: Trajectory | None,
         dz_dx: Array,
     ) -> Information:
-        """Return what the data say about all values.
+        """Return the information of the data on all values.
 
         Parameters
         ----------
@@ -427,7 +428,7 @@ class Part(ABC):
         """
         raise NotImplementedError
 
-    # --- what the diagnostics ask
+    # --- for the diagnostics
 
     @cached_property
     def discontinuous_delays(self) -> Mapping[str, tuple[str, str]]:

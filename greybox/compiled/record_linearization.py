@@ -39,8 +39,7 @@ def without_known_states(
 ) -> Linearization:
     """Return the linearization, changed in place: `known` states (s, n) follow the parameters.
 
-    x = x' + (dx/dq) dq, where x' does not move. `initial_slope` is dx/dq, (n, q) or one for every
-    record.
+    x = x' + (dx/dq) dq, with x' constant. `initial_slope` is dx/dq, (n, q) or one for every record.
     """
     for k in np.flatnonzero(known.any(axis=1)):
         record, is_known = records[k], known[k]
@@ -52,7 +51,7 @@ def without_known_states(
         b.cross_hessian[k] += b.node_hessian[k] @ follow
         b.parameter_sensitivity[k] += b.transition[k] @ follow
 
-        # The ridge of the elimination holds what nothing moves.
+        # The ridge of the elimination keeps states in place that nothing moves.
         b.node_hessian[k, is_known, :] = 0
         b.node_hessian[k, :, is_known] = 0
         b.cross_hessian[k, is_known] = 0

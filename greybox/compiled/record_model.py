@@ -26,7 +26,7 @@ from greybox.modeling.symbolic_reading import traced
 
 @dataclass(frozen=True, eq=False)
 class RecordModel:
-    """A record and its model, whatever the cut into segments and the substeps.
+    """A record and its model, independent of segments and substeps.
 
     Problem, record, criterion and kind stay where they were compiled when this is pickled: solvers
     need only the rest.
@@ -93,7 +93,7 @@ class RecordModel:
     expressions: tuple[str, ...]
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave behind values that may be of the user's classes."""
+        """Drop values whose classes may be the user's."""
         local = ("problem", "record", "criterion", "kind")
         return {name: value for name, value in vars(self).items() if name not in local}
 
@@ -178,7 +178,7 @@ def _first_of_its_kind(
         for name in system.states
     ]
     if system.undelayed:
-        # Beside the rest at the first inputs, which every stretch has for itself.
+        # In addition to the rest at the first inputs, which differs between stretches.
         bias = [-local[f"{i}_bias"] if i in criterion.biases else 0 for i in system.inputs]
         rest = system.delay_rest(ca.vertcat(*bias))
         states[len(system.undelayed.states) :] = ca.vertsplit(rest)
@@ -212,8 +212,8 @@ def _first_of_its_kind(
 def _kind(problem: Problem) -> tuple[Any, ...]:
     """Return what records have in common if they share their compiled functions.
 
-    Criterion, delay, parameters, compared outputs, and the model, which stands for its class where
-    that was given no arguments.
+    Criterion, delay, parameters, compared outputs, and the model, or its class if that has no
+    arguments.
     """
     assert isinstance(problem.data, Record)
     assert isinstance(problem.criterion, TimeCriterion)

@@ -45,7 +45,7 @@ class RecordPart(SegmentedPart):
     ) -> None:
         """Build the functions, or take those that the model has compiled before.
 
-        A part that is made of another is `like` it in name and weight.
+        A part that is made from another one has the name and weight of `like`.
         """
         step = model.step(model.method.scheme, substeps)
         super().__init__(
@@ -213,8 +213,7 @@ class RecordPart(SegmentedPart):
         places = tuple(range(trajectory.z.size))
         part = self
         if uncertain:
-            # Constants with a covariance of their own join the unknowns, all of them without
-            # scaling.
+            # Constants with a covariance are treated as unknowns, all of them without scaling.
             places = (*places, *uncertain)
             point = ca.SX.sym("x", len(places))
             named: dict[str, Any] = dict(zip(names, values.tolist(), strict=True))
@@ -238,8 +237,7 @@ def _information(part: RecordPart, trajectory: Trajectory, by_values: Array) -> 
     `by_values` (columns, k) are the derivatives of the part's variables by all values, of which
     the free ones come first.
 
-    For errors with the autocorrelation of the residuals, or white ones where the criterion takes
-    them so.
+    Errors have the autocorrelation of the residuals, unless the criterion assumes white ones.
     """
     model, data = part.model, part.data
     weight = part.residual_weight(trajectory)
@@ -334,7 +332,8 @@ def compile_records(
         # reactor is missed, and two of three runs stall.
         looks = at_samples(every, max(every.segments // 100, 1), spread=True)
 
-        # Drawn vectors lack the gains of process noise, on which no initial state depends.
+        # Drawn vectors do not contain the gains of process noise, on which no initial state
+        # depends.
         def known_initial(q: Array, model: RecordModel = model) -> Array:
             return model.initial(np.pad(q, (0, len(model.parameters) - len(q))))[0].full().ravel()
 

@@ -45,7 +45,7 @@ class RecordProgram(Program):
         begins = part.data.begins_stretch
         places = np.flatnonzero(part.known_states[begins]).tolist()
         if not places:
-            return ca.MX(0, 1)  # CasADi takes no rows of a single column as a row without columns
+            return ca.MX(0, 1)  # CasADi reads an empty column as an empty row
         values = ca.repmat(part.model.initial(q)[0], int(begins.sum()), 1)
         values += part.delays_at_rest[begins].ravel()
         return ca.vec(self._transcribed.initial)[places] - values[places]

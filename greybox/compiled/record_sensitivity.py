@@ -120,7 +120,7 @@ def _initial_directions(part: SegmentedPart, b: Linearization) -> Array:
     if not n:
         return np.zeros((s, 0, 0))
     given = part.known_states
-    # Any R of full rank does; a fixed one makes the result reproducible.
+    # Any R of full rank is suitable; a fixed one makes the result reproducible.
     R = np.random.default_rng(0).normal(size=(s, n, n))
     R[given] = 0
     exact = np.zeros(n)

@@ -19,9 +19,9 @@ import casadi as ca
 from greybox.files.arrays import Array
 from greybox.modeling.complex_arithmetic import Complex
 
-# Instructions of the formula, times frequencies, times parameters, from which responses are mapped.
-# Below, one expression is built in half a second at most, and is evaluated faster. The switch is
-# silent: both forms have the same values and derivatives.
+# Product of instructions of the formula, frequencies and parameters above which responses are
+# mapped. Below, one expression is built in half a second at most, and is evaluated faster. The
+# switch is silent: both forms have the same values and derivatives.
 LARGE = 300_000
 
 

@@ -212,7 +212,7 @@ class ResponsePart(Part):
         response = self.response(values)
         size = criterion.error_size(response, data)
         order = np.argsort(data.omega, kind="stable")
-        # An error of size zero has no relative error, and so no correlation.
+        # A point with an error of size zero has no relative error, and so no correlation.
         if not np.all(size > 0):
             return None
         # Turned by the phase of the model: errors along and across it are then comparable.

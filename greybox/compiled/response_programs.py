@@ -60,7 +60,7 @@ class CostProgram:
 
 
 def fits_a_batch(program: ca.Function | None) -> bool:
-    """Tell whether the derivatives of a program, as expressions, suit a batch.
+    """Return whether the derivatives of a program are small enough, as expressions, for a batch.
 
     The program (z, smoothing, ...) -> cost, constraints needs an explicit cost (an SX function) and
     no constraints but bounds. From 50 000 instructions of cost, gradient and Hessian on, these take
@@ -220,7 +220,8 @@ def _mapped(parts: Sequence[Problem]) -> list[Mapped]:
     All must have such a formula.
     """
     size = sum(part.response.omega.size * (len(part.declared) + 1) for part in parts)
-    # Formulas have fewer than 300 instructions a frequency: others need not be built to know.
+    # Formulas have fewer than 300 instructions per frequency, so that small problems are recognized
+    # without building them.
     if 300 * size < LARGE or any(part.amplitude is not None for part in parts):
         return []
     mapped = []
@@ -296,9 +297,9 @@ def _costs(
 def solver_weights(parts: Sequence[Problem]) -> list[float]:
     """Return the weights of responses, so small that the solver's tolerance can be reached.
 
-    A model is rounded relative to its magnitude M. Where errors have a known size σ, the gradient
-    of the cost is rounded to some ε Σ (M/σ)², which for errors below a thousandth exceeds the
-    tolerance of the solver, 1e-8.
+    The rounding errors of a model are relative to its magnitude M. Where errors have a known size
+    σ, the gradient of the cost is rounded to some ε Σ (M/σ)², which for errors below a thousandth
+    exceeds the tolerance of the solver, 1e-8.
     """
     precision = 0.0
     for part in parts:

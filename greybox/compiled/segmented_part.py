@@ -75,7 +75,7 @@ class SegmentedPart(Part):
         segments: Segments,
         covariance: ResidualCovariance,
     ) -> None:
-        """Keep what is given; name and weight are those of the `source`."""
+        """Store the arguments; name and weight are those of the `source`."""
         super().__init__(source if isinstance(source, Part) else source.problem)
         self.model = model
         self.data = data

@@ -51,7 +51,7 @@ def substeps_and_segment(
     """
     step = problem.data.step  # type: ignore[union-attr]
     integrator = method.scheme
-    # To look at the poles takes longer than all else here.
+    # Computing the poles takes longer than everything else here.
     if integrator.substeps is not None and method.segment is not None:
         return integrator.substeps, method.segment
 

@@ -7,7 +7,7 @@ exp(-jωT) = 1,
     Y = [C (jωI - A)⁻¹ B + D] U + C (jωI - A)⁻¹ b,    b = x(0) - x(T).
 
 A manoeuvre that ends elsewhere than it began has b ≠ 0, which biases a ratio Y/U. Here b is
-estimated along, linearly: for given parameters it follows by least squares, and what remains of the
+estimated too, linearly: for given parameters it follows by least squares, and what remains of the
 errors depends on the parameters alone (variable projection: Golub and Pereyra 2003, Inverse
 Problems 19, R1). The end term: Pintelon and Schoukens, System Identification, 2nd ed., section 6.3.
 
@@ -47,8 +47,8 @@ from greybox.statistics.column_space import beside
 # less.
 SETTLED = 1e-11
 REWEIGHTINGS = 50
-# Singular value of the end terms' basis, with columns of length one, over the largest: what is
-# below cannot be told from rounding, as of a state that no output sees.
+# Singular value of the end terms' basis, with columns of length one, over the largest: smaller ones
+# cannot be distinguished from rounding, as for a state that no output shows.
 UNSEEN = 1e-10
 
 # Lines over which the size of the errors is averaged: with 4, the weights fall to zero over 4 lines
@@ -71,7 +71,7 @@ class Along:
     inverse : (lines, n, n) complex array
         Of jωI - A.
     to_outputs : (lines, k, n + k) complex array
-        How the outputs follow what adds to A X + B U, then to C X + D U.
+        Derivatives of the outputs by additions to A X + B U, then to C X + D U.
     transfer : (lines, k, m) complex array
     modelled : (k, lines) complex array
         Outputs with the end term.
@@ -135,7 +135,8 @@ class TransientPart(Part):
         self.unknown_initial_states = len(self.states)  # those of the end term
         self._matrices = _matrices(problem, system, self.outputs, gusts)
         self._is_equation_error = isinstance(problem.criterion, EquationError)
-        # White noise of deviation one in a sample gives each component of an integral this one.
+        # White noise with a deviation of one in every sample gives each component of an integral
+        # this deviation.
         self._unit = math.sqrt(self.data.step * self.data.duration / 2)
         self._measured = np.array([self.data.outputs[name] for name in self.outputs])
         measured = self._real(self._measured)
@@ -146,7 +147,7 @@ class TransientPart(Part):
     def _real(self, values: ComplexArray) -> Array:
         """Return complex rows (..., lines) as real ones (..., 2 lines).
 
-        In units of the deviation of one sample.
+        In units of the standard deviation of one sample.
         """
         return np.concatenate([values.real, values.imag], axis=-1) / self._unit
 
@@ -266,12 +267,12 @@ class TransientPart(Part):
         Returns
         -------
         mean : (k, 2 lines, x) array
-            Of the weighted errors, the end term fitted along.
+            Derivatives of the weighted errors, with the end term fitted too.
         variance : (r, x) array
-            What the outputs' variances say of x where they depend on it, with the size of the noise
-            fitted along.
+            The information in the variances of the outputs where they depend on x, with the size of
+            the noise fitted too.
         reach : (x,) array
-            Lengths of the columns before the end term was fitted along.
+            Lengths of the columns before the end term was fitted.
         """
         weight = at.covariance.weight(at.errors @ at.errors.T)
         weighted = np.einsum("ka,alx->klx", weight, mean)

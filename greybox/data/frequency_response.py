@@ -113,7 +113,7 @@ class FrequencyResponse:
         for name in ("input", "output", "name", "source", "units", "about"):
             vars(self)[name] = all_printable(getattr(self, name))
         self._check_columns()
-        # After the variance, of which they are a part.
+        # The variance includes them, so it is checked first.
         errors = None if self.common_errors is None else self._checked_errors(self.common_errors)
         vars(self).update(common_errors=errors, stretches=tuple(self.stretches))
 

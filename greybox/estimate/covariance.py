@@ -114,8 +114,8 @@ class _Share:
     """The information of one part: a root (n, k) of its bread by all values, and its meat (p, p).
 
     `reach` (p,) has the lengths of the root's columns before the initial states were fitted along.
-    `limit` is a factor on both that limits the weight of a part beside others. `pull` (p,) is the
-    mean gradient of the cost at the true values, over the noise.
+    `limit` is a factor on both that limits the weight of a part relative to others. `pull` (p,) is
+    the mean gradient of the cost at the true values, over the noise.
     """
 
     root: Array
@@ -323,7 +323,7 @@ def directions_beside(
 
     `trajectories_at` returns the best trajectories there, or None.
     """
-    # Each parameter moves by another share, so that equal ones become different.
+    # Each parameter moves by a different share, so that equal ones become different.
     share = 0.1 * (1 + np.arange(len(x)) / len(x))
     span = nlp.upper - nlp.lower
     step = share * np.where(x == 0, np.where(np.isfinite(span), 0.1 * span, 1.0), np.abs(x))
@@ -466,7 +466,7 @@ def _at_bound(
     if close.any() and trajectories and all(t is not None for t in trajectories):
         outward = np.where(bound == nlp.lower, 1.0, -1.0) * _gradient(nlp, x, trajectories)
         # By more than a hundredth of the standard deviation that noise gives the gradient. In a
-        # flat valley a minimum may lie this close to a bound that does not hold it.
+        # flat valley, a minimum may lie this close to a bound that is not active.
         held |= close & (outward > 0.01 * deviation)
     return tuple(name for name, is_held in zip(nlp.free, held, strict=True) if is_held)
 

@@ -21,7 +21,7 @@ def unlikely_noise(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> 
     parts = [part for part in nlp.parts if not part.problem.criterion.is_prior]
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
         if isinstance(part, ResponsePart):
-            # The unknowns take up numbers of all parts, not as many of each.
+            # The unknowns use up degrees of freedom of all parts, not the same number in each.
             unknowns = len(nlp.free) * part.numbers / sum(p.numbers for p in parts)
             findings += _of_response(part, trajectory, unknowns, 0.01 / len(parts))
         elif isinstance(part, RecordPart):
@@ -83,7 +83,7 @@ def _of_record(part: RecordPart, trajectory: Trajectory) -> Iterator[Finding]:
 
 def unused_noise(problem: AnyProblem) -> Iterator[str]:
     """Note responses whose variances or coherence the criterion does not use."""
-    # Beside a likelihood, a cost that is none cannot be proposed.
+    # In a sum with a likelihood, another criterion must be a likelihood, too.
     beside_likelihood = any(part.criterion.is_likelihood for part in problem.parts)
     for part in problem.parts:
         if not isinstance(part.criterion, Criterion) or part.criterion.uses is None:

@@ -143,7 +143,7 @@ def largest_deviation(part: ResponsePart, values: Array, free: int) -> Deviation
         dof = data.dof[points]
     else:
         sensitivity = part.sensitivity(values)[points, :free] / size[points, None]
-        # A component of a given variance has half of it.
+        # Each of the two components has half of a given variance.
         least = 0.5 if criterion.known_noise else 0.0
         ratio, dof = deletion_ratios(residual, sensitivity, least)
 
