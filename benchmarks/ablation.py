@@ -158,7 +158,7 @@ class Setting:
     tag: str = ""
 
     def concerns(self, case: Case) -> bool:
-        """Tell whether the setting may matter there."""
+        """Return whether the setting may matter there."""
         return self.tag in case.tags.split() if self.tag else True
 
 

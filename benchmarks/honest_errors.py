@@ -206,7 +206,7 @@ def fitted_response(kind: str, seed: int) -> tuple[gb.Fit, Mapping[str, float]]:
 
 
 def holds(fit: gb.Fit, truth: Mapping[str, float]) -> bool:
-    """Tell whether the intervals of all parameters contain the truth."""
+    """Return whether the intervals of all parameters contain the truth."""
     intervals = fit.interval(1 - 0.05 / len(truth))
     return all(intervals[name][0] <= value <= intervals[name][1] for name, value in truth.items())
 

@@ -118,7 +118,7 @@ def children(pid):
 
 
 def is_equal(fit, other):
-    """Tell whether two fits and all of their runs are equal to the last bit."""
+    """Return whether two fits and all of their runs are equal to the last bit."""
     same = all(
         np.array_equal(run.estimate, twin.estimate) and run.status == twin.status
         for run, twin in zip(fit.runs, other.runs, strict=True)

@@ -152,7 +152,7 @@ class Bare:
         return seconds, [float(self.cost(x)) for x in ends if self.is_minimum(x)]
 
     def is_minimum(self, x):
-        """Tell whether the projected gradient vanishes, in units of the box."""
+        """Return whether the projected gradient vanishes, in units of the box."""
         gradient = np.asarray(self.gradient(x)).ravel() * self.width
         z, low, high = (
             x / self.width,

@@ -31,7 +31,7 @@ def numbers(name: str) -> dict[str, float]:
 
 
 def differing(one: float, other: float, digits: int) -> bool:
-    """Tell whether two numbers differ in their first significant digits."""
+    """Return whether two numbers differ in their first significant digits."""
     if math.isnan(one) or math.isnan(other):
         return math.isnan(one) != math.isnan(other)
     return abs(one - other) > 10.0**-digits * max(abs(one), abs(other))

@@ -114,7 +114,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _require_memory() -> None:
-    """Raise UsageError where OpenBLAS would ask for memory for ever."""
+    """Raise UsageError where OpenBLAS would ask for memory forever."""
     for size in ADDRESSES:
         with contextlib.suppress(OSError):
             mmap.mmap(-1, size << 20).close()

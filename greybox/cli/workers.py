@@ -39,7 +39,7 @@ def _client(address: str):
     dask = required("distributed", "dask", "--scheduler")
     # The client would print tracebacks of a scheduler that is lost, for which there is a sentence.
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)
-    # Without a limit a wrong address would wait for ever.
+    # Without a limit a wrong address would wait forever.
     try:
         return dask.Client(address, timeout=CONNECTING)
     except (OSError, ValueError) as error:

@@ -1,7 +1,7 @@
 """Residuals that are correlated in time: how much less information they carry than white ones.
 
 J is the Jacobian of the weighted residuals by p directions of the parameters, the initial states
-fitted along; e are the residuals. For errors with the spectrum of the residuals, Jᵀe has the
+fitted too; e are the residuals. For errors with the spectrum of the residuals, Jᵀe has the
 covariance M (the *meat*); for white ones it is JᵀJ. Correlated residuals count as fewer independent
 numbers: as many white ones as would lose the same share of their variance to the parameters.
 """
@@ -49,7 +49,7 @@ def colored_errors(
     Parameters
     ----------
     weighted : sequence of (k, p, n) arrays
-        WᵀW dy/dθ, one for every stretch, initial states fitted along.
+        WᵀW dy/dθ, one for every stretch, initial states fitted too.
     residuals : sequence of (k, n) arrays
     inverse : (p, p) array
         The covariance of the estimate for white errors of covariance (WᵀW)⁻¹, other data included.

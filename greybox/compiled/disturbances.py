@@ -1,6 +1,6 @@
 """How the outputs of a record would follow terms that its model does not have.
 
-The outputs follow a term to first order, with the initial states fitted along, as they follow a
+The outputs follow a term to first order, with the initial states fitted too, as they follow a
 parameter. No other model is compiled, and models that are unstable without feedback are served.
 """
 
@@ -112,7 +112,7 @@ class DisturbedRecord:
         return self._placed.data[-1] / 2 * (mean + np.einsum("jac,jc->ac", A, mean))
 
     def followed_by(self, effects: Sequence[Effect]) -> Array:
-        """Return how the outputs (k, c, samples) follow effects, the initial states along."""
+        """Return how outputs (k, c, samples) follow effects, with initial states fitted too."""
         part, n = self.part, self.part.states
         # No residual follows where nothing was measured.
         present = part.segments.columns(self.present.astype(float))

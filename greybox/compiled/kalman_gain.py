@@ -42,7 +42,7 @@ class KalmanGain:
 
     @cached_property
     def limit(self) -> float:
-        """Return the largest magnitude of a pole: the initial state fades over the longest stretch.
+        """Return the limit of magnitudes of poles: initial states fade over the longest stretch.
 
         A predictor beyond the limit would fit later samples with its free initial states. Where
         noise hardly drives a mode, the likelihood grows toward the unit circle without a maximum,
@@ -52,20 +52,20 @@ class KalmanGain:
         return 1 - 3.0 / max(len(stretch) for stretch in self.part.data.stretches)
 
     def is_stable(self, trajectory: Trajectory, placed: Placed | None = None) -> bool:
-        """Tell whether the poles of the mean linearization along a trajectory are within the limit.
+        """Return whether the poles of the mean linearization of a trajectory are within the limit.
 
         At its own parameters, or at those `placed` elsewhere.
         """
         return spectral_radius(self.error_transition(trajectory, placed)) < self.limit
 
     def is_at_limit(self, trajectory: Trajectory) -> bool:
-        """Tell whether a pole has come to the limit, where the likelihood has no maximum."""
+        """Return whether a pole has come to the limit, where the likelihood has no maximum."""
         distance = 1 - spectral_radius(self.error_transition(trajectory))
         # Steps go at most 0.9 of the way to the limit: two of them come within 0.01.
         return distance < 1.02 * (1 - self.limit)
 
     def error_transition(self, trajectory: Trajectory, placed: Placed | None = None) -> Array:
-        """Return the transition over a sample of the errors of states that innovations reach."""
+        """Return the transition over a sample for errors of the states that innovations reach."""
         at: Placed = placed or trajectory.detail
         A, _ = self.part.segments.mean_transition(trajectory.states, at.q, at.data)
         return self._reached(A)

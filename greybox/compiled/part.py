@@ -186,7 +186,7 @@ class Information:
         correction: the estimate has the covariance B⁻¹ M B⁻¹ of an M-estimator, see
         `greybox.formulation.frequency_criteria`.
     reach : (k,) array
-        Lengths of the columns of the Jacobian before the initial states were fitted along: if
+        Lengths of the columns of the Jacobian before the initial states were fitted too: if
         initial states compensate for a value, the rest of its column is rounding.
     initial : mapping of state to (stretches, k) array
         How the initial states follow the values, in changes that the data notice; empty without
@@ -379,7 +379,7 @@ class Part(ABC):
         return NO_NODES
 
     def explains_data(self, trajectory: Trajectory) -> bool:
-        """Tell whether the residuals look like noise, so that there is nothing left to explain."""
+        """Return whether the residuals look like noise, with nothing left to explain."""
         return True
 
     @abstractmethod

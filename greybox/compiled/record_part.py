@@ -208,7 +208,7 @@ class RecordPart(SegmentedPart):
         trajectory: Trajectory | None,
         dz_dx: Array,
     ) -> Information:
-        """Return the information on the values (k,), the initial states fitted along."""
+        """Return the information on the values (k,), the initial states fitted too."""
         assert trajectory is not None
         places = tuple(range(trajectory.z.size))
         part = self
@@ -232,7 +232,7 @@ class RecordPart(SegmentedPart):
 
 
 def _information(part: RecordPart, trajectory: Trajectory, by_values: Array) -> Information:
-    """Return the information of a record on all values (k,), the initial states fitted along.
+    """Return the information of a record on all values (k,), the initial states fitted too.
 
     `by_values` (columns, k) are the derivatives of the part's variables by all values, of which
     the free ones come first.

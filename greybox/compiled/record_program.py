@@ -55,7 +55,7 @@ class RecordProgram(Program):
         return self._transcribed.start(self._part.segments.in_order(trajectory.states))
 
     def initial_parameters(self, z: Array) -> Array:
-        """Return weights for residuals of a share of the spread, and the data at z (p,)."""
+        """Return the weights of small residuals, and the data at z (p,)."""
         return self._joined(self._part.initial_weight(), self._part.place(z).data)
 
     def outcome(self, z: Array, unknowns: Array, w: Array) -> tuple[float, Array, bool]:

@@ -7,7 +7,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Strategies:
-    """What a run of the solver for records may cost, e.g. `Strategies(max_iterations=1000)`.
+    """Limits of a run of the solver for records, e.g. `Strategies(max_iterations=1000)`.
 
     `benchmarks/ablation.py` measures on 29 hard problems what each setting contributes; the kept
     output is `benchmarks/results/ablation.txt` (20 November 2026, one seed, for some problems two:

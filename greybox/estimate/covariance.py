@@ -19,7 +19,7 @@ from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.discretization_error import quadratic_model
 
 # Singular value of the Jacobian below which a combination is not determined at all, with columns of
-# unit length before the initial states were fitted along.
+# unit length before the initial states were fitted too.
 DEAD = 1e-7
 # Relative change of what the data see, for a change of a parameter by its own size, that is
 # rounding.
@@ -113,7 +113,7 @@ class Accuracy:
 class _Share:
     """The information of one part: a root (n, k) of its bread by all values, and its meat (p, p).
 
-    `reach` (p,) has the lengths of the root's columns before the initial states were fitted along.
+    `reach` (p,) has the lengths of the root's columns before the initial states were fitted too.
     `limit` is a factor on both that limits the weight of a part relative to others. `pull` (p,) is
     the mean gradient of the cost at the true values, over the noise.
     """
@@ -413,7 +413,7 @@ def _root_of_inverse(shares: Sequence[_Share], basis: Array) -> Array:
 def determined_directions(
     jacobian: Array, active: Array, bounded: Sequence[int]
 ) -> tuple[Array, Array]:
-    """Split the space of the unknowns (p,) into what the data see, and what they do not.
+    """Split the space of the unknowns (p,) into seen and unseen directions.
 
     Directions closed by a bound or an active constraint are in neither.
     """

@@ -21,7 +21,8 @@ from greybox.files.text_table import alternatives, counted, number, one_line, so
 from greybox.modeling.model import Names
 from greybox.solve.multistart import solver_for
 
-LONGEST = 4.0  # times a step: the error of a lag of half its value is that much larger upward
+# Times a step: for a lag with an error of half its value, the upper error is that much larger.
+LONGEST = 4.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,7 +233,7 @@ def _lengths(fit: Fit, steps: Array, drawn: Callable[[Array], Array]) -> Array:
     ends[:, :p] = np.kron([[1], [-1]], (size[:, None] * axes * scale * length).T)
     expected = np.tile(length**2 / 2, 2)
     rates = ratio(ends, expected)
-    # There the cost is no parabola, not even a lopsided one.
+    # There the cost is not a parabola, not even an asymmetric one.
     is_odd = np.abs(rates - 1) > 1 / 3
     roots = _roots(ratio, ends[is_odd], expected[is_odd])
     rates[is_odd] = 1 / np.maximum(roots, 1 / LONGEST)
@@ -251,7 +252,7 @@ def _roots(ratio: Callable[[Array, Array], Array], steps: Array, predicted: Arra
     places = np.arange(len(steps))
     ends = 0.0 * places, LONGEST + 0.0 * places
     root = elementwise.find_root(excess, ends, args=(places,), tolerances={"xatol": 0.01})
-    # Where the cost remains low, a bound is met, or the data say nothing.
+    # Where the cost remains low, a bound is reached, or the data have no information.
     return np.nan_to_num(root.x, nan=LONGEST)
 
 

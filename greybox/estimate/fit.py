@@ -318,7 +318,7 @@ def fingerprint(problem: AnyProblem, by: SolverChoice) -> str:
 
 
 def _cut_short(search: Multistart, count: int, *, interrupted: bool) -> Iterator[str]:
-    """Say which of `count` starts were not run, or cut short, by Ctrl-C and time limits."""
+    """Return which starts of `count` were not run, or cut short, by Ctrl-C and time limits."""
     done, total = len(search.brought), counted(count, "start")
     is_over = bool(np.any(search.runs.status == SEARCH_OVER))
     if (interrupted and done < count) or is_over:

@@ -78,7 +78,7 @@ class FittedPart:
         return self.rename.get(name, name)
 
     def has_criterion_of(self, other: "FittedPart") -> bool:
-        """Tell whether both were fitted by the same criterion: one class with the same settings."""
+        """Return whether both have the same criterion: one class with the same settings."""
         return (self.criterion_class, self.settings) == (other.criterion_class, other.settings)
 
 
@@ -124,8 +124,8 @@ class FittedRecord(FittedPart):
     data : Record
         The signals that the fit used.
     simulated : Record
-        The fitted outputs at the same times; NaN where nothing was compared (gaps, the past of a
-        delay) or if no start converged.
+        The fitted outputs at the same times; NaN where nothing was compared (gaps, the first
+        samples before a delay has passed) or if no start converged.
     outputs : tuple of str
     noise : (k, k) array
         Covariance of the residuals of the outputs, given or estimated.

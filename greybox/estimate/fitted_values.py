@@ -26,7 +26,7 @@ from greybox.modeling.periodic_motions import response_of_test
 def fitted_part(
     part: Part, trajectory: Trajectory | None, x: Array, values: dict[str, float]
 ) -> AnyFittedPart:
-    """Return what the answer keeps of a part.
+    """Return the values of a part that are stored in an answer.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def _(
         if steady is not None:
             # Stored with the fit: predictions then need no Riccati equation.
             gain = steady.gain.ravel()
-            # The gains themselves follow the parameters from which they follow.
+            # The gains depend on other parameters, and change with these.
             estimated = model.active[: steady.gain_slope.shape[-1]]
             gain_slope = np.zeros((gain.size, len(model.parameters) - gain.size))
             gain_slope[:, estimated] = steady.gain_slope.reshape(gain.size, -1)

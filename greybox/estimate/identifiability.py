@@ -47,8 +47,8 @@ class KnownDirections:
     at : (p,) array
         The estimate.
     elsewhere : KnownDirections or None
-        The same at a point near the estimate, if a direction is unseen. It tells a product from a
-        sum: their derivatives agree where both factors are equal.
+        The same at a point near the estimate, if a direction is unseen. It distinguishes a product
+        from a sum, whose derivatives agree where both factors are equal.
     """
 
     covariance: Array
@@ -272,7 +272,7 @@ def _combinations(
     for k in order[good[order]]:
         scaled = gradients[k] * directions.size
         extended = np.vstack([spanned, scaled / np.linalg.norm(scaled)])
-        # Their number is limited by the directions that the members have left.
+        # Their number is limited by the directions that remain for the members.
         if np.linalg.matrix_rank(extended, tol=1e-6) == len(extended):
             spanned = extended
             chosen.append(_named(names, value, rows[k], float(error[k]), bool(is_product[k])))
@@ -304,7 +304,7 @@ def _sums(members: Sequence[int], units: Sequence[str]) -> Iterator[dict[int, in
 def _named(
     names: Sequence[str], value: Array, row: Array, error: float, is_product: bool
 ) -> DeterminedCombination:
-    """Write a combination as people do: few divisors, the larger value over the smaller."""
+    """Write a combination as people do: few divisors, and the larger value over the smaller one."""
     if is_product:
         turned = (row < 0).sum() - (row > 0).sum()
         smaller = row @ np.log(np.abs(np.where(row == 0, 1.0, value))) < 0

@@ -31,11 +31,11 @@ from greybox.statistics.score_test import (
     score_tests,
 )
 
-# Share of right models that are said not to explain their data, at most: many fits are made, and
+# Largest share of correct models for which a misfit may be reported: many fits are made, and
 # misfits of the size of the noise have far smaller probabilities.
 FALSE_ALARMS = 0.001
 NAMED = 3  # causes that are printed with a fit
-# Terms that together stand for all of the misfit: more would take up noise.
+# Terms that together explain all of the misfit: more would fit noise.
 TOGETHER = 5
 # Families of terms, the best ones, that are tested beside the color of the errors.
 FAMILIES = 12
@@ -45,7 +45,7 @@ ALIKE = 0.95  # correlation of effects beyond which two terms count as one
 DRIFTING, NOTICED = 0.99, 0.01
 PIECES = 10  # of a record, whose means show an offset
 TINY = 1e-300
-COLUMNS = 2_000_000  # numbers of all terms at once in memory, 16 MB
+COLUMNS = 2_000_000  # numbers in memory for all terms at once, 16 MB
 # Samples of all records that are tested, in excerpts: with more, a fit would wait for the test.
 MOST = 3000
 FEWEST = 500  # of each
@@ -107,7 +107,7 @@ class Misfit:
     tried : int
         Number of terms.
     causes : tuple of Cause
-        The best of every family of terms, the one that explains most first.
+        The best term of every family; the one that explains most comes first.
     p_common : float
         Probability of such residuals of several responses if one set of values serves all.
     drift : float
@@ -192,10 +192,10 @@ class Misfit:
 
 @dataclass(frozen=True, eq=False)
 class _Regression:
-    """A part as a regression of its residuals on what the fit and missing terms take from them.
+    """A part as a regression of its residuals on the parameters of the fit and on missing terms.
 
-    `rows` makes columns (N, c) of values; `changes` returns the values for terms; `separate` those
-    of the residuals and of the slopes of a response that is fitted alone; `outputs` has the rows of
+    `rows` makes columns (N, c) of values; `changes` returns the values for terms; `separate`
+    returns the residuals and slopes of a response that is fitted alone; `outputs` has the rows of
     every output of a record, by stretches.
     """
 
@@ -225,7 +225,7 @@ def assessed_misfit(
     trajectories: Sequence[Trajectory],
     candidates: Mapping[str, Formula],
 ) -> Misfit | None:
-    """Return whether a model explains its data at `x` (p,); None where that cannot be told.
+    """Return whether a model explains its data at `x` (p,); None where that cannot be decided.
 
     `candidates` has the terms of the user.
     """
@@ -255,7 +255,7 @@ def assessed_misfit(
 
 def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
     """Return the misfit of all records or of all responses, in which a term is missing alike."""
-    # Of two parts, either may be said to need another value; a single one has no other.
+    # With two parts, either one may need another value; a single part has no counterpart.
     either = parts[0].terms if len(parts) < 3 else {}
     terms = {
         key: term
@@ -306,7 +306,7 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
         p_value = p_values[k]
         chances = p_value, p_value
         if terms[key].kind == "own" and not is_common:
-            # What other values could explain, too, is no noise.
+            # Residuals that other values could explain, too, are not noise.
             noise, taken = float(np.sum(separate**2)), decrease * without / len(residuals)
             remaining = len(residuals) - column_basis(apart).shape[1]
             chances = (float(chance(noise / (noise + taken), remaining)),) * 2
@@ -420,7 +420,7 @@ def _of_record(
         return result.reshape(len(result), measured.size).T
 
     by_initial = data.unpadded(np.einsum("ab,bmn->amn", noise, slopes.by_initial))
-    # An offset or a trend cannot be told from a drift of the errors.
+    # An offset or a trend cannot be distinguished from a drift of the errors.
     beginnings = [
         np.hstack([rows_of_stretch(by_state, measured), _lines(measured)])
         for by_state, measured in zip(by_initial, present, strict=True)
@@ -429,7 +429,7 @@ def _of_record(
     def rows(values: Array) -> Array:
         pairs = zip(data.unpadded(values), present, strict=True)
         stretches = [rows_of_stretch(*pair) for pair in pairs]
-        # The initial states and lines of every stretch take their share first.
+        # The initial states and straight lines of every stretch are fitted first.
         return np.vstack([*map(beside, stretches, beginnings)])
 
     firsts = np.cumsum([0, *(row.size for row in present[:-1])])
@@ -496,7 +496,7 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
     response = part.response(values)
     size = part.criterion.error_size(response, part.data)
     used = (size > 0) & (np.abs(response) > 0)
-    # One wild point would look like a narrow mode.
+    # A single outlier would look like a narrow mode.
     worst = largest_deviation(part, values, len(free))
     if worst is not None and len(used) * worst.probability < SIZE:
         used[worst.index] = False

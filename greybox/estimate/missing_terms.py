@@ -24,7 +24,7 @@ from greybox.modeling.state_space import StateSpace
 
 Formula = Callable[[Names, Names, Names], Any]
 
-# What a term is, for a negative factor too where that is something else, and how a model gets it.
+# A term in words, also for a negative factor if that differs, and the code that adds it.
 TEXTS = {
     "timing": (
         "a delay of {a} by {size} s",
@@ -107,7 +107,7 @@ LEVELS = (0.2, 0.4, 0.7)  # of saturations and dead zones, over the largest inpu
 STOPS = (0.05, 0.15, 0.85, 0.95)
 CREEP = 0.2  # of the largest value of a signal, below which its sign counts less
 DAMPING = 0.05  # of modes
-# Steps of the gain that are tried. Beside one at a wrong point, errors would look correlated.
+# Steps of the gain that are tried. With a step at a wrong point, errors would look correlated.
 EDGES = 32
 
 
@@ -124,7 +124,7 @@ class Term:
     scale : float
         The size of the term is the size of the factor times this.
     largest : float
-        Size beyond which the model hardly answers to the signal `a`, which is then the cause.
+        Size beyond which the model hardly responds to the signal `a`, which is then the cause.
     """
 
     kind: str
@@ -137,11 +137,11 @@ class Term:
 
     @property
     def family(self) -> tuple[str, str, str]:
-        """What is the same for terms that are one cause."""
+        """The key that terms with one cause have in common."""
         return self.kind, self.a, self.b
 
     def described(self, factor: float, error: float) -> tuple[str, str]:
-        """Return what it is for a factor with its standard error, and how a model gets it."""
+        """Return the term in words for a factor with its error, and the code that adds it."""
         is_absurd = abs(factor) * self.scale > self.largest
         *texts, code = TEXTS["gain" if is_absurd else self.kind]
         text = texts[-1 if factor < 0 else 0]
@@ -164,7 +164,7 @@ def terms_of_record(record: DisturbedRecord, candidates: Mapping[str, Formula]) 
             row = -_rate(record, y)
             yield Term("sensor", lambda k=k, row=row: record.by_output(k, row), b=b)
         for u, a in zip(record.inputs, part.system.inputs, strict=True):
-            # A controller answers at once: the noise of a sample is in the input at the same time.
+            # A controller responds at once: the noise of a sample is in the input at the same time.
             past = record.by_stretch(_delayed, u, part.data.stretches[0].step)
             yield Term("direct", lambda k=k, past=past: record.by_output(k, past), a, b)
 
@@ -176,7 +176,7 @@ def terms_of_record(record: DisturbedRecord, candidates: Mapping[str, Formula]) 
         if part.model.parameters[k] in gains:
             continue
         name = part.model.outside_names[k]
-        # Beside other records, one may need values of its own.
+        # Among several records, one may need different values.
         for kind, row, b in (("change", samples, ""), ("own", np.ones_like(samples), part.name)):
             effect = partial(record.by_parameter, place, row)
             yield Term(kind, effect, name, b)
@@ -272,7 +272,7 @@ def _rate(record: DisturbedRecord, row: Array) -> Array:
 
 
 def _backward(piece: Array, step: float) -> Array:
-    """Return the rate, without later values: these may answer to the noise of today."""
+    """Return the rate without later values, which may respond to the present noise."""
     return np.diff(piece, prepend=piece[0]) / step
 
 
@@ -294,7 +294,7 @@ def terms_of_response(omega: Array) -> Iterator[Term]:
     yield Term("zero", lambda: s / high)
     for T in np.array([0.5, 1.0, 2.0]) / high:
         yield Term("delay", lambda T=T: np.exp(-s * T) - 1, scale=T)
-        # A delay in the model takes the phase of a zero.
+        # A delay in the model absorbs the phase of a zero.
         yield Term("zero", lambda T=T: np.abs(1 + s * T) - 1)
     for a in np.geomspace(low / 2, 2 * high, 9):
         yield Term("pole", lambda a=a: 1 / (1 + s / a) - 1, level=a)

@@ -336,7 +336,7 @@ def _bounds_and_note(q: Any) -> tuple[str, str]:
 
 
 def _is_of_later_record(name: str, records: int) -> bool:
-    """Tell whether a name ends with the number of a record beyond the third of many."""
+    """Return whether a name ends with the number of a record beyond the third of many."""
     # `several` numbers what each record has for itself: x_bias_1, x_bias_2 ...
     number_of_record = re.search(r"_(\d+)$", name)
     return records > MANY and number_of_record is not None and int(number_of_record[1]) > 3

@@ -105,8 +105,8 @@ def profile(
     require_known(chosen, lines, "quantity to profile", f"the fit {fit.name!r}")
 
     # Two fresh starts for every point of a response: another minimum may become the lowest away
-    # from the estimate. Records are led to the minimum by the states of the neighboring point, and
-    # a run from elsewhere takes seconds.
+    # from the estimate. For records, the states of the neighboring point lead to the minimum, and a
+    # run from elsewhere takes seconds.
     fresh = 0 if fit.records else 2
     return _profiles(nlp, fit, [lines[name] for name in chosen], level, fresh)
 
@@ -143,8 +143,8 @@ def profiled_where_misleading(nlp: CompiledProblem, fit: Fit) -> Profiles | None
         if q.kind == "free" and not q.at_bound:
             low, high = intervals[q.name]
             leaves_bounds = low < q.bounds[0] or high > q.bounds[1]
-            # With an error of half the value, the interval contains zero: a pole or a lag then has
-            # a likelihood that is far from symmetric.
+            # With an error of half the value, the interval contains zero. The likelihood of a pole
+            # or a lag is then far from symmetric.
             if leaves_bounds or q.standard_error > 0.5 * abs(q.value):
                 lines.append(q)
 
@@ -165,7 +165,7 @@ def profiled_where_misleading(nlp: CompiledProblem, fit: Fit) -> Profiles | None
 
 
 class NoProfileError(ValueError):
-    """No likelihood, or the solver does not find the minimum of a fit again."""
+    """There is no likelihood, or the solver does not return to the minimum of the fit."""
 
 
 Held = list[int] | ca.Function
@@ -346,7 +346,8 @@ def likelihood_factor(accuracy: Accuracy, gradient: Array) -> float:
     by_curvature = gradient @ accuracy.white @ gradient
     variance = gradient @ covariance @ gradient
 
-    # Where the data leave the gradient open: the average over the directions that they determine.
+    # If the data have no information along the gradient: the average over the directions that they
+    # determine.
     if not (np.isfinite(variance) and variance > 0 and by_curvature > 0):
         scale = np.outer(accuracy.size[:p], accuracy.size[:p])
         by_curvature = np.trace(accuracy.white / scale)
@@ -355,7 +356,7 @@ def likelihood_factor(accuracy: Accuracy, gradient: Array) -> float:
 
 
 def _numbers(nlp: CompiledProblem) -> float:
-    """Return N for costs that are N/2 log of a sum of squares; infinite for other costs."""
+    """Return N for costs of the form N/2 log(sum of squares); infinite for other costs."""
     numbers = 0
     for part in nlp.parts:
         is_logarithm = (

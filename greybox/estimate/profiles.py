@@ -62,7 +62,8 @@ class ProfileOf:
     def __str__(self) -> str:
         low, high = (number(value, 4) for value in self.interval)
         unit = f" {self.unit}" if self.unit else ""
-        # An open side is more important than the number on the other one: say it in words.
+        # An open side is more important than the number on the other side, so it is written in
+        # words.
         is_open = [math.isinf(value) for value in self.interval]
         if all(is_open):
             text = "not limited by the data on either side"

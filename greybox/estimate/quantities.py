@@ -44,7 +44,7 @@ def quantities(
     function = ca.Function("quantities", [symbols], [rows])
     values, slopes = np.split(function([estimate[name] for name in nlp.names]).full(), [1], axis=1)
 
-    # One propagation of errors serves all lines.
+    # Errors are propagated once for all lines.
     errors = propagate(accuracy, slopes)
     numbers = (values, errors, degrees(accuracy, slopes), slopes @ accuracy.bias)
     columns = np.column_stack(numbers).tolist()

@@ -4,8 +4,8 @@ The text ``/fit`` is a list in JSON: the number of this layout, the checksum of 
 fields of a `Fit`, see `greybox.estimate.stored_values`. The database of a study has the same text.
 
 The file is sealed, see `greybox.files.sealed_files`. NaN means "not known". A file may come from
-anyone: nothing in it is executed, nothing that it names is imported, and what is loaded fits
-together (SECURITY.md).
+anyone: nothing in it is executed, nothing that it names is imported, and the loaded values are
+checked for consistency (SECURITY.md).
 """
 
 import json

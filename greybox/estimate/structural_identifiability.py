@@ -72,7 +72,7 @@ class StructuralIdentifiability:
 
     @property
     def identifiable(self) -> tuple[str, ...]:
-        """The parameters that the structure itself does not leave open."""
+        """The parameters that the structure determines."""
         lost = {name for group in self.groups for name in group.names}
         return tuple(name for name in self.names if name not in lost)
 
@@ -325,7 +325,7 @@ def _of_trajectory(
     """Return the sensitivity along a simulated trajectory, with unknown initial states.
 
     An orthogonal basis takes their effect out. By the normal equations of a fit, directions with
-    1e-5 of the effect of the others could not be told from rounding.
+    1e-5 of the effect of the others could not be distinguished from rounding.
     """
     slopes = sensitivity(part, trajectory, np.eye(len(part.outputs)))
     pairs = zip(*map(part.data.unpadded, (slopes.weighted, slopes.by_initial)), strict=True)

@@ -1,7 +1,7 @@
 """Test signals, controllers, margins of loops, virtual flights, and plans of flight tests.
 
-Begin with `excitation` (what a test signal is) or `expected_errors` (what a planned test would
-tell).
+Begin with `excitation` (what a test signal is) or `expected_errors` (the information in a planned
+test).
 
 | file | contents |
 | --- | --- |

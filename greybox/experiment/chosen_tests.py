@@ -173,7 +173,7 @@ def _in_order(errors: ExpectedErrors, names: tuple[str, ...]) -> Array:
 
 def without_surplus(repeats: IntArray, once: Array, duration: Array, target: Array) -> IntArray:
     """Drop repeats, the longest tests first, as long as the errors stay as small as wanted."""
-    # Rounding up may leave a flight that the others already replace; the longest saves most.
+    # After rounding up, the others may make a flight unnecessary; dropping the longest saves most.
     for k in np.argsort(-duration):
         while repeats[k]:
             fewer: IntArray = repeats - (np.arange(len(repeats)) == k)
@@ -189,7 +189,8 @@ def _filled(once: Array, duration: Array, seconds: float, optimal: Optimality) -
     A gain is that of a second (Fedorov 1972, chapter 2.5).
     """
     repeats = np.zeros(len(once), dtype=int)
-    # Hardly any information on everything: the first tests alone may leave parameters open.
+    # A little information on everything, because the first tests alone may not determine all
+    # parameters.
     information = 1e-9 * np.diag(np.diag(once.sum(axis=0)))
     while (fits := duration <= (seconds - repeats @ duration) * (1 + 1e-9)).any():
         size = [size_of_errors(information + more, optimal) for more in once]

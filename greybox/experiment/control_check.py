@@ -1,4 +1,4 @@
-"""Whether a controller computes the control of a log from the error of the log."""
+"""Whether a controller reproduces the logged control from the logged error."""
 
 import itertools
 import math

@@ -92,8 +92,8 @@ def margin_slopes(
 
 def _nearest(loop: SampledLoop, signal: str, omega: float) -> float:
     """Return where the gain of the broken loop is nearest to -1, next to `omega`."""
-    # A least value is flat, so that its place is known less exactly than it: a parabola through
-    # three points has it.
+    # Near its minimum a curve is flat, so the place of the minimum is less exact than its value. A
+    # parabola through three points gives both.
     steps = np.array([-STEP, 0.0, STEP])
     squares = np.abs(1 + loop.broken_at(signal, omega * np.exp(steps))[0]) ** 2
     below, middle, above = squares
@@ -122,7 +122,8 @@ def _slope(name: str, gain: complex, along: complex, slopes: ComplexArray, omega
     if name in LEAST:  # at its least, the distance does not change along frequency
         return nearer if name == "modulus margin" else -DECIBELS * nearer / distance
 
-    # How the frequency moves at which the gain is real, or has a size of one, or is 3 dB from -1.
+    # The shift of the frequency at which the gain is real, has a magnitude of one, or is 3 dB from
+    # -1.
     if name in ("gain margin", "gain reduction margin"):
         moved = -slopes.imag / along.imag
     elif name == "disturbance rejection bandwidth":

@@ -54,7 +54,7 @@ UNITS = {
     "natural frequency": "rad/s",
 }
 # Noise makes the least distance from -1 too small, and draws from a noisy response make it smaller
-# still. The draws so show the bias, and their quantiles are reflected about the value.
+# still. So the draws show the bias, and their quantiles are reflected about the value.
 LEAST = ("modulus margin", "disturbance rejection peak")
 
 ORDER = "closest_observation"  # of quantiles: interpolation between infinite values is undefined
@@ -70,7 +70,7 @@ class Margin:
     ----------
     name, unit : str
     value : float
-        Infinite for a margin that no change of this kind uses up.
+        Infinite if no change of this kind makes the loop unstable.
     low, high : float
         Ends of the confidence interval; NaN where there is none.
     omega : float, rad/s
@@ -252,10 +252,11 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
 
     The intervals are quantiles over draws from the distribution of the estimates, so they need not
     be symmetric. The draws have Student's t distribution with the covariance of the fit, within the
-    bounds of the parameters; of fits of frequency responses, every draw is as likely as its
-    distance says (Chandler and Bate), so that the intervals follow the profiles. The intervals
-    contain the errors of the parameters; not what the model leaves out, such as structural modes.
-    If more than ``(1 - level) / 2`` of the draws are unstable, their share is the answer.
+    bounds of the parameters; of fits of frequency responses, every draw is moved until its
+    likelihood agrees with its distance (Chandler and Bate), so that the intervals follow the
+    profiles. The intervals cover the errors of the parameters, but not effects that the model
+    lacks, such as structural modes. If more than ``(1 - level) / 2`` of the draws are unstable,
+    their share is the answer.
 
     Parameters
     ----------
@@ -451,8 +452,8 @@ def measured_margins(loop: FrequencyResponse, *, level: float = 0.95) -> Margins
     """Return the margins of a measured broken loop, with negative feedback.
 
     They are read between the measured points, where magnitude and phase are straight lines over the
-    logarithm of frequency, and never beyond them: a note names what does not occur there. The
-    intervals come from draws from the errors of the points, which also correct the bias of the
+    logarithm of frequency, and never beyond them: a note names the margins that do not occur there.
+    The intervals come from draws from the errors of the points, which also correct the bias of the
     modulus margin, and are wider by the error of the interpolation, a third of what leaving out
     every second point changes. The loop is taken as stable, because it flew.
 

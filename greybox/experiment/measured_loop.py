@@ -11,8 +11,8 @@ def broken_loop(sensitivity: FrequencyResponse) -> FrequencyResponse:
     """Return the gain of the broken loop, L = 1/S - 1, of negative feedback.
 
     `sensitivity` is the measured response S from a signal that is injected into the loop to the sum
-    of it and of what the loop returns there: from ``SIDD.Targ`` to the control ``RATE.POut``, or
-    from a setpoint to the error. Errors are propagated to first order.
+    of this signal and the one that the loop returns there: from ``SIDD.Targ`` to the control
+    ``RATE.POut``, or from a setpoint to the error. Errors are propagated to first order.
 
     Parameters
     ----------

@@ -82,8 +82,8 @@ def shares(informations: Array, wanted: Array) -> Array:
         slope = -np.einsum("ij,njk,ki->in", inverse, informations, inverse)
         return np.asarray(np.diag(inverse)[matters], dtype=float), slope[matters]
 
-    # Times whose sum is least. The unit of time, in which equal shares of one suffice, and the
-    # variances are of size one, as SLSQP expects.
+    # The times with the smallest sum. The unit of time is the one in which equal shares of one
+    # suffice: the variances are then of size one, as SLSQP expects.
     begin = np.full(count, 1 / count)
     unit = np.max(with_slope(begin)[0])
     outcome = minimize(

@@ -55,8 +55,8 @@ class SafeGains:
     values : mapping of gain to (n,) array
         The values that were tried; every combination is a set.
     confidence : array (n of the first gain, n of the second ...)
-        Share of the draws that meet all requirements at once, of the flight with the smallest one;
-        NaN where a flight measured the response poorly at the crossover.
+        Share of the draws that meet all requirements at once, for the flight with the smallest
+        share; NaN where a flight measured the response poorly at the crossover.
     bandwidth : array, rad/s
         The lowest disturbance rejection bandwidth of the estimates; NaN where an estimate does not
         meet the requirements.
@@ -182,8 +182,8 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
     gain_margin : float, dB
         For larger and for smaller gains.
     delay : float, s
-        An additional delay, that of what was not identified, with which the requirements must hold,
-        too.
+        An additional delay, for effects that were not identified, with which the requirements must
+        hold, too.
     level : float
     broken_at : str
         Where the loop is broken, as for `greybox.margins`.
@@ -270,7 +270,7 @@ def _judged(
     wanted: Mapping[str, float],
     broken_at: str,
 ) -> tuple[Array, Array, str]:
-    """Return confidence and bandwidth (sets,) of a flight, and what cures poor measurements."""
+    """Return confidence and bandwidth (sets,) of a flight, and the cure of poor measurements."""
     loops = loops.of(slice(1 + DRAWS))
     signal = broken_at or loops.inputs[0]
     require_known([signal], loops.signals, "signal", "the loop")
@@ -282,15 +282,15 @@ def _judged(
     def judged(loop: SampledLoop) -> tuple[BoolArray, float, list[float]]:
         """Return which plants meet the requirements, bandwidth and crossovers of the first."""
         plant = plants[: len(loop.A)]
-        # Loops lose stability through -1, from which those that meet the requirements stay away:
-        # the poles of a few draws show what those of all would, in a tenth of the time.
+        # A loop becomes unstable only if its gain passes -1, and loops that meet the requirements
+        # stay away from it. So the poles of a few draws suffice, which takes a tenth of the time.
         is_stable = np.ones(len(plant), dtype=bool)
         is_stable[:FEW] = loop.of(slice(FEW)).is_stable
         with_and_without = [
             margin_numbers(loop.broken_at(signal, omega, response), omega, is_stable)
             for response in ([plant, plant * late] if wanted["delay"] else [plant])
         ]
-        # A loop that is stable without the delay is so with less than its delay margin.
+        # A loop that is stable without the delay is stable for any delay below its delay margin.
         first = with_and_without[0]
         meets = is_stable & (first["delay margin"].value >= wanted["delay"])
         for numbers in with_and_without:
@@ -308,7 +308,7 @@ def _judged(
         if meets[0]:
             bandwidth[k] = rejection
             confidence[k] = np.mean(judged(replace(loops, controller=control))[0][1:])
-            # Without a crossover it is below the lowest frequency, if anywhere.
+            # A loop without a crossover has it below the lowest frequency, if at all.
             bad = [w for w in places if not _is_between(points, excess <= 1, w)]
             confidence[k] = math.nan if bad else confidence[k]
             poor += [w for w in bad if w > 0]

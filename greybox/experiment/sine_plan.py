@@ -58,7 +58,7 @@ class SinePlan:
     ----------
     omega, amplitude, duration : (n,) arrays, rad/s, unit of the excitation, s
         Of every sine. The duration is a whole number of periods, without the time to settle.
-    limited_by : tuple of str
+        limited_by : tuple of str
         For every sine, the signal whose limit sets its amplitude.
     standard_error : mapping of name to float
         Expected of an efficient estimate: of a fit to the whole record by `OutputError`, or nearly
@@ -223,7 +223,7 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
 
     card = _Card(periods, lead_in, pause)
     chosen, duration = _fewest(omega, information, target, card)
-    # Four numbers beside those that the parameters take are left to judge the model by.
+    # Four numbers more than the parameters use up remain for judging the model.
     count = math.ceil((len(nlp.free) + 4) / 2)
     chosen, duration = with_spare_sines(omega, chosen, duration, count, periods)
     covariance = np.linalg.inv(np.tensordot(duration, information[chosen], 1))
@@ -285,7 +285,7 @@ def _sensitivities(
 ) -> tuple[CompiledProblem, ComplexArray]:
     """Return the compiled problem, and the derivatives (n, p) by its free parameters."""
     exact = frequency_response(model, values, omega, input=signals[0], output=signals[1])
-    # The problem only serves for sensitivities: any variance will do.
+    # The problem is only used for sensitivities, so any variance is suitable.
     data = FrequencyResponse(omega, exact.response, *signals, variance=np.abs(exact.response) ** 2)
     nlp = compile_problem(Problem(model, data, MaximumLikelihood(), fixed=fixed))
     parameters = nlp.problem.parameters

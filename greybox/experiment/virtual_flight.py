@@ -84,7 +84,7 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
         state a random walk with a standard deviation of that times √t. It is held over a controller
         period.
     initial : mapping of name to float
-        Initial states, and inputs before the first command (throughout where nothing commands
+        Initial states, and inputs before the first command (and throughout, if nothing commands
         them); by default zero. ``gb.modeling.linearize(model, values, at).point`` begins at an
         operating point.
     rate : float, Hz, optional
@@ -254,7 +254,7 @@ def _step(loop: _Loop, substeps: int) -> tuple[ca.Function, list[str]]:
     """Compile one controller period, (all states, a column) -> (all states, log).
 
     Also return the names in the log. The named signals are followed by the plant's states and by
-    what twice as many substeps change in them.
+    their changes if there are twice as many substeps.
     """
     system = loop.system
     periods, parts = loop.delays

@@ -6,7 +6,7 @@ from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
-DELAY = 2  # s, before which no bar is worth a look
+DELAY = 2  # s; shorter work needs no bar
 
 
 def bar(items: Iterable[Any] | None = None, *, is_shown: bool = True, **options: Any) -> Any:

@@ -5,8 +5,8 @@ crashes when a disk is full. Its first 512 bytes are an HDF5 user block, which e
 skips; it has the kind of the file, the SHA-256 of everything after it, and where the text begins
 and ends.
 
-The checksum finds damage. It is not a signature: whoever changes a file can seal it again. Damage
-and craft can crash the HDF5 library, so only the bytes of the text are read.
+The checksum detects damage. It is not a signature: whoever changes a file can seal it again.
+Damaged and crafted files can crash the HDF5 library, so only the bytes of the text are read.
 """
 
 import hashlib

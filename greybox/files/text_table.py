@@ -111,7 +111,7 @@ def with_error(value: float, error: float) -> tuple[str, str]:
     """
     if not (math.isfinite(value) and math.isfinite(error)) or error <= 0:
         return number(value), "-"
-    # The digits of such an error would leave the value none, or more than a person reads.
+    # With the digits of such an error, the value would have none, or more than a person reads.
     if error > 1e3 * abs(value) or error < 1e-9 * abs(value):
         return number(value if error < abs(value) else 0.0), f"{float(number(error, 2)):g}"
     # Rounded first: 0.0996 has its two digits in 0.10, one place further left.

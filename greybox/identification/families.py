@@ -125,7 +125,8 @@ def gains(model: Model, response: FrequencyResponse) -> dict[str, dict[str, tupl
             continue
         ratio = float(np.median(np.abs(response.response) / np.abs(at_declared)))
         size = abs(parameter.start) * ratio
-        # The declared values may be far off in shape: three decades, of which starts use a little.
+        # The declared values may be far off in shape: three decades, of which starts use a small
+        # part.
         bounds[name] = (-1000 * size, 1000 * size)
         starts[name] = (-3 * size, 3 * size)
     return {"bounds": bounds, "starts": starts}

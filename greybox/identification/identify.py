@@ -195,13 +195,13 @@ def filter_model(known: KnownFilter) -> TransferFunction:
 
 
 def _judged(measurement: Measurement) -> Measurement:
-    """Return a measurement whose response is refused if no model can rest on it."""
+    """Return a measurement, its response refused if it is too poor for a model."""
     response = measurement.response
     if response is None:
         return measurement
     low, high = float(response.omega.min()), float(response.omega.max())
     refusals = []
-    # Within an octave, gain and slope cannot be told from a lag or a delay.
+    # Within an octave, gain and slope cannot be distinguished from a lag or a delay.
     if high < 2 * low:
         text = f"the response covers {low:.4g} to {high:.4g} rad/s, less than an octave: "
         text += "no basis for a model."
@@ -236,7 +236,7 @@ def _candidate(
     seed: int,
     is_family: bool,
 ) -> Candidate:
-    """Fit a structure; the bounds of a family are no statement of the user."""
+    """Fit a structure; the bounds of a family were not stated by the user."""
     model: Any = structure.model
     options = stated_for(model, stated)
     free = {*structure.free, *options.pop("free", ())} - {*options.get("fixed", {})}

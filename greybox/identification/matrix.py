@@ -19,7 +19,7 @@ SETTLED = 2.0  # s, as long as sines settle by default
 
 @dataclass(frozen=True, eq=False)
 class MatrixMeasurement:
-    """What was measured of several inputs at once.
+    """The measurement of several inputs at once.
 
     Attributes
     ----------
@@ -66,8 +66,8 @@ def measure_matrix(
     period : float, s
         Of the multisines.
     excitations : sequence of str
-        The injected signals, one for each input: the test is where they move, and they tell whose
-        lines are whose. By default the inputs, of the whole log.
+        The injected signals, one for each input: the test is where they move, and the lines of each
+        input are those of its excitation. By default the inputs, of the whole log.
     rate : float, Hz, optional
         By default that of the slowest signal, or a little less, so that a period is a whole number
         of samples.

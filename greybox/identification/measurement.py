@@ -513,7 +513,7 @@ def _beyond_sweep(response: FrequencyResponse, used: Sequence[Segment]) -> Itera
 def _without_warned(
     response: FrequencyResponse, quality: Quality
 ) -> tuple[FrequencyResponse, dict[str, str]]:
-    """Return the response without the points of which a warning tells, and which they are."""
+    """Return the response without the points that a warning names, and a note on them."""
     # If a warning holds for all points, leaving them out would leave nothing: the warning stays.
     warned = {omega for f in quality.findings if f.severity == "warning" for omega in f.omega}
     rows = np.isin(response.omega, [*warned])

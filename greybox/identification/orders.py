@@ -31,7 +31,7 @@ from greybox.modeling.transfer_function import TransferFunction
 from greybox.regression.levy import levy, ratio
 from greybox.regression.poles_and_zeros import near_pairs, root_text
 
-POLES = 4  # beside the integrators; more are seldom told apart in two decades of frequency
+POLES = 4  # beside the integrators; more can seldom be distinguished in two decades of frequency
 ZEROS = 2
 INTEGRATORS = 2
 
@@ -123,7 +123,7 @@ def select_orders(
     the best are fitted by maximum likelihood: `MaximumLikelihood` where the data have variances,
     otherwise `RelativeLikelihood`. A bound that a parameter touches is widened. A delay that ends
     at zero is left out and named: the errors are then those of a plant without a delay, whose
-    intervals held 96 % of 239 coefficients of vehicles without one.
+    intervals contained 96 % of 239 coefficients of vehicles without one.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ def orders_of(
 
 def _before(response: FrequencyResponse, through: Sequence[TransferFunction]) -> FrequencyResponse:
     """Return the response ahead of filters in series."""
-    # Errors in common stay out: they weigh nothing in least squares with one variance a point.
+    # Without common errors, which least squares with one variance per point cannot represent.
     gain = math.prod(frequency_response(f, None, response.omega).response for f in through)
     variance = None if response.variance is None else response.variance / np.abs(gain) ** 2
     return replace(

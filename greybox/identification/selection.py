@@ -19,7 +19,7 @@ NO_FIT = (
 
 # A structure does not explain the data if its residuals exceed the noise by the first factor and
 # what is not noise exceeds the second share of the response. Residuals of adequate models scatter
-# about 1, of few points up to 1.5; a model within 5 % of the response serves whatever the noise.
+# about 1, of few points up to 1.5; a model within 5 % of the response is useful whatever the noise.
 LIMITS = ((3.0, 0.05), (1.5, 0.3))
 
 
@@ -71,10 +71,10 @@ class Candidate:
 
     @property
     def explains(self) -> bool:
-        """Whether the structure explains the data, as far as the noise allows to tell."""
+        """Whether the structure explains the data, given the noise."""
         if math.isnan(self.noise):
             return self.misfit <= 0.3  # the second share, as the noise is unknown
-        # What is left of the misfit without the noise: small where the noise explains it.
+        # The misfit less the noise: small where the noise explains it.
         beyond_noise = self.misfit * math.sqrt(max(0.0, 1 - 1 / self.noise**2))
         return all(self.noise <= factor or beyond_noise <= share for factor, share in LIMITS)
 

@@ -1,4 +1,4 @@
-"""The fit of one structure to measured responses, within bounds that do not decide."""
+"""The fit of one structure to measured responses, within bounds that do not limit it."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -86,7 +86,7 @@ class StopCheck(ca.Callback):
         return 0
 
     def is_stagnant(self, x: Array, cost: float) -> bool:
-        """Tell whether the cost has not decreased for long."""
+        """Return whether the cost has not decreased for long."""
         if self._sizes["g"]:  # the cost grows while constraints are being met
             return False
         if cost < self._lowest:

@@ -90,7 +90,7 @@ class LocalSolver(Runner):
         """Return the smallest cost at all values (k,), with the constants; NaN if there is none."""
 
     def is_finite_at(self, start: Array) -> bool:
-        """Tell whether a run can begin at the parameters `start` (p,)."""
+        """Return whether a run can begin at the parameters `start` (p,)."""
         return True
 
     def screened(self, starts: Array) -> Screened | None:

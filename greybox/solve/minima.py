@@ -140,7 +140,7 @@ def agreeing_runs(
 
 
 def explains_nothing(cost: Any, zero: float) -> Any:
-    """Tell whether a cost (any shape) is that of a response of zero, to a percent."""
+    """Return whether a cost (any shape) is that of a response of zero, to a percent."""
     return cost >= 0.99 * zero
 
 

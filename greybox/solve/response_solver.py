@@ -104,7 +104,7 @@ class ResponseSolver(LocalSolver):
 
     @staticmethod
     def serves(problem: CompiledProblem) -> bool:
-        """Tell whether starts of a problem can be improved together."""
+        """Return whether starts of a problem can be improved together."""
         without_states = not any(part.has_states for part in problem.parts)
         return without_states and fits_a_batch(problem.programs[-1].explicit)
 
@@ -264,7 +264,7 @@ class ResponseSolver(LocalSolver):
         return certified
 
     def _confirm(self, run: Run, certified: dict[int, Outcome]) -> bool:
-        """Tell whether IPOPT stays where a run ended; a lower minimum replaces that run."""
+        """Return whether IPOPT stays where a run ended; a lower minimum replaces that run."""
         if stop_requested():
             return True
         # From inside its bounds IPOPT would leave a valley that is narrow in a wide box.

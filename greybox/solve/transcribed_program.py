@@ -95,7 +95,7 @@ class TranscribedProgram(LocalSolver):
         return TranscribedProgram, (self._nlp, self._gauss_newton, self._options)
 
     def is_finite_at(self, start: Array) -> bool:
-        """Tell whether the model is finite at the parameters `start` (p,), near the data."""
+        """Return whether the model is finite at the parameters `start` (p,), near the data."""
         return self._gauss_newton.is_finite_at(start)
 
     def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:

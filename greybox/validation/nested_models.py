@@ -220,7 +220,7 @@ def f_tail(statistic: float, r: int, dof: float, *, on_bound: bool = False) -> f
 
 
 def _estimates_variance(part: FittedPart) -> bool:
-    """Tell whether the data of a part are rows or lines of a variance that the fit estimates."""
+    """Return whether the data of a part are rows or lines of a variance that the fit estimates."""
     if isinstance(part, FittedResponse) or getattr(part.data, "has_time", False):
         return False
     return not isinstance(part.settings.get("noise"), Mapping)

@@ -67,7 +67,7 @@ def nested_values(small: Fit, large: Fit, labels: tuple[str, str]) -> dict[str, 
     draws = [(d, large.estimate | {n: d[shared[n]] for n in shared}) for d in _draws(small)]
 
     def is_small(values: dict[str, float]) -> bool:
-        """Tell whether the larger model is the smaller one where its terms have these values."""
+        """Return whether the larger model is the smaller one where its terms have these values."""
         return all(
             _agree(a.equations(draw), b.equations(other | values))
             for draw, other in draws
@@ -127,7 +127,7 @@ class _Part:
         self._dynamics = dynamics(model) if isinstance(model, StateSpace) else None
 
     def extends(self, other: "_Part") -> bool:
-        """Tell whether this part differs from a smaller one in nothing but the equations."""
+        """Return whether this part differs from a smaller one in nothing but the equations."""
         has_all_terms = {*other.added} <= {*self.added} and self.part.tied in ({}, other.part.tied)
         return has_all_terms and self._settings() == other._settings()
 
@@ -170,7 +170,7 @@ def _signal(name: str) -> Array:
 
 
 def _agree(expected: Equations, rows: Equations) -> bool:
-    """Tell whether all expected rows are there, equal up to rounding, and mostly finite."""
+    """Return whether all expected rows are there, equal up to rounding, and mostly finite."""
     if not expected.keys() <= rows.keys():
         return False
     a, b = (np.array([of[name] for name in expected]) for of in (expected, rows))

@@ -59,7 +59,7 @@ def data_difference(fits: Sequence[Fit], names: Sequence[str]) -> str:
 
 
 def _same(a: FittedPart, b: FittedPart) -> bool:
-    """Tell whether two parts have the same data."""
+    """Return whether two parts have the same data."""
     if isinstance(a, FittedResponse) and isinstance(b, FittedResponse):
         return a.data.checksum == b.data.checksum or _same_response(a.data, b.data)
     # The checksum alone does not decide: excerpts of a log have the checksum of the whole log.
@@ -74,7 +74,7 @@ def _same(a: FittedPart, b: FittedPart) -> bool:
 
 
 def _same_response(a: FrequencyResponse, b: FrequencyResponse) -> bool:
-    """Tell whether two responses have the same numbers, or one is a derivative of the other."""
+    """Return whether two responses have the same numbers, or one is a derivative of the other."""
     if a.variance is not None or b.variance is not None or not np.array_equal(a.omega, b.omega):
         return False
     # The response of a rate is that of its angle times s. All criteria for responses without
@@ -105,7 +105,7 @@ def count_unknowns(fit: Fit) -> int:
 
 
 def is_likelihood(fit: Fit) -> bool:
-    """Tell whether the cost is the negative logarithm of a likelihood."""
+    """Return whether the cost is the negative logarithm of a likelihood."""
     return all(part.weight == 1 and part.is_likelihood for part in fit.parts)
 
 
@@ -145,7 +145,7 @@ def why_not_comparable(fits: Sequence[Fit], names: Sequence[str]) -> str:
 
 
 def have_one_criterion(fits: Sequence[Fit]) -> bool:
-    """Tell whether all fits to the same data were made by the same criteria."""
+    """Return whether all fits to the same data were made by the same criteria."""
     return all(
         a.has_criterion_of(b)
         for fit in fits[1:]

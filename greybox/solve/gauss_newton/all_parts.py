@@ -81,11 +81,11 @@ class AllParts:
     # --- judging an iterate
 
     def explain_data(self, iterate: Iterate) -> bool:
-        """Tell whether all residuals look like noise."""
+        """Return whether all residuals look like noise."""
         return all(part.explains_data(trajectory) for part, trajectory in self._pairs(iterate))
 
     def is_continuous(self, iterate: Iterate) -> bool:
-        """Tell whether all gaps are rounding, relative to the largest value of a state."""
+        """Return whether all gaps are rounding, relative to the largest value of a state."""
         # Relative to the largest value, since a state may pass through zero.
         return all(
             np.all(

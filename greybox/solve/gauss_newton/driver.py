@@ -183,7 +183,7 @@ class GaussNewton(LocalSolver):
 
     @DIVERGING
     def is_finite_at(self, start: Array) -> bool:
-        """Tell whether the model is finite at the parameters `start` (p,), near the data."""
+        """Return whether the model is finite at the parameters `start` (p,), near the data."""
         return self._parts.from_data(self._nearest(start)).finite
 
     @DIVERGING

@@ -139,7 +139,7 @@ def _is_settled(
     *,
     states_only: bool,
 ) -> bool:
-    """Tell whether little is left to gain, also by a step that is not damped."""
+    """Return whether little is left to gain, also by a step that is not damped."""
     negligible = max(parts.settings.tolerance, COST_ROUNDING * abs(merit))
     little = (1 + progress.damping) * step.decrease <= negligible
     if not (progress.is_exact and little and parts.is_continuous(iterate)):
@@ -151,7 +151,7 @@ def _is_settled(
 
 
 def _is_within_noise(parts: AllParts, iterate: Iterate, step: Step, progress: Progress) -> bool:
-    """Tell whether noise hides all that is left to gain, wherever bounds let a step go.
+    """Return whether noise hides all that is left to gain, wherever bounds let a step go.
 
     Where the data hardly determine some directions, short steps continue along them for thousands
     of iterations, for a hundredth of a unit of log-likelihood. A plateau far from the data looks
@@ -176,7 +176,7 @@ def _undamped(
 
 
 def _delays_block(parts: AllParts, progress: Progress) -> bool:
-    """Tell whether delays at which the cost jumps block the steps: heavy damping has not helped.
+    """Return whether delays at which the cost jumps block the steps: heavy damping has not helped.
 
     Held, they halve the time where a held input reaches an output directly. Otherwise a run whose
     minimum lies at a jump may take 2000 iterations without an end, and the fit another minimum.

@@ -75,7 +75,7 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
 
 
 def is_blurred(hessian: Array | None) -> bool:
-    """Tell whether a Hessian (p, p) has lost digits that steps need."""
+    """Return whether a Hessian (p, p) has lost digits that steps need."""
     if hessian is None:
         return False
     moving = np.diag(hessian) > 0

@@ -56,7 +56,7 @@ class Points(NamedTuple):
 
 
 def can_screen(nlp: CompiledProblem) -> bool:
-    """Tell whether all records have equally many states, and parameters no constraints."""
+    """Return whether all records have equally many states, and parameters no constraints."""
     parts = [part for part in nlp.parts if part.has_states]
     records = [part for part in parts if isinstance(part, RecordPart) and part.states > 0]
     one_size = len({part.states for part in records}) == 1

@@ -50,7 +50,7 @@ def best_gains(parts: AllParts, iterate: Iterate, variances: Sequence[Array]) ->
 
 
 def are_stable(parts: AllParts, iterate: Iterate, *, simulated: bool = False) -> bool:
-    """Tell whether all predictors, or all `simulated` ones, are stable at an iterate."""
+    """Return whether all predictors, or all `simulated` ones, are stable at an iterate."""
     return all(
         gain.is_stable(trajectory)
         for gain, trajectory in zip(parts.gains, iterate.trajectories, strict=True)
