@@ -26,7 +26,7 @@ def comparison_section(entries: Sequence[Entry], comparison: Comparison | None) 
     """Return estimates, tests and figures of all results."""
     converged = [(e.label, e.fit) for e in entries if e.fit is not None and e.fit.converged]
     labels, fits = [label for label, _ in converged], [fit for _, fit in converged]
-    # More curves than colors cannot be told apart.
+    # More curves than colors cannot be distinguished.
     few = 2 <= len(fits) <= OVERLAID
     content = list(_estimates(entries))
     if comparison is None and few:

@@ -6,11 +6,11 @@ in turn. The D term divides the change of the gyro by a constant interval, so th
 passes, say every second one, then differ in the mean from those that drove the motors, and noise
 hides it.
 
-PX4 runs its loop on the samples of the gyro, so that all passes are alike. But what a thinned log
-has of noise and steps above half its rate is folded into its band, and this too depends on which
-passes were logged: in virtual flights with steps of the setpoint, a 500 Hz loop that was logged at
-125 Hz had gains that are 1 to 2 % off in the median over the band, at 62 Hz 2 to 4 %. The size is
-not known from the log.
+PX4 runs its loop on the samples of the gyro, so that all passes are alike. But noise and steps
+above half the rate of a thinned log are folded into its band, and this too depends on which passes
+were logged: in virtual flights with steps of the setpoint, a 500 Hz loop that was logged at 125 Hz
+had gains that are 1 to 2 % off in the median over the band, at 62 Hz 2 to 4 %. The size is not
+known from the log.
 
 Sources: AC_PID.cpp and AP_InertialSensor.cpp (wait_for_sample) of ArduPilot; mode_systemid.cpp for
 what is logged in System Identification mode; SCHED_LOOP_RATE, INS_GYRO_RATE, LOG_BITMASK and

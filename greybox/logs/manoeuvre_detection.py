@@ -265,7 +265,7 @@ def chosen_manoeuvre(segments: Sequence[Segment], wanted: str) -> Segment:
     ValueError
         If there is no such manoeuvre, or if several are of the kind.
     """
-    # A number before a kind: no kind is a number alone.
+    # Numbers first, since no kind is a number.
     if wanted.isdigit():
         if not 1 <= int(wanted) <= len(segments):
             raise ValueError(f"there is no manoeuvre {wanted}; the log has {len(segments)}.")

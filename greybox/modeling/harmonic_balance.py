@@ -212,7 +212,7 @@ def compiled_balance(
 
     # Relative to the harmonics; Newton's last step squares it.
     size = ca.norm_inf(equations) / (1 + ca.norm_inf(unknown))
-    # Infinite harmonics would pass: any equation is small beside them.
+    # Infinite harmonics would pass, since any equation is small relative to them.
     is_motion = ca.logic_and(size < 1e-8, ca.norm_inf(unknown) < math.inf)
     finish = ca.Function("finish", [unknown, settings], [response, is_motion])
     guess = _guess(newton, careful, finish, switches=switches)

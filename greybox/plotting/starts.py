@@ -80,7 +80,7 @@ def starts_figure(fit: Fit) -> Figure:
 def _minima(fit: Fit, converged: Sequence[Run]) -> list[Series]:
     """Return the runs of every minimum; `converged` is sorted by cost."""
     places = {run.index: k for k, run in enumerate(converged)}
-    # Five colors can be told apart; which of twenty minima is which matters to nobody.
+    # Five colors can be distinguished; nobody needs to distinguish twenty minima.
     groups = [
         (f"minimum {k}: {len(minimum.runs)} × cost {minimum.cost:.5g}", minimum.runs)
         for k, minimum in enumerate(fit.minima[:COLORED], 1)

@@ -263,7 +263,7 @@ def test_by_default_the_promising_starts_are_run_and_the_others_kept_with_their_
     assert fit.cost == pytest.approx(
         gb.fit(pitch_hover.problem(), 4, search="multistart", profiles=False).cost, rel=1e-7
     )
-    assert "8 of 8 converged (192 of 200 starts were screened out); 8 agree" in str(fit)
+    assert "8 of 8 converged (192 of 200 starts were screened out); 8 agree" in fit.details
     screened = [run for run in fit.runs if run.stage == "screened"]
     assert all(not run.converged and run.iterations == 0 for run in screened)
     lowest = min(run.cost for run in screened)

@@ -39,10 +39,10 @@ def read(
 
     The cells are separated by semicolons, tabs or commas; the numbers may have decimal commas, see
     `greybox.files.delimited_text`. Units are in the header: ``pitch [deg]`` or ``pitch (deg)``.
-    So does how a signal runs between its samples, where that is known: ``u [1 held]`` for the
-    output of a controller, which holds it, and ``pitch [deg sampled]`` for samples of what is
-    continuous. Lines that start with ``#`` or ``%`` are comments; empty cells, and words such as
-    ``nan``, are missing samples.
+    So is the course of a signal between its samples, if it is known: ``u [1 held]`` for the output
+    of a controller, which holds it, and ``pitch [deg sampled]`` for samples of what is continuous.
+    Lines that start with ``#`` or ``%`` are comments; empty cells, and words such as ``nan``, are
+    missing samples.
 
     The time column is the first named time, t or timestamp (any case, with a unit in brackets or as
     in ``time_s``, ``time_ms``), or TimeUS, TimeMS as the tools of ArduPilot write it; for times

@@ -126,7 +126,7 @@ def test_what_was_screened_out_is_kept(tmp_path):
     assert stages[0] == "polished"
     assert stages[:20].count("screened") == 16
     assert len(stages) == 20
-    assert "(16 of 20 starts were screened out)" in str(fit)
+    assert "(16 of 20 starts were screened out)" in fit.details
     assert fit.cost == pytest.approx(
         gb.fit(lag_problem(), 20, progress=False, profiles=False).cost, abs=1e-6
     )
