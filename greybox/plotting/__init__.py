@@ -15,13 +15,13 @@ alone, with the legend inside. `plot` composes several diagrams and returns the 
 | `matplotlib_figure` | draws such a value; the page of a report draws the same values |
 | `bode`, `nyquist` | diagrams of frequency responses |
 | `responses` | the curves and points in them: names, colors, bands |
-| `starts` | the cost that each start reached |
+| `starts` | the cost that each start reached, and where it ended |
 | `time_history`, `residuals` | fitted and predicted records |
 | `spectrum` | transforms of manoeuvres |
 | `profile` | profiles of the likelihood |
 | `pairs` | draws and replicates: histograms, scatters and correlations |
 | `loops` | the loop of margins, with bands; safe gains |
-| `study` | members of a study: trends, estimates, costs, maps of structures |
+| `study` | members of a study, or several fits: trends, estimates, costs, maps of structures |
 | `flight_log` | logs and their tests |
 | `signals` | units, symbols and labels |
 | `long_lines` | draws no more points than can be seen |
@@ -40,6 +40,7 @@ from greybox.plotting.profile import contour as contour
 from greybox.plotting.profile import profiles as profiles
 from greybox.plotting.residuals import residuals as residuals
 from greybox.plotting.spectrum import spectrum as spectrum
+from greybox.plotting.starts import ends as ends
 from greybox.plotting.starts import starts as starts
 from greybox.plotting.study import estimates as estimates
 from greybox.plotting.study import structures as structures

@@ -1,6 +1,6 @@
-"""The costs that the starts reached."""
+"""The costs that the starts reached, and where they ended."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from greybox.estimate.result import Fit
 from greybox.files.text_table import counted
 from greybox.plotting.figure import CROSS, GRAY, INK, Figure, Limits, Panel, Series
-from greybox.plotting.matplotlib_figure import draw
+from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.solve.runs import SCREENED, Run
 
 COLORED = 5  # minima with a color of their own; the others are gray
@@ -45,7 +45,8 @@ def starts_figure(fit: Fit) -> Figure:
     is_logarithmic = bool(costs) and costs[0] > 0 and costs[-1] > 30 * costs[0]
     limits = _limits(costs, is_logarithmic)
 
-    series = list(_minima(fit, converged))
+    places = {run.index: k for k, run in enumerate(converged, 1)}
+    series = _minima(fit, lambda run: places[run.index], lambda run: run.cost)
     if failed:
         low, high = limits
         # Failed runs have no cost that could be compared: they are drawn near the top.
@@ -77,9 +78,42 @@ def starts_figure(fit: Fit) -> Figure:
     )
 
 
-def _minima(fit: Fit, converged: Sequence[Run]) -> list[Series]:
-    """Return the runs of every minimum; `converged` is sorted by cost."""
-    places = {run.index: k for k, run in enumerate(converged)}
+def ends(fit: Fit, axes: GivenAxes | None = None) -> AxesArray:
+    """Draw where the runs ended over where they began, a panel for every free parameter.
+
+    Runs that agree end on one horizontal line, wherever they began. Colors are those of `starts`;
+    failed runs are left out.
+
+    Parameters
+    ----------
+    fit : Fit
+    axes : array-like of Axes, optional
+        One for each free parameter. By default a new figure is made.
+
+    Raises
+    ------
+    ValueError
+        If no start converged.
+
+    Returns
+    -------
+    numpy.ndarray of Axes, shape (p,)
+    """
+    fit.require_estimate()
+    figures = [ends_figure(fit, k) for k in range(len(fit.free))]
+    return draw(figures, axes, columns=min(3, len(figures)), size=(3.8, 2.8))
+
+
+def ends_figure(fit: Fit, k: int) -> Figure:
+    """Return the ends of the k-th free parameter over its starts."""
+    series = _minima(fit, lambda run: run.start[k], lambda run: run.estimate[k])
+    name = fit.free[k]
+    unit = f", {fit.by_name[name].unit}".rstrip(", ")
+    return Figure("Starts and ends", f"Start of {name}{unit}", [Panel(f"End{unit}", series)])
+
+
+def _minima(fit: Fit, x: Callable[[Run], float], y: Callable[[Run], float]) -> list[Series]:
+    """Return the runs of every minimum as points at `x` and `y` of a run."""
     # Five colors can be distinguished; nobody needs to distinguish twenty minima.
     groups = [
         (f"minimum {k}: {len(minimum.runs)} × cost {minimum.cost:.5g}", minimum.runs)
@@ -93,14 +127,13 @@ def _minima(fit: Fit, converged: Sequence[Run]) -> list[Series]:
 
     series = []
     for color, (name, indices) in enumerate(groups):
-        rows = np.sort([places[index] for index in indices])
-        members = [converged[row] for row in rows]
+        members = sorted((run for run in fit.runs if run.index in indices), key=x)
         series.append(
             Series(
                 name,
                 "points",
-                rows + 1.0,
-                np.array([run.cost for run in members]),
+                np.array([*map(x, members)], dtype=float),
+                np.array([*map(y, members)]),
                 color if color < COLORED else GRAY,
                 style=color % COLORED,
                 notes=[

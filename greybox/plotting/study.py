@@ -1,16 +1,19 @@
-"""Figures of a study: a parameter over operating points or members, and maps of structures."""
+"""Figures of a study or of fits: a parameter over operating points or members, and maps."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import groupby
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 
+from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
 from greybox.files.text_table import number
 from greybox.plotting.figure import CROSS, Figure, Panel, Series
 from greybox.plotting.matplotlib_figure import draw
+from greybox.plotting.signals import distinct_labels
 from greybox.study.ranking import EVIDENCE
 from greybox.study.store import StudyMember
 from greybox.study.study import Study, shown
@@ -97,12 +100,12 @@ def _line(model: str, x: Array, y: Array, error: Array, color: int) -> Series:
     )
 
 
-def estimates(study: Study, quantity: str, ax: Axes | None = None) -> Axes:
+def estimates(study: Study | Sequence[Fit], quantity: str, ax: Axes | None = None) -> Axes:
     """Draw a quantity of all members with standard errors; ``"cost"`` sorted, as a waterfall.
 
     Parameters
     ----------
-    study : Study
+    study : Study or sequence of Fit
     quantity : str
         A parameter, a derived quantity, or ``"cost"``.
     ax : Axes, optional
@@ -111,13 +114,18 @@ def estimates(study: Study, quantity: str, ax: Axes | None = None) -> Axes:
     Raises
     ------
     ValueError
-        If no member has the quantity.
+        If no member has the quantity, or if there are no fits.
     """
     return draw([estimates_figure(study, quantity)], ax)[0]
 
 
-def estimates_figure(study: Study, quantity: str) -> Figure:
+def estimates_figure(study: Study | Sequence[Fit], quantity: str) -> Figure:
     """Return a quantity of all members, the first or lowest one at the top."""
+    if not isinstance(study, Study):
+        # A study that is stored nowhere, a member a fit.
+        names = distinct_labels([fit.name for fit in study], ())
+        fits = zip(names, study, strict=True)
+        study = Study(Path(), tuple(StudyMember(Path(), 0, n, f.to_dict(), 0) for n, f in fits))
     values = _values(study, quantity)
     if quantity == "cost":
         values.sort(key=lambda value: value[1])

@@ -71,3 +71,16 @@ def test_names_stand_at_the_axes(small_study):
     assert spans
     assert all(np.ptp(span[:, 1]) == 0 < np.ptp(span[:, 0]) for span in spans)
     assert gb.plotting.trend(small_study, "K", SPEEDS).get_ylabel() == "K"
+
+
+def test_estimates_of_fits_have_a_row_each_and_a_color_a_structure(small_study):
+    first, *_, last = small_study.select(seed=0, data=next(iter(SPEEDS))).done
+    fits = [first.fit, last.fit]
+    assert first.factors["model"] != last.factors["model"]
+    ax = gb.plotting.estimates(fits, "K")
+    assert len({line.get_color() for line in ax.lines}) == 2
+    drawn = {round(y): x for line in ax.lines for x, y in line.get_xydata()}
+    expected = [fit.estimate["K"] for fit in fits]
+    assert [drawn[row] for row in range(len(fits), 0, -1)] == expected
+    with pytest.raises(ValueError, match="give at least one fit"):
+        gb.plotting.estimates([], "K")
