@@ -4,10 +4,12 @@ import itertools
 import math
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
+from benchmark_module import benchmark
 from scipy.optimize import minimize
 
 import greybox as gb
@@ -153,6 +155,43 @@ def test_one_operating_point_and_the_other():
     fall = PAPER_G * math.tan(math.radians(5))
     assert f"{2 * fall / 0.16:.1f} m/s if the drag is quadratic" in PAGE
     assert f"{fall / 0.16:.1f} m/s with the linear drag" in PAGE
+
+
+@cache
+def simulated_study():
+    """Return the study of operating points and its truth."""
+    study = benchmark("operating_points")
+    explained = fit(pitch_moment.problem(), starts=1)
+    return study, {name: explained.estimate[name] for name in study.TiltMomentAt().parameters}
+
+
+def test_where_the_linear_structure_stops():
+    study, truth = simulated_study()
+    hover, slow, slope = (study.measured(truth, angle).response for angle in (0.0, 0.1, 2.5))
+    assert f"wrong by {study.relative(hover, slow):.0f} % at 0.1°" in PAGE
+    assert f"which is {study.speed(math.radians(0.1)):.1f} m/s" in PAGE
+    assert f"and by {study.relative(hover, slope):.0f} % at 2.5°" in PAGE
+
+    lines = (ROOT / "benchmarks" / "results" / "operating_points.txt").read_text(encoding="utf-8")
+    largest = max(map(float, re.findall(r"([\d.]+) %$", lines, re.MULTILINE)))
+    assert f"at most {largest} %" in PAGE
+    assert re.findall(r"^(\w+) .* (yes|no)$", lines, re.MULTILINE)[:3] == [
+        ("speed", "yes"),
+        ("angle", "no"),
+        ("thrust", "no"),
+    ]
+    sines, all_tests = (float(t) for t in re.findall(r"(\d+) s of flight", lines))
+    assert all_tests < sines / 3
+
+
+def test_two_angles_cannot_tell_speed_angle_and_thrust_apart():
+    study, truth = simulated_study()
+    responses = {angle: study.measured(truth, angle) for angle in (0.0, 5.0)}
+    costs = [study.joint(variable, responses, 1, starts=1).cost for variable in study.SCHEDULED]
+    assert np.max(costs) < 1e-3  # no errors were added
+    more = responses | {20.0: study.measured(truth, 20.0)}
+    speed, thrust = (study.joint(v, more, 1, starts=1).cost for v in ("speed", "thrust"))
+    assert speed < 100 < thrust
 
 
 def test_the_drag_of_real_flights():
