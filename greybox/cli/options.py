@@ -197,7 +197,9 @@ def as_options(text: str, options: argparse.Namespace) -> str:
     # A dict and a list of names are several words on the command line.
     text = re.sub(r"\{'([^']+)': \.\.\.\}", r"\1=...", text)
     text = re.sub(r"\{'([^']+)': \(([^,]+), ([^)]+)\)\}", r"\1=\2:\3", text)
-    return re.sub(r"(?<= )[(\[]'([^']+)',?[)\]]", r"\1", text)
+    text = re.sub(r"(?<= )[(\[]'([^']+)',?[)\]]", r"\1", text)
+    # Criteria have the names of classes in Python: MaximumLikelihood() is maximum-likelihood.
+    return re.sub(r"\b([A-Z][a-z]+)([A-Z][a-z]+)\(\)", lambda m: f"{m[1]}-{m[2]}".lower(), text)
 
 
 # --- types of values

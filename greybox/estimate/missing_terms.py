@@ -96,7 +96,7 @@ TEXTS = {
     ),
     "step": (
         "a gain that differs above {level} rad/s",
-        "two responses, response.where(...)",
+        "two responses, one below and one above",
     ),
 }
 

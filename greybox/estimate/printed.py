@@ -141,9 +141,7 @@ def parameter_table(fit: Any) -> Table:
     # Biases and noise that every one of a hundred records has would fill pages.
     rows = [_row(q) for q in fit.quantities if not _is_of_later_record(q.name, len(fit.records))]
     if len(rows) < len(fit.quantities):
-        rows.append(
-            [f"... and {len(fit.quantities) - len(rows)} more", *[""] * 5, "fit.quantities"]
-        )
+        rows.append([f"... and {len(fit.quantities) - len(rows)} more", *[""] * 6])
 
     return header, rows, (0, 3, 5, 6)
 
@@ -271,7 +269,7 @@ def _output_texts(records: Sequence[FittedRecord]) -> list[str]:
         least = parts[percents.index(min(percents))].data.name
         texts.append(
             f"{output} in {counted(len(parts), 'record')}: fit {min(percents):.1f} to "
-            f"{max(percents):.1f} % (least in {least!r}), see fit.records"
+            f"{max(percents):.1f} % (least in {least!r})"
         )
 
     return texts

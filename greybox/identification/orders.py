@@ -177,6 +177,12 @@ def select_orders(
     notes = []
     if rest:
         notes.append(f"{counted(rest, 'other structure')} had a higher BIC by least squares.")
+    if any(orders.delay for orders in linear):
+        longest = TURN / max(responses, key=len).omega.max()
+        notes.append(
+            f"{DELAYS} delays from 0 to {longest:.2g} s were tried, and longer ones where the "
+            "longest was the best."
+        )
     if undelayed:
         notes.append(
             f"The delay ended at zero and was left out of: {'; '.join(undelayed)}. Their errors "

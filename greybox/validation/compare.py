@@ -133,7 +133,7 @@ def compare(
         k, verdict = parsimony(names, bic, [len(fit.free) for fit in fits], tests)
         supported = names[k]
     if all(fit.misfit is not None and not fit.misfit.explains for fit in fits):
-        verdict = f"None of these models explains its data, see fit.misfit. {verdict}".rstrip()
+        verdict = f"None of these models explains its data. {verdict}".rstrip()
     return Comparison(
         labels=names,
         data=f"{different}: their costs are not compared" if different else shared_data(fits),

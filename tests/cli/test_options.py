@@ -105,6 +105,7 @@ def test_probabilities_and_times():
         ("K=2 and settled=3", "K=2 and settled=3"),
         ("settle = 2 s", "settle = 2 s"),
         ("give fixed={'T': ...}.", "give --fix T=...."),
+        ("use OutputError(), not Tilt()", "use output-error, not Tilt()"),
         (
             "give band=['a', 1], input=('a',) or input=['a'].",
             "give --band ['a', 1], --input a or --input a.",

@@ -144,9 +144,11 @@ def test_delays_at_which_the_cost_jumps_are_named_once_each():
     ("variants", "combinations", "count"), [(1, (), 0), (2, (), 1), (2, ("a/b",), 0)]
 )
 def test_several_estimates_are_told_where_no_combination_is(variants, combinations, count):
-    nlp, accuracy = SimpleNamespace(free=("a", "b")), SimpleNamespace(combinations=combinations)
+    scaling = SimpleNamespace(to_solver=lambda estimates: estimates)
+    nlp = SimpleNamespace(free=("a", "b", "T_delay"), scaling=scaling)
+    accuracy = SimpleNamespace(combinations=combinations)
     minima = (SimpleNamespace(variants=variants, runs=(0, 1)),)
-    runs = SimpleNamespace(estimate=np.array([[1.0, 2.0], [1.0, 3.0]]))
+    runs = SimpleNamespace(estimate=np.array([[1.0, 2.0, 0.0], [1.0, 3.0, 4e-9]]))
     search = SimpleNamespace(minima=minima, runs=runs)
     texts = [*several_estimates_of_one_response(nlp, search, accuracy)]
     assert len(texts) == count

@@ -47,6 +47,8 @@ def test_the_structure_of_the_truth_is_chosen(found):
 def test_the_table_has_every_structure_that_was_fitted(found):
     lines = str(found).splitlines()
     assert sum("<- chosen" in line for line in lines) == 1
+    # A turn and a quarter at the highest frequency, 30 rad/s: 8 rad.
+    assert "delays from 0 to 0.27 s were tried" in str(found)
     assert lines[-1] == found.verdict
     least = min(found.bic)
     for candidate, bic in zip(found.candidates, found.bic, strict=True):

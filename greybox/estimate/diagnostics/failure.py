@@ -23,8 +23,8 @@ def failure_warnings(
 
     yield (
         f"run {run.index} came closest, cost {run.cost:.6g} after "
-        f"{counted(run.iterations, 'iteration')} ({run.status}); its values, which are no "
-        f"estimate, are in best_effort: {_cure(run)}."
+        f"{counted(run.iterations, 'iteration')} ({run.status}); its values are no "
+        f"estimate: {_cure(run)}."
     )
     # A run that was cut short says nothing about what blocks it.
     profile = None if run.status in CUT_SHORT else _end(search, solver, run)
@@ -43,7 +43,7 @@ def _cure(run: Run) -> str:
     if run.status in CUT_SHORT[1:]:
         return "give it more time"
     if "iterations" in status or "relaxations" in status:
-        return "give it more iterations, solver_options={'max_iter': ...}"
+        return "give it more iterations (the option max_iter of the solver)"
     return (
         "start elsewhere, narrow the start boxes, or fix parameters that the data do not determine"
     )

@@ -50,8 +50,8 @@ def unfinished_runs(search: Multistart) -> Iterator[str]:
         lowest = min(unfinished, key=lambda run: run.cost)
         yield (
             f"run {lowest.index} ended at a lower cost, {lowest.cost:.6g} instead of {best:.6g}, "
-            f"but did not converge ({lowest.status}): give it more iterations, "
-            f"solver_options={{'max_iter': ...}}, or start there."
+            f"but did not converge ({lowest.status}): give it more iterations "
+            "(the option max_iter of the solver), or start there."
         )
 
 
@@ -83,8 +83,9 @@ def several_estimates_of_one_response(
     if best.variants < 2 or accuracy.combinations:
         return
 
-    ends = search.runs.estimate[list(best.runs)]
-    differs = np.ptp(ends, axis=0) > 0.05 * np.abs(ends).max(axis=0)
+    ends = nlp.scaling.to_solver(search.runs.estimate[list(best.runs)])
+    # Zero and 4e-9 s of a delay up to 0.05 s are one value.
+    differs = np.ptp(ends, axis=0) > 0.05 * np.abs(ends).max(axis=0) + 1e-6
     names = listed([name for name, is_other in zip(nlp.free, differs, strict=True) if is_other])
     yield (
         f"at least {best.variants} clearly different parameter vectors give this same response: "

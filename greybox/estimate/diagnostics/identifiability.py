@@ -34,8 +34,8 @@ def not_determined(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str]:
         names = dict.fromkeys(name for c in combinations[3:] for name in c.names)
         yield (
             f"{counted(len(combinations) - 3, 'more combination')} of parameters are determined "
-            f"poorly or not at all, of {listed(tuple(names))}; print(fit.identifiability) shows "
-            "them."
+            f"poorly or not at all, of {listed(tuple(names))}; the table of identifiability "
+            "shows them."
         )
 
 
@@ -49,7 +49,8 @@ def determined_together(fit: Fit) -> Iterator[str]:
     remaining = f" and {len(combinations) - 3} more" if len(combinations) > 3 else ""
     yield (
         f"{'; '.join(map(str, combinations[:3]))}{remaining}: determined together, although "
-        f"{listed(members)} are not; print(fit.identifiability) shows how well each is."
+        f"{listed(members)} are not; the table of identifiability shows how well each "
+        "is."
     )
 
 

@@ -75,7 +75,7 @@ def outlying_points(nlp: CompiledProblem, x: Array) -> Iterator[str]:
             f"the point at {omega:.4g} rad/s of {part.problem.name!r} is an outlier, "
             f"{100 * deviation.relative:.2g} % from the model: fewer than one in "
             f"{number(float(one_in), 2)} fits to clean data have such a point. Fit again without "
-            "it, response.where(...), to see its effect."
+            "it to see its effect."
         )
     for part in responses:
         yield from _unequal_sizes(part, values)

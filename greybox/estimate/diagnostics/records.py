@@ -244,8 +244,8 @@ def _bounded(
             text = (
                 f"the Kalman gain{place} reached the stability limit, as if the data showed no "
                 "process noise in a state that it corrects. The standard errors do not account for "
-                "the limit and are too small: name fewer states in "
-                "PredictionError(corrected=...), or compare with OutputError()."
+                "the limit and are too small: let it correct fewer "
+                "states, or compare with OutputError()."
             )
             yield "limit", name, text
 
