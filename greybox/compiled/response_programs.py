@@ -8,7 +8,9 @@ With the roots as inputs the program is an SX function whose derivatives hold th
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import partial
+from itertools import groupby
 from typing import Any
 
 import casadi as ca
@@ -24,7 +26,8 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.harmonic_balance import harmonic_function
-from greybox.modeling.linear_response import formula_at_one_frequency, response_formula
+from greybox.modeling.linear_response import formulas_at_one_frequency, response_formula
+from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.trim import Trimmed
 
@@ -40,8 +43,8 @@ class CostProgram:
     ----------
     function : casadi.Function
         (z, smoothing) -> the cost with `solver_weights`, and what must be >= 0.
-    derivatives : dict of casadi.Function
-        Options of `casadi.nlpsol` for large responses: CasADi's own derivatives take longer.
+    hessian : function or None
+        Builds the Hessian of large responses: CasADi's own takes longer.
     explicit : casadi.Function or None
         The same as an SX function (z, smoothing), or (z, smoothing, w) with the `roots` given; None
         where responses exist as MX functions only.
@@ -53,10 +56,20 @@ class CostProgram:
     """
 
     function: ca.Function
-    derivatives: dict[str, ca.Function] = field(default_factory=dict)
+    hessian: Callable[[], ca.Function] | None = None
     explicit: ca.Function | None = None
     roots: ca.Function | None = None
     shared: SharedResponses | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Build the Hessian: what would build it stays in this process."""
+        return {**vars(self), "derivatives": self.derivatives, "hessian": None}
+
+    @cached_property
+    @one_thread_at_a_time
+    def derivatives(self) -> dict[str, ca.Function]:
+        """Options of `casadi.nlpsol`; a search that needs no IPOPT does not build them."""
+        return {} if self.hessian is None else {"hess_lag": self.hessian()}
 
 
 def fits_a_batch(program: ca.Function | None) -> bool:
@@ -137,8 +150,9 @@ def compile_responses(
                 )
                 for part, response, weight in zip(parts, mapped, solver_weights(parts), strict=True)
             ]
-            hessian = lagrangian_hessian(terms, point, stacked(limits, named, ca.SX))
-            return CostProgram(function, {"hess_lag": hessian}, shared=shared(choose))
+            constraint = stacked(limits, named, ca.SX)
+            hessian = partial(lagrangian_hessian, terms, point, constraint)
+            return CostProgram(function, hessian, shared=shared(choose))
         explicit = function if kind is ca.SX else None
         large = None if fits_a_batch(explicit) else shared(choose)
         return CostProgram(function, explicit=explicit, shared=large)
@@ -225,12 +239,19 @@ def _mapped(parts: Sequence[Problem]) -> list[Mapped]:
     if 300 * size < LARGE or any(part.amplitude is not None for part in parts):
         return []
     mapped = []
-    for part in parts:
-        omega = part.response.omega
-        formula = formula_at_one_frequency(part.model, omega, **response_options(part))
-        if formula is None:
+    for _, group in groupby(parts, lambda part: (id(part.model), part.at, part.delay)):
+        alike = list(group)
+        first, data = alike[0], [part.response for part in alike]
+        formulas = formulas_at_one_frequency(
+            first.model,
+            np.unique(np.hstack([response.omega for response in data])),
+            [(response.input, response.output) for response in data],
+            at=first.at,
+            pade=delay_order(first.delay),
+        )
+        if not formulas:
             return []
-        mapped.append(Mapped(formula, omega))
+        mapped += [Mapped(*pair) for pair in zip(formulas, (d.omega for d in data), strict=True)]
 
     return mapped if sum(response.work for response in mapped) > LARGE else []
 

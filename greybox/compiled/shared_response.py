@@ -125,8 +125,8 @@ class SharedResponses:
         ends = np.cumsum([0, *map(len, self.data)]).tolist()
         self._places = [slice(a, b) for a, b in pairwise(ends)]
         second, first = ca.hessian(cost, symbols[0])
-        rows, columns = second.sparsity().get_triplet()
-        self._second = np.array(rows, dtype=int), np.array(columns, dtype=int)
+        pattern = second.sparsity()
+        self._second = np.array(pattern.row()), np.array(pattern.colind())
         outputs = [cost, ca.densify(first), second.nz[:]]
         self._criterion = Columns(ca.Function("criterion", [*symbols], outputs))
 
@@ -145,7 +145,7 @@ class SharedResponses:
 
     def __call__(self, z: Array, smoothing: Array) -> tuple[Array, Array, Array]:
         """Return cost (k,), gradient (p, k), Hessian (p * p, k) at z (p, k), smoothing (1, k)."""
-        from scipy.sparse import csr_array  # noqa: PLC0415  (imports slowly)
+        from scipy.sparse import csc_array  # noqa: PLC0415  (imports slowly)
 
         values, slopes = self.stacked(z)
         numbers = np.concatenate([values.real, values.imag], axis=1).T
@@ -154,7 +154,7 @@ class SharedResponses:
         gradient, hessian = np.empty((p, k)), np.empty((p * p, k))
         for c in range(k):
             jacobian = np.concatenate([slopes[c].real, slopes[c].imag])
-            weight = csr_array((second[:, c], self._second), shape=(len(jacobian),) * 2)
+            weight = csc_array((second[:, c], *self._second), shape=(len(jacobian),) * 2)
             gradient[:, c] = first[:, c] @ jacobian
             hessian[:, c] = (jacobian.T @ (weight @ jacobian)).ravel()
         return cost[0], gradient, hessian

@@ -44,7 +44,7 @@ from greybox.formulation.prior_part import stated_priors
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Listed, Starts, as_starts
 from greybox.formulation.sum import Sum
-from greybox.modeling.one_thread import LOCK, one_thread_at_a_time
+from greybox.modeling.one_thread import LOCK, one_thread_at_a_time, traced_once
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
 from greybox.solve.executors import require_executor, value_fingerprint
 from greybox.solve.interruption import (
@@ -233,6 +233,7 @@ def _interruptible() -> Iterator[None]:
 
 
 @_interruptible()
+@traced_once()
 def fit_keeping(
     kept: KeptRuns | None,
     problem: AnyProblem,

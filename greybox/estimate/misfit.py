@@ -1,5 +1,6 @@
 """Whether a model explains its data, and if not, what it may lack."""
 
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -23,7 +24,7 @@ from greybox.statistics.autoregressive_test import (
     whitened,
     whitening_filters,
 )
-from greybox.statistics.column_space import beside, column_basis
+from greybox.statistics.column_space import beside
 from greybox.statistics.score_test import (
     chance,
     correlated_score,
@@ -50,6 +51,7 @@ COLUMNS = 2_000_000  # numbers in memory for all terms at once, 16 MB
 MOST = 3000
 FEWEST = 500  # of each
 REFIT = 30  # iterations of a response by itself
+ENOUGH = 0.3  # change of -2 log likelihood in one of these, far below what is significant
 
 Numbers = NDArray[np.inexact]  # real, or complex for a response
 Key = tuple[tuple[str, str, str], int]  # the family of a term, and its number in it
@@ -288,15 +290,18 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
 
     # Real and imaginary parts follow one another in every response.
     lengths = [len(rows) // 2 for rows in tested for _ in "ri"]
-    p_common, score, separate, apart = 1.0, None, residuals, fitted
+    p_common, score, apart, noise_apart = 1.0, None, (0.0, 0), 0.0
     if not in_time and ranked:
-        score = correlated_score(residuals, fitted, lengths)
+        score = correlated_score([(residuals, fitted, lengths)])
     if score is not None and len(parts) > 1:
         # Other values may be far from the common ones: each part is fitted by itself.
-        separate, apart = _separate(parts)
-        p_common = p_value_of_scores(
-            score, correlated_score(separate, apart, lengths), fitted, apart
-        )
+        blocks = [
+            (*part.separate(), (len(rows) // 2,) * 2)
+            for part, rows in zip(parts, tested, strict=True)
+            if part.separate
+        ]
+        apart, noise_apart = correlated_score(blocks), sum(np.sum(rows**2) for rows, *_ in blocks)
+        p_common = p_value_of_scores(score, apart, len(residuals))
     is_common = p_common >= FALSE_ALARMS
 
     texts = [terms[key].described(test[2], test[3]) for test, key, _ in ranked]
@@ -307,13 +312,12 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
         chances = p_value, p_value
         if terms[key].kind == "own" and not is_common:
             # Residuals that other values could explain, too, are not noise.
-            noise, taken = float(np.sum(separate**2)), decrease * without / len(residuals)
-            remaining = len(residuals) - column_basis(apart).shape[1]
-            chances = (float(chance(noise / (noise + taken), remaining)),) * 2
+            share_apart = noise_apart / (noise_apart + decrease * without / len(residuals))
+            chances = (float(chance(share_apart, len(residuals) - apart[1])),) * 2
         elif score is not None and p_value < FALSE_ALARMS:
             columns = np.hstack([fitted, column])
-            beside_it = correlated_score(residuals, columns, lengths)
-            p_beside = p_value_of_scores(score, beside_it, fitted, columns)
+            beside_it = correlated_score([(residuals, columns, lengths)])
+            p_beside = p_value_of_scores(score, beside_it, len(residuals))
             chances = p_value, max(p_value, p_beside)
         share = min(decrease / total, 1.0)
         p_values_of_all = np.minimum(tried * np.array(chances), 1.0).tolist()
@@ -383,20 +387,13 @@ def _stacked_outputs(parts: Sequence[_Regression], lengths: Sequence[int]) -> Ou
     ]
 
 
-def _separate(parts: Sequence[_Regression]) -> tuple[Array, Array]:
-    """Return the residuals (N, 1) of parts with values of their own, and the columns (N, ·)."""
-    from scipy.linalg import block_diag  # noqa: PLC0415  (slow to import)
-
-    residuals, columns = zip(*(part.separate() for part in parts if part.separate), strict=True)
-    return np.vstack(residuals), np.asarray(block_diag(*columns))
-
-
 def _numbered(terms: Any) -> dict[Key, Term]:
     """Return terms by their family and their number in it, the same in all parts."""
     numbered: dict[Key, Term] = {}
+    counts: Counter[tuple[str, str, str]] = Counter()
     for term in terms:
-        count = sum(family == term.family for family, _ in numbered)
-        numbered[term.family, count] = term
+        numbered[term.family, counts[term.family]] = term
+        counts[term.family] += 1
     return numbered
 
 
@@ -515,6 +512,8 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
         full = np.append(x, values[len(free) :])
         return rows(part.sensitivity(full)[:, : len(free)])
 
+    slope = part.sensitivity(values)[:, : len(free)]
+
     def separate() -> tuple[Array, Array]:
         from scipy.optimize import least_squares  # noqa: PLC0415  (slow to import)
 
@@ -525,10 +524,10 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
             jac,
             x_scale="jac",
             max_nfev=REFIT,
+            ftol=ENOUGH / max(2 * order.size, 1),
         ).x
         return residuals(x), slopes(x)
 
-    slope = part.sensitivity(values)[:, : len(free)]
     own = [
         Term("own", lambda k=k: slope[:, k] / response, name, part.name)
         for k, name in enumerate(free)

@@ -12,7 +12,7 @@ from greybox.estimate.identifiability import KnownDirections
 from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted, one_line
 from greybox.modeling.harmonic_balance import enough_harmonics, harmonic_function
-from greybox.modeling.linear_response import formula_at_one_frequency, response_formula
+from greybox.modeling.linear_response import formulas_at_one_frequency, response_formula
 from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
@@ -183,11 +183,14 @@ def response_and_slope(
     options: dict[str, Any] = {"input": input, "output": output, "at": signals["at"]}
     options["pade"] = delay_order(signals["delay"])
     p = [values[name] for name in model.parameters]
-    if sine is None and (formula := formula_at_one_frequency(model, omega, **options)) is not None:
+    at = {"at": signals["at"], "pade": options["pade"]}
+    if sine is None and (
+        formulas := formulas_at_one_frequency(model, omega, [(input, output)], **at)
+    ):
         # One small function mapped over the frequencies compiles several times faster than one
         # expression of all of them, or than the derivative of the mapped function.
         q, frequency = ca.SX.sym("p", len(p)), ca.SX.sym("omega")
-        parts = ca.vertcat(*formula(q, frequency))
+        parts = ca.vertcat(*formulas[0](q, frequency))
         rows = ca.densify(ca.horzcat(parts, ca.jacobian(parts, q)))
         mapped = ca.Function("slopes", [q, frequency], [rows]).map(omega.size)
         re, im = np.reshape(mapped(p, omega[None]).full(), (2, omega.size, -1))

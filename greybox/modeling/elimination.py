@@ -1,11 +1,11 @@
-"""The response d + c (s I - A)⁻¹ b of a linear system by elimination, in numbers or in expressions.
+"""Responses D + C (s I - A)⁻¹ B of a linear system by elimination, in numbers or in expressions.
 
-The states are eliminated from the matrix [[s I - A, b], [-c, d]], in whose last corner the response
-remains. Expressions cannot be pivoted as they go. A pivot is zero not only at a pole but wherever a
-leading sub-block of A has an eigenvalue at s, as the undamped position and velocity inside a damped
-system do. So the order of elimination is chosen beforehand: the first one that agrees with a
-pivoted solution in numbers, at sample values of the parameters. The characteristic polynomial would
-need no pivots, but loses all digits if eigenvalues differ by a few decades.
+The states are eliminated from the matrix [[s I - A, B], [-C, D]], in whose last corner the
+responses remain. Expressions cannot be pivoted as they go. A pivot is zero not only at a pole but
+wherever a leading sub-block of A has an eigenvalue at s, as the undamped position and velocity
+inside a damped system do. So the order of elimination is chosen beforehand: the first one that
+agrees with a pivoted solution in numbers, at sample values of the parameters. The characteristic
+polynomial would need no pivots, but loses all digits if eigenvalues differ by a few decades.
 """
 
 from collections.abc import Iterator, Sequence
@@ -22,9 +22,9 @@ ACCURATE = 1e-10
 ORDERS = 200  # random orders to try: of many states, many orders are good
 
 
-def eliminated(system: Sequence[Sequence[Any]], s: Any, order: Sequence[int]) -> Any:
-    """Return the response of a system [[-A, b], [-c, d]]; None is an entry that is always zero."""
-    n = len(system) - 1
+def eliminated(system: Sequence[Sequence[Any]], s: Any, order: Sequence[int]) -> list[list[Any]]:
+    """Return the responses of a system [[-A, B], [-C, D]]; None is an entry that is always zero."""
+    n, corner = len(order), range(len(order), len(system))
     # Entries that are always zero are not stored, which keeps the expressions short.
     rows = [{k: v for k, v in enumerate(row) if v is not None} for row in system]
     for i in range(n):
@@ -32,7 +32,7 @@ def eliminated(system: Sequence[Sequence[Any]], s: Any, order: Sequence[int]) ->
 
     for position, i in enumerate(order):
         pivot = rows[i].pop(i)
-        for j in (*order[position + 1 :], n):
+        for j in (*order[position + 1 :], *corner):
             if i not in rows[j]:
                 continue
             factor = rows[j].pop(i) / pivot
@@ -40,37 +40,46 @@ def eliminated(system: Sequence[Sequence[Any]], s: Any, order: Sequence[int]) ->
                 change = factor * value
                 rows[j][k] = rows[j][k] - change if k in rows[j] else -change
 
-    return rows[n].get(n, 0.0)
+    return [[rows[j].get(k, 0.0) for k in range(n, len(system[0]))] for j in corner]
 
 
-def elimination_order(samples: Array, omega: Array) -> tuple[int, ...]:
+def elimination_order(samples: Array, omega: Array, outputs: int = 1) -> tuple[int, ...]:
     """Return the order in which to eliminate the states.
 
     Parameters
     ----------
-    samples : (m, n + 1, n + 1) array
-        The system [[-A, b], [-c, d]] at sample values of the parameters.
+    samples : (m, n + l, n + q) array
+        The system [[-A, B], [-C, D]] at sample values of the parameters.
     omega : (k,) array, rad/s
-        Where the response is needed, s = jω.
+        Where the responses are needed, s = jω.
+    outputs : int
+        Their number l.
     """
-    n = samples.shape[1] - 1
+    n = samples.shape[1] - outputs
     s = 1j * omega
     entries = [
-        [samples[:, i, k, None] if samples[:, i, k].any() else None for k in range(n + 1)]
-        for i in range(n + 1)
+        [samples[:, i, k, None] if samples[:, i, k].any() else None for k in range(len(row))]
+        for i, row in enumerate(samples[0])
     ]
-    A, b, c, d = samples[:, :n, :n], samples[:, :n, n], samples[:, n, :n], samples[:, n, n, None]
+    A, B, C, D = samples[:, :n, :n], samples[:, :n, n:], samples[:, n:, :n], samples[:, n:, n:]
     pencil = s[:, None, None] * np.eye(n) + A[:, None]
     errors: dict[tuple[int, ...], float] = {}
     # An order with a zero pivot divides by it here, and is thereby found out.
     with np.errstate(all="ignore"):
-        right = np.broadcast_to(b[:, None], pencil.shape[:-1]).astype(complex)
-        terms = c[:, None] * solve_pencils(pencil, right)
-        exact = d - terms.sum(axis=-1)
+        columns = B.shape[-1]
+        size = (len(samples), len(s), columns, n)
+        right = np.broadcast_to(B.swapaxes(1, 2)[:, None], size).astype(complex)
+        states = solve_pencils(np.broadcast_to(pencil[:, :, None], (*size, n)), right)
+        # Outputs, inputs, samples, frequencies.
+        terms = np.einsum("mln,mkqn->lqmkn", C, states)
+        direct = np.moveaxis(D, 0, -1)[..., None]
+        exact = direct - terms.sum(axis=-1)
         # At an antiresonance the terms cancel, however accurate they are.
-        size = np.abs(d) + np.abs(terms).sum(axis=-1)
+        size = np.abs(direct) + np.abs(terms).sum(axis=-1)
         for order in _orders(n):
-            error = np.abs(eliminated(entries, s, order) - exact) / size
+            values = [value for row in eliminated(entries, s, order) for value in row]
+            found = np.reshape(np.broadcast_arrays(samples[:, :1, 0] * s, *values)[1:], size.shape)
+            error = np.abs(found - exact) / size
             is_comparable = np.isfinite(size) & (size > 0)
             errors[order] = np.max(
                 np.nan_to_num(error, nan=1e300), where=is_comparable, initial=0.0

@@ -1,6 +1,6 @@
 """The frequency response of a model, in numbers and compiled; an ODE is linearized."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import casadi as ca
@@ -84,70 +84,91 @@ def frequency_response(
     )
 
 
-@one_thread_at_a_time
 def response_formula(
+    model: Model, omega: Array, *, input: str = "", output: str = "", **options: Any
+) -> Trimmed:
+    """Compile one frequency response as `response_formulas` does."""
+    [formula] = response_formulas(model, omega, [(input, output)], **options)
+    return formula
+
+
+@one_thread_at_a_time
+def response_formulas(
     model: Model,
     omega: Array,
+    pairs: Sequence[tuple[str, str]],
     symbol: ca.SX | None = None,
     *,
-    input: str = "",
-    output: str = "",
     at: Mapping[str, float] | None = None,
     pade: int | None = None,
-) -> Trimmed:
-    """Compile the frequency response at `omega` (n,): real and imaginary part.
+) -> list[Trimmed]:
+    """Compile frequency responses at `omega` (n,): real and imaginary parts.
 
-    With a `symbol`, the function takes one frequency as its last input; `omega` are the values that
-    will occur.
+    `pairs` are inputs and outputs; the responses of a state space share one elimination. With a
+    `symbol`, the functions take one frequency as their last input; `omega` are the values that will
+    occur.
     """
     frequency = [] if symbol is None else [symbol]
     frequencies = ca.SX(ca.DM(omega)) if symbol is None else symbol
     s = Complex(ca.SX.zeros(frequencies.numel()), frequencies, pade)
-    input, output = pick_signals(model, input, output)
+    pairs = [pick_signals(model, *pair) for pair in pairs]
     z, p = symbols(model)
     if isinstance(model, TransferFunction):
         require_no_operating_point(model, at)
         result = traced(f"{model.label}.response", model.response, s, parameter_names(model, p))
         parts = _columns(result, s, model.label)
-        return Trimmed(None, ca.Function("response", [p, ca.SX(0, 1), *frequency], parts))
+        formula = Trimmed(None, ca.Function("response", [p, ca.SX(0, 1), *frequency], parts))
+        return [formula] * len(pairs)
 
     assert isinstance(model, StateSpace)
-    x, u = z[: len(model.states)], z[len(model.states) :]
-    i = model.input_names.index(input)
-    k = model.output_names.index(output)
+    n = len(model.states)
+    inputs, outputs = (sorted(set(names)) for names in zip(*pairs, strict=True))
+    x, u = z[:n], z[n:]
+    i = [model.input_names.index(name) for name in inputs]
+    k = [model.output_names.index(name) for name in outputs]
     trim = trim_of(model, at or {})
 
     # C (s I - A)⁻¹ B + D, then the delay
     A, B, C, D = jacobians(model)(p, x, u)
     system = ca.blockcat([[-A, B[:, i]], [-C[k, :], D[k, i]]])
-    places = range(len(model.states) + 1)
-    entries = [[None if system[r, c].is_zero() else system[r, c] for c in places] for r in places]
-    order = _elimination_order(model, ca.Function("system", [p, x, u], [system]), trim, omega)
-    result = eliminated(entries, s, order)
-    if input in model.delays:
-        result = result * exp(-s * p[list(model.parameters).index(model.delays[input])])
-
-    at_point = ca.Function("response", [p, x, u, *frequency], _columns(result, s, model.label))
+    places = range(n + len(k)), range(n + len(i))
+    entries = [
+        [None if system[r, c].is_zero() else system[r, c] for c in places[1]] for r in places[0]
+    ]
+    order = _elimination_order(
+        model, ca.Function("system", [p, x, u], [system]), trim, omega, len(k)
+    )
+    results = eliminated(entries, s, order)
     _, w = trim.function.sx_in()
-    parts: Any = at_point(p, *trim.function(p, w), *frequency)
-    return Trimmed(trim.root, ca.Function("response", [p, w, *frequency], parts))
+    point: Any = trim.function(p, w)
+    formulas = []
+    for input, output in pairs:
+        result = results[outputs.index(output)][inputs.index(input)]
+        if input in model.delays:
+            result = result * exp(-s * p[list(model.parameters).index(model.delays[input])])
+        at_point = ca.Function("response", [p, x, u, *frequency], _columns(result, s, model.label))
+        parts: Any = at_point(p, *point, *frequency)
+        formulas.append(Trimmed(trim.root, ca.Function("response", [p, w, *frequency], parts)))
+    return formulas
 
 
-def formula_at_one_frequency(model: Model, omega: Array, **options: Any) -> ca.Function | None:
-    """Return the function (parameters, frequency) -> real and imaginary part of the response.
+def formulas_at_one_frequency(
+    model: Model, omega: Array, pairs: Sequence[tuple[str, str]], **options: Any
+) -> list[ca.Function]:
+    """Return functions (parameters, frequency) -> real and imaginary part of the responses.
 
-    The arguments are those of `response_formula`. None if the formula has different numbers at each
+    The arguments are those of `response_formulas`. Empty if a formula has different numbers at each
     frequency, or if Newton's method finds the operating point.
     """
     try:
-        formula = response_formula(model, omega, ca.SX.sym("omega"), **options)
+        formulas = response_formulas(model, omega, pairs, ca.SX.sym("omega"), **options)
     except ValueError:  # `response_formula` at all frequencies raises it with the reason
-        return None
-    return formula.closed() if formula.root is None else None
+        return []
+    return [formula.closed() for formula in formulas if formula.root is None]
 
 
 def _elimination_order(
-    model: StateSpace, system: ca.Function, trim: Trimmed, omega: Array
+    model: StateSpace, system: ca.Function, trim: Trimmed, omega: Array, outputs: int
 ) -> tuple[int, ...]:
     """Choose the order of elimination from matrices at the start values and at random starts."""
     # A pivot that vanishes for all parameters does so at any few values, and at any frequencies.
@@ -162,7 +183,7 @@ def _elimination_order(
         return tuple(range(len(model.states)))
     # Fifty frequencies limit the time of the search.
     few = np.linspace(0, omega.size - 1, min(omega.size, 50)).astype(int)
-    return elimination_order(np.array(samples), omega[few])
+    return elimination_order(np.array(samples), omega[few], outputs)
 
 
 def _parts(result: Any, owner: str, count: int) -> tuple[Any, Any]:

@@ -2,15 +2,16 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import one_line
-from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace
-from greybox.modeling.symbolic_reading import symbols, traced_derivative, traced_output
+from greybox.modeling.symbolic_reading import derivative_function, symbols, traced_output
 from greybox.modeling.trim import trim_of
 
 
@@ -55,19 +56,20 @@ class LinearSystem:
         return np.linalg.eigvals(self.A).astype(complex)
 
 
-@one_thread_at_a_time
+@once
 def jacobians(model: StateSpace) -> ca.Function:
     """Return the CasADi function (parameters, states, inputs) -> A, B, C, D."""
     n = len(model.states)
     z, p = symbols(model)
     x, u = z[:n], z[n:]
-    f = traced_derivative(model, z, p)
+    f: Any = derivative_function(model)(z, p)
     h = traced_output(model, z, p)
     blocks = [ca.jacobian(f, x), ca.jacobian(f, u), ca.jacobian(h, x), ca.jacobian(h, u)]
 
     return ca.Function("jacobians", [p, x, u], blocks)
 
 
+@once
 def linearize(
     model: StateSpace,
     values: Mapping[str, float] | None = None,

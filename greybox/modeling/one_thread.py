@@ -7,7 +7,9 @@ functions is safe, as long as every thread has its own.
 
 import functools
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any, ParamSpec, TypeVar
 
 Arguments = ParamSpec("Arguments")
@@ -35,6 +37,37 @@ class PerThread(threading.local):
 
     def __init__(self, function: Callable[..., Any], stored: int) -> None:
         self.result = functools.lru_cache(stored)(one_thread_at_a_time(function))
+
+
+_traced: ContextVar[dict[Any, Any]] = ContextVar("traced")
+
+
+@contextmanager
+def traced_once() -> Iterator[None]:
+    """Store the results of functions `once` until the end: all responses of a model share them.
+
+    They are not stored longer, because a model is the user's object, which may change.
+    """
+    outer = _traced.set(_traced.get({}))
+    try:
+        yield
+    finally:
+        with LOCK:
+            _traced.reset(outer)
+
+
+def once(function: Callable[..., Result]) -> Callable[..., Result]:
+    """Run a function of a model, one thread at a time, once within `traced_once`."""
+
+    @functools.wraps(function)
+    def result(model: Any, *args: Any, **kwargs: Any) -> Result:
+        with LOCK:
+            results, key = _traced.get({}), (function, model, repr((args, kwargs)))
+            if key not in results:
+                results[key] = function(model, *args, **kwargs)
+            return results[key]
+
+    return result
 
 
 class cached_property(functools.cached_property[Result]):  # noqa: N801

@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.modeling.model import Model, Names
-from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace
 
 CURE = (
@@ -78,7 +78,7 @@ def traced_output(model: StateSpace, z: ca.SX, p: ca.SX) -> ca.SX:
     return _traced_column(model, "output", model.outputs, z, p)
 
 
-@one_thread_at_a_time
+@once
 def derivative_function(model: StateSpace) -> ca.Function:
     """Return the CasADi function (states and inputs, parameters) -> derivative."""
     z, p = symbols(model)

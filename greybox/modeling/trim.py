@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.files.arrays import Array, IntArray
 from greybox.modeling.model import Names, require_known
-from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.one_thread import once
 from greybox.modeling.parameter import is_finite_number
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import (
@@ -18,7 +18,6 @@ from greybox.modeling.symbolic_reading import (
     parameter_names,
     symbols,
     traced,
-    traced_derivative,
 )
 
 TOLERANCE = 1e-9  # on the derivative at a trim, relative to the states and inputs there
@@ -52,7 +51,7 @@ class Trimmed:
         return ca.Function(self.function.name(), [p, *arguments], self.function(p, w, *arguments))
 
 
-@one_thread_at_a_time
+@once
 def trim_of(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
     """Return states and inputs at the operating point `at` as functions of the parameters.
 
@@ -125,7 +124,7 @@ def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> Trimmed:
 def _implicit_trim(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
     names = (*model.states, *model.inputs)
     z, p = symbols(model)
-    derivative = traced_derivative(model, z, p)
+    derivative: Any = derivative_function(model)(z, p)
     # A signal on which no derivative depends cannot be solved for; it rests at zero.
     unknown = [
         k for k, name in enumerate(names) if name not in at and ca.depends_on(derivative, z[k])

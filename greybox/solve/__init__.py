@@ -7,6 +7,7 @@ Begin with `multistart`.
 | `multistart` | the solver of a problem, the order of its starts, and its runs from them |
 | `local_solver` | what every solver answers |
 | `response_solver` | frequency responses: many starts improved at once, minima confirmed by IPOPT |
+| `shared_solver` | many responses that share one solve: starts by equation error, no IPOPT |
 | `batched_newton`, `newton_iteration` | Newton's method from many points, and its iteration |
 | `equation_error_start` | starts of state spaces by regression |
 | `zero_response` | a wall around a response of zero, where searches would end |

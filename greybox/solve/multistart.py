@@ -22,6 +22,7 @@ from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Minimum, Multistart, agreeing_runs, find_minima
 from greybox.solve.response_solver import ResponseSolver
 from greybox.solve.runs import CUT_SHORT, NOT_FINITE, SCREENED, Outcome, Run, Runs
+from greybox.solve.shared_solver import SharedSolver
 from greybox.solve.transcribed_program import TranscribedProgram
 
 ProgressReport = Callable[[int, int], Any]
@@ -38,8 +39,8 @@ def solver_for(
     """Return the solver of a problem.
 
     Parts with hidden unknowns, such as records, are solved by Gauss-Newton steps or IPOPT, others
-    by `ResponseSolver`, which compares the starts and improves many at once if the search is
-    ``"batched"``.
+    by `ResponseSolver` or `SharedSolver`, which compare the starts and improve many at once if the
+    search is ``"batched"``.
 
     Raises
     ------
@@ -47,7 +48,9 @@ def solver_for(
         For options that the solver does not take.
     """
     if not any(part.has_states for part in nlp.parts):
-        return ResponseSolver(nlp, options, batched=search == BATCHED)
+        batched = search == BATCHED
+        kind = SharedSolver if batched and SharedSolver.serves(nlp) else ResponseSolver
+        return kind(nlp, options, batched=batched)
     if nlp.method.by_ipopt:
         return TranscribedProgram(nlp, GaussNewton(nlp), options)
     return GaussNewton(nlp, settings=with_options(nlp.strategies, options))

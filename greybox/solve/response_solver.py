@@ -3,9 +3,7 @@
 Starts that are improved together end at a minimum of the same smoothed cost as those of IPOPT.
 IPOPT then solves one run of every distinct minimum again: a minimum counts only where IPOPT's
 conditions of optimality (KKT) are met. IPOPT alone makes all runs of problems for which
-`fits_a_batch` is false. Exceptions are large problems whose responses share one solve
-(`greybox.compiled.shared_response`): their starts are improved together too, three of four from a
-regression by equation error, and a minimum counts where the gradient of the same cost vanishes.
+`fits_a_batch` is false, except for the large ones that `shared_solver` serves.
 """
 
 import time
@@ -26,7 +24,6 @@ from greybox.files.arrays import Array
 from greybox.modeling.one_thread import cached_property
 from greybox.modeling.symbolic_reading import input_symbols
 from greybox.solve.batched_newton import BatchedNewton, Ends
-from greybox.solve.equation_error_start import EquationErrors
 from greybox.solve.interruption import Response, one_run, reason_to_end, responding, stop_requested
 from greybox.solve.ipopt import CONVERGED, ROUNDED, WARM, WITHOUT_BARRIER, Ipopt
 from greybox.solve.local_solver import LocalSolver, Profile, Screened
@@ -47,7 +44,6 @@ FINER = (1e-10, 1e-12, 1e-14, 1e-16)
 # Relative change of a response: rounding leaves 1e-13, of parameters that no data see less.
 SAME_BUT_ROUNDING = 1e-9
 NO_OPTIONS: Mapping[str, Any] = MappingProxyType({})
-SHARED = 16  # starts of shared responses at once: more do not become cheaper
 TOLERANCE = 1e-8  # on the projected gradient in the solver's variables, as in IPOPT
 
 
@@ -68,39 +64,36 @@ class ResponseSolver(LocalSolver):
         batched: bool = True,
     ) -> None:
         """Build IPOPT; without `batched`, it makes all runs and compares no starts."""
-        self._problem, self._options, self._batched = problem, dict(options), batched
+        self.problem, self._options, self._batched = problem, dict(options), batched
         if options:  # those that IPOPT does not take are refused here
             _ = self._stages
-        self._lower = problem.scaling.to_solver(problem.lower)
-        self._upper = problem.scaling.to_solver(problem.upper)
+        self.lower = problem.scaling.to_solver(problem.lower)
+        self.upper = problem.scaling.to_solver(problem.upper)
         limits = np.zeros(problem.constraint.numel_out())
         self._bounds = {
-            "lbx": self._lower,
-            "ubx": self._upper,
+            "lbx": self.lower,
+            "ubx": self.upper,
             "lbg": limits,
             "ubg": limits + np.inf,
         }
-        self._limits = {
+        self.limits = {
             "max_iterations": int(self._options.get("max_iter", ITERATIONS)),
             "tolerance": float(self._options.get("tol", TOLERANCE)),
         }
         explicit = problem.programs[-1].explicit
-        self._shared = problem.programs[-1].shared if batched else None
-        if self._shared is not None:
-            self.together = SHARED
-        elif batched and explicit and self.serves(problem):
+        if batched and explicit and ResponseSolver.serves(problem):
             self.together = _batch_size(explicit)
 
     @cached_property
     def _stages(self) -> list[Ipopt]:
         return [
             Ipopt(_statement(program.function), self._options, program.derivatives)
-            for program in self._problem.programs
+            for program in self.problem.programs
         ]
 
     def __reduce__(self) -> tuple[Callable[..., "ResponseSolver"], tuple[Any, ...]]:
         """Return what builds the same solver."""
-        return partial(ResponseSolver, batched=self._batched), (self._problem, self._options)
+        return partial(type(self), batched=self._batched), (self.problem, self._options)
 
     @staticmethod
     def serves(problem: CompiledProblem) -> bool:
@@ -118,7 +111,7 @@ class ResponseSolver(LocalSolver):
         self, start: Array, smoothing: float, options: Mapping[str, Any] = NO_OPTIONS
     ) -> Outcome:
         began = time.perf_counter()
-        problem, stages = self._problem, self._stages
+        problem, stages = self.problem, self._stages
         if options:
             stages = [stage.variant({**options, **self._options}) for stage in stages]
         z = problem.scaling.to_solver(start)
@@ -141,22 +134,22 @@ class ResponseSolver(LocalSolver):
 
     def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
         """Return the point x (p,): there are no hidden unknowns."""
-        z = self._problem.scaling.to_solver(x)
-        trajectories = tuple(part.initial_trajectory(z) for part in self._problem.parts)
-        return Profile(z, trajectories, float(self._problem.costs(x[None])[0]), converged=True)
+        z = self.problem.scaling.to_solver(x)
+        trajectories = tuple(part.initial_trajectory(z) for part in self.problem.parts)
+        return Profile(z, trajectories, float(self.problem.costs(x[None])[0]), converged=True)
 
     def cost(self, values: Array) -> float:
         """Return the cost without smoothing at all values (k,)."""
-        return self._problem.cost(values)
+        return self.problem.cost(values)
 
     def judged(self, estimates: Array) -> tuple[Array, Any]:
         """Return the costs, without smoothing, and signatures."""
         if not len(estimates):
             return np.zeros(0), np.zeros((0, 0), np.float32)
         batches = [estimates[k : k + AT_ONCE] for k in range(0, len(estimates), AT_ONCE)]
-        costs = np.concatenate([self._problem.costs(batch) for batch in batches])
+        costs = np.concatenate([self.problem.costs(batch) for batch in batches])
         # In single precision: they are stored for every run, and compared to a percent.
-        signatures = [self._problem.signatures(batch).astype(np.float32) for batch in batches]
+        signatures = [self.problem.signatures(batch).astype(np.float32) for batch in batches]
         return costs, np.concatenate(signatures)
 
     # --- many starts
@@ -165,8 +158,8 @@ class ResponseSolver(LocalSolver):
         """Compare the starts (r, p) by smoothed costs, with a penalty on missed constraints."""
         if not self._batched:
             return None
-        z = self._problem.scaling.to_solver(starts).T
-        costs, limits = (value.full() for value in self._problem.programs[0].function(z, SMOOTHING))
+        z = self.problem.scaling.to_solver(starts).T
+        costs, limits = (value.full() for value in self.problem.programs[0].function(z, SMOOTHING))
         # A constraint missed by a thousandth weighs as much as a cost of one.
         values = costs.ravel() + 1e3 * np.maximum(-limits, 0).sum(axis=0)
         values = np.where(np.isfinite(values), values, np.inf)
@@ -179,61 +172,56 @@ class ResponseSolver(LocalSolver):
             return super().run_together(starts)
 
         began = time.perf_counter()
-        problem = self._problem
-        z = problem.scaling.to_solver(starts).T
-        iterations, arrived = np.zeros(len(starts), int), np.zeros(len(starts), bool)
-        if self._shared is not None:
-            # One start in four stays: the others end alike, and might agree on a wrong minimum.
-            moved = np.arange(len(starts)) % 4 > 0
-            errors = BatchedNewton(EquationErrors(self._shared, z), self._lower, self._upper)
-            ends = errors.minimize(
-                z[:, moved], max_iterations=50, tolerance=TOLERANCE, from_near=True
-            )
-            z[:, moved] = ends.z
-        for k, batch in enumerate(self._batches):
-            ends = batch.minimize(z, **self._limits, from_near=k > 0)
-            if k == 0:
-                ends = self._away_from_zero(z, ends)
-            z, iterations, arrived = ends.z, iterations + ends.iterations, ends.at_minimum
-
-        estimates = self._estimates(z)
+        ends = self.improved(self.problem.scaling.to_solver(starts).T)
         seconds = (time.perf_counter() - began) / len(starts)
         outcomes = []
-        for x, count, at_minimum in zip(estimates, iterations.tolist(), arrived, strict=True):
+        ended = zip(self._estimates(ends.z), ends.iterations.tolist(), ends.at_minimum, strict=True)
+        for x, count, at_minimum in ended:
             if at_minimum:
-                ended = Outcome(x, AT_MINIMUM, count, seconds, converged=True, stage=IMPROVED)
+                outcome = Outcome(x, AT_MINIMUM, count, seconds, converged=True, stage=IMPROVED)
             else:
-                ended = Outcome(x, reason_to_end(), count, seconds, converged=False)
-            outcomes.append(ended if ended.status else self._again(x, ended))
+                outcome = Outcome(x, reason_to_end(), count, seconds, converged=False)
+                outcome = outcome if outcome.status else self.again(x, outcome)
+            outcomes.append(outcome)
         return outcomes
+
+    def improved(self, z: Array, **limits: Any) -> Ends:
+        """Return the ends of searches from the columns of z (p, m), within the limits."""
+        limits = {**self.limits, **limits}
+        first, *others = self.batches
+        ends = self._away_from_zero(z, first.minimize(z, **limits))
+        for batch in others:
+            iterations, ends = ends.iterations, batch.minimize(ends.z, **limits, from_near=True)
+            ends.iterations[:] += iterations
+        return ends
 
     def _away_from_zero(self, z: Array, ends: Ends) -> Ends:
         """Search again, from the columns of z (p, m), what ended at a response of zero."""
-        costs = self._problem.programs[0].function(ends.z, SMOOTHING)[0].full().ravel()
-        zero = np.flatnonzero(explains_nothing(costs, self._problem.zero_costs.sum()))
-        if not zero.size or self._shared is not None or self._walled is None:
+        costs = self.problem.programs[0].function(ends.z, SMOOTHING)[0].full().ravel()
+        zero = np.flatnonzero(explains_nothing(costs, self.problem.zero_costs.sum()))
+        if not zero.size or self._walled is None:
             return ends
 
-        again = self._walled.minimize(z[:, zero], **self._limits)
+        again = self._walled.minimize(z[:, zero], **self.limits)
         ends.z[:, zero], ends.at_minimum[zero] = again.z, again.at_minimum
         ends.iterations[zero] += again.iterations
         return ends
 
     @cached_property
     def _walled(self) -> BatchedNewton | None:
-        program = walled(self._problem)
-        return None if program is None else BatchedNewton(program, self._lower, self._upper)
+        program = walled(self.problem)
+        return None if program is None else BatchedNewton(program, self.lower, self.upper)
 
     @cached_property
-    def _batches(self) -> list[BatchedNewton]:
+    def batches(self) -> list[BatchedNewton]:
         """Build the criterion that locates the minimum, if any, then the problem's own."""
         return [
-            BatchedNewton(cost, self._lower, self._upper, program.roots)
-            for program in self._problem.programs
-            if (cost := program.shared or program.explicit) is not None
+            BatchedNewton(program.explicit, self.lower, self.upper, program.roots)
+            for program in self.problem.programs
+            if program.explicit is not None
         ]
 
-    def _again(
+    def again(
         self, x: Array, earlier: Outcome | Run, options: Mapping[str, Any] = NO_OPTIONS
     ) -> Outcome:
         """Run IPOPT from x (p,), and add the iterations and seconds of the earlier run."""
@@ -249,9 +237,6 @@ class ResponseSolver(LocalSolver):
         parameters idle: these runs are made again by IPOPT, from their starts.
         """
         certified: dict[int, Outcome] = {}
-        # The gradient of a shared search is exact: it has met the same conditions.
-        if self._shared is not None:
-            return certified
         for minimum in minima:
             if np.any(runs.stage[np.array(minimum.runs)] != IMPROVED):
                 continue
@@ -272,7 +257,7 @@ class ResponseSolver(LocalSolver):
 
         # A run that leaves its end for a lower one was at no minimum.
         higher = outcome.cost - run.cost
-        tolerated = same_cost(self._problem, run.cost)
+        tolerated = same_cost(self.problem, run.cost)
         if not outcome.converged or not higher <= tolerated:
             return False
         certified[run.index] = outcome
@@ -280,7 +265,7 @@ class ResponseSolver(LocalSolver):
 
     def _judged_run(self, run: Run, x: Array, options: Mapping[str, Any]) -> Outcome:
         """Return where IPOPT gets to from x (p,) after an earlier run, with cost and signature."""
-        outcome = self._again(x, run, options)
+        outcome = self.again(x, run, options)
         [cost], [signature] = self.judged(outcome.estimate[None])
         return replace(outcome, cost=float(cost), signature=signature)
 
@@ -298,7 +283,7 @@ class ResponseSolver(LocalSolver):
         close = [m for m in minima if m.cost <= 1.01 * minima[0].cost]
         close = minima[:1] if stop_requested() else close
         with responding(Response.FINISH):
-            if not self._problem.limits:
+            if not self.problem.limits:
                 first = search.runs.start[0]
                 close = [replace(m, estimate=self._in_order(m.estimate, first)) for m in close]
             polished = [*map(self._polish, close), *minima[len(close) :]]
@@ -310,7 +295,7 @@ class ResponseSolver(LocalSolver):
         Exchanged, they have the same responses, so that rounding would choose which of two lags
         gets which value.
         """
-        problem, order = self._problem, np.argsort(first, kind="stable").tolist()
+        problem, order = self.problem, np.argsort(first, kind="stable").tolist()
         for i, j in combinations(order, 2):
             y = x.copy()
             y[[i, j]] = x[[j, i]]
@@ -321,13 +306,13 @@ class ResponseSolver(LocalSolver):
 
     def _polish(self, best: Minimum) -> Minimum:
         """Return a minimum solved again with less smoothing, as long as the cost does not grow."""
-        problem = self._problem
-        is_served = self._shared is not None or self.serves(problem)
+        problem = self.problem
+        is_served = self.serves(problem)
         # In steps: at the kink of a zero residual a search stalls when the smoothing falls at once.
         for smoothing in FINER:
             if is_served:
                 z = problem.scaling.to_solver(best.estimate)[:, None]
-                ends = self._batches[-1].minimize(
+                ends = self.batches[-1].minimize(
                     z, max_iterations=100, tolerance=1e-13, from_near=True, smoothing=smoothing
                 )
                 estimate = self._estimates(ends.z)[0]
@@ -343,7 +328,7 @@ class ResponseSolver(LocalSolver):
 
     def _estimates(self, z: Array) -> Array:
         """Return the parameters (m, p) at the columns of z (p, m), within their bounds."""
-        problem = self._problem
+        problem = self.problem
         return np.clip(problem.scaling.to_parameters(z.T), problem.lower, problem.upper)
 
 

@@ -10,7 +10,6 @@ Cambridge Philosophical Society 44; Breusch and Pagan (1980), The Lagrange multi
 applications to model specification in econometrics, Review of Economic Studies 47.
 """
 
-import itertools
 from collections.abc import Sequence
 from typing import Any
 
@@ -73,41 +72,43 @@ def score_tests(residuals: Array, fitted: Array, terms: Array) -> Array:
     return np.array([count * share, p_value, value, error])
 
 
-def correlated_score(residuals: Array, fitted: Array, lengths: Sequence[int]) -> float:
-    """Return -2 log likelihood of residuals whose errors may be correlated, or larger at some rows.
+def correlated_score(blocks: Sequence[tuple[Array, Array, Sequence[int]]]) -> tuple[float, int]:
+    """Return -2 log likelihood of residuals, and the rank of what the fit may have taken.
+
+    Errors may be correlated, or larger at some rows.
 
     Correlated errors look like a smooth term that is missing, large ones like a local term, and the
     other way round: a term must explain more than an exponential correlation of neighbors does, or
-    errors that are larger beyond some row. Either is estimated here.
+    errors that are larger beyond some row. Either is estimated here, the same for all blocks.
 
     Parameters
     ----------
-    residuals, fitted : (N, 1) and (N, p) arrays
-        As in `score_tests`.
-    lengths : sequence of int
-        Numbers of rows in which neighbors are correlated.
+    blocks : sequence of (residuals, fitted, lengths)
+        Rows that have columns of their own: arrays (N, 1) and (N, p) as in `score_tests`, and the
+        numbers of rows in which neighbors are correlated.
     """
-    numbers, firsts = len(residuals), np.cumsum([0, *lengths[:-1]])
-    values = np.hstack([column_basis(fitted), residuals])
-    whitened, determinants = [], []
-    for rho in CORRELATIONS:
+    count, rank, squares, counted, determinants = 0, 0, 0.0, 0.0, 0.0
+    for residuals, fitted, lengths in blocks:
+        numbers, firsts = len(residuals), np.cumsum([0, *lengths[:-1]])
+        values = np.hstack([column_basis(fitted), residuals])
         # Less what the neighbor predicts.
+        rho = CORRELATIONS[:, None, None]
         white = (values - rho * np.roll(values, 1, axis=0)) / np.sqrt(1 - rho**2)
-        white[firsts] = values[firsts]
-        whitened.append(white)
-        determinants.append((numbers - len(lengths)) * np.log(1 - rho**2))
-    place = np.concatenate([np.arange(length) / length for length in lengths])
-    for share, ratio in itertools.product(SHARES, RATIOS):
-        size = np.where(place < share, 1.0, ratio)
-        whitened.append(values / size[:, None])
-        determinants.append(2 * np.log(size).sum())
+        white[:, firsts] = values[firsts]
+        place = np.concatenate([np.arange(length) / length for length in lengths])
+        size = np.where(place < SHARES[:, None, None], 1.0, np.array(RATIOS)[:, None])
+        size = size.reshape(-1, numbers)
+        # The last diagonal element is the length of what the columns leave of the residuals.
+        logarithms = _squares_of_lengths(np.concatenate([white, values / size[..., None]]))
+        squares += np.exp(logarithms[:, -1])
+        counted += logarithms[:, :-1].sum(axis=1)
+        count, rank = count + numbers, rank + values.shape[1] - 1
+        correlated = (numbers - len(lengths)) * np.log(1 - CORRELATIONS**2)
+        determinants += np.append(correlated, 2 * np.log(size).sum(axis=1))
 
-    # The last diagonal element is the length of what the columns leave of the residuals.
-    logarithms = _squares_of_lengths(np.array(whitened))
-    scores = numbers * logarithms[:, -1] + determinants
+    scores = count * np.log(squares) + determinants
     # Many columns leave small residuals, which would look equal: their number is counted.
-    counted = logarithms.sum(axis=1) - values.shape[1] * logarithms[:, -1]
-    return scores[np.argmin(scores + counted)]
+    return scores[np.argmin(scores + counted - rank * np.log(squares))], rank
 
 
 def scores_of_powers(residuals: Array, fitted: Array, omega: Array) -> Array:
@@ -130,14 +131,14 @@ def _squares_of_lengths(values: Array) -> Array:
     return 2 * np.log(np.maximum(diagonal, np.finfo(float).tiny))
 
 
-def p_value_of_scores(without: float, beside: float, fitted: Array, more: Array) -> float:
-    """Return the probability of a score with columns (N, p), and with more columns, by chance."""
-    taken, rank = (column_basis(columns).shape[1] for columns in (fitted, more))
+def p_value_of_scores(without: tuple[float, int], beside: tuple[float, int], count: int) -> float:
+    """Return the probability by chance of two scores of `count` residuals, with their ranks."""
+    (score, taken), (lower, rank) = without, beside
     if rank == taken:
         return 1.0
     # The ratio of likelihoods as a share of squares; correlation or ratio is one more unknown.
-    left = np.exp(-max(without - beside, 0.0) / len(fitted))
-    return float(chance(left, max(len(fitted) - rank - 1, 1), rank - taken))
+    left = np.exp(-max(score - lower, 0.0) / count)
+    return float(chance(left, max(count - rank - 1, 1), rank - taken))
 
 
 def chance(left: Any, remaining: Any, terms: int = 1) -> Any:

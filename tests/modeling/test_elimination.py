@@ -50,7 +50,7 @@ def test_every_order_eliminates_a_regular_system(seed, n):
     d = random.normal()
     order = tuple(int(i) for i in random.permutation(n))
     s = 3.0 + 2.0j  # away from every leading minor's roots, almost surely
-    found = eliminated(entries(bordered(A, b, c, d)), s, order)
+    [[found]] = eliminated(entries(bordered(A, b, c, d)), s, order)
     assert found == pytest.approx(response(A, b, c, d, s), rel=1e-6, abs=1e-9)
 
 
@@ -59,7 +59,7 @@ def test_a_sub_block_that_resonates_at_a_data_frequency_is_eliminated_in_another
     b, c = np.array([0.0, 2, 0]), np.array([1.0, 0, 0])
     system = bordered(A, b, c, 0.0)
     order = elimination_order(system[None], OMEGA)
-    found = eliminated(entries(system), 1j * OMEGA, order)
+    [[found]] = eliminated(entries(system), 1j * OMEGA, order)
     expected = [response(A, b, c, 0.0, s) for s in 1j * OMEGA]
     assert found == pytest.approx(np.array(expected), rel=1e-12)
 

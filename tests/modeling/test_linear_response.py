@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from two_tanks import AT, Tanks
 
 import greybox as gb
-from greybox.modeling.linear_response import response_formula
+from greybox.modeling.linear_response import response_formula, response_formulas
 from greybox.modeling.model import pick_signals
 from greybox.models.mixer import Torques
 from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt
@@ -203,3 +203,34 @@ def test_values_at_which_the_matrices_are_not_finite_leave_the_order_of_eliminat
     assert_allclose(
         compiled_response(Rooted(), OMEGA, at={"u": 0.0})({"c": 4.0}), expected, rtol=1e-9
     )
+
+
+def test_responses_that_share_an_elimination_are_those_of_numpy():
+    random = np.random.default_rng(0)
+    A, B, C, D = (random.normal(size=size) for size in ((4, 4), (4, 3), (2, 4), (2, 3)))
+
+    class System(gb.StateSpace):
+        states, inputs, outputs = tuple("abcd"), ("u", "v", "w"), ("y", "z")
+        delays = {"v": "tau"}
+        k = gb.Parameter(1.5, bounds=(0, 3))
+        tau = gb.Parameter(0.1, bounds=(0, 1))
+
+        def derivative(self, x, u, p):
+            x, u = [*x_values(x, self.states)], [*x_values(u, self.inputs)]
+            return [p.k * (row @ x) + b @ u for row, b in zip(A, B, strict=True)]
+
+        def output(self, x, u, p):
+            x, u = [*x_values(x, self.states)], [*x_values(u, self.inputs)]
+            return [row @ x + d @ u for row, d in zip(C, D, strict=True)]
+
+    def x_values(names, wanted):
+        return np.array([names[name] for name in wanted], dtype=object)
+
+    pairs = [("w", "z"), ("v", "y"), ("u", "z")]
+    for formula, (u, y) in zip(response_formulas(System(), OMEGA, pairs), pairs, strict=True):
+        k, i = System.outputs.index(y), System.inputs.index(u)
+        exact = [
+            C[k] @ np.linalg.solve(1j * w * np.eye(4) - 1.5 * A, B[:, i]) + D[k, i] for w in OMEGA
+        ] * np.exp(-1j * OMEGA * 0.1 * (u == "v"))
+        re, im = (np.array(part) for part in formula.closed()([1.5, 0.1]))
+        np.testing.assert_allclose((re + 1j * im).ravel(), exact, rtol=1e-9)

@@ -1,0 +1,70 @@
+"""The solver of large problems whose responses share one solve a frequency.
+
+Three of four starts move to a minimum of the equation error first; then all are improved together
+by Newton's method. The cost is that of `greybox.compiled.shared_response`, whose gradient is exact:
+a minimum counts where it vanishes, and IPOPT need not confirm it.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from greybox.compiled.compiled_problem import CompiledProblem
+from greybox.files.arrays import Array
+from greybox.modeling.one_thread import cached_property
+from greybox.solve.batched_newton import BatchedNewton, Ends
+from greybox.solve.equation_error_start import EquationErrors
+from greybox.solve.minima import Minimum
+from greybox.solve.response_solver import NO_OPTIONS, TOLERANCE, ResponseSolver
+from greybox.solve.runs import Outcome, Run, Runs
+
+# Iterations of a start that did not move, where others are at a minimum. From measured states they
+# take 12, such a start takes up to 250, and its time is that of the whole fit.
+MOST = 100
+UNFINISHED = "Maximum_Iterations_Exceeded"
+
+
+class SharedSolver(ResponseSolver):
+    """Newton's method on the shared cost, from starts by equation error."""
+
+    together = 16  # more do not become cheaper
+
+    @staticmethod
+    def serves(problem: CompiledProblem) -> bool:
+        """Tell whether the responses of a problem share one solve."""
+        return problem.programs[-1].shared is not None
+
+    @cached_property
+    def batches(self) -> list[BatchedNewton]:
+        """Build the criterion that locates the minimum, if any, then the problem's own."""
+        costs = [program.shared for program in self.problem.programs]
+        return [BatchedNewton(cost, self.lower, self.upper) for cost in costs]
+
+    def improved(self, z: Array, **limits: Any) -> Ends:
+        """Return the ends of searches from the columns of z (p, m)."""
+        # One start in four stays: the others end alike, and might agree on a wrong minimum.
+        moved = np.arange(z.shape[1]) % 4 > 0
+        shared = self.problem.programs[-1].shared
+        assert shared is not None
+        errors = BatchedNewton(EquationErrors(shared, z), self.lower, self.upper)
+        near = errors.minimize(z, max_iterations=50, tolerance=TOLERANCE, from_near=True).z
+        at_minimum, iterations = np.zeros(z.shape[1], bool), np.zeros(z.shape[1], int)
+        z = np.where(moved, near, z)
+        for columns in (moved, ~moved):
+            ends = super().improved(z[:, columns], **limits)
+            z[:, columns], at_minimum[columns] = ends.z, ends.at_minimum
+            iterations[columns] = ends.iterations
+            if ends.at_minimum.any():
+                limits = {"max_iterations": MOST}
+        return Ends(z, at_minimum, iterations)
+
+    def again(
+        self, x: Array, earlier: Outcome | Run, options: Mapping[str, Any] = NO_OPTIONS
+    ) -> Outcome:
+        """Return a run that did not arrive: IPOPT would take minutes."""
+        return Outcome(x, UNFINISHED, earlier.iterations, earlier.seconds, converged=False)
+
+    def certified(self, runs: Runs, minima: Sequence[Minimum]) -> dict[int, Outcome]:
+        """Return no run: the searches have met IPOPT's conditions."""
+        return {}
