@@ -19,21 +19,22 @@ EXAMPLES = (
     "pitch_fit.h5 other_flight.BIN",
     "pitch_fit.h5 other_flight.csv --signals u=elevator q=gyro_y --horizon 2",
 )
-OPTIONS = """
+LOG_OPTIONS = """
 result RESULT
     a fit that greybox identify or fit --out wrote
 log LOG
-    a log or a table that the fit has not seen
+    a log or a table with the inputs of the model
 --signals NAME=SIGNAL...
     inputs and outputs of the model in the log (default: those of the log of the fit)
 --rate HZ
     common sampling rate
 --between START END
-    predict only this part of the log, s
+    use only this part of the log, s
+--columns
+--model"""
+OPTIONS = f"""{LOG_OPTIONS}
 --horizon S
     time to predict from the measured past, s (default: chosen by greybox)
---columns
---model
 """
 
 

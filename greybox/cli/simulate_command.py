@@ -3,7 +3,7 @@
 import argparse
 
 from greybox.cli.output import Answer, require_writable
-from greybox.cli.predict_command import flown_record
+from greybox.cli.predict_command import LOG_OPTIONS, flown_record
 from greybox.cli.saved_fits import saved_fit
 from greybox.files.delimited_text import write_delimited
 from greybox.simulation.simulate import simulate
@@ -12,23 +12,11 @@ EXAMPLES = (
     "cart.h5 other.csv --initial x=0.2 --out motion.csv",
     "pitch_fit.h5 other_flight.BIN --between 20 30 --out motion.csv",
 )
-OPTIONS = """
-result RESULT
-    a fit that greybox identify or fit --out wrote
-log LOG
-    a log or a table with the inputs of the model
---signals NAME=SIGNAL...
-    inputs and outputs of the model in the log (default: those of the log of the fit)
---rate HZ
-    common sampling rate
---between START END
-    simulate only this part of the log, s
+OPTIONS = f"""{LOG_OPTIONS}
 --initial NAME=VALUE...
     initial states; others begin at zero
 --out FILE
     write outputs and states to this CSV file (required)
---columns
---model
 --force
 """
 

@@ -5,6 +5,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from inspect import Parameter, Signature
 from typing import Any, Literal
 
 import numpy as np
@@ -85,6 +86,8 @@ class Quantity:
 @dataclass(frozen=True, eq=False)
 class Fit:
     """The answer to a problem: estimates with their errors, all runs, warnings. It prints itself.
+
+    `fit` and `load` return it.
 
     A fit contains plain values only, so that a saved one loads without the model. `runs` are
     columns, as in ``fit.runs.cost``. Vectors and matrices are in the order of `free` unless stated
@@ -562,3 +565,7 @@ class Fit:
 
     def __str__(self) -> str:
         return text(self)
+
+
+# `fit` and `load` make fits: thirty arguments would hide what a reader of help() looks for.
+Fit.__init__.__dict__["__signature__"] = Signature([Parameter("self", Parameter.POSITIONAL_ONLY)])

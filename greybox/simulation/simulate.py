@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from greybox.compiled.sampled_data import gapless
 from greybox.data.record import Record, share_samples
 from greybox.files.arrays import Array, BoolArray
-from greybox.files.text_table import counted
+from greybox.files.text_table import counted, some
 from greybox.formulation.input_assumptions import Inputs
 from greybox.modeling.integrators import Integrator, RungeKutta
 from greybox.modeling.model import Model, require_known
@@ -53,8 +53,8 @@ def simulate(
     record : Record
         With all inputs; by default that of the fit.
     initial : mapping of state to value, or to one value for each stretch without a gap
-        Other states begin at zero. By default those of the fit where the record is its own, else
-        zero.
+        Other states begin at zero, which the name of the result of a fit says. By default those of
+        the fit where the record is its own, else zero.
     inputs : "record", "linear" or "held", optional
         How inputs run between samples; by default as in the fit, else as the record says, see
         `OutputError`.
@@ -150,6 +150,10 @@ def simulate(
         if (signal := n.removesuffix(ERROR)) in record.units
     }
     remark = f", {_not_known(tuple(unknown), estimated)}" if unknown else ""
+    # Who simulates a fit expects the motion of the record, which hardly ever begins at rest.
+    if estimated.covariance is not None and not fitted_initial:
+        zero = [name for name in estimated.system.states if name not in (initial or {})]
+        remark += f", from {some(zero)} = 0" if zero else ""
     name = f"simulation of {estimated.label}{remark}"
     return Record(record.time, columns, units, name=name, has_time=record.has_time)
 

@@ -26,10 +26,13 @@ def test_a_step_is_simulated_from_the_stated_state(capsys, saved):
     status, out, _ = run(capsys, *command, "--initial", "y=1")
     assert status == 0
     assert "wrote motion.csv" in out
+    assert "= 0" not in out
     motion = gb.prepare(gb.read("motion.csv"), {"y": "y"})
     truth = 2 - np.exp(-motion.time / 0.3)  # of K = 2 and T = 0.3 s, from y = 1
     np.testing.assert_allclose(motion["y"], truth, atol=0.02)
     assert "exists" in refused(capsys, *command)
+    _, out, _ = run(capsys, *command, "--force")
+    assert ", from y = 0\n" in out
 
 
 def test_a_fit_is_exported(capsys, saved):

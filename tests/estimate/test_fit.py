@@ -1,5 +1,7 @@
 """The answer: errors of derived quantities, intervals, earlier fits, and what it prints."""
 
+import pydoc
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -375,3 +377,8 @@ def test_steps_that_are_too_coarse_are_told_with_what_they_move_most(matters, la
         assert str(nlp.method.finer(6)) in found[0]
     static = SimpleNamespace(parts=[SimpleNamespace(substeps=0)])
     assert [*discretization_warnings(static, (), error)] == []
+
+
+def test_help_begins_with_what_a_fit_is():
+    assert "The answer to a problem" in pydoc.render_doc(gb.Fit, renderer=pydoc.plaintext)[:200]
+    assert replace(LAG, name="renamed").name == "renamed"
