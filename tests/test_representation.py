@@ -89,7 +89,7 @@ class Elements(HTMLParser):
         self.text += f"{data} "
 
 
-SHOWN = ("Fit",)
+SHOWN = ("Fit", "Problem", "Sum")
 
 
 @pytest.mark.parametrize("kind", SHOWN)
@@ -141,3 +141,11 @@ def test_long_tables_are_cut():
     many = html_table(["s"], [["1"]] * 2000)
     assert len(many) < 20_000
     assert "and 1940 more" in Elements(many).text
+
+
+def test_a_notebook_shows_the_unknowns_of_a_problem():
+    shown = Elements(PROBLEM._repr_html_()).text
+    for name, parameter in PROBLEM.parameters.items():
+        assert f"{name} " in shown
+        assert parameter.unit in shown
+        assert parameter.fixed or f"[{parameter.bounds[0]:g}, {parameter.bounds[1]:g}]" in shown

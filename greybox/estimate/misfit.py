@@ -17,6 +17,7 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.diagnostics.outlying_points import SIZE, largest_deviation
 from greybox.estimate.missing_terms import Formula, Term, terms_of_record, terms_of_response
 from greybox.files.arrays import Array, BoolArray
+from greybox.files.html_text import Printed
 from greybox.files.text_table import number, percent, text_table, with_error
 from greybox.statistics.autoregressive_test import (
     Outputs,
@@ -97,7 +98,7 @@ class Cause:
 
 
 @dataclass(frozen=True)
-class Misfit:
+class Misfit(Printed):
     """Whether a model explains its data, and what it may lack. It prints itself.
 
     Attributes

@@ -12,7 +12,8 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.text_table import counted, one_line
+from greybox.files.html_text import html_table, html_text
+from greybox.files.text_table import counted, number, one_line
 from greybox.formulation.frequency_criteria import RelativeLikelihood
 from greybox.formulation.held_estimate import HeldEstimate
 from greybox.modeling.model import merged_parameters
@@ -38,6 +39,15 @@ class Addable:
     def __radd__(self, other: Any) -> Any:
         # The built-in sum() begins with 0.
         return self if other == 0 else NotImplemented
+
+    def _repr_html_(self: Any) -> str:
+        rows = [
+            [name, number(p.start), p.unit, "fixed" if p.fixed else f"[{lo:g}, {hi:g}]", p.about]
+            for name, p in self.parameters.items()
+            for lo, hi in [p.bounds]
+        ]
+        header = ["parameter", "start", "unit", "bounds", "meaning"]
+        return html_text(repr(self)) + html_table(header, rows, (0, 2, 4))
 
 
 @dataclass(frozen=True, eq=False)
