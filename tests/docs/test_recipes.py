@@ -32,7 +32,7 @@ def heun():
 
 def test_an_integrator_and_a_rule_for_starts(heun, tmp_path):
     near(heun)
-    assert str(heun).endswith("3 by Halton, seed 0")
+    assert "3 by Halton, seed 0" in heun.details
     usual = gb.fit(recipes.problem(), 3, progress=False)
     for name in recipes.TRUTH:
         assert heun.estimate[name] == pytest.approx(

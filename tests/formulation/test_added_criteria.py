@@ -96,7 +96,7 @@ def test_what_else_is_changed_leaves_the_criterion_open():
 
 def test_the_answer_says_which_likelihoods_were_added():
     problem = gb.Problem(Lag(), RESPONSE) + gb.Problem(Lag(), record(0.5, 1), HELD)
-    said = str(gb.fit(problem, starts=[TRUTH]))
+    said = gb.fit(problem, starts=[TRUTH]).details
     assert (
         "maximum likelihood, one unknown relative variance; output error, estimated variances"
         in said

@@ -92,7 +92,7 @@ def test_the_firmware_itself_is_reproduced(log):
     check = from_log(log, "yaw").check(log)
     assert check.residual < 0.02
     assert check.late == {"q_reference": 2}
-    assert "log has 200.1 of 400 Hz" in str(check)
+    assert "logged at 200.1 Hz of 400 Hz" in str(check)
 
 
 def test_a_flight_is_reproduced_to_rounding_and_other_gains_are_not(flight):
@@ -114,7 +114,7 @@ def test_a_thinned_log_is_reproduced_nearly(flight):
     thinned = replace(flight, records={"RATE": rate.rows(slice(None, None, 2))})
     check = from_log(thinned).check(thinned)
     assert check.residual < 0.3
-    assert "200 of 400 Hz" in str(check)
+    assert "200 Hz of 400 Hz" in str(check)
 
 
 def test_gains_that_changed_are_refused_with_names_and_times(flight):
