@@ -87,7 +87,8 @@ def correlated_score(blocks: Sequence[tuple[Array, Array, Sequence[int]]]) -> tu
         Rows that have columns of their own: arrays (N, 1) and (N, p) as in `score_tests`, and the
         numbers of rows in which neighbors are correlated.
     """
-    count, rank, squares, counted, determinants = 0, 0, 0.0, 0.0, 0.0
+    count, rank, counted, determinants = 0, 0, 0.0, 0.0
+    squares = np.finfo(float).tiny  # parts fitted exactly leave nothing
     for residuals, fitted, lengths in blocks:
         numbers, firsts = len(residuals), np.cumsum([0, *lengths[:-1]])
         values = np.hstack([column_basis(fitted), residuals])
