@@ -355,9 +355,9 @@ def _stretch(
     off = np.abs(time - time[0] - step * np.arange(time.size)).max() / step
     if off > JITTER:
         raise ValueError(
-            f"sampling is not uniform from {time[0]:g} s on (off by {off:.2g} steps): resample "
-            "first, gb.prepare(..., rate=...); put a few irregular samples on a fine uniform time "
-            "base, with NaN where nothing was measured."
+            f"sampling is not uniform from {time[0]:g} s on (off by {off:.2g} steps): prepare "
+            "the record with rate=..., which resamples it; put a few irregular samples on a fine "
+            "uniform time base, with NaN where nothing was measured."
         )
 
     moving = [float(lead) for lead, values in zip(leads, inputs, strict=True) if not _rests(values)]

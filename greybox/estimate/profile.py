@@ -117,12 +117,14 @@ def _compiled(fit: Fit, problem: AnyProblem | None, level: float) -> CompiledPro
     require_level(level)
     if fit.priors:
         raise ValueError(
-            f"the fit {fit.name!r} has priors, so its cost is not a likelihood: use fit.interval()."
+            f"the fit {fit.name!r} has priors, so its cost is not a likelihood: use the "
+            "standard errors."
         )
 
     if len(fit.responses) + len(fit.records) < len(fit.parts):
         raise ValueError(
-            f"the fit {fit.name!r} has manoeuvres, which cannot be profiled: use fit.interval()."
+            f"the fit {fit.name!r} has manoeuvres, which cannot be profiled: use the "
+            "standard errors."
         )
     return compiled_again(fit, problem)
 

@@ -72,7 +72,7 @@ def page(
     if any(entry.fit is None and not entry.error for entry in entries):
         text = (
             f"Below are details of {counted(len(fits), 'result')}. For those of another member "
-            "save its fit, gb.save(study[NAME].fit, FILE), and write a page about this file."
+            "write a page about its fit alone."
         )
         content.insert(0, tag("p", text))
 

@@ -139,7 +139,7 @@ def simulate(
             raise ValueError(
                 f"the simulation of {estimated.label} diverges at "
                 f"{record.time[stretch.rows][when]:.6g} s, {name} first: predict an unstable model "
-                f"over windows instead, gb.predict(..., horizon=...), or {DOMAINS}."
+                f"over windows instead of simulating it, or {DOMAINS}."
             )
         for name in columns.keys() & signals.keys():
             columns[name][stretch.rows] = signals[name]

@@ -150,6 +150,6 @@ def require_signals(record: Record, inputs: Sequence[str], label: str = "the mod
     if missing:
         raise ValueError(
             f"the record has no signal {missing[0]!r}, an input of {label}; it has "
-            f"{', '.join(record.signals) or 'none'}: name it so in gb.prepare(..., "
-            f"signals={{{missing[0]!r}: ...}})."
+            f"{', '.join(record.signals) or 'none'}: name it so when the record "
+            f"is prepared, signals={{{missing[0]!r}: ...}}."
         )

@@ -91,6 +91,6 @@ def check_uniform(time: Array, record: Record) -> None:
     if deviation.max() > JITTER * step:
         raise ValueError(
             f"{record.name or 'the record'} is not uniformly sampled ({1e3 * deviation.max():.2g} "
-            f"ms off at {time[deviation.argmax()]:.2f} s): resample it with gb.prepare(..., "
-            "rate=...)."
+            f"ms off at {time[deviation.argmax()]:.2f} s): prepare it with rate=..., which "
+            "resamples it."
         )

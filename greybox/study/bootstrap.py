@@ -156,8 +156,8 @@ class Bootstrap(Printed):
             return ()
         return (
             f"the replicates of {some(names)} reach much farther to one side. Percentile intervals "
-            "of such parameters covered 91 to 93 % instead of 95 %, profiles 95 to 97 %: use "
-            "gb.profile if it is available for this criterion.",
+            "of such parameters covered 91 to 93 % instead of 95 %, profiles 95 to 97 %: "
+            "profile these if the criterion allows it.",
         )
 
     @cached_property
@@ -378,7 +378,7 @@ def _require_drawable(fit: Fit) -> None:
     }
     for obstacle, present in obstacles.items():
         if present:
-            raise ValueError(f"the fit {fit.name!r} has {obstacle}: use fit.interval().")
+            raise ValueError(f"the fit {fit.name!r} has {obstacle}: use the standard errors.")
 
 
 def _response_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> ResponseReplicates:

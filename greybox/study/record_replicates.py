@@ -83,7 +83,7 @@ def record_draws(
         if part.gains:
             raise ValueError(
                 f"the residuals of {part.name!r} correct its states, so that they cannot be drawn "
-                "and added: use OutputError, or fit.interval()."
+                "and added: use OutputError(), or the standard errors."
             )
         records.append(_drawn_record(part, trajectory, spectrum, dof))
     about = "residuals drawn" + (" with their correlation in time" if any(spectra) else "")
