@@ -253,7 +253,7 @@ def jittered(size, n=60):
 
 def test_small_jitter_counts_as_uniform_and_large_does_not():
     assert len(cut(jittered(0.02)).stretches) == 1
-    with pytest.raises(ValueError, match=r"not uniform .* gb.prepare"):
+    with pytest.raises(ValueError, match=r"not uniform .* prepare the record with rate"):
         cut(jittered(0.45))
 
 
