@@ -242,5 +242,5 @@ def residual_noise(e: Array, S: Array, present: BoolArray, posterior: Array, R: 
     H, _ = information_of(e, S, R)
     count = np.maximum(present.sum(axis=(0, 1)), 1)
     fitted = float(np.einsum("wij,wji->", H, posterior)) / count.sum()
-    # Estimated states leave a tenth of the residuals free, at least.
+    # Estimated states use up at most nine tenths of the residuals.
     return np.diag((e**2).sum(axis=(0, 1)) / (count * max(1 - fitted, 0.1)))

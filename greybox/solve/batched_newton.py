@@ -10,8 +10,8 @@ would end in corners of wide boxes, and kinks of the cost at zero residuals are 
 are reduced from level to level; at the last level there is no barrier, and the smoothing is that of
 every solver here. The steps minimize the quadratic model within the trust region, with the
 eigenvalues of the Hessian made positive (Moré and Sorensen, SIAM J. Sci. Stat. Comput. 4, 1983),
-over the variables that the gradient does not hold at a bound (Bertsekas, SIAM J. Control Optim. 20,
-1982).
+over the variables that are not held at a bound by the gradient (Bertsekas, SIAM J. Control Optim.
+20, 1982).
 """
 
 from dataclasses import dataclass
@@ -70,7 +70,7 @@ class Ends:
 
 @dataclass(eq=False)
 class _Searches:
-    """The searches in progress, a column for each, and copies that fill up to a width.
+    """The searches in progress, a column for each, padded with copies to a width.
 
     Attributes
     ----------
@@ -226,7 +226,8 @@ class BatchedNewton:
         searches.numbers = numbers
         searches.live &= np.isfinite(numbers[COST])
 
-        # Where Newton's step is none, or too long, eigenvalues find the step within the radius.
+        # Where there is no Newton step, or it is too long, eigenvalues give the step within the
+        # radius.
         outside = np.flatnonzero(searches.live & (numbers[IS_NEWTON] == 0))
         if outside.size:
             eigenvalues, eigenvectors = np.linalg.eigh(hessian_of_free.T[outside].reshape(-1, p, p))

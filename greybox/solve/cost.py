@@ -17,8 +17,8 @@ def cost(
 
     Other parameters are at their start or fixed value.
 
-    The states of records are those of the smallest cost; NaN where there are none, as where the
-    model diverges.
+    The states of records are those of the smallest cost; NaN where there are none, for example if
+    the model diverges.
 
     Raises
     ------

@@ -23,15 +23,15 @@ from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Minimum, Multistart, count_variants, find_minima
 from greybox.solve.runs import TOO_COARSE, Outcome, Run, Runs
 
-# Minima that are followed to the finer steps, at least a run each: one within this cost of the best
-# may change places with it.
+# Cost above the best up to which minima are followed to the finer steps, at least one run each:
+# they may become the best.
 RIVALS = 3
 RIVAL_COST = 10.0
 
 # Shift of an estimate by twice the substeps, in standard errors, that is accepted.
 NEGLIGIBLE_SHIFT = 0.1
-# Shift by twice the steps, in standard errors, from which an end does not solve the differential
-# equations if another end does: refinement leaves the best a tenth of this.
+# Shift by twice the steps, in standard errors, above which an end is taken for an artifact if
+# another end stays below. After refinement, the best has a tenth of this.
 ALIAS = 1.0
 
 
@@ -104,8 +104,8 @@ def refine_discretization(
 ) -> tuple[CompiledProblem, Multistart, LocalSolver, DiscretizationError | None]:
     """Refine the steps until the error does not matter, and follow the best minima.
 
-    A number of substeps that the method fixes stays. Minima that only the integrator has are
-    removed. Also returns the error that is left, None where it was not computed.
+    A number of substeps that the method fixes stays. Minima that are artifacts of the integrator
+    are removed. Also returns the remaining error, None where it was not computed.
     """
     error = None
     if not any(part.substeps for part in nlp.parts) or not search.minima:
@@ -145,7 +145,8 @@ def without_aliases(
     `fine` are the parts with twice the steps.
 
     Too long steps can turn a fast mode into a slow one. Such an alias costs no more than the true
-    parameters, or even less, and may have their response. It stays only where all are aliases.
+    parameters, or even less, and may have their response. It remains only if all minima are
+    aliases.
     """
     limit = search.minima[0].cost + RIVAL_COST
 
@@ -223,7 +224,7 @@ def with_finer_steps(
     runs = _changed(search.runs, changes)
     signatures = [ends[run.index].signature if run.index in ends else None for run in runs]
     moved = find_minima(nlp, [run for run in runs if run.index in ends], signatures)
-    # The first that moved is the best, to rounding: what stayed costs no less than any that moved.
+    # The first that moved is the best, to rounding: the others cost no less than any that moved.
     best, *others = moved
     others = sorted([*others, *search.minima[count:]], key=lambda m: m.cost)
     return replace(search, runs=runs, minima=(best, *others), nodes=ends[best.runs[0]].nodes)

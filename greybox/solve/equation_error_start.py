@@ -4,8 +4,8 @@ Equations without free parameters (kinematics, measured states, an acceleration 
 of its velocity) give the states from the measured responses. With the states, the other equations
 are linear in most parameters: their squared errors, relative to their left sides, have few minima,
 and noise in the regressors biases them little enough for a start. Equations with states that the
-responses do not determine are left out; parameters of which the others say nothing stay where they
-are.
+responses do not determine are left out; parameters on which the others have no information keep
+their values.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ class EquationErrors:
     """The squared equation errors, with gradient and Gauss-Newton Hessian, for many points."""
 
     def __init__(self, responses: SharedResponses, points: Array) -> None:
-        """Find the states from the responses; what depends on z (p, k) does at these points."""
+        """Find the states from the responses, at the points z (p, k) if entries depend on z."""
         self._regressions = [_regression(s, responses.data, points) for s in responses.systems]
 
     def __call__(self, z: Array, smoothing: Array) -> tuple[Array, Array, Array]:

@@ -6,7 +6,7 @@ starts, whichever finishes first: the answer does not depend on the executor, on
 workers, or on their speed.
 
 Dask's workers have ``MALLOC_TRIM_THRESHOLD_`` in their environment, which makes every run of IPOPT
-take twice as long: memory is given back and asked for again. Start them with it and
+take twice as long: memory is released and requested again and again. Start them with it and
 ``MALLOC_MMAP_THRESHOLD_`` at 2000000000, one thread each: ``dask worker ADDRESS --nworkers 2
 --nthreads 1``.
 """
@@ -122,7 +122,9 @@ def value_fingerprint(value: Any) -> str:
     """Return a key of a value, such as a runner, that is the same in every process."""
     text = io.BytesIO()
     pickler = pickle.Pickler(text)
-    pickler.fast = True  # references to earlier objects would tell equal strings from same ones
+    pickler.fast = (
+        True  # references to earlier objects distinguish equal strings from identical ones
+    )
     pickler.dump(value)
     return hashlib.sha256(text.getvalue()).hexdigest()
 

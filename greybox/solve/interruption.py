@@ -1,4 +1,4 @@
-"""What ends a search early: a time limit, or Ctrl-C, which is obeyed where work can end in order.
+"""The early end of a search: by a time limit, or by Ctrl-C as soon as work can end in order.
 
 SIGTERM, which batch systems, containers and systemd send before they kill, is obeyed like Ctrl-C.
 

@@ -1,4 +1,4 @@
-"""The interface of every solver: a run from one start, and what a search needs besides."""
+"""The interface of every solver: a run from one start, and whatever else a search needs."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -23,7 +23,7 @@ class Profile:
 
 
 class Runner(ABC):
-    """What makes runs, here or on workers, each from a row of numbers.
+    """An object that makes runs, here or on workers, each from a row of numbers.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""What a multistart leaves: every run, and the distinct minima that they found."""
+"""The result of a multistart: every run, and the distinct minima."""
 
 import math
 from collections import Counter
@@ -133,7 +133,7 @@ def agreeing_runs(
     numbers = max(sum(part.numbers for part in nlp.parts), 1)
     is_likelihood = any(part.is_likelihood for part in nlp.parts)
     limit = best + TOLD_APART * (1.0 if is_likelihood else abs(best) / numbers)
-    # By cost alone: the data cannot tell these ends apart, whatever their responses.
+    # By cost alone: the data cannot distinguish these ends, whatever their responses.
     columns = Runs.of(runs)
     close = columns.indices[columns.converged & (columns.cost <= limit)]
     return tuple(sorted({*close.tolist(), *minima[0].runs}))

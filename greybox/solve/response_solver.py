@@ -41,7 +41,7 @@ ITERATIONS = 300
 # root of the last one.
 AT_A_KINK = {"acceptable_tol": 1e-4, "acceptable_iter": 3}  # IPOPT reaches looser tolerances only
 FINER = (1e-10, 1e-12, 1e-14, 1e-16)
-# Relative change of a response: rounding leaves 1e-13, of parameters that no data see less.
+# Relative change of a response: rounding leaves 1e-13, and less for parameters that no data show.
 SAME_BUT_ROUNDING = 1e-9
 NO_OPTIONS: Mapping[str, Any] = MappingProxyType({})
 TOLERANCE = 1e-8  # on the projected gradient in the solver's variables, as in IPOPT
@@ -233,8 +233,8 @@ class ResponseSolver(LocalSolver):
     def certified(self, runs: Runs, minima: Sequence[Minimum]) -> dict[int, Outcome]:
         """Return a run of IPOPT's for every minimum that has none.
 
-        What IPOPT does not confirm is no minimum, as where a gain of zero makes all other
-        parameters idle: these runs are made again by IPOPT, from their starts.
+        An end that IPOPT does not confirm is not a minimum, for example a gain of zero, where no
+        other parameter has an effect. IPOPT makes these runs again from their starts.
         """
         certified: dict[int, Outcome] = {}
         for minimum in minima:
@@ -264,7 +264,7 @@ class ResponseSolver(LocalSolver):
         return higher >= -tolerated
 
     def _judged_run(self, run: Run, x: Array, options: Mapping[str, Any]) -> Outcome:
-        """Return where IPOPT gets to from x (p,) after an earlier run, with cost and signature."""
+        """Return the end of IPOPT from x (p,) after an earlier run, with cost and signature."""
         outcome = self.again(x, run, options)
         [cost], [signature] = self.judged(outcome.estimate[None])
         return replace(outcome, cost=float(cost), signature=signature)

@@ -27,7 +27,7 @@ STAGNATED = "stagnated"
 WORKER_LOST = "worker lost"
 
 # Stages of a run: only its start was compared with others, it was improved in a batch, or a solver
-# of single runs had the last word.
+# of single runs finished it.
 SCREENED, IMPROVED, POLISHED = "screened", "improved", "polished"
 
 

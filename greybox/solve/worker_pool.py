@@ -11,7 +11,7 @@ from typing import Any
 
 from greybox.solve.interruption import ENDING
 
-# How often a task is tried that ends its worker: its memory may have been another program's fault.
+# How often a task is tried that ends its worker, since another program may have used up the memory.
 TRIALS = 2
 
 # A process each; the libraries' own threads would compete with them.

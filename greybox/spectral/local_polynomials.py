@@ -1,10 +1,10 @@
 """Frequency responses of sweeps and noise, band by band: the local polynomial method.
 
 At the lines of the discrete Fourier transform of a whole stretch, input and output obey Y = P U + T
-+ V. The transient T began before the stretch or lasts beyond it, and is as smooth as P (Pintelon
-and Schoukens, System Identification, 2nd ed., chapter 7). In a band of lines, P is a polynomial in
-the frequency and T one in its inverse, as integrators and drift leave it. They are estimated by
-least squares, or by instrumental variables with an instrument r from outside the loop. There is no
++ V. The transient T, from before the stretch or lasting beyond it, is as smooth as P (Pintelon and
+Schoukens, System Identification, 2nd ed., chapter 7). In a band of lines, P is a polynomial in the
+frequency and T one in its inverse, as integrators and drift leave it. They are estimated by least
+squares, or by instrumental variables with an instrument r from outside the loop. There is no
 window, so nothing is smeared. The remaining error is that of the polynomials; it falls with the
 fourth power of the width of the band, the error of windows with the square.
 

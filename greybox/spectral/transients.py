@@ -83,7 +83,7 @@ def transient_spectrum(
         source=record.source,
         stretch=stretch.origin,
     )
-    # A value that lasts for a part of the step acts half of that time later.
+    # A value that lasts for part of a step acts half of that time later than a continuous signal.
     delayed = {name: spectrum.delayed_input(name, readings[name].late) for name in inputs}
     return replace(spectrum, inputs=delayed)
 

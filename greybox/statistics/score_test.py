@@ -18,8 +18,8 @@ import numpy as np
 from greybox.files.arrays import Array
 from greybox.statistics.column_space import beside, column_basis
 
-# Share of the length of a term that must remain beside the parameters: less is the error of
-# the integration, or another parameter's work.
+# Share of the length of a term that must remain beside the parameters: less is an error of the
+# integration, or the effect of another parameter.
 REMAINS = 0.01
 FEWEST = 6.0  # numbers beyond those that the parameters take
 
@@ -38,8 +38,8 @@ def score_tests(residuals: Array, fitted: Array, terms: Array) -> Array:
     Returns
     -------
     (4, c) array
-        What each term takes from the sum of squares, over their mean; the probability by chance of
-        such a share, NaN where it cannot be told; the factor on each term that a fit would
+        The decrease of the sum of squares by each term, over their mean; the probability by chance
+        of such a share, NaN where it cannot be decided; the factor on each term that a fit would
         estimate, to first order, and its standard error if the model then explains the data.
 
     Parameters
@@ -127,7 +127,7 @@ def scores_of_powers(residuals: Array, fitted: Array, omega: Array) -> Array:
 
 
 def _squares_of_lengths(values: Array) -> Array:
-    """Return the logarithms of the squares of what each column leaves beside those before it."""
+    """Return the logarithms of the squared remainders of columns, each less those before it."""
     diagonal = np.abs(np.diagonal(np.linalg.qr(values, mode="r"), axis1=1, axis2=2))
     return 2 * np.log(np.maximum(diagonal, np.finfo(float).tiny))
 
@@ -145,7 +145,7 @@ def p_value_of_scores(without: tuple[float, int], beside: tuple[float, int], cou
 def chance(left: Any, remaining: Any, terms: int = 1) -> Any:
     """Return the probability that terms leave at most such a share of the squares of noise.
 
-    `remaining` is the number of numbers that are left beside them.
+    `remaining` is the count of numbers that the terms and parameters do not use up.
     """
     from scipy.special import betainc  # noqa: PLC0415  (takes a tenth of a second to import)
 

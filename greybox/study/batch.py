@@ -268,7 +268,7 @@ def _fit_member(
 ) -> None:
     """Fit a member, unless it is done; an error of its own is its answer.
 
-    The `key` is that of what it states, where it is known.
+    The `key` is that of its settings, if it is known.
     """
     if _is_done(member, stored, compiled):
         return
@@ -314,7 +314,7 @@ def _fit_member(
 
 
 def _stated(problem: AnyProblem) -> dict[str, Any]:
-    """Return what tells a member that failed from others, as the summary of a fit has it."""
+    """Return the fields that distinguish a failed member, as the summary of a fit has them."""
     parts = problem.parts
     return {
         "model": list(dict.fromkeys(part.model.label for part in parts)),

@@ -1,4 +1,4 @@
-"""Replicates of a problem: data that are drawn anew, and what refits them.
+"""Replicates of a problem: data that are drawn anew, and the runner that refits them.
 
 Seed and number of a replicate determine its random numbers. A run is this number, so that the
 result does not depend on how many workers there are.
@@ -46,7 +46,7 @@ class Draws:
 
 @dataclass(frozen=True, eq=False)
 class Replicates(Runner):
-    """What refits replicates of a compiled problem.
+    """The runner that refits replicates of a compiled problem.
 
     Attributes
     ----------

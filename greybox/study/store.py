@@ -8,8 +8,8 @@ What is damaged is set aside by the next process that writes, and made again (`m
 A single fit with ``--out`` and a bootstrap keep their runs in such a folder, too, as those of one
 member. SQLite commits are atomic: `kill -9` leaves all runs and answers up to the last commit.
 Runs are JSON texts with a checksum, answers and fits are compressed ones, so nothing in a folder
-from a stranger is executed. A commit takes some milliseconds of the disk: what small members leave
-is written together.
+from a stranger is executed. A commit takes some milliseconds of the disk: the results of small
+members are written together.
 """
 
 import json
@@ -55,7 +55,7 @@ OURS = (
     f"WHERE application_id = {APPLICATION} AND user_version = {LAYOUT}"
 )
 
-# Rows with wrong checksums, by what is said of them, and what is done about them.
+# Rows with wrong checksums: the words for them, and the statement that removes them.
 DAMAGED_RUNS = (
     "runs LEFT JOIN members ON id = member WHERE name IS NULL OR "
     "ifnull(runs.checksum, -1) != "

@@ -45,8 +45,8 @@ evaluated for all starts at once, have led. Starts whose number the user chose a
 excerpts first; those that meet there continue as one.
 
 **Where Newton steps fail**, delays at which the cost jumps are held, and a stalled run begins once
-more near the data. `greybox.compiled.strategies` says what each strategy contributes. What a search
-does with its runs is in `greybox.solve.multistart`.
+more near the data. `greybox.compiled.strategies` says what each strategy contributes.
+`greybox.solve.multistart` has the search over the runs.
 
 **Kalman gains** (`PredictionError`) begin with those of steady Kalman filters once continuity is
 exact. Stable predictors forget their initial state and are simulated over whole stretches

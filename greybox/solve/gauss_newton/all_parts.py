@@ -168,7 +168,7 @@ class AllParts:
         The gaps would cut every step short otherwise (Maratos effect; Nocedal and Wright, Numerical
         Optimization, section 15.5).
         """
-        # A hundredth of the predicted decrease changes no decision of the line search.
+        # An error of a hundredth of the predicted decrease changes no decision of the line search.
         enough = 0.01 * length * step.decrease
         penalty = self.gap_cost(iterate, step.multipliers)
         for _ in range(GAP_CLOSINGS):

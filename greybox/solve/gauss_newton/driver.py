@@ -1,4 +1,4 @@
-"""The Gauss-Newton solver of one compiled problem: what a search and an estimate ask of it."""
+"""The Gauss-Newton solver of one compiled problem, for a search and for an estimate."""
 
 import math
 import time
@@ -159,7 +159,7 @@ class GaussNewton(LocalSolver):
     def polished(self, search: Multistart) -> Multistart:
         """Return the search with its best minimum polished by undamped steps.
 
-        Of NIST's 27 regressions nine or more digits are right instead of four to eight.
+        In NIST's 27 regressions, nine or more digits are then right instead of four to eight.
         """
         if not search.minima or search.nodes is None:
             return search
@@ -170,8 +170,8 @@ class GaussNewton(LocalSolver):
             return search
 
         cost = self._parts.cost(end, 0.0)
-        # Steps to another cost have left the minimum, as where a predictor ends at its stability
-        # limit.
+        # Steps to another cost have left the minimum, for example if a predictor ends at its
+        # stability limit.
         highest = best.cost + COST_ROUNDING * max(1.0, abs(best.cost))
         if not best.cost - same_cost(self.nlp, best.cost) <= cost <= highest:
             return search

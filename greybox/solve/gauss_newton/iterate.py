@@ -129,8 +129,8 @@ class Progress:
     full_damping : float
         Damping of the last full step.
     undamped_decrease : float
-        Decrease that an undamped step may still promise where damped steps have come to rest. The
-        default is half the square of a thirtieth of a standard error.
+        Predicted decrease of an undamped step below which a run counts as converged once damped
+        steps have come to rest. The default is half the square of a thirtieth of a standard error.
     delays_held : bool
         True where delays at which the cost jumps keep their values: the cost is least at the jump.
     """
@@ -208,6 +208,6 @@ def relaxed(*, near_solution: bool = False, predicts: bool = False) -> Progress:
     # Continuity is a penalty, whose weight grows until it is an exact constraint: 70 % of runs end
     # at the best minimum with it, 62 % without; Lorenz 6 of 6 instead of none.
     stages = (1.0, 0.0) if predicts else (1.0, 0.1, 0.01, 0.001, 0.0)
-    # The nodes move alone first, at held parameters. The overflow is found only with it; elsewhere
-    # as many runs are won as lost.
+    # The nodes move alone first, at held parameters. Only with this stage is the minimum of the
+    # overflow problem reached; elsewhere it wins as many runs as it loses.
     return Progress((1.0, *(stages[-1:] if near_solution else stages)), 3)

@@ -160,10 +160,11 @@ def _is_within_noise(parts: AllParts, iterate: Iterate, step: Step, progress: Pr
     if not (progress.is_exact and parts.is_continuous(iterate) and parts.explain_data(iterate)):
         return False
     undamped = _undamped(parts, iterate, step, progress)
-    # A step that no bound stops decreases the cost by its distance, and continues to converge.
+    # A step that is not stopped by a bound decreases the cost by its `distance`, and continues to
+    # converge.
     stopped = undamped.decrease > 2 * undamped.distance
-    # Noise moves the minimum by half a unit of log-likelihood per parameter in the mean. A
-    # hundredth of it is left at a tenth of a standard error, whose square is halved here.
+    # Noise moves the minimum by half a unit of log-likelihood per parameter in the mean. At a tenth
+    # of a standard error, a hundredth of it is left; half of the square is used here.
     return stopped and undamped.distance <= 5e-3 and undamped.decrease <= 0.01 * len(iterate.z) / 2
 
 
@@ -193,7 +194,7 @@ def _predicting(
     parts: AllParts, iterate: Iterate, progress: Progress, *, becomes_exact: bool
 ) -> Iterate:
     """Return the iterate with gains to begin with, and with stable predictors simulated."""
-    # Without these two the predictors of the tilt plant are found by one of 7 runs or none.
+    # Without these two, at most one of 7 runs reaches the predictors of the tilt plant.
     if becomes_exact and parts.has_free_gains:
         iterate = parts.at(best_gains(parts, iterate, progress.gap_variance), iterate.nodes)
     # As long as continuity is a penalty, nodes keep an unstable predictor near the data.

@@ -1,9 +1,10 @@
 """Undamped steps beyond the tolerance of a run, also where the normal equations have lost digits.
 
-The Hessian JᵀJ holds the squares of the singular values of J. Of parameters whose effects differ by
-less than a millionth, as a slope and an intercept far from the data, it holds no digit: a step
-along them is missing although the data determine them. A triangular factor of J itself has them.
-Source: Björck (1996), Numerical Methods for Least Squares Problems, section 2.2.
+The Hessian JᵀJ holds the squares of the singular values of J. It has no correct digit for
+parameters whose effects differ by less than a millionth, such as a slope and an intercept far from
+the data: a step along them is missing although the data determine them. A triangular factor of J
+itself keeps these digits. Source: Björck (1996), Numerical Methods for Least Squares Problems,
+section 2.2.
 """
 
 import math
@@ -32,7 +33,7 @@ LONG_STEP = 1e-7
 def polished(parts: AllParts, start: Iterate) -> Iterate:
     """Return where undamped steps lead, as long as they grow shorter.
 
-    Their length in standard errors judges them: the cost no longer shows them.
+    They are judged by their length in standard errors, since the cost no longer shows them.
     """
     end, remaining = _undamped(parts, start)
     if remaining > LONG_STEP:
@@ -81,7 +82,7 @@ def is_blurred(hessian: Array | None) -> bool:
     moving = np.diag(hessian) > 0
     size = np.sqrt(np.diag(hessian)[moving])
     values = np.linalg.eigvalsh(hessian[np.ix_(moving, moving)] / np.outer(size, size))
-    # Below this share, rounding of some 1e-14 is more than the hundred-thousandth part of a step.
+    # Below this share, rounding errors of about 1e-14 exceed 1e-5 of a step.
     return bool(values.size and values[0] < 1e-9 * values[-1])
 
 

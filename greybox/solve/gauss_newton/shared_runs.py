@@ -32,7 +32,7 @@ from greybox.solve.runs import CUT_SHORT, Outcome
 FACTOR = 4
 FEWER = 2  # times as many samples, at least, for excerpts to be worth a run
 
-MOST_STORED = 64  # ends on the whole record, with all their states
+MOST_STORED = 64  # ends of runs on the whole record that are stored with all their states
 
 
 class SharedRuns(Runner):
@@ -106,7 +106,7 @@ class SharedRuns(Runner):
 
 
 def rounded(z: Array, hessian: Array | None) -> Array:
-    """Return z (p,), the end of a run, in the digits that all runs to one minimum have in common.
+    """Return z (p,), the end of a run, rounded to digits that all runs to one minimum share.
 
     These are a tenth of a standard error with all other parameters held: runs end some 1e-4 of one
     apart, and a grid a thousand times as wide hardly ever comes between them. The minimum of the
