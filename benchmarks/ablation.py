@@ -1,4 +1,4 @@
-"""What each strategy of the record solver buys, and its constants at a tenth and ten times.
+"""The benefit of each strategy of the record solver, and its constants at a tenth and ten times.
 
 python benchmarks/ablation.py [--strategies NAME ...] [--constants [NAME ...]]
     [--only PROBLEM ...] [--seeds 0 1 2] [--quick] [--output benchmarks/results/ablation.txt]
@@ -133,7 +133,7 @@ CASES = {
     "Lanczos3": Case(lambda: lanczos(3), -219.403, tags="quick"),
 }
 
-# Settings that are consulted on some problems alone: the others would be fitted alike.
+# Settings that matter on some problems only: the others would be fitted alike.
 ALONE = {
     "failing": ["continued_runs"],  # from all starts of some seed
 }

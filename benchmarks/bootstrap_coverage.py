@@ -5,7 +5,8 @@ python benchmarks/bootstrap_coverage.py [--repeats 200] [--replicates 400] [--on
 
 Frequency responses with isotropic errors of one relative size: a lag, the tilt model of the paper
 and a pole far above the band, with few points and with more; and a lag in time whose errors are
-correlated. Of every cell the mean over its parameters, and the parameter that is covered the least.
+correlated. For every cell the mean over its parameters, and the parameter that is covered the
+least.
 """
 
 import argparse
@@ -164,7 +165,7 @@ def held(make, truth, repeats, replicates):
 def _line(name, make, truth, repeats, replicates) -> str:
     """Return the line of one cell.
 
-    Of every kind of interval the mean share that holds the truth, and the least.
+    For every kind of interval the mean share that contains the truth, and the least.
     """
     began = time.perf_counter()
     counts, failed = held(make, truth, repeats, replicates)

@@ -158,7 +158,7 @@ ERRORS = (
 class Cell:
     """Repeats of one experiment.
 
-    Which intervals hold (repeats, p), standardized errors, and what was said.
+    Which intervals contain the truth (repeats, p), standardized errors, and warnings.
     """
 
     plant: Plant
@@ -177,7 +177,7 @@ class Cell:
 def cell(plant: Plant, errors: Errors, samples: int, repeats: int, seed: int) -> Cell:
     """Repeat one experiment.
 
-    A row whose standard errors are called rough is not asked for a confident interval.
+    If the standard errors are called rough, the interval of that row does not count.
     """
     holds, scaled, rough = [], [], []
     for error, residuals, weighted, initial in _fits(plant, errors, samples, repeats, seed):

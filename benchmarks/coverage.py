@@ -2,12 +2,12 @@
 
 python benchmarks/coverage.py [--repeats 1000] [--only tilt] [--output FILE]
 
-Synthetic truths with isotropic complex normal noise are fitted again and again; counted is how
-often the interval holds the truth. To be quick a cell is compiled once, its cost taken from the
-criterion with the data as symbols, and all repeats are minimized together by Newton's method from
-the truth; the standard errors are those of a fit (`greybox.estimate.covariance.assess`). The first
-repeats of every cell, and those that end outside the bounds, are done by `gb.fit` itself: the table
-says how far the two ways differ, in standard errors.
+Synthetic truths with isotropic complex normal noise are fitted again and again. The table counts
+how often the interval contains the truth. For speed, a cell is compiled once, its cost taken from
+the criterion with the data as symbols, and all repeats are minimized together by Newton's method
+from the truth; the standard errors are those of a fit (`greybox.estimate.covariance.assess`). The
+first repeats of every cell, and those that end outside the bounds, are done by `gb.fit` itself: the
+table says how far the two ways differ, in standard errors.
 """
 
 import argparse
@@ -355,7 +355,7 @@ class Answer:
 
 @dataclass
 class Outcome:
-    """What a cell gives: one row a repeat."""
+    """The results of a cell, one row for each repeat."""
 
     names: tuple[str, ...]
     truth: np.ndarray
@@ -431,7 +431,7 @@ def cell(case: Case, criterion: str, repeats: int, seed: int) -> Outcome:
 
 
 def _fixed(part: Part, known: Known | None) -> dict[str, Any]:
-    """Return what is held.
+    """Return the values that are held.
 
     The true values of the declared constants, or the earlier answer where it has them.
     """

@@ -9,10 +9,10 @@ noise, wind. "times" is the length of the record in correlation times, "said" ho
 says that it is too short, "unsaid" in how many fits the interval of the worst parameter misses
 the truth without that warning. Then a mass on a spring driven by held forces is flown again and
 again with `gb.virtual_flight`, fitted
-from the truth, and counted is how often the Student-t interval of every parameter holds it; beside
-it the standard deviation of (estimate - truth) / standard error, which should be 1. The same for
-flights of the paper's pitch axis with its controller, as `virtual_flight` returns them and by the
-default criterion: that the control is held is known from the record. Then the tilt plant of the
+from the truth, and the table counts how often the Student-t interval of every parameter contains
+it; beside it is the standard deviation of (estimate - truth) / standard error, which should be 1.
+The same for flights of the paper's pitch axis with its controller, as `virtual_flight` returns them
+and by the default criterion: the record states that the control is held. Then the tilt plant of the
 paper in its closed loop, 60 s at 100 Hz: how many random starts in the declared boxes end in the
 best minimum, and how far that is from the truth.
 """
@@ -285,7 +285,7 @@ def main() -> None:
         "",
     ]
     print("\n".join(lines))
-    # Long records have more to say each.
+    # Each long record carries more information.
     linear = {100: options.linear, 300: options.linear, 1000: options.linear}
     linear |= {3000: options.linear // 2, 10000: options.linear // 4}
     for line in study(linear) if options.linear else ():

@@ -1,9 +1,9 @@
 """Delays from held controls: single sines, a sweep and the record of the same flights.
 
 A pitch axis with a delay of 10 ms flies in a sampled loop, whose controls are held between samples,
-which `Record.hold` states. Counted is how often the 95 % interval
-of the delay holds it, and its mean error in standard errors; once as the fit divides the hold out
-of the response, and once with the hold as a part of the model's delay.
+which `Record.hold` states. The table counts how often the 95 % interval of the delay contains it,
+and its mean error in standard errors; once as the fit divides the hold out of the response, and
+once with the hold as a part of the model's delay.
 
     python benchmarks/hold_coverage.py [--runs 60] [--output benchmarks/results/hold_coverage.txt]
 """

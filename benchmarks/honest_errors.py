@@ -1,13 +1,13 @@
-"""Whether intervals hold or the answer says why not, where noise is not as assumed.
+"""Whether intervals contain the truth, or the answer says why not, if noise is not as assumed.
 
 python benchmarks/honest_errors.py [--fits 200] [--output benchmarks/results/honest_errors.txt]
 
 Records of three plants are fitted by output error and responses of two plants by two criteria. The
 noise is white and normal ("right"), or something else: gusts, drift, one half louder, heavy tails,
 spikes, outputs with common errors; along frequency correlated, of unequal size, heavy tails. A fit
-holds if the intervals of all parameters contain the truth, at a level that makes this 95 % of fits
-(Bonferroni). It speaks if it has any warning but that on the number of starts. Of 200 fits with
-other noise at least 190 should hold or speak, and of 200 right ones at most 10 should speak.
+passes if the intervals of all parameters contain the truth, at a level that makes this 95 % of fits
+(Bonferroni). It warns if it has any warning except that on the number of starts. Of 200 fits with
+other noise at least 190 should pass or warn, and of 200 right ones at most 10 should warn.
 """
 
 import argparse

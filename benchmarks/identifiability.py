@@ -1,6 +1,6 @@
 """Random structures with planted redundancies.
 
-Whether they are named, and what is said where there are none.
+Whether they are named, and whether there are false alarms.
 
 python benchmarks/identifiability.py [--planted 50] [--clean 200] [--output FILE]
 
@@ -23,7 +23,7 @@ from random_structures import KINDS, named_rightly, planted
 
 
 def main() -> int:
-    """Print what was named wrongly, and how often something was said in vain."""
+    """Print what was named wrongly, and the false alarms."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

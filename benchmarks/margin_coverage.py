@@ -1,4 +1,4 @@
-"""How often the intervals of stability margins hold the true margins: flights of known truth.
+"""How often the intervals of stability margins contain the true margins: flights of known truth.
 
 python benchmarks/margin_coverage.py [--repeats 200] [--only rate] [--output FILE]
 
@@ -187,7 +187,8 @@ def main():
                 continue
             truth, held, widths = counted(plant, test, repeats)
             totals.update(held)
-            # A quantity that no error changes, such as an infinite margin, is held always.
+            # The interval of a quantity that no error changes, such as an infinite margin, always
+            # contains it.
             counts = {n: held[n] for n in NAMES if widths[n] > 0}
             cells += counts.values()
             outside += [

@@ -1,4 +1,4 @@
-"""How often the intervals of measured margins hold the true ones: no model, flights of known truth.
+"""How often the intervals of measured margins contain the truth: no model, known flights.
 
 python benchmarks/measured_margin_coverage.py [--repeats 20] [--only rate]
 

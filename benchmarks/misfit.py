@@ -2,12 +2,12 @@
 
 ``python benchmarks/misfit.py [draws]``: six plants (the last one unstable, in a closed loop) are
 simulated by a Runge-Kutta loop of their own, with a dozen defects, and fitted by models without
-them; and three responses with six defects. Counted are the wrong models that are called so, among
-those whose misfit exceeds the noise, how often the right cause is among the first two, the right
-models that are called wrong in white, colored and drifting noise, and the time over that of the fit
-alone. Records last 10 to 300 s, of plants with time constants of 0.3 to 1 s; the noise is 0.5 to
-10 % of the signal. Errors of right responses are independent, correlated along frequency, or ten
-times larger at the highest frequencies. One draw takes ten minutes.
+them; and three responses with six defects. The table counts the wrong models that are recognized,
+among those whose misfit exceeds the noise, how often the right cause is among the first two, the
+right models that are called wrong in white, colored and drifting noise, and the time over that of
+the fit alone. Records last 10 to 300 s, of plants with time constants of 0.3 to 1 s; the noise is
+0.5 to 10 % of the signal. Errors of right responses are independent, correlated along frequency, or
+ten times larger at the highest frequencies. One draw takes ten minutes.
 """
 
 # ruff: noqa: D102  (formulas of models)

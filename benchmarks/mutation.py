@@ -19,8 +19,8 @@ half are imports, and one that survives up to its budget.
 All happens in copies of the last commit in a temporary directory. Which test executes which line is
 measured once by a run of the whole suite, and kept in the cache. Where it holds that of an earlier
 commit, only tests that are newer run: lines of the package keep their tests, and new lines have
-those of the line above. Tests can be missed so, and faults then count as survivors; `--anew` runs
-the whole suite again.
+those of the line above. Tests can be missed in this way, and faults then count as survivors;
+`--anew` runs the whole suite again.
 
 Left out by rule: texts, type hints, decorators, `__all__`, and numbers in figures, which are looks.
 mutmut and cosmic-ray were considered: the first replaces every function by a trampoline, and knows
@@ -78,7 +78,7 @@ include =
 
 
 def sample(root: Path, pattern: str, count: int, seed: int) -> list[Fault]:
-    """Draw faults, each place equally likely, at most one a place."""
+    """Draw faults, each place equally likely, at most one per place."""
     names = subprocess.run(
         ["git", "ls-files", "*.py"], cwd=ROOT, capture_output=True, text=True, check=True
     ).stdout
@@ -93,7 +93,7 @@ def sample(root: Path, pattern: str, count: int, seed: int) -> list[Fault]:
 
 
 def git(*arguments) -> str:
-    """Return what git answers about this checkout."""
+    """Return the answer of git about this checkout."""
     return subprocess.run(
         ["git", *arguments], cwd=ROOT, capture_output=True, text=True, check=True
     ).stdout.strip()
@@ -373,7 +373,7 @@ class Copy:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What the tests said of a fault."""
+    """The verdict of the tests on a fault."""
 
     fault: Fault
     caught: bool

@@ -4,8 +4,8 @@ python benchmarks/neighbor_coverage.py [--repeats 400] [--only yaw] [--output FI
 
 Errors are circular, of one relative size, and an autoregression of first order from point to point.
 Fits and intervals are made as in `coverage.py`, and once more as if all errors were independent,
-for comparison. Of a model that the data bound on one side alone `profile_coverage.py` has the
-profiles.
+for comparison. `profile_coverage.py` has the profiles of a model that the data bound on one side
+only.
 """
 
 import argparse
@@ -140,7 +140,7 @@ def main() -> None:
 
 
 def _row(found: Outcome, independent: Outcome) -> tuple[np.ndarray, str]:
-    """Return which intervals hold, and the columns of a row."""
+    """Return which intervals contain the truth, and the columns of a row."""
     hits, halves = [], []
     for outcome in (found, independent):
         half = np.array(outcome.half)

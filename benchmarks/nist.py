@@ -5,10 +5,10 @@ Digits of estimates and of standard errors, and time.
 python benchmarks/nist.py [--only MGH10] [--output FILE]
 
 Each is a static model with rows without a time, fitted by `gb.fit` from the first and from the
-second of NIST's starts alone. Where one of them leads to another minimum, the table goes on with
+second of NIST's starts alone. Where one of them leads to another minimum, the table continues with
 the default starts (20, seed 0), drawn between zero and that start. A digit is -log10 of the largest
 relative difference to the certified values of a problem; they are given to eleven. Lanczos1 has no
-certified standard errors worth the name: its residuals are the rounding of its data. Source: NIST,
+meaningful certified standard errors: its residuals are the rounding of its data. Source: NIST,
 Statistical Reference Datasets, https://www.itl.nist.gov/div898/strd/.
 """
 

@@ -69,7 +69,7 @@ def scatter(excitation: gb.experiment.Excitation, flights: int) -> tuple[np.ndar
         )
         measured = {
             name: record[name] for name in ("u", "theta")
-        }  # a velocity without noise would tell everything
+        }  # a velocity without noise would determine everything
         hold = {name: record.hold[name] for name in measured}
         data = gb.Record(record.time, measured, hold=hold)
         problem = gb.Problem(NonlinearTilt(), data, fixed={"C_x": 0.05})

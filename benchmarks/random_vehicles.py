@@ -1,4 +1,4 @@
-"""Random vehicles through `gb.identify`: whether the model is right, and says where it is not.
+"""Random vehicles through `gb.identify`: is the model right, and does it say where it is not?
 
 Monte Carlo.
 

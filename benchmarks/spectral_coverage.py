@@ -10,8 +10,8 @@ same standard errors (`tests/support/known_systems.py`); the first records of th
 by `gb.fit` too, and the table says how far the standard errors differ.
 
 Printed: points and degrees of freedom of their variances; the squared error of a point over its
-variance; per parameter the share of intervals that hold the truth, and the root mean square of the
-error over the standard error.
+variance; per parameter the share of intervals that contain the truth, and the root mean square of
+the error over the standard error.
 """
 
 import argparse
@@ -30,7 +30,7 @@ from greybox.spectral import spectral_response
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 from known_systems import EXAMPLE, LAG, LIGHT, MODE, NOTCH, System, flown, maximum_likelihood
 
-CHECKS = 2  # records of the example that gb.fit does too
+CHECKS = 2  # number of records of the example that are fitted by gb.fit, too
 
 CELLS: dict[str, tuple[System, str, dict[str, float]]] = {
     "example, logarithmic sweep": (EXAMPLE, "logarithmic", {}),
@@ -68,7 +68,7 @@ class Example(gb.TransferFunction):
 
 
 def cell(label: str, repeats: int, seed: int, say: Callable[[str], None]) -> None:
-    """Run one cell and say its line."""
+    """Run one cell and return its line."""
     system, kind, options = CELLS[label]
     scores, squares, points, dof, differ = [], [], [], [], 0.0
     for k in range(repeats):

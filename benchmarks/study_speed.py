@@ -1,4 +1,4 @@
-"""What a member of a study costs: fit, resumption, bytes on disk, and what workers gain.
+"""The cost of a member of a study: fit, resumption, bytes on disk, and the gain by workers.
 
 ``python benchmarks/study_speed.py --members 200 --out benchmarks/results/study_speed.txt`` fits
 members of five starts each, with two parameters: responses of 20 points, and records of 300

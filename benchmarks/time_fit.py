@@ -1,4 +1,4 @@
-"""How fast, how sure and how exact a fit in the time domain is, against what one writes by hand.
+"""Speed, reliability and accuracy of a fit in the time domain, against code written by hand.
 
 python benchmarks/time_fit.py [--parts speed growth starts errors records] [--long]
                              [--output benchmarks/results/time_fit.txt]
@@ -463,7 +463,7 @@ def versions() -> str:
 
 
 def usable(case: str) -> bool:
-    """Say whether greybox is there with this method, for a case of greybox."""
+    """Return whether greybox has this method, for a case of greybox."""
     if not case.startswith("greybox"):
         return True
     code = "import greybox as gb; gb.MultipleShooting, gb.OutputError"

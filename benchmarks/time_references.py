@@ -1,4 +1,4 @@
-"""What one writes by hand instead of a time-domain `gb.fit`, and the data that both are given.
+"""Hand-written alternatives to a time-domain `gb.fit`, and the data for both.
 
 The plant is the quadcopter's tilt, (4.23) of the paper without the rotor's lag: states and outputs
 v, q, theta, five unknowns, unstable in open loop. The references know nothing of greybox: they have

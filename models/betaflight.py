@@ -5,7 +5,7 @@ from math import degrees, inf
 import greybox as gb
 from greybox.models.digital_filters import biquad, butterworth, notch, smoothing
 
-# Of the numbers P, I and D of the configurator, in pidSum per deg/s: flight/pid.h.
+# Scales of P, I and D in the configurator, in pidSum per deg/s: flight/pid.h.
 SCALES = {"P": 0.032029, "I": 0.244381, "D": 0.000529}
 MIXER = 1000  # pidSum of a control of 1: PID_MIXER_SCALING
 PT1, BIQUAD, PT2, PT3 = range(4)

@@ -12,7 +12,7 @@ class LowPass(gb.TransferFunction):
     $$F(s) = \frac{\omega_c^2}{s^2 + 2 \zeta \omega_c s + \omega_c^2}$$
 
     The model of a signal q that is logged after the filter is ``plant * LowPass(20.0,
-    signal="q")``; if the log tells the cutoff, `prepare` keeps it in ``record.filters["q"]``.
+    signal="q")``; if the log states the cutoff, `prepare` keeps it in ``record.filters["q"]``.
 
     Source: S. Butterworth, On the theory of filter amplifiers, Wireless Engineer 7 (1930) 536-541.
 

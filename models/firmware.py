@@ -55,7 +55,7 @@ class FlownController:
     start, end : float, s
         Of the test.
     notes : tuple of str
-        What the log names and the controllers leave out.
+        Features that the log names and the controllers do not model.
     beginnings : mapping of str to str
         How the firmware's names of gains begin, by the class of the controller.
     """
@@ -206,7 +206,7 @@ def from_log(
         ``{"q": "theta_dot"}`` takes the rate from the derivative of an angle.
     raw_rate : bool, optional
         Whether the rate of the plant has not passed the filters of the gyro, which are then put
-        before the controllers. By default that of a derivative has not.
+        before the controllers. By default, this is assumed if the rate is a derivative.
 
     Raises
     ------
@@ -542,9 +542,8 @@ def safe_gains_of_log(fits, recording, gains=(), axis="", *, signals=None, **req
     """Return `gb.safe_gains` of the controllers that a log shows.
 
     The gains have the names of the firmware: ``{"ATC_RAT_PIT_P": (0.05, 0.3)}``, or names alone for
-    ranges about today's; without any, they are P and D of the rate controller, as far as the log
-    has them above 0. `signals` are as in `flown_controllers`, the `requirements` as in
-    `gb.safe_gains`.
+    ranges about today's; without any, they are P and D of the rate controller, if the log has them
+    above 0. `signals` are as in `flown_controllers`, the `requirements` as in `gb.safe_gains`.
 
     Raises
     ------

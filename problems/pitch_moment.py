@@ -12,10 +12,10 @@ structure that explains both, among six odd terms of the moment. Three are suppo
 1.217, which is all that separate parameters can do; its p-value of 0.035 is above the limit of
 0.017 for one of three that are tried.
 
-What the tables cannot tell: |θ| θ may stand in the place of |v| v or of |v| θ, and |θ| q in that of
+The tables leave this open: |θ| θ may stand in the place of |v| v or of |v| θ, and |θ| q in that of
 |v| q, at the same cost. About one operating point away from hover each term only changes the four
-coefficients of (4.25), and the trim ties v to θ. `flights` says which other
-angle would tell them apart.
+coefficients of (4.25), and the trim ties v to θ. `flights` says which other angle would distinguish
+them.
 
 C_x is fixed where its slope at 5° equals the paper's a5 of 0.16 1/s, as in
 `pitch_operating_points`.

@@ -92,7 +92,7 @@ class SharedSystem:
         s = 1j * self.omega
         lag = np.exp(-s[:, None] * delays[:, None])[..., inputs]
         response = plant[..., outputs, inputs] * lag
-        # Of all entries only those that depend on z.
+        # Only the entries that depend on z.
         moving = np.flatnonzero(np.any(slopes != 0, axis=(0, 2)))
         i, j = self.rows[moving].T
         by_entry = left[:, :, outputs][..., i] * right.swapaxes(-1, -2)[:, :, inputs][..., j]

@@ -13,7 +13,7 @@ class Strategies:
     output is `benchmarks/results/ablation.txt` (20 November 2026, one seed, for some problems two:
     156 to 209 runs). It also has the strategies that can no longer be switched off, whose
     contributions stand beside their code. The numbers inside the solver's files were varied there
-    as well, to about a tenth and ten times, without a significant change of the success.
+    as well, to about a tenth and ten times, without a significant change of the success rate.
     """
 
     continued_runs: bool = True

@@ -79,7 +79,7 @@ class Columns:
         self._layouts: dict[int, _Mapped | _Registers] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return what builds the same evaluation: memory for CasADi cannot be pickled."""
+        """Return a recipe for the same evaluation: memory for CasADi cannot be pickled."""
         return Columns, (self._function, self._shared, self._fewest)
 
     def __call__(self, *inputs: Array) -> Sequence[Array]:

@@ -42,8 +42,8 @@ TOGETHER = 5
 # Families of terms, the best ones, that are tested beside the color of the errors.
 FAMILIES = 12
 ALIKE = 0.95  # correlation of effects beyond which two terms count as one
-# Of the residuals, as in tanks that overflow or a drive with friction: sensors are seldom so slow.
-# And of the output, what a reader would see.
+# Correlation time of the residuals, as in tanks that overflow or a drive with friction: sensors are
+# seldom so slow. And of the output, what a reader would see.
 DRIFTING, NOTICED = 0.99, 0.01
 PIECES = 10  # of a record, whose means show an offset
 TINY = 1e-300

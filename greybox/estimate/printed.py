@@ -300,7 +300,7 @@ def _response_texts(responses: Sequence[FittedResponse]) -> list[str]:
             )
             lines.append((-rms(error), line))
 
-    # Of many responses the worst three show what is wrong.
+    # If there are many responses, the worst three show what is wrong.
     if len(lines) > MANY:
         lines = sorted(lines)[:3]
     return [line for _, line in lines]

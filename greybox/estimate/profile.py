@@ -318,8 +318,8 @@ def _point(nlp: CompiledProblem, outcome: Outcome) -> Array:
 
 def _ratio_refusal(nlp: CompiledProblem, x: Array) -> str:
     """Return why the costs at the estimate x (p,) admit no likelihood ratio, or an empty text."""
-    # The costs of records are log-likelihoods. That of a response is one, up to a factor, if every
-    # point has the same weight in units of its error: then the curvature gives the factor.
+    # The costs of records are log-likelihoods. The cost of a response is one, up to a factor, if
+    # every point has the same weight in units of its error: then the curvature gives the factor.
     values = nlp.all_values(x)
     for part in nlp.parts:
         if not isinstance(part, ResponsePart):

@@ -75,7 +75,7 @@ class Crossings:
     def smallest(self, values: Array) -> Located:
         """Return the smallest of the values (k,) of each plant; infinity for none."""
         answer = Located(np.full(self.plants, math.inf), np.full(self.plants, math.nan))
-        # Of several values that are assigned to one plant, the last one remains.
+        # If several values are assigned to one plant, the last one remains.
         falling = np.argsort(values, kind="stable")[::-1]
         falling = falling[np.isfinite(values[falling])]
         for array, numbers in zip(answer, (values, self.omega), strict=True):

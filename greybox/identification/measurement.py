@@ -471,7 +471,7 @@ def _estimated(
         )
         measured = estimate()
         # At the lowest frequencies, a response changes much from line to line, and the error of the
-        # polynomials exceeds the noise. Of what a rational function leaves, it is far below.
+        # polynomials exceeds the noise. For the remainder of a rational function, it is far below.
         # Three points have six numbers, more than the smallest rational function has unknowns.
         if settings.refined and len(measured) >= 3:
             linear = linear_fits([measured])

@@ -105,7 +105,7 @@ def _value(value: Any) -> Any:
     if isinstance(value, list):
         texts = [item for item in value if isinstance(item, str)]
         if texts or any(isinstance(item, Mapping) for item in value):
-            # Of items of one length numpy would make a matrix: an extra None keeps a list, a cell
+            # From items of one length numpy would make a matrix: an extra None keeps a list, a cell
             # array in MATLAB.
             return np.array([*map(_value, value), None], dtype=object)[:-1]
         return np.array(value, dtype=float)  # None is NaN

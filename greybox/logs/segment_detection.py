@@ -232,7 +232,7 @@ def _moving_stick(segment: Segment, data: Recording | Record) -> str:
 def _compared(segments: list[Segment]) -> list[Segment]:
     """Refuse sines that are much shorter, or much weaker, than the others of the same flight."""
     sines = [s for s in segments if s.kind == "sine" and s.source != "SIDS"]
-    # Of two sines, neither can be called the exception.
+    # With two sines, neither can be called the exception.
     if len(sines) < 3:
         return segments
     periods = float(np.median([s.periods for s in sines]))

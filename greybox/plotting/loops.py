@@ -118,7 +118,7 @@ def _plane(x: Array, y: Array, critical: tuple[float, float]) -> list[Series]:
 def gains(safe: SafeGains, axes: GivenAxes | None = None) -> AxesArray:
     """Draw which sets of gains are allowed, with today's gains and the best ones.
 
-    A single gain has its confidence above it. Of three gains, the first two are drawn at the best
+    A single gain has its confidence above it. With three gains, the first two are drawn at the best
     value of the third, or today's if none is allowed.
 
     Parameters

@@ -37,7 +37,7 @@ def plot(fit: Fit, *, hz: bool = False) -> MatplotlibFigure:
     >>> from greybox.problems import pitch_hover
     >>> figure = gb.plot(gb.fit(pitch_hover.problem(), starts=20))  # figure.savefig("pitch.png")
     """
-    # The complex plane needs a square. Beside time histories there is no room for it.
+    # The complex plane needs a square. With time histories there is no room for it.
     nyquist = [] if fit.records or fit.spectra else nyquist_figures((fit,))
     blocks = [[history_figure((fit,), k)] for k in range(len(fit.records))]
     blocks += [[spectrum_figure(fit, k)] for k in range(len(fit.spectra))]

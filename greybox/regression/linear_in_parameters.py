@@ -18,7 +18,7 @@ Source = tuple[str, ca.SX, Literal["signal", "derivative"]]
 
 @dataclass(frozen=True, eq=False)
 class KnownState:
-    """How a state is known in time.
+    """How the time history of a state is obtained.
 
     ``value(x, s)`` gives it from the states known before it and from `s`: the signal `source` of
     the record, or the derivative of the state `source`. None if the state is the signal itself, or

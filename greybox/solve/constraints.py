@@ -48,7 +48,7 @@ class Limits:
         """Return the point after a step within the bounds, on a bound if rounding is between."""
         end = self.clipped(z + step)
 
-        # Beside a bound by rounding, a variable would still count as free.
+        # A variable next to a bound, by rounding, would still count as free.
         for bound in (self.low, self.high):
             end = np.where(np.abs(end - bound) <= 1e-12 * np.abs(step), bound, end)
         return end

@@ -122,9 +122,8 @@ def value_fingerprint(value: Any) -> str:
     """Return a key of a value, such as a runner, that is the same in every process."""
     text = io.BytesIO()
     pickler = pickle.Pickler(text)
-    pickler.fast = (
-        True  # references to earlier objects distinguish equal strings from identical ones
-    )
+    # References to earlier objects would distinguish equal strings from identical ones.
+    pickler.fast = True
     pickler.dump(value)
     return hashlib.sha256(text.getvalue()).hexdigest()
 

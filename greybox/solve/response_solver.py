@@ -92,7 +92,7 @@ class ResponseSolver(LocalSolver):
         ]
 
     def __reduce__(self) -> tuple[Callable[..., "ResponseSolver"], tuple[Any, ...]]:
-        """Return what builds the same solver."""
+        """Return a recipe for the same solver."""
         return partial(type(self), batched=self._batched), (self.problem, self._options)
 
     @staticmethod

@@ -91,7 +91,7 @@ class TranscribedProgram(LocalSolver):
         }
 
     def __reduce__(self) -> tuple[Callable[..., "TranscribedProgram"], tuple[Any, ...]]:
-        """Return what builds the same solver."""
+        """Return a recipe for the same solver."""
         return TranscribedProgram, (self._nlp, self._gauss_newton, self._options)
 
     def is_finite_at(self, start: Array) -> bool:

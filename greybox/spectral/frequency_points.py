@@ -220,7 +220,7 @@ def _row(point: FrequencyPoint) -> tuple[str, ...]:
         number(abs(point.y), 3),
         number(gain, 4),
         f"{phase:.2f}",
-        # Of the gain, one of the two components, as in other tables and figures.
+        # The error of the gain is one of the two components, as in other tables and figures.
         number(100 * point.standard_error / math.sqrt(2) / gain if gain else math.nan, 2),
         ", ".join(f"{100 * share:.1f}" for share in point.distortion),
         number(100 * point.saturation, 2),

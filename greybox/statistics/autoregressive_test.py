@@ -29,7 +29,7 @@ SAMPLES = 8  # of an output for each order
 ROUNDING = 1e-12  # of the power
 TINY = 1e-300
 
-# Of every output: the rows of its measured samples, for each stretch in order of time.
+# For every output: the rows of its measured samples, for each stretch in order of time.
 Outputs = Sequence[Sequence[IntArray]]
 
 

@@ -115,8 +115,8 @@ def correlated_score(blocks: Sequence[tuple[Array, Array, Sequence[int]]]) -> tu
 def scores_of_powers(residuals: Array, fitted: Array, omega: Array) -> Array:
     """Return -2 log likelihood of residuals (2n,) whose power falls with frequency by POWERS.
 
-    Residuals at `omega` (n,) are real parts, then imaginary parts. The likelihood is restricted to
-    what the columns `fitted` (2n, p) leave of them.
+    Residuals at `omega` (n,) are real parts, then imaginary parts. It is the restricted likelihood:
+    the columns `fitted` (2n, p) are projected out.
     Source: Patterson and Thompson (1971), Recovery of inter-block information when block sizes are
     unequal, Biometrika 58.
     """

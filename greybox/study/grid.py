@@ -98,7 +98,7 @@ def combined(choices: Mapping[str, Any], folder: Path) -> list[dict[str, Any]]:
     for key, values in axes.items():
         if not values:
             raise ValueError(f"{key} is empty: give at least one value besides those of held.")
-    # Of the paths of files, names have what differs.
+    # Names contain the parts of file paths that differ.
     paths = [file for files in lists for file in files if isinstance(file, str)]
     place = os.path.commonpath([Path(path).parent for path in paths]) if paths else ""
     first = next((key for key in ("name", "problem", "data") if key in axes), "model")

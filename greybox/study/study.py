@@ -150,8 +150,8 @@ class Study(Printed):
             As in `greybox.compare`.
         """
         self._require_factor(by)
-        # Of members that differ in their seeds or delays only the best counts: reading a fit takes
-        # longer than comparing it.
+        # Among members that differ in their seeds or delays, only the best counts: reading a fit
+        # takes longer than comparing it.
         best: dict[tuple[str, ...], StudyMember] = {}
         for member in self.done:
             key = (member.factors.get(by, ""), *(str(member.answer[name]) for name in ALIKE))

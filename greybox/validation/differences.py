@@ -148,8 +148,8 @@ def welch(a: Quantity, b: Quantity) -> float:
 
 def holm(p_values: Sequence[float]) -> list[float]:
     """Return the p-values for all tests together; NaN where there is none."""
-    # Of ten parameters that are equal one would differ at 5 % in four of ten comparisons. Holm's
-    # correction keeps one false alarm in twenty, and finds more than Bonferroni's.
+    # Among ten parameters that are equal, one would differ at 5 % in four of ten comparisons.
+    # Holm's correction keeps one false alarm in twenty, and finds more than Bonferroni's.
     adjusted = np.array(p_values)
     order = np.argsort(adjusted)[: np.count_nonzero(np.isfinite(adjusted))]
     for_all = np.arange(len(order), 0, -1) * adjusted[order]

@@ -90,7 +90,8 @@ def nested_test(small: Fit, large: Fit) -> NestedTest:
     of the cost implies, so that it keeps its size where residuals are correlated. For rows without
     a time it is the F test of least squares. Where one of the values is on a bound, half of the
     distribution has one degree of freedom less; where several are, the p-value is an upper limit.
-    So is process noise tested: `OutputError` against `PredictionError(process_noise=...)`.
+    Process noise is tested in the same way: `OutputError` against
+    `PredictionError(process_noise=...)`.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ def parsimony(
     tests: Sequence[NestedTest] = (),
 ) -> tuple[int, str]:
     """Return the structure of fewest parameters whose BIC is within 2 of the least, and why."""
-    # Of structures with equally many parameters the one with the least BIC.
+    # Among structures with equally many parameters, the one with the least BIC.
     best = min(range(len(bic)), key=lambda i: bic[i])
     near = [i for i, value in enumerate(bic) if value - bic[best] <= BARE_MENTION]
     k = min(near, key=lambda i: (sizes[i], bic[i]))

@@ -3,7 +3,7 @@
 A term is a parameter. It is absent if the parameter is zero, or has another stated value. Each step
 adds the term with the smallest p-value, if that is below 5 % divided by the number
 of terms tried. It then removes terms that are no longer needed. Finally every rejected term takes
-the place of each chosen one, to find terms that the data cannot tell apart.
+the place of each chosen one, to find terms that the data cannot distinguish.
 
 Source: Klein and Morelli (2006), Aircraft System Identification, section 5.4, with the
 correction of Bonferroni.

@@ -66,7 +66,7 @@ def warnings(
     ]
     misfit = answer.misfit
     feedback = misfit is None or misfit.may_be_feedback
-    # Residuals of a wrong model are no errors, whose correlation would matter.
+    # Residuals of a wrong model are not errors, so their correlation does not matter.
     errors = misfit is None or misfit.explains
     return (
         *not_finite_warnings(nlp, search),

@@ -94,7 +94,7 @@ def completed(record: Record, settings: Mapping[str, float]) -> Record:
     if debug is not None and _is_phase(debug):
         signals[CHIRP] = np.where(debug > 0, np.cos(debug / PHASE), 0.0)
 
-    # Of a thinned log, a value lasted for one pass of the loop and not until the next sample.
+    # In a thinned log, a value lasted for one pass of the loop and not until the next sample.
     passes = float(np.median(np.diff(record[LOOPS]))) if record.time.size > 1 else 1.0
     period = HELD if passes <= 1 else record.step / passes
     hold = {name: CONTINUOUS for name in rates if re.fullmatch(GYRO, name)}

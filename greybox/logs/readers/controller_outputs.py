@@ -80,7 +80,7 @@ def _holds(group: Messages, period: float) -> dict[str, float]:
     holds = {name: CONTINUOUS for name in group.columns if _is_among(SAMPLES, group.name, name)}
     holds |= {name: HELD for name in group.columns if _is_among(KEPT, group.name, name)}
     if math.isnan(period):
-        # Of an unknown loop, a log that is fast enough is assumed to have every pass.
+        # If the loop is unknown, a log that is fast enough is assumed to have every pass.
         if group.time is None or len(group) < 2:
             return holds
         if np.median(np.diff(group.time)) > 1 / SLOWEST_LOOP:

@@ -90,7 +90,7 @@ def read(
     is_timed = time_column(columns, {h.name: h.unit for h in headings}) or "time" in (stated or ())
     if is_timed and rate:
         raise ValueError(f"{path} has a time column: leave out the rate, which follows from it.")
-    # Of rows without a time, the samples would count as independent.
+    # As rows without a time, the samples would count as independent.
     unread = next((h for h in headings if h.name.lower() in TIMES or seconds(*h)), None)
     if unread and not (is_timed or rate):
         unit = f" [{unread.unit}]" if unread.unit else ""

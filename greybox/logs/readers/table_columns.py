@@ -78,7 +78,7 @@ def time_column(columns: Mapping[str, NDArray[Any]], units: Mapping[str, str]) -
     """Return the name of the time: a vector of this name, or a first one that is a clock."""
     vectors = [key for key, values in columns.items() if values.ndim == 1 and values.size]
     timer = next((key for key in vectors if seconds(key, units.get(key, ""))), "")
-    # Of another name, a first column that increases and has a unit of time.
+    # Without such a name, a first column that increases and has a unit of time.
     first = next(iter(columns), "")
     is_clock = first in vectors and tick(units.get(first, ""))
     return timer or (first if is_clock and np.all(np.diff(columns[first]) > 0) else "")

@@ -64,7 +64,7 @@ class GaussNewton(LocalSolver):
         self.limits, self.samples = self._parts.limits, self._parts.samples
 
     def __reduce__(self) -> tuple[Callable[..., "GaussNewton"], tuple[Any, ...]]:
-        """Return what builds the same solver, of the whole problem."""
+        """Return a recipe for the same solver, on the whole problem."""
         return partial(GaussNewton, settings=self.settings), (self.nlp,)
 
     def on_excerpts(self, samples: int) -> "GaussNewton":

@@ -176,7 +176,8 @@ def distinct(points: Points) -> list[int]:
             break
         moved = points.z[numbers] - points.z[k]
         distance = np.einsum("fp,fpq,fq->f", moved, hessian[numbers], moved) / 2
-        # Two points are one if the cost, with errors of a tenth of every signal, differs by less.
+        # Two points count as one if their costs, for errors of a tenth of every signal, differ by
+        # less.
         if not np.any(distance <= 1.0):
             numbers.append(k)
     return numbers

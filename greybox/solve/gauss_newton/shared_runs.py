@@ -56,7 +56,7 @@ class SharedRuns(Runner):
         self._ends: list[dict[bytes, tuple[Outcome, Array | None]]] = [{} for _ in self.levels]
 
     def __reduce__(self) -> tuple[Callable[..., "SharedRuns"], tuple[Any, ...]]:
-        """Return what builds the same."""
+        """Return a recipe for the same object."""
         return SharedRuns, (self._alone,)
 
     @classmethod
