@@ -1,4 +1,4 @@
-"""Random vehicles through `gb.identify`: is the model right, and does it say where it is not?
+"""Random vehicles through `gb.identify`: how many models are right, and which say they are not.
 
 Monte Carlo.
 
