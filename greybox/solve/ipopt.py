@@ -2,14 +2,13 @@
 
 import math
 from collections.abc import Mapping
-from types import MappingProxyType
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from greybox.files.arrays import Array
-from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.runs import STAGNATED
 
@@ -109,37 +108,50 @@ class Ipopt:
         ``x, p, f, g`` as `casadi.nlpsol` takes them.
     options : mapping
         IPOPT's.
-    derivatives : mapping
-        Derivatives built elsewhere, as options of `casadi.nlpsol`.
-
-    Raises
-    ------
-    ValueError
-        For an option that IPOPT does not take.
+    derivatives : dict
+        Derivatives built elsewhere, as options of `casadi.nlpsol`. The first solver that is built
+        adds its own, and all variants share them.
     """
 
-    @one_thread_at_a_time
     def __init__(
         self,
         statement: Mapping[str, Any],
         options: Mapping[str, Any],
-        derivatives: Mapping[str, ca.Function] = MappingProxyType({}),
+        derivatives: dict[str, ca.Function] | None = None,
     ) -> None:
         self._statement, self._options = dict(statement), options
+        self._derivatives = {} if derivatives is None else derivatives
         self._variants: dict[tuple[Any, ...], Ipopt] = {}
         self._check = StopCheck(statement)  # a reference, since CasADi holds only its address
+
+    @cached_property
+    @one_thread_at_a_time
+    def solver(self) -> ca.Function:
+        """CasADi's solver, built when it is needed: a search in batches needs only a variant.
+
+        Raises
+        ------
+        ValueError
+            For an option that IPOPT does not take.
+        """
         settings = {
-            **_settings({**QUIET, **options}),
-            **derivatives,
+            **_settings({**QUIET, **self._options}),
+            **self._derivatives,
             "iteration_callback": self._check,
         }
         try:
-            self._solver = ca.nlpsol("ipopt", "ipopt", self._statement, settings)
+            solver = ca.nlpsol("ipopt", "ipopt", self._statement, settings)
         except RuntimeError:
             # The error of CasADi does not name the option: each is tried alone.
-            for name, value in options.items():
+            for name, value in self._options.items():
                 _check_option(name, value)
             raise
+
+        names = {"grad_f": "nlp_grad_f", "jac_g": "nlp_jac_g", "hess_lag": "nlp_hess_l"}
+        for option, name in names.items():
+            if name in solver.get_function():
+                self._derivatives[option] = solver.get_function(name)
+        return solver
 
     def solve(self, x: Array, p: Any, bounds: Mapping[str, Any]) -> tuple[Array, str, int]:
         """Return the end of a run from x, its status and iterations.
@@ -147,8 +159,8 @@ class Ipopt:
         The end of a run that was stopped is its lowest point.
         """
         self._check.begin()
-        end: Any = self._solver(x0=x, p=p, **bounds)["x"]
-        stats = self._solver.stats()
+        end: Any = self.solver(x0=x, p=p, **bounds)["x"]
+        stats = self.solver.stats()
         status = stats["return_status"]
 
         # At a stop, IPOPT returns its current point, which may be anywhere.
@@ -157,18 +169,11 @@ class Ipopt:
         return np.asarray(end).ravel(), status, int(stats["iter_count"])
 
     def variant(self, options: Mapping[str, Any]) -> "Ipopt":
-        """Return IPOPT on the same problem with more `options`, built at the first call."""
+        """Return IPOPT on the same problem with more `options`, made at the first call."""
         key = tuple(options.items())
         if key not in self._variants:
-            names = {"grad_f": "nlp_grad_f", "jac_g": "nlp_jac_g", "hess_lag": "nlp_hess_l"}
-            built = self._solver.get_function()
-            derivatives = {
-                option: self._solver.get_function(name)
-                for option, name in names.items()
-                if name in built
-            }
             options = {**self._options, **options}
-            self._variants[key] = Ipopt(self._statement, options, derivatives)
+            self._variants[key] = Ipopt(self._statement, options, self._derivatives)
         return self._variants[key]
 
 

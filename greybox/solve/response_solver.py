@@ -66,7 +66,7 @@ class ResponseSolver(LocalSolver):
         """Build IPOPT; without `batched`, it makes all runs and compares no starts."""
         self.problem, self._options, self._batched = problem, dict(options), batched
         if options:  # those that IPOPT does not take are refused here
-            _ = self._stages
+            _ = [stage.solver for stage in self._stages]
         self.lower = problem.scaling.to_solver(problem.lower)
         self.upper = problem.scaling.to_solver(problem.upper)
         limits = np.zeros(problem.constraint.numel_out())
@@ -87,7 +87,7 @@ class ResponseSolver(LocalSolver):
     @cached_property
     def _stages(self) -> list[Ipopt]:
         return [
-            Ipopt(_statement(program.function), self._options, program.derivatives)
+            Ipopt(_statement(program.function), self._options, {**program.derivatives})
             for program in self.problem.programs
         ]
 
