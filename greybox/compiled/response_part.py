@@ -28,6 +28,10 @@ from greybox.statistics.neighbor_correlation import (
 # Added under the root of |e|² while a solver is at work, see `Criterion.cost`: it moves the cost by
 # 6e-5 at most. With 1e-14 a solver takes about twice the time.
 SMOOTHING = 1e-8
+# Information of a part on a direction, over that on its best one, above which it determines it. A
+# single part has all information on every direction. With 0.5, 20 of 90 white responses of a
+# helicopter count as correlated, with 0.1 17, with all directions 36.
+OWN = 0.1
 
 
 class ResponsePart(Part):
@@ -170,7 +174,11 @@ class ResponsePart(Part):
         def correlated(correction: float, root: Array, dof: float) -> CorrelatedPoints | None:
             if data.has_independent_errors:
                 return None
-            neighbors = self.neighbors(values, root, correction)
+            # The residuals lack errors along directions that this part determines. Of many parts,
+            # each has a small share in most directions, and its residuals keep these errors.
+            _, sizes, turns = np.linalg.svd(jacobian[:, : len(root)] @ root, full_matrices=False)
+            own = root @ turns[sizes**2 > OWN * sizes.max() ** 2].T
+            neighbors = self.neighbors(values, own, correction)
             if neighbors is None:
                 return None
             order = np.argsort(data.omega, kind="stable")

@@ -210,22 +210,12 @@ def _values(part: Problem, named: Named) -> Any:
 
 
 def _formula(part: Problem) -> Trimmed | ca.Function:
-    if part.amplitude is not None:
-        return harmonic_function(
-            part.model, part.response.omega, part.amplitude, **response_options(part)
-        )
-    return response_formula(part.model, part.response.omega, **response_options(part))
-
-
-def response_options(part: Problem) -> dict[str, Any]:
-    """Return how the response of a part is evaluated, as `response_formula` takes it."""
     data = part.response
-    return {
-        "input": data.input,
-        "output": data.output,
-        "at": part.at,
-        "pade": delay_order(part.delay),
-    }
+    options: Any = {"input": data.input, "output": data.output, "at": part.at}
+    options["pade"] = delay_order(part.delay)
+    if part.amplitude is not None:
+        return harmonic_function(part.model, data.omega, part.amplitude, **options)
+    return response_formula(part.model, data.omega, **options)
 
 
 def _mapped(parts: Sequence[Problem]) -> list[Mapped]:

@@ -242,8 +242,10 @@ def _with_covariance(
     neighbors = tuple(part.neighbors for part in parts)
     dof = sum(min(part.numbers, part.dof) for part in parts)
     if known_noise:
-        # Variances that were given have no uncertainty; the estimated correlation has.
-        dof = min((points.dof for points in neighbors if points is not None), default=math.inf)
+        # Variances that were given have no uncertainty; the estimated correlation has, of every
+        # part by itself.
+        shared = replace(accuracy, shares=tuple(terms))
+        dof = min(degrees(shared, np.eye(p, k)).tolist())
     independent = None
     if any(neighbors):
         # Tests of terms need errors that are taken as independent: a term that is missing looks

@@ -208,7 +208,7 @@ class _Regression:
     terms: Mapping[Key, Term]
     changes: Callable[[Sequence[Term]], Numbers]
     rows: Callable[[Any], Array]
-    separate: Callable[[], tuple[Array, Array]] | None = None
+    separate: Callable[[], tuple[Array, Array, Sequence[int]]] | None = None
     outputs: Outputs = ()
     offsets: Sequence[Cause] = ()
     is_unstable: bool = False
@@ -296,11 +296,7 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
         score = correlated_score([(residuals, fitted, lengths)])
     if score is not None and len(parts) > 1:
         # Other values may be far from the common ones: each part is fitted by itself.
-        blocks = [
-            (*part.separate(), (len(rows) // 2,) * 2)
-            for part, rows in zip(parts, tested, strict=True)
-            if part.separate
-        ]
+        blocks = [part.separate() for part in parts if part.separate]
         apart, noise_apart = correlated_score(blocks), sum(np.sum(rows**2) for rows, *_ in blocks)
         p_common = p_value_of_scores(score, apart, len(residuals))
     is_common = p_common >= FALSE_ALARMS
@@ -515,7 +511,7 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
 
     slope = part.sensitivity(values)[:, : len(free)]
 
-    def separate() -> tuple[Array, Array]:
+    def separate() -> tuple[Array, Array, tuple[int, int]]:
         from scipy.optimize import least_squares  # noqa: PLC0415  (slow to import)
 
         jac: Any = lambda x: -slopes(x)  # noqa: E731  (typed as a string)
@@ -527,7 +523,7 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
             max_nfev=REFIT,
             ftol=ENOUGH / max(2 * order.size, 1),
         ).x
-        return residuals(x), slopes(x)
+        return residuals(x), slopes(x), (order.size, order.size)
 
     own = [
         Term("own", lambda k=k: slope[:, k] / response, name, part.name)

@@ -66,10 +66,7 @@ def elimination_order(samples: Array, omega: Array, outputs: int = 1) -> tuple[i
     errors: dict[tuple[int, ...], float] = {}
     # An order with a zero pivot divides by it here, and is thereby found out.
     with np.errstate(all="ignore"):
-        columns = B.shape[-1]
-        size = (len(samples), len(s), columns, n)
-        right = np.broadcast_to(B.swapaxes(1, 2)[:, None], size).astype(complex)
-        states = solve_pencils(np.broadcast_to(pencil[:, :, None], (*size, n)), right)
+        states = solve_pencils(pencil[:, :, None], B.swapaxes(1, 2)[:, None])
         # Outputs, inputs, samples, frequencies.
         terms = np.einsum("mln,mkqn->lqmkn", C, states)
         direct = np.moveaxis(D, 0, -1)[..., None]

@@ -131,9 +131,9 @@ def response_formulas(
     # C (s I - A)⁻¹ B + D, then the delay
     A, B, C, D = jacobians(model)(p, x, u)
     system = ca.blockcat([[-A, B[:, i]], [-C[k, :], D[k, i]]])
-    places = range(n + len(k)), range(n + len(i))
     entries = [
-        [None if system[r, c].is_zero() else system[r, c] for c in places[1]] for r in places[0]
+        [None if system[r, c].is_zero() else system[r, c] for c in range(n + len(i))]
+        for r in range(n + len(k))
     ]
     order = _elimination_order(
         model, ca.Function("system", [p, x, u], [system]), trim, omega, len(k)

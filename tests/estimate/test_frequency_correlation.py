@@ -141,3 +141,42 @@ def test_common_errors_are_not_counted_as_correlation():
         found[name] = nlp.parts[0].neighbors(np.array([2.0, 0.3, 0.03]), np.eye(3), 1.0)
     assert found["told"] is None
     assert found["not told"].mean > 0.8
+
+
+class Pair(gb.StateSpace):
+    """Roll and yaw rates that are coupled, from two controls."""
+
+    states = outputs = ("p", "r")
+    inputs = ("lat", "ped")
+    Lp = gb.Parameter(-3.0, bounds=(-12, 0))
+    Lr = gb.Parameter(0.8, bounds=(-4, 4))
+    Np = gb.Parameter(-0.5, bounds=(-4, 4))
+    Nr = gb.Parameter(-1.0, bounds=(-5, 0))
+    Llat = gb.Parameter(30.0, bounds=(0, 100))
+    Nped = gb.Parameter(10.0, bounds=(0, 50))
+    Nlat = gb.Parameter(-3.0, bounds=(-20, 20))
+
+    def derivative(self, x, u, p):
+        return p.Lp * x.p + p.Lr * x.r + p.Llat * u.lat, p.Np * x.p + p.Nr * x.r + (
+            p.Nped * u.ped + p.Nlat * u.lat
+        )
+
+    def output(self, x, u, p):
+        return x.p, x.r
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_each_of_many_responses_has_a_share_of_the_parameters_only(seed):
+    """Given variances and white errors: intervals are nearly normal, as printed and in every quantity."""
+    random, responses = np.random.default_rng(seed), []
+    omega = np.geomspace(0.5, 20, 20)
+    for u, y in [(u, y) for u in Pair.inputs for y in Pair.outputs] * 3:
+        exact = gb.frequency_response(Pair(), None, omega, input=u, output=y).response
+        error = random.standard_normal((omega.size, 2)) @ [1, 1j] * 0.05 / np.sqrt(2)
+        variance = (0.05 * np.abs(exact)) ** 2
+        data = gb.FrequencyResponse(omega, exact * (1 + error), u, y, variance=variance)
+        responses.append(gb.Problem(Pair(), data, gb.MaximumLikelihood()))
+    fit = gb.fit(sum(responses[1:], responses[0]), starts=[{}], progress=False)
+    assert not said(fit)
+    # With the directions of all parameters taken from each response, 5.6 and 8.9.
+    assert fit.dof == min(q.dof for q in fit.quantities) > 30

@@ -4,11 +4,17 @@ import numpy as np
 import pytest
 from declared_models import Lag, measured
 from scipy.stats import f as fisher
+from scipy.stats import spearmanr
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.response_part import ResponsePart
-from greybox.estimate.diagnostics.outlying_points import SIZE, deletion_ratios, largest_deviation
+from greybox.estimate.diagnostics.outlying_points import (
+    SIZE,
+    deletion_ratios,
+    largest_deviation,
+    outlying_points,
+)
 from greybox.problems import pitch_hover
 
 TRUTH = {"K": 5.0, "T": 0.3}
@@ -243,3 +249,24 @@ def test_errors_that_grow_with_frequency_are_named(growth, is_named):
     data = gb.FrequencyResponse(omega, data.response * (1 + errors), "u", "y")
     fit = gb.fit(gb.Problem(Lag(), data, gb.SquaredRelativeError()), starts=3)
     assert any("changes with frequency" in text for text in fit.warnings) == is_named
+
+
+def test_unequal_errors_of_a_response_are_judged_by_the_number_of_responses():
+    """Errors that grow by chance are named in one of a hundred responses alone, not among thirty."""
+    exact = gb.frequency_response(Lag(), TRUTH, OMEGA).response
+    noise = np.random.default_rng(0).standard_normal((400, 20, 2)) @ [1, 1j]
+    p_values = np.array([spearmanr(np.abs(e), OMEGA).pvalue for e in noise])
+    by_chance, white = np.argmin(p_values), np.argsort(-p_values)[:29]
+
+    def named(*rows):
+        parts = [
+            gb.Problem(Lag(), gb.FrequencyResponse(OMEGA, exact * (1 + 0.05 * e), name=f"n{k}"))
+            for k, e in ((k, noise[k]) for k in rows)
+        ]
+        nlp = compile_problem(sum(parts[1:], parts[0]))
+        x = np.array([TRUTH[name] for name in nlp.free])
+        return any("rank correlation" in text for text in outlying_points(nlp, x))
+
+    assert 0.01 / 30 < p_values[by_chance] < 0.01
+    assert named(by_chance)
+    assert not named(by_chance, *white)

@@ -36,7 +36,7 @@ def correlated_frequencies(
     x: Array,
 ) -> Iterator[str]:
     """Name the responses and manoeuvres whose errors at the estimate x (p,) are correlated."""
-    values = nlp.all_values(x)
+    values, unlikely = nlp.all_values(x), UNLIKELY / len(nlp.parts)
     for part, trajectory, neighbors in zip(
         nlp.parts, trajectories, accuracy.neighbors, strict=True
     ):
@@ -44,7 +44,7 @@ def correlated_frequencies(
             yield from _of_manoeuvre(part, trajectory.z, alone=len(nlp.parts) == 1)
         elif isinstance(part, ResponsePart) and part.data.has_independent_errors:
             errors = part.neighbors(values, np.eye(len(nlp.free)), 1.0)
-            if errors is not None and errors.independent < UNLIKELY:
+            if errors is not None and errors.independent < unlikely:
                 yield (
                     f"neighboring residuals of {part.problem.name!r} are alike "
                     f"({errors.mean:.2f} from one point to the next), although its errors are "
@@ -57,7 +57,7 @@ def correlated_frequencies(
             # Variances that include more than the scatter, such as errors of a log, need no words.
             is_estimated = part.criterion.known_noise and part.data.dof is not None
             has_more = is_estimated and part.noise_ratio(trajectory) < LEAST_RATIO
-            if errors.independent < UNLIKELY and not has_more:
+            if errors.independent < unlikely and not has_more:
                 # For 12 points with a correlation of 0.8, intervals of 95 % contain the truth in 86
                 # to 93 % of fits, for 24 points in 91 to 98 %.
                 yield (

@@ -78,16 +78,16 @@ def outlying_points(nlp: CompiledProblem, x: Array) -> Iterator[str]:
             "it to see its effect."
         )
     for part in responses:
-        yield from _unequal_sizes(part, values)
+        yield from _unequal_sizes(part, values, SIZE / len(responses))
 
 
-def _unequal_sizes(part: ResponsePart, values: Array) -> Iterator[str]:
+def _unequal_sizes(part: ResponsePart, values: Array, level: float) -> Iterator[str]:
     """Say whether errors grow or shrink with frequency more than assumed, by their ranks."""
     model = part.response(values)
     size = np.maximum(part.criterion.error_size(model, part.data), TINY)
     ranks = np.argsort(np.argsort([part.data.omega, np.abs(part.data.response - model) / size]))
     r = float(np.corrcoef(*ranks)[0, 1]) if len(size) > 1 else 0.0
-    if math.erfc(abs(r) * math.sqrt((len(size) - 1) / 2)) < SIZE:
+    if math.erfc(abs(r) * math.sqrt((len(size) - 1) / 2)) < level:
         yield (
             f"the size of the errors of {part.problem.name!r} changes with frequency beyond what "
             f"the criterion assumes (rank correlation {r:.2f}), so that intervals may be wrong: "
