@@ -44,7 +44,7 @@ class Row:
 
 @dataclass(frozen=True, eq=False)
 class Comparison(Printed):
-    """Several fits side by side. Printing it gives the verdict, the table, and the sentences.
+    """Several fits side by side. Printing it gives the verdict, its reasons, and the table.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Comparison(Printed):
 
     def __str__(self) -> str:
         lines = [f"Comparison of {', '.join(self.labels)}", "", f"  data  {self.data}", ""]
-        lines += [f"  {self.verdict}", ""] if self.verdict else []
+        lines += [f"  {text}" for text in (self.verdict, *self.statements) if text] + [""]
         titles = dict.fromkeys(row.data for row in self.rows) | {"fit": ""}
         titles |= {kind: f"{kind} data: {self._windows(kind)}" for kind in self.predictions}
         for data, title in titles.items():
@@ -111,7 +111,7 @@ class Comparison(Printed):
             lines += [f"  {title}", ""] if rows and title else []
             for output in dict.fromkeys(row.output for row in rows):
                 lines += self._section([row for row in rows if row.output == output], output)
-        return "\n".join([*lines, *(f"  {text}" for text in self.statements)]).rstrip()
+        return "\n".join(lines).rstrip()
 
     def _windows(self, data: str) -> str:
         """Return number and length of the windows."""

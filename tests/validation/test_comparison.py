@@ -39,7 +39,7 @@ def test_it_prints_the_table_and_the_sentences():
     assert lines[0] == "Comparison of a, b"
     assert lines[2] == "  data  the same for all"
     assert any(line.split() == ["AIC", "3", "-"] for line in lines)
-    assert lines[-1] == "  a is better."
+    assert lines[4] == "  a is better."
 
 
 def test_p_values_in_sentences():
