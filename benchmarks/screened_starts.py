@@ -1,6 +1,6 @@
 """Starts of a nonlinear aircraft in wide boxes.
 
-Plain ones, and the search from twenty that are screened.
+One plain start, and the default search, which screens twenty.
 
 ``python benchmarks/screened_starts.py --times 10 --seeds 100 --out
 benchmarks/results/screened_starts.txt`` fits the longitudinal motion of a transport (four states,

@@ -79,7 +79,7 @@ class RecordPart(SegmentedPart):
         pairs = zip(self.data.stretches, outputs, strict=True)
         stretches = tuple(replace(stretch, outputs=values) for stretch, values in pairs)
         data = replace(self.data, stretches=stretches)
-        # The spread, which only scales, stays that of the first outputs.
+        # The spread only scales, and stays that of the original outputs.
         counts = np.isfinite(data.measured).sum(axis=1)
         return self._with(data, replace(self.covariance, counts=counts))
 

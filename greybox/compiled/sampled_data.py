@@ -387,10 +387,9 @@ def input_over_step(window: Any, fraction: Any, held: bool) -> tuple[Any, Any, A
     the excess of the delay over whole samples. Mean and change (the slope of the best line) match
     the moments of the delayed input over the step.
 
-    The value at the sample is exact. A held input changes a fraction of a step later, so it is
-    still the one before: no function of the fraction. The mean in its place would be
-    differentiable, but with an input that reaches an output directly it draws the delay to the next
-    whole sample.
+    The value at the sample is exact. A held input changes a fraction of a step later: until then it
+    has the value before, whatever the fraction is. The mean in its place would be differentiable,
+    but with an input that reaches an output directly it draws the delay to the next whole sample.
     """
     a, b, c = window[0], window[1], window[2]
     f, r = fraction, 1 - fraction

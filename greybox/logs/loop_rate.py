@@ -129,7 +129,7 @@ def thinning_error(
 
 
 def _differences(per_pass: float, kept: int) -> tuple[float, float]:
-    """Return how logged passes differ from all, in the number of gyro samples and in their age."""
+    """Return how far logged passes differ from all passes, in gyro samples and in their age."""
     # The clock of the gyro runs free: all phases between the two clocks are equally likely.
     j = np.arange(PASSES + 1) * per_pass
     times = j + np.arange(PHASES)[:, None] / PHASES

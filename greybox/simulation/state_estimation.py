@@ -221,7 +221,7 @@ def shared_prior(
     precision = np.where(seen > 0, seen / signal, 1.0)
     if w < 10:
         return mean, precision
-    # Expectation and maximization, which cost no simulation.
+    # Expectation and maximization: these need no simulation.
     for _ in range(50):
         covariance = _inverse(H, precision)
         x = np.einsum("wij,wj->wi", covariance, information + precision * mean)

@@ -190,7 +190,7 @@ class Runs(Sequence[Run]):
     def __getitem__(self, key: "slice | NDArray[Any]") -> "Runs": ...
 
     def __getitem__(self, key: Any) -> "Run | Runs":
-        """Return a run, or the runs of a slice, of an array of places or of booleans (r,)."""
+        """Return one run, or the runs that a slice, indices or booleans (r,) select."""
         if isinstance(key, slice | np.ndarray):
             return Runs(*(getattr(self, name)[key] for name in COLUMNS))
         if not -len(self) <= key < len(self):

@@ -47,7 +47,7 @@ def score_tests(residuals: Array, fitted: Array, terms: Array) -> Array:
     residuals : (N,) array
         White if they are noise.
     fitted : (N, p) array
-        What the fit may have taken from them.
+        What the fit can absorb of them.
     terms : (N, c) array
         What unit terms would add to the model's outputs.
     """
@@ -73,7 +73,7 @@ def score_tests(residuals: Array, fitted: Array, terms: Array) -> Array:
 
 
 def correlated_score(blocks: Sequence[tuple[Array, Array, Sequence[int]]]) -> tuple[float, int]:
-    """Return -2 log likelihood of residuals, and the rank of what the fit may have taken.
+    """Return -2 log likelihood of residuals, and the rank of what a fit can absorb.
 
     Errors may be correlated, or larger at some rows.
 

@@ -28,7 +28,7 @@ from greybox.data.record import Record, Recording
 from greybox.files.arrays import Array
 
 MOTORS = frozenset((*range(33, 41), *range(82, 86)))  # SERVOn_FUNCTION of motors 1 to 8 and 9 to 12
-SHARE = 0.5  # change of a motor's thrust by a control of 1: AP_MotorsMatrix::normalise_rpy_factors
+SHARE = 0.5  # thrust change of a motor at a control of 1: AP_MotorsMatrix::normalise_rpy_factors
 DEFAULTS = {
     "MOT_SPIN_MIN": 0.15,
     "MOT_SPIN_MAX": 0.95,
