@@ -8,16 +8,19 @@ from xml.etree.ElementTree import Element
 
 from greybox.html_report.elements import Child, tag
 
+# Backticks, and the arguments of a class, which are no part of its equation.
+OMITTED = r"(?s)`|\n\n(Parameters|Raises)\n-.+?(?=\n\n|$)"
+
 
 def description(text: str) -> Iterator[Element]:
     """Yield paragraphs with the formulas between dollar signs as images, as LaTeX writes them."""
-    for paragraph in text.replace("`", "").split("\n\n"):
+    for paragraph in re.sub(OMITTED, "", text).split("\n\n"):
         yield tag("p", with_formulas(paragraph))
 
 
 def with_formulas(text: str) -> list[Child]:
     """Return a text with the formulas between dollar signs as images."""
-    pieces = re.split(r"(\$\$.+?\$\$|\$.+?\$)", text, flags=re.DOTALL)
+    pieces = re.split(r"(?s)(\$\$.+?\$\$|\$.+?\$)", text)
     return [_formula(piece) if k % 2 else piece for k, piece in enumerate(pieces)]
 
 

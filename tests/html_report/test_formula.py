@@ -19,3 +19,9 @@ def test_what_matplotlib_cannot_set_and_markup_stay_text():
     text = page(r"$$\begin{bmatrix} 1 \end{bmatrix}$$ and <script>alert(1)</script>")
     assert r"<code>\begin{bmatrix} 1 \end{bmatrix}</code>" in text
     assert "<script>" not in text
+
+
+def test_arguments_of_a_class_are_no_part_of_its_equation():
+    sections = "Parameters\n----------\nn : int\n    Order.\n\nNotes\n-----\nStable."
+    text = page(f"A lag.\n\n{sections}\n\nRaises\n------\nValueError\n    If not.")
+    assert text == "<p>A lag.</p><p>Notes\n-----\nStable.</p>"
