@@ -142,9 +142,14 @@ class Misfit(Printed):
         return not self.p_value < FALSE_ALARMS
 
     @property
+    def is_large(self) -> bool:
+        """Whether the model leaves more than ten times what noise would."""
+        return not self.explains and self.left > 10 * self.noise
+
+    @property
     def may_be_feedback(self) -> bool:
         """Whether disturbances under feedback may look like the terms, which leave a part of it."""
-        return self.explains or self.noise > 0.1 * self.left
+        return not self.is_large
 
     @property
     def likely(self) -> tuple[Cause, ...]:

@@ -27,8 +27,9 @@ class Verdict:
     Attributes
     ----------
     grade : "good", "doubt", "poor" or "failed"
-        Poor if the model does not explain the data. In doubt if there is a warning, if the error of
-        a parameter is beyond its guideline, or if only one start reached the minimum.
+        Poor if the model leaves more than ten times what noise would. In doubt if it leaves less
+        without explaining the data, if there is a warning, if the error of a parameter is beyond
+        its guideline, or if only one start reached the minimum.
     sentences : tuple of str
         Whether the model explains the data, where that can be decided; its minimum; its parameters.
         Reasons for doubt come first. For a failed fit, the reasons of the failure.
@@ -52,13 +53,14 @@ def verdict(fit: Any) -> Verdict:
     minimum, found_again = _minimum(fit)
     determined, well = _determined(fit)
     grade: Grade = "good" if found_again and well and not fit.warnings else "doubt"
-    # No start agrees on the minimum of a model that explains nothing, wherever they end.
-    explains = fit.misfit is None or fit.misfit.explains
-    if fit.agreeing == 0 or not explains:
-        grade = "poor"
     sentences = [(found_again, minimum), (well, determined)]
-    if fit.misfit is not None:
-        sentences.insert(0, (explains, f"The model {fit.misfit.verdict}."))
+    misfit = fit.misfit
+    if misfit is not None:
+        sentences.insert(0, (misfit.explains, f"The model {misfit.verdict}."))
+        grade = grade if misfit.explains else "doubt"
+    # No start agrees on the minimum of a model that explains nothing, wherever they end.
+    if fit.agreeing == 0 or (misfit is not None and misfit.is_large):
+        grade = "poor"
 
     return Verdict(grade, tuple(text for _, text in sorted(sentences, key=itemgetter(0))))
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from page_results import lag
 
+import greybox as gb
 from greybox.estimate.verdict import verdict
 
 
@@ -180,6 +181,28 @@ def test_grades_differ_by_what_is_wrong():
     # An insensitivity beyond its guideline alone leaves a fit good.
     insensitive = SimpleNamespace(beyond=("b",), error=np.full(3, 0.1))
     assert told(identifiability=insensitive).grade == "good"
-    assert told(misfit=SimpleNamespace(explains=False, verdict="")).grade == "poor"
-    assert told(misfit=SimpleNamespace(explains=True, verdict="")).grade == "good"
+    for explains, is_large, grade in ((0, 1, "poor"), (0, 0, "doubt"), (1, 0, "good")):
+        misfit = SimpleNamespace(explains=explains, is_large=is_large, verdict="")
+        assert told(misfit=misfit).grade == grade
     assert told(agreeing=0).grade == "poor"
+
+
+class OneLag(gb.TransferFunction):
+    """A lag."""
+
+    K = gb.Parameter(4.0, bounds=(1, 20))
+    tau = gb.Parameter(0.2, bounds=(0.01, 1))
+
+    def response(self, s, p):
+        return p.K / (p.tau * s + 1)
+
+
+# A lag that the model lacks, at noise of 2 %: 30 ms of it leave two hundred times the noise.
+@pytest.mark.parametrize(("lag_s", "grade"), [(0.0, "good"), (0.0015, "doubt"), (0.03, "poor")])
+def test_a_model_is_poor_where_it_leaves_far_more_than_noise(lag_s, grade):
+    s = 1j * np.geomspace(1, 60, 40)
+    noise = np.random.default_rng(1).standard_normal((2, 40)).T @ (1, 1j)
+    measured = 5 / (0.1 * s + 1) / (lag_s * s + 1) * (1 + 0.02 * noise / np.sqrt(2))
+    data = gb.FrequencyResponse(s.imag, measured).with_independent_errors()
+    fit = gb.fit(gb.Problem(OneLag(), data), starts=5, profiles=False)
+    assert verdict(fit).grade == grade
