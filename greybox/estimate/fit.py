@@ -98,9 +98,10 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     problem : Problem or a sum of problems
     starts : int, Starts, or list
         A number: the declared values, then Sobol points. Or a rule such as `LatinHypercube(200)`,
-        or a list of ``{name: value}``. By default the 8 most promising of 200, with records 4 of
-        20; all of them if few of these runs agree. With records, a start at which the model is not
-        finite moves toward one at which it is finite.
+        or a list of ``{name: value}``. By default the 8 most promising of 200 (of 32 if the
+        responses share one solution), with records 4 of 20; all of them if few of these runs agree.
+        With records, a start at which the model is not finite moves toward one at which it is
+        finite.
     seed : int, optional
         Seed of the Sobol points, 0 by default; a rule has its own. More starts with the same seed
         include the same points.

@@ -28,6 +28,9 @@ UNFINISHED = "Maximum_Iterations_Exceeded"
 class SharedSolver(ResponseSolver):
     """Newton's method on the shared cost, from starts by equation error."""
 
+    # All are run where the promising ones disagree, as with states that the outputs hardly show:
+    # with 200, a helicopter with a rotor takes a minute.
+    starts = 32
     together = 16  # more do not become cheaper
 
     @staticmethod
