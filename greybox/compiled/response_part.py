@@ -177,7 +177,7 @@ class ResponsePart(Part):
             # The residuals lack errors along directions that this part determines. Of many parts,
             # each has a small share in most directions, and its residuals keep these errors.
             _, sizes, turns = np.linalg.svd(jacobian[:, : len(root)] @ root, full_matrices=False)
-            own = root @ turns[sizes**2 > OWN * sizes.max() ** 2].T
+            own = root @ turns[sizes**2 > OWN * sizes[:1] ** 2].T
             neighbors = self.neighbors(values, own, correction)
             if neighbors is None:
                 return None
