@@ -66,6 +66,7 @@ class ResponsePart(Part):
         self.objective = objective
         self.model_response = model_response
         self.scaled_response = scaled_response
+        self._latest: Any = None, None
         size = np.abs(self.data.response)
         # Points that are nearly zero must not dominate the signature of a run.
         self.magnitude = np.maximum(size, 1e-12 * size.max() + 1e-150)
@@ -89,8 +90,11 @@ class ResponsePart(Part):
 
     def sensitivity(self, values: Array) -> ComplexArray:
         """Return the derivatives of the response by all values x (k,): (n, k)."""
-        parts = np.asarray(ca.DM(self._slope(values))).reshape(2, -1, len(values))
-        return complex_array(*parts)
+        # Covariance, outliers and misfit ask at one point.
+        if not np.array_equal(values, self._latest[0]):
+            parts = np.asarray(ca.DM(self._slope(values))).reshape(2, -1, len(values))
+            self._latest = values.copy(), complex_array(*parts)
+        return self._latest[1]
 
     @cached_property
     @one_thread_at_a_time

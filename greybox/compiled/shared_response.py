@@ -74,22 +74,20 @@ class SharedSystem:
         """Return the responses at z (p, k), (k, w, pairs), and their derivatives by z, last."""
         n, k = self.states, z.shape[1]
         S, delays, slopes, delay_slopes = self.matrices(z)
-        pencil = 1j * self.omega[:, None, None] * np.eye(n) - S[:, None, :n, :n]
+        s = 1j * self.omega
+        pencil = s[:, None, None] * np.eye(n) - S[:, None, :n, :n]
         try:
             inverse = np.linalg.inv(pencil)
         except np.linalg.LinAlgError:  # a pole at a frequency: such a trial is refused
             inverse = np.full_like(pencil, np.nan)
         X = inverse @ S[:, None, :n, n:]
         Y = S[:, None, n:, :n] @ inverse
-        size = (k, len(self.omega))
-        left = np.zeros((*size, self.outputs, n + self.outputs), complex)
-        left[..., :n], left[..., n:] = Y, np.eye(self.outputs)
-        right = np.zeros((*size, n + self.inputs, self.inputs), complex)
-        right[..., :n, :], right[..., n:, :] = X, np.eye(self.inputs)
+        shape, ends = X.shape[:2], (np.eye(self.outputs), np.eye(self.inputs))
+        E, F = (np.broadcast_to(end, shape + end.shape) for end in ends)
+        left, right = np.concatenate([Y, E], -1), np.concatenate([X, F], -2)
         plant = S[:, None, n:, :n] @ X + S[:, None, n:, n:]
 
         outputs, inputs = (np.array([pair[c] for pair in self.pairs]) for c in (1, 2))
-        s = 1j * self.omega
         lag = np.exp(-s[:, None] * delays[:, None])[..., inputs]
         response = plant[..., outputs, inputs] * lag
         # Only the entries that depend on z.

@@ -245,7 +245,7 @@ def _with_covariance(
         # Variances that were given have no uncertainty; the estimated correlation has, of every
         # part by itself.
         shared = replace(accuracy, shares=tuple(terms))
-        dof = min(degrees(shared, np.eye(p, k)).tolist())
+        dof = degrees(shared, np.eye(p, k)).min()
     independent = None
     if any(neighbors):
         # Tests of terms need errors that are taken as independent: a term that is missing looks
