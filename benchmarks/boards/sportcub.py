@@ -18,7 +18,7 @@ Structures are compared by cross-validation on the flights for training, three f
 one with the least error is fitted to all nine and runs on the test flights, once. All states are
 measured, so each fit is one by equation error, `gb.regression.equation_error`, and takes a second.
 What limits the result is the vertical motion: no lift by angle of attack or speed that was tried
-predicts it better than a constant lift. Output error, `gb.fit`, was tried with up to 29
+predicts it better than a constant lift. Output error, `gb.fit`, was tried with up to 21
 coefficients of such a lift. It takes minutes a fit, and its cross-validated errors, 0.18 to 0.20,
 were above that of straight flight.
 """

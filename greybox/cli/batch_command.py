@@ -111,7 +111,8 @@ def _answer(study: Study) -> Answer:
 def _listed(members: Sequence[Member]) -> Answer:
     """Return the names of members and their numbers of starts."""
     starts = {member.name: member.start_count for member in members}
-    total = f"{counted(len(starts), 'member')}, {counted(sum(starts.values()), 'start')}"
+    # By default a search runs only the promising starts, as long as these agree.
+    total = f"{counted(len(starts), 'member')}, at most {counted(sum(starts.values()), 'start')}"
     rows = [[name, str(count)] for name, count in starts.items()]
     return {"starts": starts}, text_table(["member", "starts"], rows), total
 

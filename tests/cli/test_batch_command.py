@@ -103,7 +103,7 @@ def test_a_dry_run_lists_the_members_and_writes_nothing(study, tmp_path, capsys)
     assert status == 0
     assert listed["starts"]["mine:small: magnitude-phase, seed 1"] == 4
     assert main(["batch", str(study), "--dry-run"]) == 0
-    assert capsys.readouterr().out.endswith("7 members, 28 starts\n")
+    assert capsys.readouterr().out.endswith("7 members, at most 28 starts\n")
     assert {path.name for path in tmp_path.iterdir()} == {"files"}
 
 
@@ -250,7 +250,7 @@ def test_a_check_finds_what_is_damaged_and_resuming_makes_it_again(study, capsys
     study.write_text(TWO_SEEDS)
     _, result, message = answer(capsys, "batch", study, "--out", "out")
     whole = result["members"]
-    assert message.startswith("2 members, 24 starts\n")
+    assert message.startswith("2 members, at most 24 starts\n")
     assert answer(capsys, "batch", "--check", "out")[0] == 0
     with closing(sqlite3.connect("out/study.sqlite")) as database, database:
         database.execute("UPDATE members SET fit = substr(fit, 5) WHERE id = 1")
