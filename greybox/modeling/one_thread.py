@@ -62,10 +62,12 @@ def once(function: Callable[..., Result]) -> Callable[..., Result]:
     @functools.wraps(function)
     def result(model: Any, *args: Any, **kwargs: Any) -> Result:
         with LOCK:
-            results, key = _traced.get({}), (function, model, repr((args, kwargs)))
+            # By identity, since a model that is a dataclass has no hash. The model is stored too,
+            # so that no other one gets its number meanwhile.
+            results, key = _traced.get({}), (function, id(model), repr((args, kwargs)))
             if key not in results:
-                results[key] = function(model, *args, **kwargs)
-            return results[key]
+                results[key] = model, function(model, *args, **kwargs)
+            return results[key][1]
 
     return result
 

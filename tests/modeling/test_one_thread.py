@@ -1,5 +1,7 @@
 """Formulas are traced once a fit, and anew after the model has changed."""
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 
@@ -49,3 +51,17 @@ def test_an_inner_block_continues_the_outer_one():
             assert jacobians(model) is function
         assert jacobians(model) is function
     assert jacobians(model) is not function
+
+
+@dataclass
+class Chosen(Counted):
+    """A model with an option of its own; a dataclass that compares its fields has no hash."""
+
+    gain: float = 1.0
+
+
+def test_a_model_that_is_a_dataclass_is_fitted():
+    for gain in (1.0, 3.0):
+        truth = gb.frequency_response(Chosen(gain), None, OMEGA, input="a", output="x")
+        fit = gb.fit(gb.Problem(Chosen(gain), truth), starts=4, progress=False)
+        assert fit.estimate["k"] == pytest.approx(2.0)
