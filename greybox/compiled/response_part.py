@@ -91,10 +91,12 @@ class ResponsePart(Part):
     def sensitivity(self, values: Array) -> ComplexArray:
         """Return the derivatives of the response by all values x (k,): (n, k)."""
         # Covariance, outliers and misfit ask at one point.
-        if not np.array_equal(values, self._latest[0]):
+        point, slope = self._latest
+        if not np.array_equal(values, point):
             parts = np.asarray(ca.DM(self._slope(values))).reshape(2, -1, len(values))
-            self._latest = values.copy(), complex_array(*parts)
-        return self._latest[1]
+            slope = complex_array(*parts)
+            self._latest = values.copy(), slope
+        return slope
 
     @cached_property
     @one_thread_at_a_time
