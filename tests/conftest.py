@@ -35,7 +35,6 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_collection_finish():
-    gc.freeze()  # what was collected lives to the end: looking through it again takes 3 % of the time
     gc.enable()
 
 
