@@ -18,13 +18,11 @@ The published rows are those that Hammerstein Box-Jenkins System Identification 
 Tanks Benchmark System (2021) collects in its table 2. Later ones may be better.
 """
 
-import argparse
-import datetime as dt
-import platform
 import time
 from pathlib import Path
 
 import numpy as np
+from command import heading, parser, show
 
 import greybox as gb
 
@@ -123,7 +121,7 @@ def board(folder: Path) -> list[str]:
     """Return the lines of the table."""
     estimation, test = parts(folder)
     lines = [
-        f"greybox {gb.__version__}, Python {platform.python_version()}, {dt.date.today()}",
+        heading(),
         "",
         f"{'for estimation':32}    AIC  error, V  starts  seconds",
     ]
@@ -157,17 +155,5 @@ def board(folder: Path) -> list[str]:
     return lines
 
 
-def main() -> None:
-    """Print the table, and write it to a file on request."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--output", type=Path)
-    options = parser.parse_args()
-    text = "\n".join(board(options.folder))
-    print(text)
-    if options.output:
-        options.output.write_text(text + "\n", encoding="utf-8")
-
-
 if __name__ == "__main__":
-    main()
+    show(board, parser(__doc__).parse_args())

@@ -15,14 +15,10 @@ the mean of the periods of the training data at that level. It shows what a line
 reach there, if its order is high enough. The test excites the same frequencies.
 """
 
-import argparse
-import datetime as dt
-import platform
 from pathlib import Path
 
 import numpy as np
-
-import greybox as gb
+from command import heading, parser, show
 
 LEVELS = (100, 200, 300)  # mV
 EXCITED = slice(1, 3840)  # below 3000 Hz
@@ -90,7 +86,7 @@ def board(folder: Path) -> list[str]:
     ]
 
     lines = [
-        f"greybox {gb.__version__}, Python {platform.python_version()}, {dt.date.today()}",
+        heading(),
         "",
         f"{'error on the test data, %':46}" + "".join(f"{level:>5} mV" for level in LEVELS),
     ]
@@ -104,17 +100,5 @@ def board(folder: Path) -> list[str]:
     return lines
 
 
-def main() -> None:
-    """Print the table, and write it to a file on request."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--output", type=Path)
-    options = parser.parse_args()
-    text = "\n".join(board(options.folder))
-    print(text)
-    if options.output:
-        options.output.write_text(text + "\n", encoding="utf-8")
-
-
 if __name__ == "__main__":
-    main()
+    show(board, parser(__doc__).parse_args())

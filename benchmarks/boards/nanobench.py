@@ -16,13 +16,11 @@ measured values scatter by 1.93 m/s², much more than those of these flights in 
 cannot be compared strictly.
 """
 
-import argparse
-import datetime as dt
 import hashlib
-import platform
 from pathlib import Path
 
 import numpy as np
+from command import heading, parser, show
 
 import greybox as gb
 from greybox.models.specific_force import BodyDrag, RotorThrust
@@ -175,7 +173,7 @@ def board(folder: Path) -> list[str]:
     records, damaged = flights(folder)
     lines = [
         f"{len(records)} flights; damaged commands: {', '.join(damaged)}",
-        f"greybox {gb.__version__}, Python {platform.python_version()}, {dt.date.today()}",
+        heading(),
         "",
     ]
     thrust: dict[str, list[float]] = {}
@@ -216,21 +214,16 @@ def board(folder: Path) -> list[str]:
 
 def main() -> None:
     """Print the table, or write the excerpt."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--output", type=Path)
-    parser.add_argument("--excerpt", type=Path)
-    options = parser.parse_args()
+    arguments = parser(__doc__)
+    arguments.add_argument("--excerpt", type=Path)
+    options = arguments.parse_args()
     if options.excerpt:
         for name, label in SHIPPED.items():
             record = flight(options.folder / f"{name}.csv")
             if record is not None:
                 write_excerpt(record, options.excerpt / f"nanobench_{label}.csv")
         return
-    text = "\n".join(board(options.folder))
-    print(text)
-    if options.output:
-        options.output.write_text(text + "\n", encoding="utf-8")
+    show(board, options)
 
 
 if __name__ == "__main__":

@@ -23,12 +23,10 @@ coefficients of such a lift. It takes minutes a fit, and its cross-validated err
 were above that of straight flight.
 """
 
-import argparse
-import datetime as dt
-import platform
 from pathlib import Path
 
 import numpy as np
+from command import heading, parser, show
 
 import greybox as gb
 
@@ -40,6 +38,15 @@ STATES = ("x_n", "y_e", "z_d", "u", "v", "w", "q_w", "q_x", "q_y", "q_z", "p", "
 INPUTS = ("throttle", "elevator", "aileron", "rudder")
 PUBLISHED = 0.2131  # 6DOF-Subspace-Hankel, the best of the rows with full state
 TURNED = np.array([1, 1, 1, 0, 0, 0, 1, -1, -1, 1, -1, -1, 1.0])
+
+
+def rotation(a, b, c, d):
+    """Return the rows of the matrix from the body to the world, of a quaternion a, b, c, d."""
+    return (
+        (1 - 2 * (c * c + d * d), 2 * (b * c - a * d), 2 * (b * d + a * c)),
+        (2 * (b * c + a * d), 1 - 2 * (b * b + d * d), 2 * (c * d - a * b)),
+        (2 * (b * d - a * c), 2 * (c * d + a * b), 1 - 2 * (b * b + c * c)),
+    )
 
 
 def coefficient(start, size, unit, about):
@@ -79,16 +86,12 @@ class SportCub(gb.StateSpace):
     def derivative(self, x, u, p):
         """Return the rates of all states; north, east, down and front, right, down."""
         a, b, c, d = x.q_w, x.q_x, x.q_y, x.q_z
-        rotation = (
-            (1 - 2 * (c * c + d * d), 2 * (b * c - a * d), 2 * (b * d + a * c)),
-            (2 * (b * c + a * d), 1 - 2 * (b * b + d * d), 2 * (c * d - a * b)),
-            (2 * (b * d - a * c), 2 * (c * d + a * b), 1 - 2 * (b * b + c * c)),
-        )
-        gx, gy, gz = (GRAVITY * g for g in rotation[2])
+        to_north, to_east, to_down = rotation(a, b, c, d)
+        gx, gy, gz = (GRAVITY * g for g in to_down)
         speed = gb.sqrt(x.u**2 + x.v**2 + x.w**2 + 0.01)
         square, attack, slip = speed**2, x.w / speed, x.v / speed
         return (
-            *(row[0] * x.u + row[1] * x.v + row[2] * x.w for row in rotation),
+            *(row[0] * x.u + row[1] * x.v + row[2] * x.w for row in (to_north, to_east, to_down)),
             square * p.X_0 + p.X_t * u.throttle + gx + x.r * x.v - x.q * x.w,
             square * p.Y_b * slip + gy + x.p * x.w - x.r * x.u,
             square * (p.Z_0 + p.Z_a * attack) + speed * p.Z_v + p.Z_w + gz + x.q * x.u - x.p * x.v,
@@ -134,12 +137,7 @@ def flights(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 def to_world(states: np.ndarray) -> np.ndarray:
     """Return the rotation matrices (..., 3, 3) from the body to the world."""
-    a, b, c, d = np.moveaxis(states[..., 6:10], -1, 0)
-    matrix = [
-        [1 - 2 * (c * c + d * d), 2 * (b * c - a * d), 2 * (b * d + a * c)],
-        [2 * (b * c + a * d), 1 - 2 * (b * b + d * d), 2 * (c * d - a * b)],
-        [2 * (b * d - a * c), 2 * (c * d + a * b), 1 - 2 * (b * b + c * c)],
-    ]
+    matrix = rotation(*np.moveaxis(states[..., 6:10], -1, 0))
     return np.moveaxis(np.array(matrix), (0, 1), (-2, -1))
 
 
@@ -158,7 +156,7 @@ def bank_and_acceleration(time_axis: np.ndarray, states: np.ndarray) -> float:
     heading = np.arctan2(2 * (a * d + b * c), 1 - 2 * (c * c + d * d))
     right = []
     for path, angle in zip(states[..., :2], heading, strict=True):
-        # A cubic over the 1.5 s has little noise in its second derivative.
+        # A quintic over the 1.5 s has little noise in its second derivative.
         north, east = (
             np.polyval(np.polyder(np.polyfit(time_axis, axis, 5), 2), time_axis) for axis in path.T
         )
@@ -231,7 +229,7 @@ def board(folder: Path) -> list[str]:
         flights(folder / f"sportcub_mocap_4_17_26_{part}.npz") for part in ("train", "validation")
     )
     lines = [
-        f"greybox {gb.__version__}, Python {platform.python_version()}, {dt.date.today()}",
+        heading(),
         "",
         "correlation of bank angle and acceleration to the right, as given: "
         f"{bank_and_acceleration(*train[:2]):.2f}",
@@ -269,17 +267,5 @@ def board(folder: Path) -> list[str]:
     return lines
 
 
-def main() -> None:
-    """Print the table, and write it to a file on request."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("folder", type=Path)
-    parser.add_argument("--output", type=Path)
-    options = parser.parse_args()
-    text = "\n".join(board(options.folder))
-    print(text)
-    if options.output:
-        options.output.write_text(text + "\n", encoding="utf-8")
-
-
 if __name__ == "__main__":
-    main()
+    show(board, parser(__doc__).parse_args())

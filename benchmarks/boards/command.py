@@ -1,0 +1,30 @@
+"""The command of every board: a table from a folder with the data, printed or written to a file."""
+
+import argparse
+import datetime as dt
+import platform
+from collections.abc import Callable
+from pathlib import Path
+
+import greybox as gb
+
+
+def heading() -> str:
+    """Return the versions and the date of a table."""
+    return f"greybox {gb.__version__}, Python {platform.python_version()}, {dt.date.today()}"
+
+
+def parser(about: str | None) -> argparse.ArgumentParser:
+    """Return the arguments that all boards take; `about` begins with a line on the board."""
+    arguments = argparse.ArgumentParser(description=(about or "").partition("\n")[0])
+    arguments.add_argument("folder", type=Path)
+    arguments.add_argument("--output", type=Path)
+    return arguments
+
+
+def show(board: Callable[[Path], list[str]], options: argparse.Namespace) -> None:
+    """Print the table of a board, and write it to a file on request."""
+    text = "\n".join(board(options.folder))
+    print(text)
+    if options.output:
+        options.output.write_text(text + "\n", encoding="utf-8")
