@@ -180,12 +180,10 @@ def response_and_slope(
     The arguments are those of `greybox.modeling.periodic_motions.response_of_test`.
     """
     input, output = pick_signals(model, signals["input"], signals["output"])
-    options: dict[str, Any] = {"input": input, "output": output, "at": signals["at"]}
-    options["pade"] = delay_order(signals["delay"])
+    options: dict[str, Any] = {"at": signals["at"], "pade": delay_order(signals["delay"])}
     p = [values[name] for name in model.parameters]
-    at = {"at": signals["at"], "pade": options["pade"]}
     if sine is None and (
-        formulas := formulas_at_one_frequency(model, omega, [(input, output)], **at)
+        formulas := formulas_at_one_frequency(model, omega, [(input, output)], **options)
     ):
         # One small function mapped over the frequencies compiles several times faster than one
         # expression of all of them, or than the derivative of the mapped function.
@@ -195,6 +193,7 @@ def response_and_slope(
         mapped = ca.Function("slopes", [q, frequency], [rows]).map(omega.size)
         re, im = np.reshape(mapped(p, omega[None]).full(), (2, omega.size, -1))
     else:
+        options |= {"input": input, "output": output}
         if sine is None:
             compiled = response_formula(model, omega, **options).closed()
         else:

@@ -125,9 +125,10 @@ def _minima(fit: Fit, x: Callable[[Run], float], y: Callable[[Run], float]) -> l
         minima = counted(len(further), "further minimum", "further minima")
         groups.append((f"{counted(len(runs), 'run')} in {minima}", runs))
 
+    by_index = {run.index: run for run in fit.runs}
     series = []
     for color, (name, indices) in enumerate(groups):
-        members = sorted((run for run in fit.runs if run.index in indices), key=x)
+        members = sorted((by_index[index] for index in indices), key=x)
         series.append(
             Series(
                 name,

@@ -35,7 +35,7 @@ class SharedSolver(ResponseSolver):
 
     @staticmethod
     def serves(problem: CompiledProblem) -> bool:
-        """Tell whether the responses of a problem share one solve."""
+        """Return whether the responses of a problem share one solve."""
         return problem.programs[-1].shared is not None
 
     @cached_property
