@@ -11,6 +11,7 @@ from greybox.cli.output import Answer, require_figure, save_figure
 from greybox.cli.problem_options import PROBLEM_OPTIONS
 from greybox.cli.saved_fits import require_fit_file
 from greybox.cli.workers import stated_executor
+from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fit import SolverChoice, fit_keeping
 from greybox.estimate.result import Fit
 from greybox.estimate.storage import save
@@ -85,6 +86,8 @@ def _stated_fit(options: argparse.Namespace) -> Callable[..., Fit]:
     """Return a function that fits the problem, given a store of runs and an executor."""
     # A problem file suggests starts and seed; the command line has the last word.
     problem, settings = stated_problem(vars(options))
+    if options.factored and not all(isinstance(p.data, FrequencyResponse) for p in problem.parts):
+        raise UsageError(f"--factored is for frequency responses; {problem.name} has other data.")
     for name in ("starts", "seed"):
         if getattr(options, name) is not None:
             settings[name] = getattr(options, name)
@@ -140,7 +143,8 @@ def _answer(
                 f"{part.name}: {result.transfer_function(k)}" for k, part in enumerate(result.parts)
             ]
             notes += answer["factored"]
-    except OSError as error:  # print the answer although the disk is full
+    # Print the answer although the disk is full, or the model has no factors.
+    except (OSError, ValueError) as error:
         answer["error"] = str(error)
     except KeyboardInterrupt:
         interrupted = True

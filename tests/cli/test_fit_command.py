@@ -57,6 +57,19 @@ def test_the_factored_form_is_that_of_the_paper(capsys):
     assert line in run(capsys, "fit", "pitch_5deg", *QUICK, "--factored")[1]
 
 
+def test_what_has_no_factors_is_refused_before_the_fit_or_printed_with_the_reason(capsys, own):
+    assert "--factored is for frequency responses" in refused(
+        capsys, "fit", "sitl_drag", "--factored"
+    )
+
+    text = OWN.replace("p.K / (p.T * s + 1)", "p.K / (p.T * gb.sqrt(s) + 1)")
+    status, out, _ = run(capsys, "fit", own(text), "--factored", "--json")
+    answer = json.loads(out)
+    assert status == 1
+    assert "K" in answer["estimate"]
+    assert "rational" in answer["error"]
+
+
 def test_unknown_is_null_in_json(capsys, own):
     text = OWN.replace("p.K / (p.T", "p.K / (1 + 0 * p.T) / (0.2")
     status, out, _ = run(capsys, "fit", own(text), "--json")
@@ -371,6 +384,7 @@ def fit_options(**stated):
         "seed": None,
         "search": "batched",
         "no_profiles": False,
+        "factored": False,
     }
     return Namespace(**known | stated)
 
