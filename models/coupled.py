@@ -36,7 +36,7 @@ class CoupledVelocity(gb.StateSpace):
         "a0_tilde": lambda p: -PAPER_G * p.a2,
     }
 
-    def derivative(self, x, u, p):
+    def derivative(self, x, u, p) -> tuple:  # with a rotor it is longer
         return (p.a1 * x.v + PAPER_G * x.phi + p.b1 * u.u, p.a2 * x.v + p.b2 * u.u, x.p)
 
     def output(self, x, u, p):
