@@ -22,7 +22,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from command import heading, parser, show
+from command import estimates, heading, parser, show
 
 import greybox as gb
 
@@ -144,12 +144,7 @@ def board(folder: Path) -> list[str]:
     lines += ["", f"{'for test':40}error, V", f"{'naive: mean level':42}{naive:6.3f}"]
     lines += [f"{label:42}{value:6.3f}" for label, value in PUBLISHED.items()]
     lines += [f"{'chosen: ' + best:42}{error(fit, test):6.3f}", ""]
-    lines += [
-        f"{q.name:6} {q.value:8.4g} "
-        + ("at its bound" if q.at_bound else f"± {q.standard_error:.2g} {q.unit}")
-        for q in fit.quantities
-        if q.kind == "free" and q.name in Tanks().parameters
-    ]
+    lines += estimates(fit, Tanks().parameters)
     if fit.misfit is not None and not fit.misfit.explains:
         lines += ["", "greybox says that the chosen model does not explain its data."]
     return lines

@@ -3,7 +3,7 @@
 import argparse
 import datetime as dt
 import platform
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from pathlib import Path
 
 import greybox as gb
@@ -20,6 +20,16 @@ def parser(about: str | None) -> argparse.ArgumentParser:
     arguments.add_argument("folder", type=Path)
     arguments.add_argument("--output", type=Path)
     return arguments
+
+
+def estimates(fit: gb.Fit, names: Collection[str]) -> list[str]:
+    """Return a line for each free parameter of these names: value, standard error, unit."""
+    return [
+        f"{q.name:6} {q.value:10.5g} "
+        + ("at its bound" if q.at_bound else f"± {q.standard_error:.2g} {q.unit}")
+        for q in fit.quantities
+        if q.kind == "free" and q.name in names
+    ]
 
 
 def show(board: Callable[[Path], list[str]], options: argparse.Namespace) -> None:

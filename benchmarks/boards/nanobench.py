@@ -17,6 +17,7 @@ cannot be compared strictly.
 """
 
 import hashlib
+import time
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +34,7 @@ SHIPPED = {
     "B9_trefoil_fast_rep1": "trefoil",
 }
 HALVES = (("B2", "B3", "B5", "B6"), ("B7", "B8", "B9", "B10"))
+STARTS = 2
 LOOK = 2.0  # s at the begin of a flight, for its offset
 PUBLISHED = 2.171  # m/s², "Linear regression", task1_model_comparison_table.csv
 COLUMNS = {"u": 4, "V": 3, "v_x": 4, "v_y": 4, "a_x": 3, "a_y": 3, "a_z": 3}  # decimals
@@ -164,8 +166,9 @@ def summary(label: str, errors: list[float]) -> str:
 
 
 def estimates(fit: gb.Fit, names: tuple[str, ...]) -> str:
-    """Return estimates and standard errors."""
-    return ", ".join(f"{n} {fit.estimate[n]:.4g} ± {fit.standard_error[n]:.2g}" for n in names)
+    """Return estimates, standard errors, and how many starts end there."""
+    values = (f"{n} {fit.estimate[n]:.4g} ± {fit.standard_error[n]:.2g}" for n in names)
+    return f"{', '.join(values)}; {fit.agreeing} of {STARTS} starts"
 
 
 def board(folder: Path) -> list[str]:
@@ -185,10 +188,10 @@ def board(folder: Path) -> list[str]:
         notes.append(f"fitted to {len(fitted)} flights, {'+'.join(half)}:")
         series = list(fitted.values())
 
-        common = gb.fit(gb.several(RotorThrust(), series), starts=2, progress=False)
+        common = gb.fit(gb.several(RotorThrust(), series), starts=STARTS, progress=False)
         with_offsets = gb.OutputError(biases=("a_z",))
         stated = gb.several(RotorThrust(), series, criterion=with_offsets, fixed={"c_0": -20.0})
-        separate = gb.fit(stated, starts=2, progress=False)
+        separate = gb.fit(stated, starts=STARTS, progress=False)
         notes.append("  thrust: " + estimates(common, ("T_rotor", "c_u", "c_V")))
         notes.append("  thrust, offsets: " + estimates(separate, ("T_rotor", "c_u", "c_V")))
         for label, errors in thrust_errors(rest, common, separate).items():
@@ -196,7 +199,7 @@ def board(folder: Path) -> list[str]:
 
         none = {"a5": 0.0, "C_x": 0.0}
         for label, fixed in {"linear": {"C_x": 0.0}, "quadratic": {"a5": 0.0}, "both": {}}.items():
-            fit = gb.fit(nanobench_drag.problem(series, **fixed), starts=2, progress=False)
+            fit = gb.fit(nanobench_drag.problem(series, **fixed), starts=STARTS, progress=False)
             free = tuple(name for name in none if name not in fixed)
             notes.append(f"  drag, {label}: " + estimates(fit, (*free, "T_delay")))
             drag.setdefault(label, []).extend(drag_errors(rest, fit))
@@ -209,7 +212,7 @@ def board(folder: Path) -> list[str]:
     lines += [summary(label, errors) for label, errors in thrust.items()]
     lines += ["", f"{'across the rotor axis, m/s²':42}  pooled  median   worst"]
     lines += [summary(label, errors) for label, errors in drag.items()]
-    return [*lines, "", *notes]
+    return [*lines, "", *notes, f"{time.process_time():.0f} s in all"]
 
 
 def main() -> None:
