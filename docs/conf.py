@@ -63,7 +63,7 @@ html_sidebars = {"commands": [], "gallery": []}  # they have no pages below them
 # The reference by task. A folder adds those of its public names that no task lists.
 TASKS = {
     "Declare a model": "Parameter TransferFunction StateSpace feedback frequency_response "
-    "structural_identifiability Integrator RungeKutta Rosenbrock modeling",
+    "structural_identifiability Integrator RungeKutta Radau modeling",
     "Write its formulas": "exp log sqrt sin cos tan tanh arcsin arccos arctan arctan2 sign maximum "
     "minimum where",
     "Read logs and tables": "read prepare Record data logs",

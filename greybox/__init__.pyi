@@ -58,7 +58,7 @@ from greybox.logs import prepare as prepare
 from greybox.logs import read as read
 from greybox.modeling import Integrator as Integrator
 from greybox.modeling import Parameter as Parameter
-from greybox.modeling import Rosenbrock as Rosenbrock
+from greybox.modeling import Radau as Radau
 from greybox.modeling import RungeKutta as RungeKutta
 from greybox.modeling import StateSpace as StateSpace
 from greybox.modeling import TransferFunction as TransferFunction

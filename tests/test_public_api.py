@@ -14,7 +14,7 @@ import greybox as gb
 NAMES = """
 Bootstrap Collocation Contour Controller Criterion Draws EquationError Fit FrequencyResponse Integrator MagnitudePhase
 MaximumLikelihood MultipleShooting OutputError Parameter PredictionError Problem Profiles Record RelativeError
-RelativeLikelihood Rosenbrock RungeKutta SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion
+Radau RelativeLikelihood RungeKutta SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion
 Transcription TransferFunction batch bootstrap compare contour cost draws feedback fit frequency_response identify load margins misfit
 plot predict prepare profile read read_response report safe_gains save several simulate stepwise
 structural_identifiability virtual_flight
@@ -35,7 +35,7 @@ NAMESPACES = {
     "identify measure measure_manoeuvre measure_matrix select_orders",
     "interop": "from_control from_scipy to_casadi to_control to_scipy write_c write_mat",
     "logs": "find_manoeuvres find_segments horizontal_velocity prepare read",
-    "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Rosenbrock RungeKutta Sine StateSpace "
+    "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Radau RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response late_sensors linearize rational",
     "plotting": "bode contour ends estimates gains loop nyquist pairs plot profiles recording residuals "
     "spectrum starts structures time_history traces trend",

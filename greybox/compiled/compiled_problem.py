@@ -166,7 +166,9 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
             parts[part] = compile_spectrum(part, named, point)
 
     recorded = [part for part in problem.parts if isinstance(part.data, Record)]
-    parts |= dict(zip(recorded, compile_records(recorded, named, point, method), strict=True))
+    record_parts = compile_records(recorded, named, point, method)
+    parts |= dict(zip(recorded, record_parts, strict=True))
+    method = record_parts[0].model.method if record_parts else method
 
     return CompiledProblem(
         problem=problem,

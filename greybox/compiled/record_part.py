@@ -28,6 +28,7 @@ from greybox.compiled.transcription.method import Transcription
 from greybox.files.arrays import Array
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
+from greybox.modeling.step_size import MOST_SUBSTEPS
 from greybox.statistics.bounded_errors import bounded
 
 
@@ -293,7 +294,7 @@ def compile_records(
     `expressions` are the parameters of a problem by outside name.
 
     Records of one model have one compiled sample, and one choice of substeps and segments where
-    they are sampled alike.
+    they are sampled alike. If one of them is stiff, all have implicit steps.
     """
     models: list[RecordModel] = []
     local = [
@@ -345,8 +346,11 @@ def compile_records(
             looks,
             known_initial,
         )
+        is_stiff = method.scheme.substeps is None and substeps > MOST_SUBSTEPS
+        if is_stiff and method.for_stiff_models() != method:
+            return compile_records(problems, expressions, z, method.for_stiff_models())
         for k in lot:
             cut = replace(data[k], segment_length=segment_length)
-            parts[k] = RecordPart(models[k], cut, substeps)
+            parts[k] = RecordPart(models[k], cut, MOST_SUBSTEPS if is_stiff else substeps)
 
     return [parts[k] for k in range(len(models))]

@@ -12,7 +12,6 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -83,19 +82,6 @@ class Segments:
     # --- compiled functions
 
     @one_thread_at_a_time
-    def _slopes(self, x: Any, q: Any, *results: Any) -> list[Any]:
-        active = self.active.tolist()
-        if isinstance(
-            x, ca.SX
-        ):  # whose entries are symbols: derivatives by the others need not be formed
-            free = ca.vertcat(x, *(q[i] for i in active))  # q[[]] of one parameter adds a row
-            return [ca.densify(ca.jacobian(r, free)) for r in results]
-
-        return [
-            ca.densify(ca.horzcat(ca.jacobian(r, x), ca.jacobian(r, q)[:, active])) for r in results
-        ]
-
-    @one_thread_at_a_time
     def _columns(self, name: str) -> Columns:
         """Return a function of x, q and data, the same for all segments with this step.
 
@@ -111,7 +97,21 @@ class Segments:
             end, e, y = self._step.function(x, q, d)
             results = {"advance": [end], "output": [e, y]}.get(name)
             if results is None:
-                results = [*self._slopes(x, q, end, e if name == "derivatives" else y), e]
+                # One vector of all free variables: an integrator repeats its steps for every
+                # Jacobian, not for every column.
+                places = self.active.tolist()
+                free = type(x).sym("free", self.n + len(places))
+                values = type(x)(q)
+                if places:
+                    values[places] = free[self.n :]
+                of_free = self._step.function(free[: self.n], values, d)
+                slopes = [of_free[0], of_free[1] if name == "derivatives" else of_free[2]]
+                derivatives = ca.Function(
+                    "derivatives",
+                    [free, q, d],
+                    [ca.densify(ca.jacobian(slope, free)) for slope in slopes],
+                )
+                results = [*derivatives(ca.vertcat(x, *(q[i] for i in places)), q, d), e]
             function = ca.Function(name, [x, q, d], results, {"cse": True})
             built[key] = Columns(function, shared=() if self._own else (1,))
         return built[key]

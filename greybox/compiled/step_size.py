@@ -15,7 +15,7 @@ from greybox.compiled.initial_states import InitialStates
 from greybox.compiled.transcription.method import Transcription
 from greybox.files.arrays import Array
 from greybox.formulation.problem import Problem
-from greybox.modeling.step_size import stable_substeps
+from greybox.modeling.step_size import MOST_SUBSTEPS, stable_substeps
 
 # Parameter vectors, the declared one first: with 17 a quartile is one of them, and a few odd draws
 # do not move it.
@@ -38,7 +38,7 @@ def substeps_and_segment(
     """Return the substeps per sample and samples per segment: of the method, or as needed.
 
     The poles along the data need the upper quartile of the substeps over the draws, and no less
-    than the declared parameters need.
+    than the declared parameters need. More than `MOST_SUBSTEPS` say that the model is stiff.
 
     Parameters
     ----------
@@ -64,7 +64,8 @@ def substeps_and_segment(
         poles = initial_states.poles(states, inputs, p)
         if poles.size:
             reach, wave = integrator.reach, integrator.wave
-            counts.append(stable_substeps(poles, step, reach=reach, wave=wave))
+            most = MOST_SUBSTEPS + 1
+            counts.append(stable_substeps(poles, step, reach=reach, wave=wave, most=most))
             growth_rates.append(float(poles.real.max(axis=1).mean()))
 
     longest = SEGMENT_GROWTH / max(_upper_quartile(growth_rates) * step, 1e-12)

@@ -27,8 +27,8 @@ Begin with `model`.
 """
 
 from greybox.modeling.implicit_integrators import ImplicitIntegrator as ImplicitIntegrator
+from greybox.modeling.implicit_integrators import Radau as Radau
 from greybox.modeling.integrators import Integrator as Integrator
-from greybox.modeling.integrators import Rosenbrock as Rosenbrock
 from greybox.modeling.integrators import RungeKutta as RungeKutta
 from greybox.modeling.late_sensors import late_sensors as late_sensors
 from greybox.modeling.linear_response import frequency_response as frequency_response

@@ -53,8 +53,15 @@ class ImplicitIntegrator(Integrator):
         start, at, ramp, parameters, span = symbols
         stages = ca.SX.sym("stages", n, self.stages)
         equations = ca.vec(self.equations(system, start, stages, at, ramp, parameters, span))
-        # A step that is short enough takes three or four iterations.
-        options = {"error_on_fail": False, "abstol": 1e-13, "max_iter": 30}
+        # A step that is short enough takes three or four iterations. They are plain, as usual with
+        # stiff models: a search along the residuals would follow the fastest state alone.
+        options = {
+            "error_on_fail": False,
+            "show_eval_warnings": False,
+            "line_search": False,
+            "abstol": 1e-13,
+            "max_iter": 30,
+        }
         arguments = ca.vertcat(*symbols)
         statement = {"x": ca.vec(stages), "p": arguments, "g": equations}
         newton = ca.rootfinder("stages", "newton", statement, options)
@@ -70,12 +77,21 @@ class ImplicitIntegrator(Integrator):
 
 @dataclass(frozen=True)
 class Radau(ImplicitIntegrator):
-    """Radau IIA with `degree` stages, of order 2 · degree - 1: collocation at Radau points.
+    """Radau IIA with `degree` stages, of order 2 · degree - 1, for stiff models.
+
+    It is L-stable: what is much faster than a step has died away at its end. Its stages are the
+    points of `Collocation`.
 
     Source: Hairer and Wanner, Solving Ordinary Differential Equations II, 2nd ed., IV.5.
+
+    Parameters
+    ----------
+    substeps : int, optional
+        Equal steps from one sample to the next; by default as many as the model needs.
+    degree : int
+        Number of stages.
     """
 
-    substeps: int | None = 1
     degree: int = 3
 
     @property

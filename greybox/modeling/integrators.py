@@ -79,42 +79,6 @@ class RungeKutta(Integrator):
         return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
-@dataclass(frozen=True)
-class Rosenbrock(Integrator):
-    """The linearly implicit, L-stable method Rodas3 of order three, for stiff models.
-
-    Source: Sandu, Verwer, Blom, Spee, Carmichael, Potra (1997), Benchmarking stiff ODE solvers for
-    atmospheric chemistry problems II, Atmospheric Environment 31.
-    """
-
-    order: ClassVar[int] = 3
-    # Stable beyond, too, but a faster mode would not be followed at all.
-    reach: ClassVar[float] = 50.0
-
-    def advance(self, system: Dynamics, x: Any, u: Any, slope: Any, p: Any, h: Any) -> Any:
-        """Return x one step later."""
-        n = len(system.states)
-        state = ca.SX.sym("x", n)
-        input = ca.SX.sym("u", len(system.inputs))
-        f = system.derivative(state, input, p)
-        jacobians = ca.Function(
-            "jacobians", [state, input, p], [ca.jacobian(f, state), ca.jacobian(f, input)]
-        )
-        jacobian, by_input = jacobians(x, u, p)
-        by_time = by_input @ slope
-        matrix = 2 / h * ca.SX.eye(n) - jacobian
-        end = u + slope * h
-        k1 = system.derivative(x, u, p) + h / 2 * by_time
-        k1 = ca.solve(matrix, k1)
-        k2 = ca.solve(matrix, system.derivative(x, u, p) + 4 / h * k1 + 3 * h / 2 * by_time)
-        k3 = ca.solve(matrix, system.derivative(x + 2 * k1, end, p) + (k1 - k2) / h)
-        k4 = ca.solve(
-            matrix, system.derivative(x + 2 * k1 + k3, end, p) + (k1 - k2 - 8 / 3 * k3) / h
-        )
-
-        return x + 2 * k1 + k3 + k4
-
-
 @one_thread_at_a_time
 def step_function(system: Dynamics, integrator: Integrator, substeps: int) -> ca.Function:
     """Return (x, mean, change, p, step) -> x one sample later.

@@ -22,7 +22,7 @@ import numpy as np
 from greybox.files.arrays import Array, ComplexArray
 
 # Substeps a sample. An explicit step follows poles up to `reach` per step, RK4 to 64 · 2.7 = 170
-# per sample; a model with faster ones is stiff, and the implicit `Rosenbrock` takes fewer steps.
+# per sample; a model with faster ones is stiff, and the implicit `Radau` takes fewer steps.
 MOST_SUBSTEPS = 64
 # A repetition builds and runs everything anew, so it should at least halve the steps.
 LEAST_GROWTH = 2

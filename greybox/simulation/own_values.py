@@ -34,7 +34,7 @@ def with_own_values(
     model: ModelAtEstimate,
     windows: Windows,
     outputs: tuple[str, ...],
-    integrator: Integrator,
+    integrator: Integrator | None,
     own: Sequence[str],
 ) -> tuple[ModelAtEstimate, dict[str, tuple[float, float]], tuple[str, ...]]:
     """Return the model with the values `own` estimated from the windows.

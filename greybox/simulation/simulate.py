@@ -11,7 +11,7 @@ from greybox.data.record import Record, share_samples
 from greybox.files.arrays import Array, BoolArray
 from greybox.files.text_table import counted, some
 from greybox.formulation.input_assumptions import Inputs
-from greybox.modeling.integrators import Integrator, RungeKutta
+from greybox.modeling.integrators import Integrator
 from greybox.modeling.model import Model, require_known
 from greybox.simulation.model_at_estimate import Estimate, ModelAtEstimate, model_at
 from greybox.simulation.own_values import with_own_values
@@ -59,8 +59,9 @@ def simulate(
         How inputs run between samples; by default as in the fit, else as the record says, see
         `OutputError`.
     integrator : Integrator, optional
-        `RungeKutta()` or, for stiff models, `Rosenbrock()`. Unless it has a number of substeps,
-        they are halved until this changes no state by more than 1e-7 of its size in a sample.
+        `RungeKutta()`, or `Radau()` for stiff models; by default as the model needs. Unless it has
+        a number of substeps, they are halved until this changes no state by more than 1e-7 of its
+        size in a sample.
     part : int, optional
         Part of the fit; by default that of `record`, else its first record.
 
@@ -126,7 +127,7 @@ def simulate(
         name: np.full(len(record), np.nan)
         for name in dict.fromkeys((*outputs, *errors, *estimated.system.states))
     }
-    simulator = Simulator(estimated.free_running(), outputs, integrator or RungeKutta())
+    simulator = Simulator(estimated.free_running(), outputs, integrator)
     unknown: dict[str, None] = {}
     for stretch, start in zip(stretches, states, strict=True):
         signals, without_error = simulator.free_run(stretch, start, fitted_initial)
@@ -269,7 +270,6 @@ def predict_windows(
     if own is None:
         new = model.part is not None and not share_samples(model.part.data, windows.record)
         own = model.own if new else ()
-    integrator = integrator or RungeKutta()
     own = (own,) if isinstance(own, str) else own
     model, values, notes = with_own_values(model, windows, outputs, integrator, own)
     simulator = Simulator(model, outputs, integrator)

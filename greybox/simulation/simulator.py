@@ -12,7 +12,8 @@ from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.sampled_data import SampledData, Stretch
 from greybox.compiled.segments import Segments
 from greybox.files.arrays import Array, BoolArray, IntArray
-from greybox.modeling.integrators import Integrator
+from greybox.modeling.implicit_integrators import Radau
+from greybox.modeling.integrators import Integrator, RungeKutta
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.step_size import (
     MOST_SUBSTEPS,
@@ -109,14 +110,15 @@ class Simulator:
         self,
         model: ModelAtEstimate,
         outputs: tuple[str, ...],
-        integrator: Integrator,
+        integrator: Integrator | None,
     ) -> None:
-        if not isinstance(integrator, Integrator):
-            raise TypeError(f"integrator is {integrator!r:.60}: give RungeKutta() or Rosenbrock().")
+        if not isinstance(integrator, Integrator | None):
+            raise TypeError(f"integrator is {integrator!r:.60}: give RungeKutta() or Radau().")
         self._model = model
         self._outputs = outputs
-        self._integrator = integrator
-        self._substeps = integrator.substeps or 0
+        self._integrator = integrator or RungeKutta()
+        self._is_automatic = integrator is None
+        self._substeps = self._integrator.substeps or 0
         self._steps: dict[int, SampleStep] = {}
         self._initial = InitialStates(model.system, outputs)
 
@@ -276,6 +278,10 @@ class Simulator:
             states = np.full((len(model.system.states), 1), 1e-3)
             inputs = np.zeros((len(model.system.inputs), 1))
             poles = self._initial.poles(states, inputs, model.p)
+            reach, most = self._integrator.reach, MOST_SUBSTEPS + 1
+            needed = stable_substeps(poles, step, reach=reach, most=most)
+            if self._is_automatic and needed > MOST_SUBSTEPS:
+                self._integrator = Radau()
             self._substeps = stable_substeps(poles, step, reach=FIRST_REACH, most=MOST_AT_FIRST)
         while True:
             result = run(self._step(self._substeps))

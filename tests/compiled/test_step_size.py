@@ -60,8 +60,10 @@ def test_the_upper_quartile_of_the_box_counts():
     assert 11 <= chosen(plant(-1.0, (-540.0, 0.0)))[0] <= 20
 
 
-def test_what_is_too_fast_ends_at_the_limit():
-    assert chosen(plant(-1e6, (-1e6, -1e5)))[0] == MOST_SUBSTEPS
+def test_what_is_too_fast_gets_implicit_steps_unless_explicit_ones_are_asked_for():
+    assert chosen(plant(-1e6, (-1e6, -1e5)))[0] == 1
+    explicit = gb.MultipleShooting(integrator=gb.RungeKutta())
+    assert chosen(plant(-1e6, (-1e6, -1e5)), explicit)[0] == MOST_SUBSTEPS
 
 
 @pytest.mark.parametrize(("growth", "segment"), [(0.0, 10), (2.4, 8), (100.0, 5)])

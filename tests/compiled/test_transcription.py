@@ -63,7 +63,7 @@ METHODS = (
     gb.SingleShooting(integrator=FINE, hessian="exact"),
     gb.Collocation(),
     gb.Collocation(hessian="exact"),
-    gb.MultipleShooting(integrator=gb.Rosenbrock(substeps=8)),
+    gb.MultipleShooting(integrator=gb.Radau()),
 )
 
 

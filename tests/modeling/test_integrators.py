@@ -44,7 +44,7 @@ class Robertson(gb.StateSpace):
         return (x.a,)
 
 
-SCHEMES = (gb.RungeKutta(), gb.Rosenbrock())
+SCHEMES = (gb.RungeKutta(), gb.Radau())
 VALUES = [9.0, 0.5]
 
 
@@ -96,10 +96,11 @@ def test_the_reach_is_where_a_step_is_still_stable(scheme):
             return (x.x,)
 
     step = step_function(dynamics(Decay()), scheme, 1)
-    assert abs(float(step(1.0, [], [], [scheme.reach], 1.0))) < 1
-    beyond = abs(float(step(1.0, [], [], [10 * scheme.reach], 1.0)))
+    reach = min(scheme.reach, 1e4)
+    assert abs(float(step(1.0, [], [], [reach], 1.0))) < 1
+    beyond = abs(float(step(1.0, [], [], [10 * reach], 1.0)))
     # L-stable: what is much faster than the step has died away.
-    assert beyond < 0.05 if scheme.order == 3 else beyond > 1
+    assert beyond < 1e-4 if scheme.implicit else beyond > 1
 
 
 def test_a_stiff_model():
@@ -117,7 +118,7 @@ def test_a_stiff_model():
         for _ in range(40):
             x = step(x, [], [], [0.04], 1.0).full().ravel()
         found[scheme.order] = x
-    assert_allclose(found[3], wanted[:, 1], rtol=1e-5)
+    assert_allclose(found[5], wanted[:, 1], rtol=1e-5)
     assert not np.all(np.abs(found[4]) < 10)  # the explicit scheme has run away
 
 

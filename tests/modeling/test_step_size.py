@@ -18,7 +18,7 @@ from greybox.modeling.step_size import (
     substep_growth,
 )
 
-SCHEMES = [gb.RungeKutta(), gb.Rosenbrock()]
+SCHEMES = [gb.RungeKutta(), gb.Radau()]
 
 
 class Decay(gb.StateSpace):

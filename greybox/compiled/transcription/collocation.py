@@ -44,7 +44,7 @@ class Collocation(Transcription):
     @property
     def scheme(self) -> ImplicitIntegrator:
         """Radau IIA, one step per sample: its stages are the collocation points."""
-        return Radau(degree=self.degree)
+        return Radau(substeps=1, degree=self.degree)
 
     def transcribe(self, step: SampleStep, data: SampledData, q: ca.MX, rows: Any) -> Transcribed:
         """Return the states at all samples and stages, and the equations of every step."""

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, ClassVar, Literal
 
 import casadi as ca
@@ -12,6 +12,7 @@ from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.strategies import Strategies
 from greybox.files.arrays import Array
 from greybox.files.text_table import counted
+from greybox.modeling.implicit_integrators import Radau
 from greybox.modeling.integrators import Integrator, RungeKutta
 
 
@@ -89,6 +90,10 @@ class Transcription(ABC):
     def transcribe(self, step: SampleStep, data: SampledData, q: ca.MX, rows: Any) -> Transcribed:
         """Return unknowns and equations for parameters q; `rows` (width, samples) as in `step`."""
 
+    def for_stiff_models(self) -> "Transcription":
+        """Return the method for models that are too fast for explicit steps."""
+        return self
+
     def described(self, segment_length: int, substeps: int) -> str:
         """Return the method in words, with what was chosen."""
         segments = f"{counted(segment_length, 'sample')} per segment"
@@ -120,21 +125,24 @@ class Shooting(Transcription):
 
     Parameters
     ----------
-    integrator : Integrator
-        `RungeKutta()` or, for stiff models, `Rosenbrock()`.
+    integrator : Integrator, optional
+        `RungeKutta()`, or `Radau()` for stiff models; by default as the poles along the data
+        need.
     """
 
-    integrator: Integrator = field(default_factory=RungeKutta)
+    integrator: Integrator | None = None
 
     def __post_init__(self) -> None:
         """Check the options."""
         super().__post_init__()
-        if not isinstance(self.integrator, Integrator):
-            raise TypeError(
-                f"integrator is {self.integrator!r:.60}: give RungeKutta() or Rosenbrock()."
-            )
+        if not isinstance(self.integrator, Integrator | None):
+            raise TypeError(f"integrator is {self.integrator!r:.60}: give RungeKutta() or Radau().")
 
     @property
     def scheme(self) -> Integrator:
         """The integrator."""
-        return self.integrator
+        return self.integrator or RungeKutta()
+
+    def for_stiff_models(self) -> Transcription:
+        """Return the method with an implicit integrator, unless one was chosen."""
+        return self if self.integrator else replace(self, integrator=Radau())

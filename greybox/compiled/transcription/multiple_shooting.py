@@ -23,8 +23,9 @@ class MultipleShooting(Shooting):
     ----------
     segment, hessian
         See `Transcription`; the "exact" Hessian goes with IPOPT.
-    integrator : Integrator
-        `RungeKutta()` or, for stiff models, `Rosenbrock()`.
+    integrator : Integrator, optional
+        `RungeKutta()`, or `Radau()` for stiff models; by default as the poles along the data
+        need.
     ipopt : bool
         Solve one sparse problem by IPOPT instead.
     strategies : Strategies

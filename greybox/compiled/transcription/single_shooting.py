@@ -21,8 +21,9 @@ class SingleShooting(Shooting):
     ----------
     segment, hessian
         See `Transcription`.
-    integrator : Integrator
-        `RungeKutta()` or, for stiff models, `Rosenbrock()`.
+    integrator : Integrator, optional
+        `RungeKutta()`, or `Radau()` for stiff models; by default as the poles along the data
+        need.
     """
 
     label: ClassVar[str] = "single shooting"

@@ -45,6 +45,6 @@ def _cure(method: Transcription, steps: int) -> str:
     if isinstance(method.scheme, RungeKutta):
         return (
             f"{finer}; if the model is stiff, with time constants far below a sample, use "
-            f"method={type(method).__name__}(integrator=Rosenbrock()) instead"
+            f"method={type(method).__name__}(integrator=Radau()) instead"
         )
     return finer

@@ -11,7 +11,7 @@ from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.files.arrays import Array
-from greybox.modeling.integrators import Rosenbrock
+from greybox.modeling.integrators import RungeKutta
 from greybox.solve.ipopt import INVALID
 from greybox.solve.minima import Multistart
 from greybox.solve.runs import NOT_FINITE, Runs
@@ -136,10 +136,10 @@ def _diverged(part: RecordPart, trajectory: Trajectory) -> tuple[float, Trouble 
     at = segment * part.data.segment_length + sample
 
     cure = f"{_elsewhere(part)}, or use method=MultipleShooting(segment=2)"
-    if not isinstance(part.model.method.scheme, Rosenbrock):
+    if isinstance(part.model.method.scheme, RungeKutta):
         cure += (
             "; if the model is stiff, with time constants far below a sample, use "
-            "method=MultipleShooting(integrator=Rosenbrock())"
+            "method=MultipleShooting(integrator=Radau())"
         )
     verb = "is" if len(names) == 1 else "are"
     joined = " and ".join(names)
