@@ -146,4 +146,5 @@ def rate(record: Record) -> float:
     """Return the rate in Hz; for messages that come in bursts, as over a link, the mean rate."""
     # Bursts have gaps before more than 5 % of the samples, while a lossy log loses 1 % or less.
     in_bursts = len(record) > 2 and len(record.pieces) - 1 > 0.05 * len(record)
-    return (len(record) - 1) / record.duration if in_bursts else record.rate
+    is_mean = in_bursts or record.is_irregular
+    return (len(record) - 1) / record.duration if is_mean else record.rate

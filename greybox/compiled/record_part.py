@@ -316,15 +316,23 @@ def compile_records(
     ]
 
     for model, sampled in zip(models, data, strict=True):
+        if model.criterion.corrects_states and model.record.is_irregular:
+            raise ValueError(
+                f"{model.problem.name!r} corrects its states by a constant gain, and its record is "
+                "not uniformly sampled: prepare the record with rate=..., which resamples it."
+            )
         if model.criterion.noise == "full":
             require_independent(model.outputs, sampled.measured)
+    longest = [
+        float(sampled.steps.max()) if model.record.is_irregular else model.record.step
+        for model, sampled in zip(models, data, strict=True)
+    ]
     lots: dict[Any, list[int]] = {}
     drawn = [drawn_parameters(problem) for problem in problems]
     for k, (model, points) in enumerate(zip(models, drawn, strict=True)):
         # Steps of a log are known to a thousandth, see `sampled_data`.
-        lots.setdefault((id(model.steps), f"{model.record.step:.3g}", points.tobytes()), []).append(
-            k
-        )
+        key = id(model.steps), f"{longest[k]:.3g}", points.tobytes()
+        lots.setdefault(key, []).append(k)
 
     parts: dict[int, RecordPart] = {}
     for lot in lots.values():
@@ -344,6 +352,7 @@ def compile_records(
             method,
             model.initial_states,
             looks,
+            longest[lot[0]],
             known_initial,
         )
         is_stiff = method.scheme.substeps is None and substeps > MOST_SUBSTEPS

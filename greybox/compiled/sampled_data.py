@@ -9,20 +9,16 @@ output directly, the sampled output jumps at whole samples, and so does the cost
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.data.record import Record
+from greybox.data.record import JITTER, Record
 from greybox.files.arrays import Array, BoolArray, IntArray
 from greybox.files.text_table import listed
 from greybox.statistics.noise_ratio import noise_ratio
-
-# Share of a step by which samples may be off uniform ones. Up to a quarter, every sample is nearest
-# to its own place.
-JITTER = 0.25
 
 # Share of a step by which a delay may exceed whole samples and count as these: the steps of a log
 # are known no better.
@@ -43,13 +39,13 @@ REST = 5
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Uniform samples without a gap, `step` s apart.
+    """Samples without a gap, in the mean `step` s apart.
 
     Inputs (m, n); outputs (k, n), NaN where missing.
 
     `rows` (n,) are the indices of its samples in the record. The first `masked` samples are not
     compared: inputs from before the stretch reach them. In a record without a time all rows that
-    have their inputs are one stretch.
+    have their inputs are one stretch. `times` (n,), s, are those of samples that are not uniform.
     """
 
     inputs: Array
@@ -57,6 +53,15 @@ class Stretch:
     rows: IntArray
     step: float
     masked: int = 0
+    times: Array | None = None
+
+    @property
+    def steps(self) -> Array:
+        """From every sample to the next (n,), s; the last is like the one before."""
+        if self.times is None:
+            return np.full(len(self), self.step)
+        steps = np.diff(self.times)
+        return np.append(steps, steps[-1])
 
     def __len__(self) -> int:
         return self.inputs.shape[1]
@@ -124,7 +129,9 @@ class SampledData:
             for start in np.linspace(0, len(stretch) - length, count).astype(int):
                 rows = slice(start, start + length)
                 inputs, outputs = stretch.inputs[:, rows], stretch.outputs[:, rows]
-                pieces_of_all.append(Stretch(inputs, outputs, stretch.rows[rows], stretch.step))
+                times = None if stretch.times is None else stretch.times[rows]
+                piece = replace(stretch, inputs=inputs, outputs=outputs, times=times, masked=0)
+                pieces_of_all.append(replace(piece, rows=stretch.rows[rows]))
 
         return SampledData(tuple(pieces_of_all), self.outputs, self.segment_length)
 
@@ -157,9 +164,7 @@ class SampledData:
     @property
     def steps(self) -> Array:
         """The step of every sample, (1, samples), s."""
-        return np.repeat(
-            [s.step for s in self.stretches], [c * self.segment_length for c in self.segment_counts]
-        )[None]
+        return self.padded([stretch.steps[None] for stretch in self.stretches], None)
 
     @property
     def measured_rows(self) -> Array:
@@ -305,7 +310,7 @@ def gapless(
     Raises
     ------
     ValueError
-        If a stretch is not uniformly sampled.
+        If an input is delayed and a stretch is not uniformly sampled.
     """
     stretches, first_row = [], 0
     leads = np.broadcast_to(np.asarray(lead, dtype=float), (len(inputs),))
@@ -318,9 +323,8 @@ def gapless(
         if not record.has_time:
             rows = np.flatnonzero(complete_inputs)
             return [Stretch(u[:, rows], y[:, rows], rows, record.step)] if rows.size else []
-        ends = (np.diff(complete_inputs.astype(int)) != 0) | (
-            np.diff(piece.time) > MISSING * record.step
-        )
+        missing = math.inf if record.is_irregular else MISSING * record.step
+        ends = (np.diff(complete_inputs.astype(int)) != 0) | (np.diff(piece.time) > missing)
         for rows in np.split(np.arange(len(piece)), np.flatnonzero(ends) + 1):
             if complete_inputs[rows[0]] and rows.size >= shortest:
                 values = piece.time[rows], u[:, rows], y[:, rows], first_row + rows
@@ -353,18 +357,19 @@ def _stretch(
     # The mean step has more digits than a difference of two rounded times.
     step = float((time[-1] - time[0]) / (time.size - 1))
     off = np.abs(time - time[0] - step * np.arange(time.size)).max() / step
-    if off > JITTER:
+    if off > JITTER and np.any(leads > 0):
         raise ValueError(
-            f"sampling is not uniform from {time[0]:g} s on (off by {off:.2g} steps): prepare "
-            "the record with rate=..., which resamples it; put a few irregular samples on a fine "
-            "uniform time base, with NaN where nothing was measured."
+            f"sampling is not uniform from {time[0]:g} s on (off by {off:.2g} steps), which a "
+            "delay needs: prepare the record with rate=..., which resamples it; put a few "
+            "irregular samples on a fine uniform time base, with NaN where nothing was measured."
         )
 
+    times = time if off > JITTER else None
     moving = [float(lead) for lead, values in zip(leads, inputs, strict=True) if not _rests(values)]
     masked = min(math.ceil(max(max(moving, default=0.0) / step - WHOLE, 0.0)), time.size)
     compared = outputs.copy()
     compared[:, :masked] = np.nan
-    return Stretch(inputs, compared, rows, step, masked)
+    return Stretch(inputs, compared, rows, step, masked, times)
 
 
 def _rests(values: Array) -> bool:

@@ -33,6 +33,7 @@ def substeps_and_segment(
     method: Transcription,
     initial_states: InitialStates,
     samples: tuple[Array, Array],
+    step: float,
     known_initial: Callable[[Array], Array],
 ) -> tuple[int, int]:
     """Return the substeps per sample and samples per segment: of the method, or as needed.
@@ -46,10 +47,11 @@ def substeps_and_segment(
         See `drawn_parameters`.
     samples : (k, s) and (m, s) arrays
         Measured outputs and inputs at some samples.
+    step : float
+        The longest from one sample to the next, s.
     known_initial : function
         Of the declared parameters to the known initial states (n,), NaN where unknown.
     """
-    step = problem.data.step  # type: ignore[union-attr]
     integrator = method.scheme
     # Computing the poles takes longer than everything else here.
     if integrator.substeps is not None and method.segment is not None:

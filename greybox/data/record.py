@@ -4,6 +4,7 @@ import hashlib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -24,6 +25,10 @@ from greybox.files.text_table import all_printable, alternatives, counted, one_l
 # A step longer than this number of median steps is a gap, across which nothing is interpolated. One
 # lost sample makes a step of two, which is not a gap; the half allows for jitter.
 GAP = 2.5
+
+# Share of a step by which samples may be off uniform ones. Up to a quarter, every sample is nearest
+# to its own place.
+JITTER = 0.25
 # Two records are of one measurement if more than this share of the samples at common times are
 # equal in all common signals.
 SAME_MEASUREMENT = 0.5
@@ -161,6 +166,18 @@ class Record:
         steps = np.sort(np.diff(self.time))
         return float((steps[(steps.size - 1) // 2] + steps[steps.size // 2]) / 2)
 
+    @cached_property
+    def is_irregular(self) -> bool:
+        """Whether samples lie neither one step apart nor, after gaps, several: one in ten is off.
+
+        Such a record has no gaps.
+        """
+        if not self.has_time or len(self) < 3:
+            return False
+        steps = np.diff(self.time) / self.step
+        off = np.abs(steps - np.maximum(np.round(steps), 1)) > JITTER
+        return bool(np.mean(off) > 0.1)
+
     @property
     def rate(self) -> float:
         """Sampling rate, Hz, from the median interval."""
@@ -184,6 +201,8 @@ class Record:
     def independent_pieces(self) -> list[IntArray]:
         """The rows of each stretch between gaps; without a time, each row by itself."""
         # Relative to the median step: the mean would grow with the gaps.
+        if self.is_irregular:
+            return [np.arange(len(self))]
         return runs_between_gaps(self.time, GAP * self.step if self.has_time else 0)
 
     def between(self, start: float, end: float) -> "Record":
@@ -297,8 +316,9 @@ class Record:
         if not self.has_time:
             return f"{counted(len(self), 'row')} without a time"
         pieces = len(self.pieces)
+        rate = "irregular times" if self.is_irregular else f"{self.rate:.4g} Hz"
         return (
-            f"{counted(len(self), 'sample')} at {self.rate:.4g} Hz, {self.duration:.1f} s from "
+            f"{counted(len(self), 'sample')} at {rate}, {self.duration:.1f} s from "
             f"{self.time[0]:.1f} s{f' in {pieces} pieces' if pieces > 1 else ''}"
         )
 

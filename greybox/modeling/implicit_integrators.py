@@ -93,6 +93,8 @@ class Radau(ImplicitIntegrator):
     """
 
     degree: int = 3
+    # Fast poles that die away need no steps, however they turn; the data decide about the others.
+    wave: ClassVar[float] = float("inf")
 
     @property
     def order(self) -> int:  # type: ignore[override]

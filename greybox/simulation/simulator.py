@@ -143,12 +143,12 @@ class Simulator:
 
         # A free run has no measurements that could correct its states.
         nothing_measured = np.zeros((2 * len(self._outputs), count))
-        data = np.vstack([delayed, around, nothing_measured, np.full((1, count), stretch.step)])
+        data = np.vstack([delayed, around, nothing_measured, stretch.steps[None]])
 
         def run(step: SampleStep) -> _Run:
             return _Run(Segments(step, 1, count, model.uncertain), initial[None], model.q, data)
 
-        result = self._accurate(stretch.step, run)
+        result = self._accurate(float(stretch.steps.max()), run)
         signals = dict(zip(model.system.states, result.states, strict=True))
         signals |= dict(zip(self._outputs, result.outputs, strict=True))
         if model.covariance is None or diverged(signals).any():

@@ -80,6 +80,11 @@ def cut(
     """
     require_signals(record, inputs)
     stretches = gapless(record, tuple(inputs), tuple(outputs))
+    if record.is_irregular:
+        raise ValueError(
+            f"{record.name or 'the record'} is not uniformly sampled, as windows of equal length "
+            "must be: use gb.simulate, or prepare the record with rate=..., which resamples it."
+        )
     # Each row without a time is a window, and has no lead-in.
     lead_samples, horizon_samples = 0, 1
     if record.has_time:
@@ -139,7 +144,7 @@ def sample_data(
     column[np.concatenate([s.rows for s in stretches])] = np.arange(delayed.shape[1])
     places = column[windows.rows]
     measured = np.concatenate([s.outputs for s in stretches], axis=1)
-    step = np.repeat([s.step for s in stretches], [len(s) for s in stretches])[None]
+    step = np.concatenate([s.steps for s in stretches])[None]
     named = {"whole": delayed, "around": around, "measured": measured, "step": step}
     return {name: values[:, places] for name, values in named.items()}
 

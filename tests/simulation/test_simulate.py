@@ -349,7 +349,6 @@ def test_answers_print_themselves():
             lambda r: gb.simulate(Spring(), {"stiffness": [4.0, 5.0]}, r),
             "gives 'stiffness' the value [4.0, 5.0]",
         ),
-        (lambda r: gb.simulate(Spring(), {}, gb.Record(r.time**1.001, r.signals)), "not uniform"),
         (lambda r: gb.simulate(Spring(), {"stiffness": 4.0, "damping": -30.0}, r), "diverges at"),
         (
             lambda r: gb.predict(Spring(), {}, r, horizon=0.0),
