@@ -51,7 +51,9 @@ def main():
         problem = case.make()
         nlp = compile_problem(problem)
         samples = sum(part.samples for part in nlp.parts)
-        settings = replace(nlp.strategies, short_record=samples - 1, max_iterations=ITERATIONS)
+        settings = replace(
+            nlp.method.strategies, short_record=samples - 1, max_iterations=ITERATIONS
+        )
         solver = GaussNewton(nlp, settings=settings)
         shared = SharedRuns.of(solver) if samples >= FEWEST else None
         if shared is None:

@@ -11,7 +11,6 @@ from greybox.compiled.record_part import compile_records
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.response_programs import CostProgram, compile_responses
 from greybox.compiled.scaling import Scaling, scaling_of
-from greybox.compiled.strategies import Strategies
 from greybox.compiled.transcription.method import Transcription
 from greybox.compiled.transcription.multiple_shooting import MultipleShooting
 from greybox.compiled.transient_part import compile_spectrum
@@ -85,11 +84,6 @@ class CompiledProblem:
     def names(self) -> tuple[str, ...]:
         """Free parameters, then constants: the order of all values."""
         return (*self.free, *self.constants)
-
-    @property
-    def strategies(self) -> Strategies:
-        """The settings of the solver for records."""
-        return self.method.strategies
 
     @property
     def program(self) -> ca.Function:

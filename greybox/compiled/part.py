@@ -240,13 +240,13 @@ class Program(ABC):
     cost: ca.MX
     equations: ca.MX
 
-    @abstractmethod
     def initial_unknowns(self, trajectory: Trajectory) -> Array:
         """Return the hidden unknowns along a trajectory."""
+        return np.zeros(0)
 
-    @abstractmethod
     def initial_parameters(self, z: Array) -> Array:
         """Return w at z (p,) for residuals of `ASSUMED_ERROR` of each signal's spread."""
+        return np.zeros(0)
 
     @abstractmethod
     def outcome(self, z: Array, unknowns: Array, w: Array) -> tuple[float, Array, bool]:
@@ -291,20 +291,12 @@ class Part(ABC):
     unknown_initial_states: int = 0
     gains: tuple[tuple[str, str], ...] = ()
 
-    def __init__(self, source: "Problem | Part") -> None:
-        """Keep the problem, and the facts that are needed without it, or those of another part."""
-        # A part with other data shares the facts, but not what was built for the old data.
-        if isinstance(source, Part):
-            facts = ("problem", "name", "weight", "is_likelihood")
-            vars(self).update(
-                (name, value) for name, value in vars(source).items() if name in facts
-            )
-            return
-
-        self.problem = source
-        self.name = source.name
-        self.weight = float(source.weight)
-        self.is_likelihood = source.criterion.is_likelihood
+    def __init__(self, problem: Problem) -> None:
+        """Store the problem, and the facts that are needed without it."""
+        self.problem = problem
+        self.name = problem.name
+        self.weight = float(problem.weight)
+        self.is_likelihood = problem.criterion.is_likelihood
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave the problem behind."""

@@ -53,7 +53,7 @@ class RecordGroup(SegmentedPart):
             covariances[0].full,
         )
         model, substeps = first.model, first.substeps
-        super().__init__(first, model, data, substeps, first.step, segments, covariance)
+        super().__init__(model, data, substeps, first.step, segments, covariance)
 
     def excerpt(self, samples: int) -> "RecordGroup":
         """Return the group on excerpts with about this total number of samples."""
@@ -114,42 +114,39 @@ class Groups:
 
     def __init__(self, parts: Sequence[Part]) -> None:
         """Group the parts; a record with a Kalman gain stays alone, because it must be stable."""
-        lots: dict[Any, list[Any]] = {}
+        lots: dict[Any, list[int]] = {}
         for k, part in enumerate(parts):
-            lots.setdefault(_kind(part, k), []).append(part)
-        self._all = tuple(parts)
+            lots.setdefault(_kind(part, k), []).append(k)
+        self._all: Any = tuple(parts)
         self._lots = list(lots.values())
         self.parts: tuple[Part, ...] = tuple(
-            RecordGroup(lot) if len(lot) > 1 else lot[0] for lot in self._lots
+            RecordGroup([self._all[k] for k in lot]) if len(lot) > 1 else parts[lot[0]]
+            for lot in self._lots
         )
-        # The group of every part, and its nodes among those of the group.
-        self._places: dict[Part, tuple[int, slice]] = {}
-        for number, (lot, group) in enumerate(zip(self._lots, self.parts, strict=True)):
-            rows = group.segments.record_rows if isinstance(group, RecordGroup) else [slice(None)]
-            self._places |= {
-                part: (number, of_part) for part, of_part in zip(lot, rows, strict=True)
-            }
 
     def joined(self, nodes: Sequence[Array]) -> list[Array]:
         """Return the nodes of every group, given those of every part."""
-        by_part = dict(zip(self._all, nodes, strict=True))
-        return [np.concatenate([by_part[part] for part in lot]) for lot in self._lots]
+        return [np.concatenate([nodes[k] for k in lot]) for lot in self._lots]
 
     def nodes_by_part(self, nodes: Sequence[Array]) -> list[Array]:
         """Return the nodes of every part, given those of every group."""
-        places = [self._places[part] for part in self._all]
-        return [nodes[group][rows] for group, rows in places]
+        result: dict[int, Array] = {}
+        for lot, group, of_group in zip(self._lots, self.parts, nodes, strict=True):
+            rows = group.segments.record_rows if isinstance(group, RecordGroup) else [slice(None)]
+            result |= {k: of_group[of_part] for k, of_part in zip(lot, rows, strict=True)}
+        return [result[k] for k in range(len(self._all))]
 
     def split(self, trajectories: Sequence[Trajectory]) -> list[Trajectory]:
         """Return the trajectories of every part, given those of every group."""
         nodes = self.nodes_by_part([t.nodes for t in trajectories])
-        result = []
-        for part, of_part in zip(self._all, nodes, strict=True):
-            number, _ = self._places[part]
-            t = trajectories[number]
-            alone = part is self.parts[number]
-            result.append(t if alone else part.trajectory(t.z, of_part, simulated=t.simulated))
-        return result
+        result = {}
+        for lot, t in zip(self._lots, trajectories, strict=True):
+            result |= (
+                {lot[0]: t}
+                if len(lot) == 1
+                else {k: self._all[k].trajectory(t.z, nodes[k], simulated=t.simulated) for k in lot}
+            )
+        return [result[k] for k in range(len(self._all))]
 
 
 def excerpts(parts: Sequence[Part], samples: int) -> list[Any]:

@@ -21,7 +21,7 @@ from greybox.modeling.integrators import Integrator
 from greybox.modeling.model import Names
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
-from greybox.modeling.symbolic_reading import traced
+from greybox.modeling.symbolic_reading import called
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,10 @@ class RecordModel:
 
     problem: Problem
     record: Record
+    name: str
+    weight: float
     criterion: TimeCriterion
+    has_bounded_errors: bool
     kind: tuple[Any, ...]
     has_time: bool
     is_prior: bool
@@ -124,14 +127,14 @@ def record_model(
     Functions that equal those of one of the `others` are shared with it.
     """
     assert isinstance(problem.data, Record)
-    # Gains that follow from process noise come last; the filter fills them in.
-    q = ca.vertcat(q, ca.SX.zeros(len(_parameters(problem)) - q.numel()))
-    expressions = tuple(str(q[i]) for i in range(q.numel()))
     kind = _kind(problem)
     kin = next((model for model in others if model.kind == kind), None)
     if kin is None:
         kin = _first_of_its_kind(problem, kind, method)
 
+    # Gains that follow from process noise come last; the filter fills them in.
+    q = ca.vertcat(q, ca.SX.zeros(len(kin.parameters) - q.numel()))
+    expressions = tuple(str(q[i]) for i in range(q.numel()))
     slope = ca.jacobian(q, z)
     # Gains that follow from process noise have no expression in z: the filter gives their slopes.
     following = range(len(problem.declared), q.numel())
@@ -145,13 +148,12 @@ def record_model(
     return replace(
         kin,
         problem=problem,
+        name=problem.name,
+        weight=float(problem.weight),
         begin=np.array([*begin.values()], dtype=float)[: len(kin.system.parameters)],
         record=problem.data,
         has_time=problem.data.has_time,
-        outside_names=tuple(
-            problem.outside(name) if name in problem.declared else name
-            for name in _parameters(problem)
-        ),
+        outside_names=tuple(map(problem.outside, kin.parameters)),
         active=np.array(active, dtype=int),
         locate=ca.Function("locate", [z], [q, ca.densify(slope[active, :]), ca.densify(delay)]),
         initial=ca.Function("initial", [symbol], [initial, by_active]),
@@ -174,8 +176,9 @@ def _first_of_its_kind(
         dict(zip(problem.declared, ca.vertsplit(symbol), strict=False)), problem.model.label
     )
     states = [
-        _called(f"initial[{name!r}]", initial_values.get(name, math.nan), local)
+        called(f"initial[{name!r}]", value, local) if callable(value) else value
         for name in system.states
+        for value in [initial_values.get(name, math.nan)]
     ]
     if system.undelayed:
         # In addition to the rest at the first inputs, which differs between stretches.
@@ -185,8 +188,11 @@ def _first_of_its_kind(
 
     return RecordModel(
         problem=problem,
+        name=problem.name,
+        weight=1.0,
         record=problem.data,
         criterion=criterion,
+        has_bounded_errors=criterion.settings.get("errors") == "huber",
         kind=kind,
         has_time=problem.data.has_time,
         is_prior=criterion.is_prior,
@@ -215,35 +221,18 @@ def _kind(problem: Problem) -> tuple[Any, ...]:
     Criterion, delay, parameters, compared outputs, and the model, or its class if that has no
     arguments.
     """
-    assert isinstance(problem.data, Record)
-    assert isinstance(problem.criterion, TimeCriterion)
-    model, criterion = problem.model, problem.criterion
+    model, data, criterion = problem.model, problem.data, problem.criterion
+    assert isinstance(data, Record)
+    assert isinstance(criterion, TimeCriterion)
     is_plain = vars(model) == {"arguments": ((), {})}
-    outputs = criterion.compared(model, problem.data)
-    between = between_samples(criterion.inputs, model.input_names, problem.data)
+    outputs = criterion.compared(model, data)
+    between = between_samples(criterion.inputs, model.input_names, data)
     alike = type(model) if is_plain else id(model)
-    return criterion, problem.delay, _parameters(problem), outputs, between, alike
-
-
-def _parameters(problem: Problem) -> tuple[str, ...]:
-    """Return the names of a sample's parameters: declared ones, then gains from process noise."""
-    assert isinstance(problem.data, Record)
-    assert isinstance(problem.criterion, TimeCriterion)
-    if not problem.criterion.driven():
-        return tuple(problem.declared)
-    outputs = problem.criterion.compared(problem.model, problem.data)
-    gains = problem.criterion.gains(problem.model, outputs)
-    return (*problem.declared, *(f"K_{state}_{output}" for state, output in gains))
-
-
-def _called(what: str, value: Any, local: Names) -> Any:
-    """Evaluate an initial state, which may be a function of the parameters; name it if it fails."""
-    if not callable(value):
-        return value
-    try:
-        return ca.SX(traced(what, value, local))
-    except (AttributeError, KeyError, ArithmeticError) as error:
-        raise ValueError(f"{what}: {error}") from error
+    parameters = tuple(problem.declared)
+    if criterion.driven():
+        gains = criterion.gains(model, outputs)
+        parameters += tuple(f"K_{state}_{output}" for state, output in gains)
+    return criterion, problem.delay, parameters, outputs, between, alike
 
 
 def longest_delay(problem: Problem, system: Dynamics) -> Array:

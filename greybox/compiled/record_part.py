@@ -14,11 +14,7 @@ from greybox.compiled.part import ColoredErrors, Information, Trajectory
 from greybox.compiled.record_model import RecordModel, longest_delay, record_model
 from greybox.compiled.record_program import RecordProgram
 from greybox.compiled.record_sensitivity import sensitivity
-from greybox.compiled.residual_covariance import (
-    ResidualCovariance,
-    require_independent,
-    residual_covariance_of,
-)
+from greybox.compiled.residual_covariance import ResidualCovariance, residual_covariance_of
 from greybox.compiled.riccati import NoiseModel, noise_model
 from greybox.compiled.sampled_data import SampledData, joined, sampled_data
 from greybox.compiled.segmented_part import Placed, SegmentedPart
@@ -42,15 +38,10 @@ class RecordPart(SegmentedPart):
         substeps: int,
         *,
         covariance: ResidualCovariance | None = None,
-        like: "RecordPart | None" = None,
     ) -> None:
-        """Build the functions, or take those that the model has compiled before.
-
-        A part that is made from another one has the name and weight of `like`.
-        """
+        """Build the functions, or take those that the model has compiled before."""
         step = model.step(model.method.scheme, substeps)
         super().__init__(
-            like or model,
             model,
             data,
             substeps,
@@ -59,10 +50,6 @@ class RecordPart(SegmentedPart):
             covariance or residual_covariance_of(model.criterion, model.outputs, data.measured),
         )
         self.gains = model.gains
-        # The criterion stays behind when a part is sent to a worker.
-        self.has_bounded_errors: bool = (
-            like.has_bounded_errors if like else model.criterion.settings.get("errors") == "huber"
-        )
         # Outputs depend only on the inputs of the same sample.
         self.is_static = not self.states and not self.system.delayed
         self.unknown_initial_states = int((~self.known_states[data.begins_stretch]).sum())
@@ -86,7 +73,7 @@ class RecordPart(SegmentedPart):
 
     def with_bounded_errors(self, trajectory: Trajectory) -> "RecordPart":
         """Return the part with pseudo-values as outputs, if its large errors are bounded."""
-        if not self.has_bounded_errors:
+        if not self.model.has_bounded_errors:
             return self
         model = self.data.unpadded(self.simulated_outputs(trajectory))
         stretches = zip(self.data.stretches, model, strict=True)
@@ -97,7 +84,7 @@ class RecordPart(SegmentedPart):
         self, data: SampledData, covariance: ResidualCovariance, factor: int = 1
     ) -> "RecordPart":
         substeps = factor * self.substeps
-        return RecordPart(self.model, data, substeps, covariance=covariance, like=self)
+        return RecordPart(self.model, data, substeps, covariance=covariance)
 
     @one_thread_at_a_time
     def refined(self, factor: int) -> "RecordPart":
@@ -297,10 +284,8 @@ def compile_records(
     they are sampled alike. If one of them is stiff, all have implicit steps.
     """
     models: list[RecordModel] = []
-    local = [
-        ca.vertcat(ca.SX(0, 1), *problem.local_values(expressions).values()) for problem in problems
-    ]
-    for problem, q in zip(problems, local, strict=True):
+    for problem in problems:
+        q = ca.vertcat(ca.SX(0, 1), *problem.local_values(expressions).values())
         models.append(record_model(problem, q, z, method, models))
     data = [
         sampled_data(
@@ -315,14 +300,12 @@ def compile_records(
         for model in models
     ]
 
-    for model, sampled in zip(models, data, strict=True):
+    for model in models:
         if model.criterion.corrects_states and model.record.is_irregular:
             raise ValueError(
                 f"{model.problem.name!r} corrects its states by a constant gain, and its record is "
                 "not uniformly sampled: prepare the record with rate=..., which resamples it."
             )
-        if model.criterion.noise == "full":
-            require_independent(model.outputs, sampled.measured)
     longest = [
         float(sampled.steps.max()) if model.record.is_irregular else model.record.step
         for model, sampled in zip(models, data, strict=True)

@@ -116,10 +116,12 @@ def residual_covariance_of(
     criterion: TimeCriterion, outputs: tuple[str, ...], measured: Array
 ) -> ResidualCovariance:
     """Return the residual covariance that the criterion asks for; measured outputs (k, samples)."""
-    known = None
+    known, is_full = None, criterion.noise == "full"
     if isinstance(criterion.noise, Mapping):
         known = np.array([float(criterion.noise[name]) for name in outputs])
-    return ResidualCovariance(*_counts_and_spread(measured), known, criterion.noise == "full")
+    if is_full:
+        require_independent(outputs, measured)
+    return ResidualCovariance(*_counts_and_spread(measured), known, is_full)
 
 
 def _counts_and_spread(measured: Array) -> tuple[IntArray, Array]:

@@ -70,7 +70,7 @@ def lagrangian_hessian(
     omega, factors = ca.SX.sym("omega"), ca.SX.sym("factors", 2)
     for mapped, local, cost, weight in parts:
         count, frequencies = mapped.omega.size, mapped.omega[None]
-        slope, curvature_times = _criterion_derivatives(cost, count, z.numel())
+        slope = _criterion_slope(cost, count)
 
         # At one frequency: the expressions do not grow with the number of frequencies.
         r = ca.densify(ca.vertcat(*mapped.formula(local, omega)))
@@ -82,7 +82,9 @@ def lagrangian_hessian(
         # At all of them.
         outputs: Any = _over(rows, mapped.omega)(point, frequencies)
         r, jacobian = ca.vec(outputs[0]), outputs[1]
-        total += weight * ca.mtimes(jacobian, curvature_times(r, smoothing, jacobian.T))
+        along = slope.forward(1).map("along", "serial", z.numel(), [0, 1, 2, 4], [])
+        curved: Any = along(r, smoothing, slope(r, smoothing), jacobian.T, 0)
+        total += weight * ca.mtimes(jacobian, curved)
         if summed.nnz():  # a formula that is linear in the parameters has none
             mapped_sum = curvature.map("curvatures", "serial", count, [0], [0])
             pull = ca.reshape(slope(r, smoothing), 2, count)
@@ -107,22 +109,8 @@ def _over(function: ca.Function, omega: Array) -> ca.Function:
     return function.map(function.name(), "serial", omega.size, [0], [])
 
 
-def _criterion_derivatives(
-    cost: Callable[[Complex, Any], Any], size: int, columns: int
-) -> tuple[ca.Function, Callable[[Any, Any, Any], Any]]:
-    """Return (r, smoothing) -> φ' and (r, smoothing, X) -> φ'' X.
-
-    Real and imaginary parts alternate in r (2 size,).
-    """
+def _criterion_slope(cost: Callable[[Complex, Any], Any], size: int) -> ca.Function:
+    """Return (r, smoothing) -> φ'; real and imaginary parts alternate in r (2 size,)."""
     r, smoothing = ca.SX.sym("r", 2 * size), ca.SX.sym("smoothing")
     value = ca.SX(cost(Complex(r[0::2], r[1::2]), smoothing))
-    gradient = ca.densify(ca.gradient(value, r))
-    slope = ca.Function("slope", [r, smoothing], [gradient])
-    # A cost that is a sum over the frequencies has two rows of φ'' in each column, for real and
-    # imaginary part; a function of such sums, as a logarithm, has all rows.
-    if ca.jacobian(gradient, r[0]).nnz() <= 4:
-        second = ca.Function("second", [r, smoothing], [ca.jacobian(gradient, r)])
-        return slope, lambda r, smoothing, x: ca.mtimes(second(r, smoothing), x)
-
-    along = slope.forward(1).map("along", "serial", columns, [0, 1, 2, 4], [])
-    return slope, lambda r, smoothing, x: along(r, smoothing, slope(r, smoothing), x, 0)
+    return ca.Function("slope", [r, smoothing], [ca.densify(ca.gradient(value, r))])

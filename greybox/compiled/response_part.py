@@ -251,14 +251,6 @@ class ResponseProgram(Program):
         self.unknowns = self.parameters = self.error = self.equations = ca.MX(0, 1)
         self.cost = part.objective(z, SMOOTHING)
 
-    def initial_unknowns(self, trajectory: Trajectory) -> Array:
-        """Return an empty vector: there are no states."""
-        return np.zeros(0)
-
-    def initial_parameters(self, z: Array) -> Array:
-        """Return an empty vector: the criterion weighs the residuals."""
-        return np.zeros(0)
-
     def outcome(self, z: Array, unknowns: Array, w: Array) -> tuple[float, Array, bool]:
         """Return the cost without smoothing, and w as it is."""
         return float(self._part.objective(z, 0.0)), w, True

@@ -16,7 +16,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.limits import Limit, limits_of, stacked
+from greybox.compiled.limits import limits_at
 from greybox.compiled.response_map import LARGE, Mapped, lagrangian_hessian
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.shared_response import SharedResponses, shared_responses
@@ -107,8 +107,6 @@ def compile_responses(
         formula.closed() if isinstance(formula, Trimmed) else formula for formula in formulas
     ]
     kind: Any = ca.SX if all(model.is_a("SXFunction") for model in models) else ca.MX
-    # Limits take the kind of the responses, so that one function can hold both.
-    limits = limits_of(problem, kind)
 
     def responses_at(named: Named) -> list[Complex]:
         pairs = zip(models, parts, strict=True)
@@ -117,6 +115,8 @@ def compile_responses(
     # In the user's parameters.
     x = kind.sym("x", len(names))
     by_name = dict(zip(names, ca.vertsplit(x), strict=True))
+    # Limits take the kind of the responses, so that one function can hold both.
+    limits, constraint = limits_at(problem, by_name, kind)
     responses = responses_at(by_name)
     costs = _costs(parts, responses, 0.0, _own_criterion)
     real, imaginary = [r.re for r in responses], [r.im for r in responses]
@@ -124,7 +124,7 @@ def compile_responses(
     # In the solver's variables.
     z, smoothing = kind.sym("z", point.numel()), kind.sym("smoothing")
     scaled = responses_at(values_at(z))
-    scaled_limits = stacked(limits, values_at(z), kind)
+    _, scaled_limits = limits_at(problem, values_at(z), kind)
     trimmed = [formula for formula in formulas if isinstance(formula, Trimmed)]
     has_roots = kind is ca.MX and len(trimmed) == len(parts)
 
@@ -135,7 +135,7 @@ def compile_responses(
             return sum(weight * cost for weight, cost in pairs)
 
         if has_roots:
-            return _program_at_roots(parts, trimmed, values_at, point, cost, limits)
+            return _program_at_roots(problem, parts, trimmed, values_at, point, cost)
 
         total = kind(cost(scaled, smoothing))
         function = ca.Function("program", [z, smoothing], [total, scaled_limits])
@@ -150,8 +150,8 @@ def compile_responses(
                 )
                 for part, response, weight in zip(parts, mapped, solver_weights(parts), strict=True)
             ]
-            constraint = stacked(limits, named, ca.SX)
-            hessian = partial(lagrangian_hessian, terms, point, constraint)
+            _, at_point = limits_at(problem, named, ca.SX)
+            hessian = partial(lagrangian_hessian, terms, point, at_point)
             return CostProgram(function, hessian, shared=shared(choose))
         explicit = function if kind is ca.SX else None
         large = None if fits_a_batch(explicit) else shared(choose)
@@ -194,8 +194,8 @@ def compile_responses(
         "programs": tuple(program(choose) for choose in criteria),
         "response_cost": ca.Function("cost", [x], [ca.vertcat(kind(0, 1), *costs)]),
         "responses": ca.Function("responses", [x], [ca.vertcat(kind(0, 1), *real, *imaginary)]),
-        "constraint": ca.Function("constraint", [x], [stacked(limits, by_name, kind)]),
-        "limits": tuple(limit.label for limit in limits),
+        "constraint": ca.Function("constraint", [x], [constraint]),
+        "limits": limits,
     }
 
     return dict(zip(parts, compiled, strict=True)), functions
@@ -247,12 +247,12 @@ def _mapped(parts: Sequence[Problem]) -> list[Mapped]:
 
 
 def _program_at_roots(
+    problem: Problem | Sum[Problem],
     parts: Sequence[Problem],
     formulas: Sequence[Trimmed],
     values_at: Callable[[Any], Named],
     point: ca.SX,
     cost: Callable[[Sequence[Complex], Any], Any],
-    limits: Sequence[Limit],
 ) -> CostProgram:
     """Return the program of responses at operating points that Newton's method finds."""
     z, smoothing = ca.MX.sym("z", point.numel()), ca.MX.sym("smoothing")
@@ -272,7 +272,7 @@ def _program_at_roots(
     explicit = ca.Function(
         "explicit",
         [point, s, w],
-        [ca.SX(cost(responses, s)), stacked(limits, named, ca.SX)],
+        [ca.SX(cost(responses, s)), limits_at(problem, named, ca.SX)[1]],
         {"cse": True},
     )
 

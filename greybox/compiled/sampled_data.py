@@ -269,7 +269,7 @@ def sampled_data(
         )
 
     constant_outputs = [] if static else [name for name in outputs if _is_constant(record[name])]
-    if constant_outputs and len(constant_outputs) == len(outputs):
+    if len(constant_outputs) == len(outputs):
         raise ValueError(
             f"the outputs of the record never change ({', '.join(outputs)}): "
             "nothing can be estimated from it."

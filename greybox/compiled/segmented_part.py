@@ -18,6 +18,7 @@ from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization, Segments
 from greybox.files.arrays import Array, BoolArray
+from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.metrics import whiteness
 
@@ -63,11 +64,10 @@ class SegmentedPart(Part):
     covariance : ResidualCovariance
     """
 
-    has_states = has_nodes = True
+    has_states = has_nodes = is_likelihood = True
 
     def __init__(
         self,
-        source: Part | RecordModel,
         model: RecordModel,
         data: SampledData,
         substeps: int,
@@ -75,8 +75,8 @@ class SegmentedPart(Part):
         segments: Segments,
         covariance: ResidualCovariance,
     ) -> None:
-        """Store the arguments; name and weight are those of the `source`."""
-        super().__init__(source if isinstance(source, Part) else source.problem)
+        """Store the arguments; name and weight are those of the model."""
+        self.name, self.weight = model.name, model.weight
         self.model = model
         self.data = data
         self.step = step
@@ -91,6 +91,11 @@ class SegmentedPart(Part):
         self.samples = data.samples  # padding of segments included
         self.numbers = int(covariance.counts.sum())
         self._placed_data: tuple[Array, Array] | None = None
+
+    @property
+    def problem(self) -> Problem:
+        """The problem, where it was compiled."""
+        return self.model.problem
 
     # --- placement
 

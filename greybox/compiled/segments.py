@@ -137,13 +137,13 @@ class Segments:
 
     def columns(self, values: Array) -> Array:
         """Return values (r, samples) in the order of the samples as columns."""
-        ordered = values.reshape(len(values), self.count, self.length).transpose(0, 2, 1)
-        return np.ascontiguousarray(ordered).reshape(len(values), self.count * self.length)
+        by_segment = values.reshape(len(values), self.count, self.length)
+        return by_segment.swapaxes(1, 2).reshape(values.shape)
 
     def in_order(self, values: Array) -> Array:
         """Return columns (r, columns) in the order of the samples."""
-        ordered = values.reshape(len(values), self.length, self.count).transpose(0, 2, 1)
-        return ordered.reshape(len(values), self.count * self.length)
+        by_sample = values.reshape(len(values), self.length, self.count)
+        return by_sample.swapaxes(1, 2).reshape(values.shape)
 
     def by_segment(self, values: Array) -> Array:
         """Return columns (r, columns) as (segments, length, r)."""
@@ -331,18 +331,20 @@ class Segments:
         size = np.max(np.abs(states), axis=1, initial=0.0, where=np.isfinite(states))
         x, d = states[:, columns], data[:, columns]
         q = q[:, columns % self.count] if self._own else q
+        sizes = size, np.abs(q).reshape(len(q), -1).max(axis=1, initial=0.0)
         slopes = []
-        for column in range(self.n + len(self.active)):
-            is_state = column < self.n
-            row = column if is_state else int(self.active[column - self.n])
-            h = relative_step * (float(size[row] if is_state else np.max(np.abs(q[row]))) or 1.0)
-            moved = []
-            for change in (h, -h):
-                states, values = x.copy(), q.copy()
-                (states if is_state else values)[row] += change
-                end = self._evaluate(self._columns("advance"), states, values, d)[0]
-                moved.append([end, self._evaluate(self._columns("output"), states, values, d)[1]])
-            slopes.append([(up - down) / (2 * h) for up, down in zip(*moved, strict=True)])
+        for place, rows in enumerate((range(self.n), self.active.tolist())):
+            for row in rows:
+                h = relative_step * (float(sizes[place][row]) or 1.0)
+                moved = []
+                for change in (h, -h):
+                    point = [x.copy(), q.copy()]
+                    point[place][row] += change
+                    states, values = point
+                    end = self._evaluate(self._columns("advance"), states, values, d)[0]
+                    output = self._evaluate(self._columns("output"), states, values, d)[1]
+                    moved.append([end, output])
+                slopes.append([(up - down) / (2 * h) for up, down in zip(*moved, strict=True)])
 
         A, C = (np.concatenate(parts) for parts in zip(*slopes, strict=True))
         return A, C

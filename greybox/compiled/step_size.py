@@ -6,7 +6,6 @@ search will go. Whether that many substeps are accurate enough is judged at the 
 (`greybox.solve.discretization_error`).
 """
 
-import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
@@ -92,4 +91,4 @@ def drawn_parameters(problem: Problem) -> Array:
 
 def _upper_quartile(values: Sequence[float]) -> float:
     # np.quantile imports masked arrays, which takes longer than all of this.
-    return sorted(values)[math.floor(0.75 * (len(values) - 1))] if values else 0.0
+    return sorted(values)[3 * (len(values) - 1) // 4] if values else 0.0

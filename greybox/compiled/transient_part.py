@@ -25,11 +25,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.part import NO_NODES, Information, Part, Program, Trajectory
-from greybox.compiled.residual_covariance import (
-    ResidualCovariance,
-    require_independent,
-    residual_covariance_of,
-)
+from greybox.compiled.residual_covariance import ResidualCovariance, residual_covariance_of
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import Array, ComplexArray
 from greybox.formulation.problem import Problem
@@ -141,15 +137,13 @@ class TransientPart(Part):
         self._measured = np.array([self.data.outputs[name] for name in self.outputs])
         measured = self._real(self._measured)
         self._covariance = residual_covariance_of(problem.criterion, self.outputs, measured)
-        if self._covariance.full:
-            require_independent(self.outputs, measured)
 
     def _real(self, values: ComplexArray) -> Array:
-        """Return complex rows (..., lines) as real ones (..., 2 lines).
+        """Return complex values (k, lines, ...) as real ones (k, 2 lines, ...).
 
         In units of the standard deviation of one sample.
         """
-        return np.concatenate([values.real, values.imag], axis=-1) / self._unit
+        return np.concatenate([values.real, values.imag], axis=1) / self._unit
 
     # --- the errors at given parameters
 
@@ -173,7 +167,7 @@ class TransientPart(Part):
         transfer = by_ends @ B + D
         modelled = np.einsum("lkm,ml->kl", transfer, inputs)
         errors = self._transformed(transform, self._measured - modelled)
-        basis = self._stacked((transform @ by_ends).swapaxes(0, 1))
+        basis = self._real((transform @ by_ends).swapaxes(0, 1))
         logarithms = float(np.linalg.slogdet(transform)[1].sum())
         if not all(np.all(np.isfinite(values)) for values in (errors, basis, logarithms)):
             return None
@@ -237,7 +231,7 @@ class TransientPart(Part):
         later = -1j * omega * at.signals[n:] - changes
         modelled = np.einsum("lkr,rcx,cl->klx", at.to_outputs, slopes, at.signals)
         modelled += np.einsum("lkm,ml,mx->klx", at.transfer, later, at.delay_slopes @ by)
-        mean = -self._stacked(np.einsum("lab,blx->alx", at.transform, modelled))
+        mean = -self._real(np.einsum("lab,blx->alx", at.transform, modelled))
 
         relative = np.zeros((*at.transform.shape, by.shape[1]), complex)
         if not self._is_equation_error:
@@ -253,13 +247,9 @@ class TransientPart(Part):
         unexplained = np.einsum("lab,bl->al", at.transform, self._measured - at.modelled)
         return (
             mean,
-            mean + self._stacked(np.einsum("labx,bl->alx", relative, unexplained)),
+            mean + self._real(np.einsum("labx,bl->alx", relative, unexplained)),
             relative,
         )
-
-    def _stacked(self, values: ComplexArray) -> Array:
-        """Return complex values (k, lines, x) as real ones (k, 2 lines, x)."""
-        return np.moveaxis(self._real(np.moveaxis(values, 1, -1)), -1, 1)
 
     def fisher_root(self, at: Along, mean: Array, change: Array) -> tuple[Array, Array, Array]:
         """Return a root of the Fisher information of x, for derivatives of mean and transform by x.

@@ -30,7 +30,7 @@ from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.parameter import Parameter, is_finite_number
 from greybox.modeling.sine import Sine, as_sine
 from greybox.modeling.state_space import StateSpace
-from greybox.modeling.symbolic_reading import require_no_nan, traced
+from greybox.modeling.symbolic_reading import called, require_no_nan
 from greybox.modeling.transfer_function import require_no_operating_point
 
 _Stated = TypeVar("_Stated", bound="Problem")
@@ -224,15 +224,10 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         if isinstance(self.free, str):
             object.__setattr__(self, "free", (self.free,))
         if not self.name:
-            object.__setattr__(
-                self, "name", self.data.name or self._pair_of_several() or self.model.label
-            )
-
-    def _pair_of_several(self) -> str:
-        """Return the pair of a response if the model has several, else an empty string."""
-        model, data = self.model, self.data
-        has_several = len(model.input_names) * len(model.output_names) > 1
-        return _pair(data) if isinstance(data, FrequencyResponse) and has_several else ""
+            model, data = self.model, self.data
+            has_several = len(model.input_names) * len(model.output_names) > 1
+            pair = _pair(data) if has_several and isinstance(data, FrequencyResponse) else ""
+            object.__setattr__(self, "name", data.name or pair or model.label)
 
     def _added_by_criterion(self) -> Mapping[str, Parameter]:
         """Check model, data and criterion; return the parameters that the criterion adds."""
@@ -540,11 +535,7 @@ def _call(function: Callable[[Any], Any], p: Names, what: str) -> Any:
             f"p.{next(iter(p), 'a')}."
         )
 
-    # The message of Python alone would not show which of the user's functions failed.
-    try:
-        return traced(what, function, p)
-    except (AttributeError, KeyError, ArithmeticError) as error:
-        raise ValueError(f"{what}: {error}") from error
+    return called(what, function, p)
 
 
 def _require_number(value: Any, what: str) -> None:

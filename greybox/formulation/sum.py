@@ -225,23 +225,19 @@ def with_numbered_biases(parts: Sequence[Any]) -> tuple[Any, ...]:
     names_in_use = set().union(*outside)
 
     numbered: dict[tuple[str, int], str] = {}
+    result = []
     for part, record in zip(parts, records, strict=True):
+        renamed = {}
         for name in _unnamed_biases(part):
             # A bias that only one record has keeps its plain name.
             owners = {r for r, names in zip(records, outside, strict=True) if name in names}
-            if len(owners) > 1 and (name, record) not in numbered:
-                candidates = (f"{name}_{k}" for k in itertools.count(record))
-                new = next(candidate for candidate in candidates if candidate not in names_in_use)
-                numbered[name, record] = new
-                names_in_use.add(new)
-
-    result = []
-    for part, record in zip(parts, records, strict=True):
-        renamed = {
-            name: numbered[name, record]
-            for name in _unnamed_biases(part)
-            if (name, record) in numbered
-        }
+            if len(owners) > 1:
+                if (name, record) not in numbered:
+                    candidates = (f"{name}_{k}" for k in itertools.count(record))
+                    new = next(name for name in candidates if name not in names_in_use)
+                    numbered[name, record] = new
+                    names_in_use.add(new)
+                renamed[name] = numbered[name, record]
         result.append(part.with_(rename={**part.rename, **renamed}) if renamed else part)
 
     return tuple(result)

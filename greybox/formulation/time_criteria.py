@@ -87,9 +87,6 @@ class TimeCriterion(AnyCriterion):
         require_inputs(self.inputs)
         if isinstance(self.biases, str):
             object.__setattr__(self, "biases", (self.biases,))
-        self._check_initial()
-
-    def _check_initial(self) -> None:
         if not isinstance(self.initial, Mapping):
             raise TypeError(
                 f"initial is {self.initial!r:.60}: give {{state: value or function of the "

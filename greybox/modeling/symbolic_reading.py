@@ -68,6 +68,17 @@ def traced(owner: str, formula: Callable[..., Any], *arguments: Any) -> Any:
         raise ValueError(f"{owner} cannot be compiled ({reason.rstrip('.')}): {CURE}") from error
 
 
+def called(what: str, function: Callable[[Any], Any], p: Any) -> Any:
+    """Call a user's function of the parameters; ValueError names it where it fails.
+
+    The message of Python alone would not show which of the user's functions failed.
+    """
+    try:
+        return traced(what, function, p)
+    except (AttributeError, KeyError, ArithmeticError) as error:
+        raise ValueError(f"{what}: {error}") from error
+
+
 def traced_derivative(model: StateSpace, z: ca.SX, p: ca.SX) -> ca.SX:
     """Evaluate `model.derivative` on expressions, (n, 1)."""
     return _traced_column(model, "derivative", model.states, z, p)

@@ -20,8 +20,8 @@ from greybox.files.arrays import Array
 from greybox.modeling.step_size import MOST_SUBSTEPS, substep_growth
 from greybox.solve.interruption import stop_requested
 from greybox.solve.local_solver import LocalSolver
-from greybox.solve.minima import Minimum, Multistart, count_variants, find_minima
-from greybox.solve.runs import TOO_COARSE, Outcome, Run, Runs
+from greybox.solve.minima import Minimum, Multistart, distinct_ends, find_minima
+from greybox.solve.runs import TOO_COARSE, Outcome, Runs
 
 # Cost above the best up to which minima are followed to the finer steps, at least one run each:
 # they may become the best.
@@ -151,46 +151,33 @@ def without_aliases(
     limit = search.minima[0].cost + RIVAL_COST
 
     # An alias may have the response of the true parameters: ends are judged, not minima.
-    rivals = [search.runs[k] for m in search.minima if m.cost <= limit for k in m.runs]
-    ends = _distinct_ends(nlp, rivals)[:10]  # judging one takes as long as two iterations
+    rivals = np.array([k for m in search.minima if m.cost <= limit for k in m.runs])
+    # Judging one end takes as long as two iterations.
+    ends = [rivals[k] for k in distinct_ends(nlp, search.runs.estimate[rivals])[:10]]
     if len(ends) < 2:
         return search
     aliases = []
     for group in ends:
-        end = solver.profile(group[0].estimate)
+        end = solver.profile(search.runs[group[0]].estimate)
         if end.converged and discretization_error(nlp, end.trajectories, fine).largest > ALIAS:
             aliases.append(group)
     if len(aliases) in (0, len(ends)):
         return search
 
-    lost = {run.index for group in aliases for run in group}
+    lost = np.concatenate(aliases).tolist()
     runs = _changed(search.runs, {k: {"converged": False, "status": TOO_COARSE} for k in lost})
     minima = []
     for minimum in search.minima:
         sound = tuple(k for k in minimum.runs if k not in lost)
         if sound:
             best = runs[sound[0]]
-            variants = count_variants(nlp, runs.estimate[np.array(sound)])
+            variants = len(distinct_ends(nlp, runs.estimate[np.array(sound)]))
             minima.append(Minimum(best.cost, best.estimate, sound, variants))
     minima.sort(key=lambda m: m.cost)
     nodes = search.nodes
     if minima[0].runs[0] != search.minima[0].runs[0]:
         nodes = tuple(t.nodes for t in solver.profile(minima[0].estimate).trajectories)
     return replace(search, runs=runs, minima=tuple(minima), nodes=nodes)
-
-
-def _distinct_ends(nlp: CompiledProblem, runs: Sequence[Run]) -> list[list[Run]]:
-    """Return the runs in groups with one end each, in their order."""
-    groups: list[tuple[Array, list[Run]]] = []
-    for run in runs:
-        z = nlp.scaling.to_solver(run.estimate)
-        for end, group in groups:
-            if np.all(np.abs(z - end) <= 0.01 * (np.abs(end) + 1e-3)):
-                group.append(run)
-                break
-        else:
-            groups.append((z, [run]))
-    return [group for _, group in groups]
 
 
 def with_finer_steps(
@@ -211,9 +198,10 @@ def with_finer_steps(
             break
 
         # One minimum may have several parameter vectors (lags that swap), which move by themselves.
-        for group in _distinct_ends(nlp, [search.runs[k] for k in minimum.runs]):
-            outcome = solver.run(group[0].estimate)
-            ends |= {run.index: outcome for run in group}
+        numbers = np.array(minimum.runs)
+        for group in distinct_ends(nlp, search.runs.estimate[numbers]):
+            outcome = solver.run(search.runs.estimate[numbers[group[0]]])
+            ends |= dict.fromkeys(numbers[group].tolist(), outcome)
         count += 1
         least = min((end.cost for end in ends.values() if end.converged), default=math.inf)
     if math.isinf(least):

@@ -134,17 +134,20 @@ class Ipopt:
         ValueError
             For an option that IPOPT does not take.
         """
-        settings = {
-            **_settings({**QUIET, **self._options}),
-            **self._derivatives,
-            "iteration_callback": self._check,
-        }
+        settings = {**self._derivatives, "iteration_callback": self._check}
         try:
-            solver = ca.nlpsol("ipopt", "ipopt", self._statement, settings)
+            solver = _solver(self._statement, {**QUIET, **self._options}, settings)
         except RuntimeError:
             # The error of CasADi does not name the option: each is tried alone.
+            x = ca.SX.sym("x")
             for name, value in self._options.items():
-                _check_option(name, value)
+                try:
+                    _solver({"x": x, "f": x**2}, {**QUIET, name: value}, {})
+                except RuntimeError:
+                    raise ValueError(
+                        f"solver_options {name!r} = {value!r} is not accepted by IPOPT: "
+                        "see the list of options in IPOPT's documentation."
+                    ) from None
             raise
 
         names = {"grad_f": "nlp_grad_f", "jac_g": "nlp_jac_g", "hess_lag": "nlp_hess_l"}
@@ -177,27 +180,9 @@ class Ipopt:
         return self._variants[key]
 
 
-def _settings(ipopt: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        "print_time": False,
-        "show_eval_warnings": False,
-        "calc_lam_p": False,
-        "ipopt": dict(ipopt),
-    }
-
-
-def _check_option(name: str, value: Any) -> None:
-    """Raise ValueError when IPOPT does not take this option."""
-    x = ca.SX.sym("x")
-    try:
-        ca.nlpsol(
-            "option",
-            "ipopt",
-            {"x": x, "f": x**2},
-            _settings({"print_level": 0, "sb": "yes", name: value}),
-        )
-    except RuntimeError:
-        raise ValueError(
-            f"solver_options {name!r} = {value!r} is not accepted by IPOPT: "
-            "see the list of options in IPOPT's documentation."
-        ) from None
+def _solver(
+    statement: Mapping[str, Any], options: Mapping[str, Any], settings: Mapping[str, Any]
+) -> ca.Function:
+    """Return a silent solver with these options of IPOPT and `settings` of CasADi."""
+    silent = {"print_time": False, "show_eval_warnings": False, "calc_lam_p": False}
+    return ca.nlpsol("ipopt", "ipopt", statement, {**silent, "ipopt": dict(options), **settings})

@@ -189,7 +189,7 @@ def find_minima(
         first = ties[np.argmin(indices[ties])]
         near = near[np.argsort(_are_apart(z[near], z[first]), kind="stable")]
         k = int(near[0])
-        variants = count_variants(nlp, columns.estimate[order[near]])
+        variants = len(distinct_ends(nlp, columns.estimate[order[near]]))
         minima.append(
             Minimum(
                 float(costs[k]),
@@ -229,12 +229,13 @@ def _are_apart(z: Array, reference: Array) -> NDArray[np.bool_]:
     return np.any(distance > 0.05 * np.maximum(np.abs(z), np.abs(reference)) + 1e-6, axis=1)
 
 
-def count_variants(nlp: CompiledProblem, ends: Array) -> int:
-    """Count the clearly different parameter vectors (r, p) of one minimum."""
+def distinct_ends(nlp: CompiledProblem, ends: Array) -> list[IntArray]:
+    """Group clearly different parameter vectors (r, p) by rows, in their order."""
     z = nlp.scaling.to_solver(ends)
-    # Each pass counts one vector, and leaves those that are clearly different from it.
-    distinct = 0
-    while len(z):
-        z = z[_are_apart(z, z[0])]
-        distinct += 1
-    return distinct
+    # Each pass takes the rows that are like the first of those that remain.
+    groups, remaining = [], np.arange(len(z))
+    while remaining.size:
+        apart = _are_apart(z[remaining], z[remaining[0]])
+        groups.append(remaining[~apart])
+        remaining = remaining[apart]
+    return groups

@@ -53,7 +53,7 @@ def solver_for(
         return kind(nlp, options, batched=batched)
     if nlp.method.by_ipopt:
         return TranscribedProgram(nlp, GaussNewton(nlp), options)
-    return GaussNewton(nlp, settings=with_options(nlp.strategies, options))
+    return GaussNewton(nlp, settings=with_options(nlp.method.strategies, options))
 
 
 def multistart(

@@ -59,7 +59,7 @@ class ResponseSolver(LocalSolver):
     def __init__(
         self,
         problem: CompiledProblem,
-        options: Mapping[str, Any] = MappingProxyType({}),
+        options: Mapping[str, Any] = NO_OPTIONS,
         *,
         batched: bool = True,
     ) -> None:
@@ -86,10 +86,13 @@ class ResponseSolver(LocalSolver):
 
     @cached_property
     def _stages(self) -> list[Ipopt]:
-        return [
-            Ipopt(_statement(program.function), self._options, {**program.derivatives})
-            for program in self.problem.programs
-        ]
+        stages = []
+        for program in self.problem.programs:
+            x, p = input_symbols(program.function)
+            f, g = program.function(x, p)
+            statement = {"x": x, "p": p, "f": f, "g": g}
+            stages.append(Ipopt(statement, self._options, {**program.derivatives}))
+        return stages
 
     def __reduce__(self) -> tuple[Callable[..., "ResponseSolver"], tuple[Any, ...]]:
         """Return a recipe for the same solver."""
@@ -330,13 +333,6 @@ class ResponseSolver(LocalSolver):
         """Return the parameters (m, p) at the columns of z (p, m), within their bounds."""
         problem = self.problem
         return np.clip(problem.scaling.to_parameters(z.T), problem.lower, problem.upper)
-
-
-def _statement(program: ca.Function) -> dict[str, Any]:
-    """Return ``x, p, f, g`` as `casadi.nlpsol` takes them, for a function (x, p) -> f, g."""
-    x, p = input_symbols(program)
-    f, g = program(x, p)
-    return {"x": x, "p": p, "f": f, "g": g}
 
 
 def _batch_size(program: ca.Function) -> int:

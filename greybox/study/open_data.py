@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.compiled.limits import limits_of, stacked
+from greybox.compiled.limits import limits_at
 from greybox.compiled.response_programs import solver_weights
 from greybox.files.arrays import Array, ComplexArray
 from greybox.formulation.problem import Problem
@@ -57,7 +57,7 @@ def open_program(nlp: CompiledProblem) -> ca.Function:
         object.__setattr__(data, "response", _Measured(*measured[k :: len(parts)]))
         cost += weight * _cost(part, response, data, smoothing)
     named = dict(zip(nlp.names, values, strict=True))
-    limits = stacked(limits_of(nlp.problem, kind), named, kind)
+    _, limits = limits_at(nlp.problem, named, kind)
     return ca.Function("program", [z, smoothing, numbers], [cost, limits])
 
 

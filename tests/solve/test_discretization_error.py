@@ -15,7 +15,6 @@ import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.discretization_error import (
     DiscretizationError,
-    _distinct_ends,
     _in_standard_errors,
     _is_rounding,
     _widened,
@@ -134,12 +133,6 @@ def test_errors_that_finer_steps_widen_or_narrow_count():
     assert error.growth == 2  # 16 times as small
     assert not DiscretizationError(np.array([0.1, -0.08]), 4).matters
     assert DiscretizationError(np.zeros(0), 4).largest == 0
-
-
-def test_ends_within_a_hundredth_are_one():
-    ends = [(1.0, 0.0), (1.009, 0.0), (1.0, 9e-6), (1.011, 0.0), (1.0, 1.1e-5), (-1.0, 0.0)]
-    groups = _distinct_ends(PLAIN, [made_run(k, x, 1.0) for k, x in enumerate(ends)])
-    assert [[run.index for run in group] for group in groups] == [[0, 1, 2], [3], [4], [5]]
 
 
 class Solver:

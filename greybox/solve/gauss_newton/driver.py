@@ -20,13 +20,13 @@ from greybox.modeling.symbolic_reading import input_symbols
 from greybox.solve.constraints import Limits
 from greybox.solve.gauss_newton.all_parts import COST_ROUNDING, AllParts
 from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Nodes, Progress, relaxed
-from greybox.solve.gauss_newton.iteration import CONVERGED, End, descend
+from greybox.solve.gauss_newton.iteration import CONVERGED, SINGULAR, descend
 from greybox.solve.gauss_newton.polishing import is_blurred, polished, sharpened
 from greybox.solve.gauss_newton.screening import can_screen, distinct, improved
 from greybox.solve.gauss_newton.stability import are_stable
 from greybox.solve.local_solver import LocalSolver, Profile, Screened
 from greybox.solve.minima import Multistart, same_cost
-from greybox.solve.runs import Outcome, spent
+from greybox.solve.runs import NOT_FINITE, Outcome, spent
 
 # Trial steps may overflow; they are then shortened.
 DIVERGING = np.errstate(over="ignore", invalid="ignore", divide="ignore")
@@ -59,7 +59,7 @@ class GaussNewton(LocalSolver):
         parts.
         """
         self.nlp = nlp
-        self.settings = settings or nlp.strategies
+        self.settings = settings or nlp.method.strategies
         self._parts = parts or AllParts(nlp.parts, nlp.free, _limits(nlp), self.settings)
         self.limits, self.samples = self._parts.limits, self._parts.samples
 
@@ -124,12 +124,7 @@ class GaussNewton(LocalSolver):
     ) -> tuple[Outcome, Array | None]:
         nlp, began = self.nlp, time.perf_counter()
         most = iterations or self.settings.max_iterations
-        try:
-            end = descend(self._parts, iterate, progress, most)
-        except np.linalg.LinAlgError:
-            x, seconds = nlp.scaling.to_parameters(iterate.z), time.perf_counter() - began
-            return Outcome(x, "singular", 0, seconds, False, math.inf), None
-
+        end = descend(self._parts, iterate, progress, most)
         iterate, status = end.iterate, end.status
 
         # Only where it matters: exact derivatives take as long as several iterations.
@@ -219,7 +214,10 @@ class GaussNewton(LocalSolver):
         if nodes is not None:
             iterate, converged = self._at(x, nodes), True
         else:
-            iterate, converged = self._best_nodes(x)
+            first = self._parts.from_data(self.nlp.scaling.to_solver(x))
+            progress, most = self._parts.first_progress(), self.settings.max_iterations
+            end = descend(self._parts, first, progress, most, states_only=True)
+            iterate, converged = end.iterate, end.status == CONVERGED
 
         # The cost of an unstable predictor depends on where its segments begin.
         converged = converged and are_stable(self._parts, iterate)
@@ -247,29 +245,17 @@ class GaussNewton(LocalSolver):
         profile = self.profile(values[:count])
         return profile.cost if profile.converged else math.nan
 
-    def _best_nodes(self, x: Array) -> tuple[Iterate, bool]:
-        """Return the iterate with the best nodes at x (p,), and whether it converged."""
-        iterate = self._parts.from_data(self.nlp.scaling.to_solver(x))
-        end = self._nodes_alone(iterate, self._parts.first_progress(), self.settings.max_iterations)
-        return (iterate, False) if end is None else (end.iterate, end.status == CONVERGED)
-
     @DIVERGING
     def smoothed(self, z: Array) -> tuple[Trajectory, ...] | None:
         """Return the trajectories at z (p,), with nodes close to the data and nearly continuous.
 
         None where the model diverges.
         """
-        iterate = self._parts.from_data(z)
         # Three iterations of the nodes are enough for another solver to begin with.
-        end = self._nodes_alone(iterate, relaxed(), 3) if iterate.finite else None
-        return None if end is None else tuple(self._parts.groups.split(end.iterate.trajectories))
-
-    def _nodes_alone(self, iterate: Iterate, progress: Progress, iterations: int) -> End | None:
-        """Return the end of an iteration at held parameters; None if nodes are not determined."""
-        try:
-            return descend(self._parts, iterate, progress, iterations, states_only=True)
-        except np.linalg.LinAlgError:
+        end = descend(self._parts, self._parts.from_data(z), relaxed(), 3, states_only=True)
+        if end.status in (NOT_FINITE, SINGULAR):
             return None
+        return tuple(self._parts.groups.split(end.iterate.trajectories))
 
     # --- the solver's variables
 

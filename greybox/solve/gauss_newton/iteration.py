@@ -5,6 +5,8 @@ A stalled run begins once more, with its parameters and with nodes from the data
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.all_parts import COST_ROUNDING, AllParts
 from greybox.solve.gauss_newton.iterate import (
@@ -21,6 +23,7 @@ from greybox.solve.interruption import reason_to_end
 from greybox.solve.runs import NOT_FINITE
 
 CONVERGED, STALLED = "converged", "stalled"
+SINGULAR = "singular"  # the nodes of a record are not determined
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,15 +57,13 @@ def descend(
     """Iterate from a start; with `states_only` the parameters are held.
 
     A stalled run begins once more near the data, with the parameters that it reached.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the nodes of a record are not determined.
     """
     if not iterate.finite:
         return End(iterate, NOT_FINITE, 0)
-    end = _iterated(parts, iterate, progress, iterations, states_only=states_only)
+    try:
+        end = _iterated(parts, iterate, progress, iterations, states_only=states_only)
+    except np.linalg.LinAlgError:
+        return End(iterate, SINGULAR, 0)
     # Without the restart 5 of 189 runs are lost and none is won (chain, guarded tanks, thrust).
     if end.status != STALLED or states_only or not restarts:
         return end

@@ -19,21 +19,20 @@ Merit = Callable[[Iterate], float]
 def merit_function(parts: AllParts, residual_weights: Sequence[Array], progress: Progress) -> Merit:
     """Return the merit function, infinite where a part diverges or a predictor is unstable."""
 
-    def exact(iterate: Iterate) -> float:
-        # An infinite merit shortens the steps that would make a predictor unstable.
-        if not iterate.finite or not are_stable(parts, iterate, simulated=True):
-            return math.inf
-        violation = progress.constraint_penalty * parts.limits.violation(iterate.z)
-        return parts.cost(iterate) + parts.gap_cost(iterate, progress.multipliers) + violation
-
-    def penalized(iterate: Iterate) -> float:
+    def merit(iterate: Iterate) -> float:
         if not iterate.finite:
             return math.inf
         violation = progress.constraint_penalty * parts.limits.violation(iterate.z)
-        squares = parts.squared_cost(iterate, residual_weights)
-        return squares + parts.squared_gap_cost(iterate, progress.continuity_variance) + violation
+        if not progress.is_exact:
+            squares = parts.squared_cost(iterate, residual_weights)
+            gaps = parts.squared_gap_cost(iterate, progress.continuity_variance)
+            return squares + gaps + violation
+        # An infinite merit shortens the steps that would make a predictor unstable.
+        if not are_stable(parts, iterate, simulated=True):
+            return math.inf
+        return parts.cost(iterate) + parts.gap_cost(iterate, progress.multipliers) + violation
 
-    return exact if progress.is_exact else penalized
+    return merit
 
 
 REDUCTION = 0.4  # of the step from one trial to the next

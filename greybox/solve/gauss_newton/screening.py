@@ -72,10 +72,11 @@ def improved(nlp: CompiledProblem, limits: Limits, z: Array) -> Points:
     chosen = [parts[k] for k in numbers]
     most = -(-32 // len(chosen))
     # About twice as many outputs as states: half of them are left to predict.
+    r = len(z)
     short_segments = [
-        ShortSegments(p, most, 1 + -(-2 * p.states // len(p.outputs))) for p in chosen
+        ShortSegments(p, r, most, 1 + -(-2 * p.states // len(p.outputs))) for p in chosen
     ]
-    whole_segments = [ShortSegments(part, most, part.data.segment_length) for part in chosen]
+    whole_segments = [ShortSegments(p, r, most, p.data.segment_length) for p in chosen]
     with np.errstate(all="ignore"):  # points that overflow stay where they are
         states = np.concatenate([record.states_from_data(z) for record in whole_segments], axis=1)
         short = descended(evaluated(z, states, short_segments), short_segments, limits, 4)
@@ -106,14 +107,20 @@ def descended(
 class ShortSegments:
     """Some segments of a record, simulated for many values of the parameters at once."""
 
-    def __init__(self, part: RecordPart, most: int, length: int) -> None:
-        """Choose up to this many segments, evenly over the record, with up to this many samples."""
+    def __init__(self, part: RecordPart, points: int, most: int, length: int) -> None:
+        """Choose up to this many segments, evenly over the record, with up to this many samples.
+
+        There is a copy of the record for each of the `points`, with its own parameters.
+        """
         self._part = part
         count = part.data.segments
         self.chosen = np.unique(np.linspace(0, count - 1, min(most, count)).round().astype(int))
         self.length = min(length, part.data.segment_length)
         self._weight = part.initial_weight()
-        self._segments: dict[int, Segments] = {}
+        copies = np.repeat(np.arange(points), len(self.chosen))
+        self._segments = Segments(
+            part.step, len(copies), self.length, part.model.active, records=copies, own=True
+        )
 
     def states_from_data(self, z: Array) -> Array:
         """Return the first states (r, m, n), as measured where outputs show them."""
@@ -130,10 +137,9 @@ class ShortSegments:
 
     def evaluated(self, z: Array, states: Array) -> Points:
         """Return the points z (r, p) with the segments simulated from these states (r, m, n)."""
-        part = self._part
+        part, segments = self._part, self._segments
         r, m, n = states.shape
         placed = [part.place(point) for point in z]
-        segments = self._segments_of(r)
         shape = (part.data.segment_length, part.data.segments)
         data = np.stack(
             [at.data.reshape(-1, *shape)[:, : self.length, self.chosen] for at in placed], axis=2
@@ -155,16 +161,6 @@ class ShortSegments:
             b.node_gradient.reshape(r, m, n),
         )
         return Points(z, states, *(part.weight * values for values in model))
-
-    def _segments_of(self, points: int) -> Segments:
-        """Return the segments of several copies of the record, each with its own parameters."""
-        if points not in self._segments:
-            copies = np.repeat(np.arange(points), len(self.chosen))
-            step, active = self._part.step, self._part.model.active
-            self._segments[points] = Segments(
-                step, len(copies), self.length, active, records=copies, own=True
-            )
-        return self._segments[points]
 
 
 def distinct(points: Points) -> list[int]:
@@ -190,9 +186,9 @@ def evaluated(z: Array, states: Array, records: Sequence[ShortSegments]) -> Poin
         record.evaluated(z, begins)
         for record, begins in zip(records, np.split(states, ends, axis=1), strict=True)
     ]
-    sums = [sum(values) for values in list(zip(*pieces, strict=True))[2:5]]
-    by_states = [np.concatenate(values, axis=1) for values in list(zip(*pieces, strict=True))[5:]]
-    model = [np.asarray(values) for values in (*sums, *by_states)]
+    _, _, *columns = zip(*pieces, strict=True)
+    by_states = (np.concatenate(values, axis=1) for values in columns[3:])
+    model = [np.asarray(values) for values in (*map(sum, columns[:3]), *by_states)]
     finite = np.all([np.isfinite(a).reshape(len(z), -1).all(axis=1) for a in model], axis=0)
     cost, *flat = (_select(finite, values, np.zeros(1)) for values in model)
     return Points(z, states, np.where(finite, cost, np.inf), *flat)

@@ -48,8 +48,10 @@ class SharedRuns(Runner):
         """Build the solvers of excerpts; `solver` is that of the whole records."""
         self._alone = solver
         self.levels = [solver]
-        for size in _sizes(solver):
-            excerpts = solver.on_excerpts(size)
+        samples, settings = solver.samples, solver.settings
+        while samples > settings.short_record:
+            samples = min(samples // FACTOR, settings.long_record // 2)
+            excerpts = solver.on_excerpts(samples)
             # Some segments of each of many records remain, which may be nearly all of them.
             if FEWER * excerpts.samples <= self.levels[-1].samples:
                 self.levels.append(excerpts)
@@ -120,14 +122,3 @@ def rounded(z: Array, hessian: Array | None) -> Array:
     # A power of two is the same for standard errors that are nearly the same.
     grid = 2.0 ** np.floor(np.log2(width))
     return np.round(z / grid) * grid + 0.0  # never -0.0
-
-
-def _sizes(solver: GaussNewton) -> list[int]:
-    """Return the samples of excerpts, the longest first, down to what is short."""
-    sizes: list[int] = []
-    settings = solver.settings
-    samples = solver.samples
-    while samples > settings.short_record:
-        samples = min(samples // FACTOR, settings.long_record // 2)
-        sizes.append(samples)
-    return sizes

@@ -36,7 +36,7 @@ def made():
         + gb.Problem(Spring(), data, gb.RelativeLikelihood(), weight=3.0)
     )
     nlp = compile_problem(problem)
-    parts = AllParts(nlp.parts, nlp.free, GaussNewton(nlp).limits, nlp.strategies)
+    parts = AllParts(nlp.parts, nlp.free, GaussNewton(nlp).limits, nlp.method.strategies)
     z = nlp.scaling.to_solver(np.array([SPRING[name] for name in nlp.free]))
     start, random = parts.from_data(z), np.random.default_rng(0)
     return parts, parts.at(

@@ -72,7 +72,7 @@ def test_a_polished_minimum_is_the_same_to_nine_digits_wherever_it_began():
 def test_an_unfinished_run_is_continued_to_its_minimum():
     nlp = compile_problem(gb.Problem(Lag(), record(0), HELD))
     solver = GaussNewton(nlp)
-    short = replace(nlp.strategies, max_iterations=2)
+    short = replace(nlp.method.strategies, max_iterations=2)
     unfinished = GaussNewton(nlp, settings=short).run(np.array([20.0]))
     assert unfinished.status == "iterations exceeded"
     outcome = solver.continued(unfinished)

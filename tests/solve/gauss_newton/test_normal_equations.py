@@ -29,7 +29,7 @@ def prepared(values, **options):
     """The parts of a spring, an iterate with exact continuity, and its linearizations."""
     nlp = compile_problem(gb.Problem(Spring(), spring(200), HELD, **options))
     solver = GaussNewton(nlp)
-    parts = AllParts(nlp.parts, nlp.free, solver.limits, nlp.strategies)
+    parts = AllParts(nlp.parts, nlp.free, solver.limits, nlp.method.strategies)
     z = nlp.scaling.to_solver(np.array([values[name] for name in nlp.free]))
     start = parts.from_data(z)
     iterate = parts.at(z, parts.at(z, start.nodes, simulated=True).nodes)
@@ -82,7 +82,7 @@ def test_nodes_alone_do_not_move_the_parameters():
 
 def test_held_delays_do_not_move():
     nlp = compile_problem(direct_delay())
-    parts = AllParts(nlp.parts, nlp.free, GaussNewton(nlp).limits, nlp.strategies)
+    parts = AllParts(nlp.parts, nlp.free, GaussNewton(nlp).limits, nlp.method.strategies)
     iterate = parts.from_data(
         nlp.scaling.to_solver(np.array([p.start for p in direct_delay().parameters.values()]))
     )

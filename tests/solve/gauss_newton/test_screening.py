@@ -76,7 +76,7 @@ def drawn(problem, count, seed):
 def test_derivatives_are_those_of_the_cost(aircraft, solver):
     z = solver.nlp.scaling.to_solver(drawn(aircraft, 3, 0) / 30)
     (part,) = solver.nlp.parts
-    record = ShortSegments(part, 32, part.data.segment_length)
+    record = ShortSegments(part, 3, 32, part.data.segment_length)
     states = record.states_from_data(z) + 0.01
     here = record.evaluated(z, states)
     rng = np.random.default_rng(1)
@@ -87,7 +87,8 @@ def test_derivatives_are_those_of_the_cost(aircraft, solver):
     assert_allclose((ahead - behind) / (2 * h), slope, rtol=1e-6)
 
     # Every point is for itself.
-    alone = record.evaluated(z[1:2], states[1:2])
+    single = ShortSegments(part, 1, 32, part.data.segment_length)
+    alone = single.evaluated(z[1:2], states[1:2])
     for own, together in (
         (alone.cost, here.cost),
         (alone.gradient, here.gradient),
@@ -292,9 +293,9 @@ def test_steps_are_damped_more_after_a_failure_and_less_after_a_success():
 def test_segments_are_chosen_evenly_and_no_longer_than_they_are(solver):
     (part,) = solver.nlp.parts
     count, length = part.data.segments, part.data.segment_length
-    few = ShortSegments(part, 3, length + 7)
+    few = ShortSegments(part, 2, 3, length + 7)
     assert few.chosen.tolist() == [0, round((count - 1) / 2), count - 1]
     assert few.length == length
-    every = ShortSegments(part, count + 5, 2)
+    every = ShortSegments(part, 2, count + 5, 2)
     assert every.chosen.tolist() == list(range(count))
     assert every.length == 2

@@ -24,7 +24,7 @@ SHORT = 100
 
 def solver_of(problem, **settings):
     nlp = compile_problem(problem)
-    return GaussNewton(nlp, settings=replace(nlp.strategies, short_record=SHORT, **settings))
+    return GaussNewton(nlp, settings=replace(nlp.method.strategies, short_record=SHORT, **settings))
 
 
 @pytest.fixture(scope="module")
