@@ -17,6 +17,9 @@ from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import input_symbols
 
 CHUNK = 4096  # columns at once: as many as fit into the cache
+# Columns from which on registers are faster than CasADi: for a function of any size that is
+# evaluated hundreds of times, and for one with a large number of operations.
+FEWEST, LARGE_FEWEST, LARGE = 129, 513, 20_000
 
 
 # CasADi's operations by name. The ufuncs of the first have the same name.
@@ -104,10 +107,16 @@ class Columns:
             if len(self._layouts) > 12:
                 self._layouts.clear()
             # A ufunc takes 0.2 µs for any number of columns, CasADi's operation 1.6 ns for each.
-            use_casadi = m <= 128 or m < self._fewest or not self._has_ufuncs
+            # But the layout takes 10 µs an operation, which many operations do not earn back.
+            fewest = max(self._fewest, LARGE_FEWEST if self._is_large else FEWEST)
+            use_casadi = m < fewest or not self._has_ufuncs
             kind = _Mapped if use_casadi else _Registers
             self._layouts[m] = kind(self._function, self._shared, m)
         return self._layouts[m]
+
+    @property
+    def _is_large(self) -> bool:
+        return self._function.is_a("SXFunction") and self._function.n_instructions() > LARGE
 
     @cached_property
     def _has_ufuncs(self) -> bool:

@@ -20,6 +20,7 @@ from greybox.files.arrays import Array
 from greybox.files.text_table import number
 from greybox.modeling.colored_disturbance import undisturbed
 from greybox.modeling.model import Names
+from greybox.modeling.realization import Dynamics
 from greybox.modeling.state_space import StateSpace
 
 Formula = Callable[[Names, Names, Names], Any]
@@ -107,6 +108,7 @@ LEVELS = (0.2, 0.4, 0.7)  # of saturations and dead zones, over the largest inpu
 STOPS = (0.05, 0.15, 0.85, 0.95)
 CREEP = 0.2  # of the largest value of a signal, below which its sign counts less
 DAMPING = 0.05  # of modes
+LARGE = 10  # states and inputs beyond which an equation is tried with its own alone
 # Steps of the gain that are tried. With a step at a wrong point, errors would look correlated.
 EDGES = 32
 
@@ -213,22 +215,40 @@ def _of_equations(record: DisturbedRecord, candidates: Mapping[str, Formula]) ->
     x = dict(zip(system.states, record.states, strict=True))
     u = dict(zip(system.inputs, record.inputs, strict=True))
     p = dict(zip(record.part.model.parameters, record.parameters, strict=True))
-    pairs = itertools.combinations((x | u).items(), 2)
-    shapes = u | {f"{a} * {b}": row * other for (a, row), (b, other) in pairs if a in x}
-    for name, row in x.items():
-        shapes |= _shapes(name, row)
+    own = {}
     for name, formula in candidates.items():
         values = np.asarray(formula(Names(x), Names(u), Names(p)), dtype=float)
-        shapes[name] = np.broadcast_to(values, record.part.samples)
+        own[name] = np.broadcast_to(values, record.part.samples)
 
+    near = _neighbors(system)
     for i, present in dynamic_equations(record.part).items():
-        for a, row in shapes.items():
+        states, signals = ({n: s[n] for n in s if n in near[i]} for s in (x, x | u))
+        pairs = itertools.combinations(signals.items(), 2)
+        shapes = {a: row for a, row in signals.items() if a in u}
+        shapes |= {f"{a} * {b}": row * other for (a, row), (b, other) in pairs if a in x}
+        for name, row in states.items():
+            shapes |= _shapes(name, row)
+        for a, row in (shapes | own).items():
             if a not in present:
                 yield Term("equation", partial(record.by_state, i, row), a, [*x][i])
-        for (a, row), share in itertools.product(x.items(), STOPS):
+        for (a, row), share in itertools.product(states.items(), STOPS):
             level = float(np.quantile(row, share))
             over = (np.maximum if share > 0.5 else np.minimum)(row - level, 0.0)
             yield Term("limit", partial(record.by_state, i, over), a, [*x][i], level=level)
+
+
+def _neighbors(system: Dynamics) -> list[set[str]]:
+    """Return the states and inputs whose functions are tried in the equation of every state.
+
+    In a large model they are those that the equation contains: with twenty states, the products of
+    all pairs in all equations are thousands of terms, among which a true one is not found.
+    """
+    x, u, p = system.symbols
+    names = (*system.states, *system.inputs)
+    if len(names) <= LARGE:
+        return [set(names)] * len(system.states)
+    slopes = ca.jacobian(system.derivative(x, u, p), ca.vertcat(x, u)).sparsity()
+    return [{n for k, n in enumerate(names) if slopes.has_nz(i, k)} for i in range(x.numel())]
 
 
 def _shapes(name: str, row: Array) -> dict[str, Array]:
