@@ -23,6 +23,7 @@ from greybox.files.text_table import counted, is_number
 
 COMMENTS = ("#", "%")
 FACT = re.compile(r"#\s*(?P<key>[^:]+?)\s*:\s*(?P<value>.*?)\s*")
+WIDER = "name all columns, or, if its numbers have decimal commas, separate cells by semicolons"
 MISSING = frozenset(("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--"))  # in lower case
 
 WITH_COMMA = re.compile(r"[+-]?(\d*,\d+|\d+,)([eE][+-]?\d+)?")
@@ -75,7 +76,10 @@ class DelimitedText:
                 while len(row) > width and not row[-1].strip():
                     row.pop()  # separators at the end of a line
                 if len(row) > width:
-                    raise ValueError(self._too_long(number, len(row)))
+                    raise ValueError(
+                        f"{self.path}, line {number}, has {len(row)} cells where the header has "
+                        f"{width}: {WIDER if self.separator == ',' else 'name all columns'}."
+                    )
                 yield number, [cell.strip() for cell in row]
         except csv.Error as problem:
             raise ValueError(
@@ -117,15 +121,6 @@ class DelimitedText:
                     )
 
         return dict(zip(places, table.T, strict=True))
-
-    def _too_long(self, number: int, cells: int) -> str:
-        cure = "name all columns"
-        if self.separator == ",":
-            cure += ", or, if its numbers have decimal commas, separate the cells by semicolons"
-        return (
-            f"{self.path}, line {number}, has {cells} cells where the header has "
-            f"{len(self.header)}: {cure}."
-        )
 
 
 def read_delimited(path: Path, raw: bytes) -> DelimitedText:
@@ -225,10 +220,6 @@ def has_decimal_comma(path: Path, rows: Iterable[tuple[int, Iterable[str]]]) -> 
     certain = False  # some comma cannot be a thousands separator
     for number, row in rows:
         for cell in row:
-            if "," not in cell:
-                if point is None and "." in cell and WITH_POINT.fullmatch(cell):
-                    point = number, cell
-                continue
             if GROUPED.fullmatch(cell):
                 raise ValueError(
                     f"{path}, line {number}: {cell!r} has a thousands separator: leave it out."
@@ -236,6 +227,8 @@ def has_decimal_comma(path: Path, rows: Iterable[tuple[int, Iterable[str]]]) -> 
             if WITH_COMMA.fullmatch(cell):
                 comma = comma or (number, cell)
                 certain = certain or not THOUSANDS.fullmatch(cell)
+            elif point is None and WITH_POINT.fullmatch(cell):
+                point = number, cell
     if comma and point:
         raise ValueError(
             f"{path}, line {comma[0]}, has {comma[1]!r} where line {point[0]} has {point[1]!r}: "

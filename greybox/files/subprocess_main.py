@@ -256,11 +256,8 @@ def ulog(path: str, collector: Collector, topics: list[str]) -> None:
         "initial": log.initial_parameters,
         "changes": log.changed_parameters,
         "texts": [(line.timestamp, line.message) for line in log.logged_messages],
-        "info": {
-            key: value
-            for key, value in log.msg_info_dict.items()
-            if isinstance(value, str | int | float)
-        },
+        "vehicle": log.msg_info_dict.get("sys_name"),
+        "firmware": [log.get_version_info_str(), log.msg_info_dict.get("ver_sw")],
     }
 
     if log.file_corruption:

@@ -5,9 +5,7 @@ responses as ``LowPass(20.0, 0.71)``, several in series as ``Notch(80.0, 1.9, 40
 0.71)``, and read from there as numbers for these three names alone.
 """
 
-import ast
 import math
-import re
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass
 
@@ -79,18 +77,15 @@ def from_text(text: str) -> tuple[KnownFilter, ...]:
     ValueError
         For anything but known names with numbers.
     """
-    return tuple(_from_text(part) for part in text.split(SERIES.strip()))
-
-
-def _from_text(text: str) -> KnownFilter:
-    # The text comes from a file: only known names and numbers, never an expression.
-    match = re.fullmatch(r"\s*(\w+)\(([-+.,\seE\d]*)\)\s*", text)
-    try:
-        if match is None or match[1] not in KINDS:
-            raise ValueError(text)
-        return KINDS[match[1]](*(float(value) for value in ast.literal_eval(f"({match[2]},)")))
-    except (ValueError, TypeError, SyntaxError):
-        raise ValueError(
-            f"the filter {text.strip()!r:.60} is not known: it must be one of {', '.join(KINDS)} "
-            "with numbers."
-        ) from None
+    filters = []
+    for part in text.split(SERIES.strip()):
+        # The text comes from a file: only known names and numbers, never an expression.
+        name, _, numbers = part.strip().removesuffix(")").partition("(")
+        try:
+            filters.append(KINDS[name](*map(float, numbers.split(","))))
+        except (KeyError, ValueError, TypeError):
+            raise ValueError(
+                f"the filter {part.strip()!r:.60} is not known: it must be one of "
+                f"{', '.join(KINDS)} with numbers."
+            ) from None
+    return tuple(filters)

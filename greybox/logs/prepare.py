@@ -217,8 +217,8 @@ def _source(recording: Recording, signal: str, start: float, end: float) -> _Sou
     values = record[field][finite]
     if time.size < 2:
         raise ValueError(
-            f"{signal} has {counted(time.size, 'sample')}: there is nothing to put on a time base."
-            f"{''.join(f' {text}' for text in record.findings or _missing(record, time.size))}"
+            f"{signal} has values in {time.size} of {counted(len(record), 'sample')}: there is "
+            f"nothing to put on a time base.{''.join(f' {text}' for text in record.findings)}"
         )
     unit = record.units.get(field, "")
     findings = record.findings
@@ -238,10 +238,6 @@ def _source(recording: Recording, signal: str, start: float, end: float) -> _Sou
     values = np.unwrap(values) if unit == "rad" else values
 
     return _Source(time, values, unit, findings, record.hold.get(field), step)
-
-
-def _missing(record: Record, count: int) -> list[str]:
-    return [f"The other {len(record) - count} values are missing."] if len(record) > count else []
 
 
 def _grid(sources: Mapping[str, _Source], rate: float, start: float, end: float) -> Array:

@@ -263,7 +263,7 @@ def _result(
     inputs: Mapping[str, str],
 ) -> EquationErrorEstimate:
     unknown = [n for n, p in parameters.items() if not p.fixed]
-    missing = {n: _why(n, data.equations, projection) for n in unknown if n not in projection.names}
+    missing = {n: _why(n, projection) for n in unknown if n not in projection.names}
     used = projection.equations
     return EquationErrorEstimate(
         name=name,
@@ -283,17 +283,13 @@ def _result(
     )
 
 
-def _why(name: str, equations: Equations, projection: Projection) -> str:
+def _why(name: str, projection: Projection) -> str:
     partners = next((group for group in projection.undetermined if name in group), ())
     if len(partners) > 1:
         return f"only a combination of {', '.join(partners)} is determined: fix one of them"
     if partners:
         return "it has no effect in these data"
-    return (
-        "it is in no equation that can be used"
-        if equations.left_out
-        else "it is in no equation of the model"
-    )
+    return "it is in no equation that can be used"
 
 
 def _warnings(used: Sequence[UsedEquation], projection: Projection) -> list[str]:

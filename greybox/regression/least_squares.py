@@ -56,6 +56,8 @@ class Rows:
 
 def undetermined(slopes: Array) -> list[tuple[int, ...]]:
     """Return the columns without effect, and sets of columns with a combination without effect."""
+    from scipy.linalg import null_space  # noqa: PLC0415  (imports slowly)
+
     # The triangular factor has the singular values of all rows, which may be many thousands.
     triangle = np.asarray(np.linalg.qr(slopes, mode="r"))
     sizes = np.linalg.norm(triangle, axis=0)
@@ -63,10 +65,9 @@ def undetermined(slopes: Array) -> list[tuple[int, ...]]:
     nonzero = np.flatnonzero(sizes)
     if not nonzero.size:
         return zero
-    _, values, directions = np.linalg.svd(triangle[:, nonzero] / sizes[nonzero], full_matrices=True)
-    values = np.pad(values, (0, nonzero.size - values.size))
-    open_directions = directions[values < UNDETERMINED * values[0]]
-    share = np.linalg.norm(open_directions, axis=0)
+
+    open_directions = null_space(triangle[:, nonzero] / sizes[nonzero], UNDETERMINED)
+    share = np.linalg.norm(open_directions, axis=1)
     combined = tuple(int(k) for k in nonzero[share > PART])
     return [*zero, combined] if combined else zero
 

@@ -81,8 +81,7 @@ class Regressors:
         x = self.states.copy()
         # An unstable state would grow beyond all numbers within a record: it stays unknown.
         self.simulate(x, u, p)
-        parameters = np.tile(np.reshape(p, (-1, 1)), (1, self.time.size))
-        base, slopes = (np.asarray(value) for value in self.equations.rows(x, u, parameters))
+        base, slopes = (np.asarray(value) for value in self.equations.rows(x, u, p))
         slopes = slopes.reshape(len(base), self.time.size, -1)
         filtered = [self._filtered(k, base[k], slopes[k]) for k in range(len(base))]
         equation = np.repeat(np.arange(len(base)), [len(columns) for columns in filtered])
@@ -123,8 +122,7 @@ class Regressors:
         names = self.equations.simulated_names
         if not names:
             return
-        parameters = np.tile(np.reshape(p, (-1, 1)), (1, self.time.size))
-        drive, matrix = (np.asarray(value) for value in self.equations.simulated(x, u, parameters))
+        drive, matrix = (np.asarray(value) for value in self.equations.simulated(x, u, p))
         matrix = matrix[:, : len(names)]
         if not np.all(np.isfinite(matrix)) or np.max(np.linalg.eigvals(matrix).real) >= 0:
             return

@@ -434,7 +434,8 @@ def test_the_grid_is_what_all_signals_have_in_common():
         with pytest.raises(ValueError, match=sentence):
             gb.prepare(log, signals, **{"rate": 10, **words})
     with pytest.raises(
-        ValueError, match=r"C\.z has 1 sample: there is nothing to put on a time base"
+        ValueError,
+        match=r"C\.z has values in 1 of 1 sample: there is nothing to put on a time base",
     ):
         gb.prepare(log, {"z": "C.z"})
 

@@ -48,8 +48,8 @@ def pwm_of_control(parameters: Mapping[str, float]) -> float:
     # thrust = (1 - expo) a + expo a², with the actuator's a from 0 to 1: the derivative of this
     # curve at the thrust of hover, without solving for a.
     slope = math.sqrt((1 - expo) ** 2 + 4 * expo * values["MOT_THST_HOVER"])
-    low, high = _range(parameters)
-    return SHARE * (values["MOT_SPIN_MAX"] - values["MOT_SPIN_MIN"]) * (high - low) / slope
+    least, greatest = _range(parameters)
+    return SHARE * (greatest - least) / slope
 
 
 def rounding_error(amplitude: ArrayLike, spread: ArrayLike) -> Array:
@@ -100,10 +100,8 @@ def motor_outputs(recording: Recording, start: float, end: float) -> Record | No
 
 def limits(parameters: Mapping[str, float]) -> tuple[float, float]:
     """Return the least and the greatest PWM of a flying motor, µs."""
-    low, high = _range(parameters)
-    values = {**DEFAULTS, **parameters}
-    least, greatest = (values[name] for name in ("MOT_SPIN_MIN", "MOT_SPIN_MAX"))
-    return round(low + least * (high - low)), round(low + greatest * (high - low))
+    least, greatest = _range(parameters)
+    return round(least), round(greatest)
 
 
 def saturation(recording: Recording, spans: Sequence[tuple[float, float]]) -> float:
@@ -123,4 +121,7 @@ def saturation(recording: Recording, spans: Sequence[tuple[float, float]]) -> fl
 
 def _range(parameters: Mapping[str, float]) -> tuple[float, float]:
     low, high = (float(parameters.get(name, 0)) for name in ("MOT_PWM_MIN", "MOT_PWM_MAX"))
-    return (low, high) if 0 < low < high else PWM
+    low, high = (low, high) if 0 < low < high else PWM
+    values = {**DEFAULTS, **parameters}
+    least, greatest = (values[name] for name in ("MOT_SPIN_MIN", "MOT_SPIN_MAX"))
+    return low + least * (high - low), low + greatest * (high - low)

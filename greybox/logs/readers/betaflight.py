@@ -35,26 +35,21 @@ PHASE = 5000  # counts of debug[0] in a radian of the chirp's phase, which is be
 TURN = round(2 * np.pi * PHASE)
 
 
-def without_settings(raw: bytes) -> bytes:
-    """Return a table whose lines before the header are comments; line numbers stay right."""
-    header = HEADER.search(raw)
-    if header is None or not header.start():
-        return raw
-    settings = raw[: header.start()].split(b"\n")
-    return b"\n".join(b"#" + line for line in settings[:-1]) + b"\n" + raw[header.start() :]
+def without_settings(raw: bytes) -> tuple[bytes, dict[str, float]]:
+    """Return a table whose lines before the header are comments, and the numbers in these lines.
 
-
-def metadata_of(raw: bytes) -> dict[str, dict[str, float]]:
-    """Return the numbers before the header as parameters; of several, ``rollPID[0]`` and so on."""
+    The numbers of the lines stay right. Of several numbers, the names are ``rollPID[0]`` and so on.
+    """
     header = HEADER.search(raw)
-    lines = raw[: header.start()].decode(errors="replace").splitlines() if header else []
+    start = header.start() if header else 0
+    lines = raw[:start].split(b"\n")[:-1]
     settings = {}
     for line in lines:
-        name, *values = line.replace('"', "").split(",")
+        name, *values = line.decode(errors="replace").strip().replace('"', "").split(",")
         if values and are_numbers(values):
             settings[name] = float(values[0])
             settings |= {f"{name}[{k}]": float(value) for k, value in enumerate(values)}
-    return {"parameters": settings} if settings else {}
+    return b"".join(b"#" + line + b"\n" for line in lines) + raw[start:], settings
 
 
 def with_units(headings: Sequence[Heading]) -> list[Heading]:

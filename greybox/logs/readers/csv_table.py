@@ -22,7 +22,7 @@ from greybox.files.delimited_text import (
 from greybox.files.heading import Heading, heading
 from greybox.files.progress import bar
 from greybox.files.text_table import counted, printable, some
-from greybox.logs.readers.betaflight import completed, metadata_of, with_units, without_settings
+from greybox.logs.readers.betaflight import completed, with_units, without_settings
 from greybox.logs.readers.named_arrays import Contents, Variable, recording
 from greybox.logs.readers.table_columns import time_column
 
@@ -76,8 +76,8 @@ def read(
     OSError
         If the file cannot be opened.
     """
-    raw = path.read_bytes()
-    text = read_delimited(path, without_settings(raw))
+    raw, settings = without_settings(path.read_bytes())
+    text = read_delimited(path, raw)
     if not text.lines:
         raise ValueError(
             f"{path} has no table: write a header line with names, then one line of numbers per "
@@ -106,9 +106,8 @@ def read(
     # Rows without a time are for static models.
     log = recording(path, contents, stated=stated, rate=rate, rows_allowed=True)
     ((name, record),) = log.items()
-    about = metadata_of(raw)
-    record = completed(replace(record, findings=log.findings), about.get("parameters", {}))
-
+    record = completed(replace(record, findings=log.findings), settings)
+    about = {"parameters": settings} if settings else {}
     return replace(log, records={name: record}, metadata=about, findings=record.findings)
 
 

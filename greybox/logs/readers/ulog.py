@@ -99,10 +99,10 @@ def read(path: Path, messages: Collection[str] | None = None) -> Recording:
 
 
 def _about(said: Mapping[str, Any]) -> dict[str, Any]:
-    info = said["info"]
+    release, commit = said["firmware"]
     about = {
-        "vehicle": info.get("sys_name"),
-        "firmware": firmware_of(info),
+        "vehicle": said["vehicle"],
+        "firmware": f"{release} ({commit})" if release and commit else release or commit,
         "parameters": {name: float(value) for name, value in said["parameters"].items()},
         "parameter_changes": parameter_changes(
             [(0.0, name, value) for name, value in said["initial"].items()]
@@ -111,15 +111,6 @@ def _about(said: Mapping[str, Any]) -> dict[str, Any]:
         "texts": tuple((ticks / 1e6, text) for ticks, text in said["texts"]),
     }
     return {key: value for key, value in about.items() if value}
-
-
-def firmware_of(info: Mapping[str, Any]) -> str | None:
-    """Return the release and the commit, as ``v1.14.3 (29f5e2a1)``."""
-    commit, release = info.get("ver_sw"), info.get("ver_sw_release")
-    if not isinstance(release, int) or not release:
-        return commit
-    version = ".".join(str(release >> bits & 0xFF) for bits in (24, 16, 8))
-    return f"v{version} ({commit})" if commit else f"v{version}"
 
 
 def with_angles(name: str, record: Record) -> Record:

@@ -7,7 +7,7 @@ from synthetic_logs import ulog
 
 from greybox.data.record import Record
 from greybox.logs.readers import read
-from greybox.logs.readers.ulog import firmware_of, modes_of, with_angles
+from greybox.logs.readers.ulog import modes_of, with_angles
 
 installed = pytest.mark.skipif(
     importlib.util.find_spec("pyulog") is None, reason="the extra px4 is not installed"
@@ -92,20 +92,6 @@ def test_modes_are_those_of_px4s_status():
     expected = [f"mode {k}" if name == "." else name for k, name in enumerate(names.split())]
     status = Record(np.arange(48) / 2, {"nav_state": np.repeat(np.arange(24.0), 2)})
     assert modes_of(status) == {"modes": tuple(zip(np.arange(24.0), expected, strict=True))}
-
-
-@pytest.mark.parametrize(
-    ("info", "said"),
-    [
-        ({"ver_sw": "abc", "ver_sw_release": 0x010F02C0}, "v1.15.2 (abc)"),
-        ({"ver_sw_release": 0x020A0180}, "v2.10.1"),
-        ({"ver_sw": "abc", "ver_sw_release": 0}, "abc"),
-        ({"ver_sw": "abc", "ver_sw_release": "1.2"}, "abc"),
-        ({}, None),
-    ],
-)
-def test_the_release_is_three_bytes(info, said):
-    assert firmware_of(info) == said
 
 
 @pytest.mark.parametrize(
