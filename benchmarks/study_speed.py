@@ -7,11 +7,10 @@ Dask on loopback, each in a process of its own, so that its memory is counted. T
 time of one process over the time of two workers and over two. Members that take longer are
 responses of 20 points from 60 starts by IPOPT alone.
 
-On paper, a million members on 100 machines of 8 processors: workers make the runs, but one process,
-the coordinator, builds, judges and stores every member. Small members take it nearly their whole
-time t, so that a single folder takes a million times t, whatever the number of workers. In 800
-folders, a process for each, the study takes an 800th of that. Large members, of minutes for their
-runs and a tenth of a second for the rest, keep 800 workers busy in one folder.
+On paper, a million members on 100 machines of 8 processors: workers fit small members as a whole,
+and one process, the coordinator, sends and stores them. The processor time of the row `serial` over
+that of the row `processes` is the number of workers that one coordinator can keep busy; beyond, its
+time is that of the study. A folder for each of several coordinators divides it.
 """
 
 import argparse
@@ -157,7 +156,7 @@ def main():
     load = f"load {os.getloadavg()[0]:.1f}"
     lines = [f"{head}{platform.machine()}, {options.members} members, {load}", "  ".join(columns)]
     for kind in options.kinds:
-        alone = None
+        alone, fitted = None, float("nan")
         for by in options.by:
             wall, used, again, size, memory = measured(kind, options.members, by)
             alone = alone or wall
@@ -168,10 +167,12 @@ def main():
             lines.append(f"{kind}  {by}  {shown}  {share}")
             print(lines[-1], flush=True)
             if by == "serial":
-                hours = 1e6 * used / 3600
+                fitted = used
+            elif by == "processes":
                 lines.append(
-                    f"  on paper, a million members: {hours:.1f} h of one processor in one folder, "
-                    f"{60 * hours / 800:.1f} min in 800 folders on 100 machines of 8 processors"
+                    f"  on paper, a million members: {1e6 * fitted / 3600:.1f} h of one processor, "
+                    f"{1e6 * fitted / 800 / 60:.1f} min of 800, {1e6 * used / 60:.0f} min of one "
+                    f"coordinator, which keeps {fitted / used:.0f} workers busy"
                 )
                 print(lines[-1], flush=True)
     if options.out is not None:

@@ -166,6 +166,10 @@ class Record:
         steps = np.sort(np.diff(self.time))
         return float((steps[(steps.size - 1) // 2] + steps[steps.size // 2]) / 2)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what was measured: a key of equal records must not depend on what was asked."""
+        return {name: value for name, value in vars(self).items() if name != "is_irregular"}
+
     @cached_property
     def is_irregular(self) -> bool:
         """Whether samples lie neither one step apart nor, after gaps, several: one in ten is off.

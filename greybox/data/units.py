@@ -56,7 +56,7 @@ PREFIXED = _units({
     "gauss Gauss": "1e-4 T",
     "Hz": "1 Hz",
     "l L liter litre": "1e-3 m3",
-    "%": "0.01 1",
+    "% pct percent": "0.01 1",
     "G": "9.80665 m/s2",
 }) | _units({"degC °C ºC degc": "1 K"}, CELSIUS)  # fmt: skip
 PREFIXES = {

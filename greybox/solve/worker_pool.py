@@ -49,6 +49,12 @@ class WorkerPool(Executor):
         workers = workers if workers is not None else os.cpu_count() or 1
         if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
             raise ValueError(f"workers is {workers!r}: give a whole number of at least 1.")
+        import multiprocessing  # noqa: PLC0415  (only those who use it wait for it)
+
+        # A worker that imports an unguarded script gets here. It ends without a traceback, and
+        # `NoWorkerError` says what to change.
+        if getattr(multiprocessing.current_process(), "_inheriting", False):
+            raise SystemExit(1)
         self.num_workers = workers
         # A thread for each worker, which waits for it: a worker that is killed is then the loss of
         # one task alone.

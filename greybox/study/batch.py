@@ -246,15 +246,14 @@ class _WholeMembers(Runner):
 
 
 def _by_workers(members: Sequence[Member], executor: Executor | None) -> Iterator[Any]:
-    """Yield what every member stores; nothing if it is large, or if its worker was lost."""
+    """Yield what every member stores; nothing if it is large, or if a worker ended by it."""
     # In a worker, classes of the user's script have another module, and members another key.
     rows = ((k, np.array([pickled((m, _keys(m)[1]))])) for k, m in enumerate(members))
-    with suppress(ExecutorLostError):
-        for number, _, outcome in run_all(_WholeMembers(), rows, len(members), executor):
-            changes = [] if outcome.status else outcome.estimate
-            if not (changes or number):
-                return  # members of a study are mostly alike: none is small
-            yield changes
+    for number, _, outcome in run_all(_WholeMembers(), rows, len(members), executor):
+        changes = [] if outcome.status else outcome.estimate
+        if not (changes or number):
+            return  # members of a study are mostly alike: none is small
+        yield changes
 
 
 def _fit_member(

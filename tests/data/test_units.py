@@ -36,6 +36,7 @@ KNOWN = [
     ("RPM", 2 * math.pi / 60, "rad/s"),
     ("rev/min", 2 * math.pi / 60, "rad/s"),
     ("%", 0.01, "1"),
+    ("pct", 0.01, "1"),
     ("%/s", 0.01, "1/s"),
     ("deg/s/s", c.degree, "rad/s²"),
     ("cdeg/s", 0.01 * c.degree, "rad/s"),

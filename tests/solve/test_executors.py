@@ -292,15 +292,22 @@ def test_a_script_without_its_guard_is_told_what_is_missing(tmp_path):
         textwrap.dedent(
             """
             import greybox as gb
-            with gb.solve.WorkerPool(1) as workers:
-                workers.submit(print).result()
+            from greybox.problems import pitch_hover, roll_hover
+            members = [gb.study.Member(m.problem(), 2) for m in (pitch_hover, roll_hover)]
+            gb.batch(members, "study", executor=gb.solve.WorkerPool(1), progress=False)
             """
         )
     )
     done = subprocess.run(
-        [sys.executable, script], capture_output=True, text=True, timeout=300, check=False
+        [sys.executable, script],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+        cwd=tmp_path,
     )
     assert done.returncode == 1
+    assert done.stderr.count("another process") == 0
     assert "no worker process could begin: in a script" in done.stderr.splitlines()[-1]
 
 
