@@ -163,9 +163,9 @@ def at_samples(data: SampledData, every: int, *, spread: bool = False) -> tuple[
         )
         rows = []
         for row, mean in zip(stretch.outputs, means, strict=True):
-            present = np.flatnonzero(np.isfinite(row))
-            known = present if present.size else [0]
-            rows.append(np.interp(at, known, row[present] if present.size else [mean]))
+            values = row if np.isfinite(row).any() else np.full(len(row), mean)
+            present = np.flatnonzero(np.isfinite(values))
+            rows.append(np.interp(at, present, values[present]))
         outputs.append(np.array(rows).reshape(len(rows), at.size))
         inputs.append(stretch.inputs[:, at])
 

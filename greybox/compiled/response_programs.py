@@ -8,8 +8,7 @@ With the roots as inputs the program is an SX function whose derivatives hold th
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Any
 
@@ -27,7 +26,6 @@ from greybox.formulation.sum import Sum
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.harmonic_balance import harmonic_function
 from greybox.modeling.linear_response import formulas_at_one_frequency, response_formula
-from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.trim import Trimmed
 
@@ -43,8 +41,8 @@ class CostProgram:
     ----------
     function : casadi.Function
         (z, smoothing) -> the cost with `solver_weights`, and what must be >= 0.
-    hessian : function or None
-        Builds the Hessian of large responses: CasADi's own takes longer.
+    derivatives : dict
+        Options of `casadi.nlpsol`: the Hessian of large responses, since CasADi's own takes longer.
     explicit : casadi.Function or None
         The same as an SX function (z, smoothing), or (z, smoothing, w) with the `roots` given; None
         where responses exist as MX functions only.
@@ -56,20 +54,10 @@ class CostProgram:
     """
 
     function: ca.Function
-    hessian: Callable[[], ca.Function] | None = None
+    derivatives: dict[str, ca.Function] = field(default_factory=dict)
     explicit: ca.Function | None = None
     roots: ca.Function | None = None
     shared: SharedResponses | None = None
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Build the Hessian: what would build it stays in this process."""
-        return {**vars(self), "derivatives": self.derivatives, "hessian": None}
-
-    @cached_property
-    @one_thread_at_a_time
-    def derivatives(self) -> dict[str, ca.Function]:
-        """Options of `casadi.nlpsol`; a search that needs no IPOPT does not build them."""
-        return {} if self.hessian is None else {"hess_lag": self.hessian()}
 
 
 def fits_a_batch(program: ca.Function | None) -> bool:
@@ -140,22 +128,25 @@ def compile_responses(
         total = kind(cost(scaled, smoothing))
         function = ca.Function("program", [z, smoothing], [total, scaled_limits])
         if mapped:
-            named = values_at(point)
-            terms = [
-                (
-                    response,
-                    ca.SX(_values(part, named)),
-                    lambda r, smoothing, part=part: choose(part).cost(r, part.response, smoothing),
-                    weight,
-                )
-                for part, response, weight in zip(parts, mapped, solver_weights(parts), strict=True)
-            ]
-            _, at_point = limits_at(problem, named, ca.SX)
-            hessian = partial(lagrangian_hessian, terms, point, at_point)
-            return CostProgram(function, hessian, shared=shared(choose))
+            large = shared(choose)
+            return CostProgram(function, {} if large else derivatives(choose), shared=large)
         explicit = function if kind is ca.SX else None
         large = None if fits_a_batch(explicit) else shared(choose)
         return CostProgram(function, explicit=explicit, shared=large)
+
+    def derivatives(choose: ChooseCriterion) -> dict[str, ca.Function]:
+        named = values_at(point)
+        terms = [
+            (
+                response,
+                ca.SX(_values(part, named)),
+                lambda r, smoothing, part=part: choose(part).cost(r, part.response, smoothing),
+                weight,
+            )
+            for part, response, weight in zip(parts, mapped, solver_weights(parts), strict=True)
+        ]
+        _, at_point = limits_at(problem, named, ca.SX)
+        return {"hess_lag": lagrangian_hessian(terms, point, at_point)}
 
     def shared(choose: ChooseCriterion) -> SharedResponses | None:
         if limits or len(parts) < len(problem.parts):

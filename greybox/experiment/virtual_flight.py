@@ -23,7 +23,7 @@ from greybox.files.arrays import Array, BoolArray
 from greybox.modeling.integrators import RungeKutta
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
-from greybox.modeling.parameter import is_finite_number
+from greybox.modeling.parameter import is_finite_number, require_whole
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.step_size import relative_change, substep_growth
 
@@ -379,7 +379,6 @@ def _draws(
     seed: int, stream: int, names: Sequence[str], deviation: Mapping[str, float], count: int
 ) -> Array:
     """Return white noise of these standard deviations, (k, count)."""
-    if not isinstance(seed, (int, np.integer)) or seed < 0:
-        raise ValueError(f"seed is {seed!r}: give a whole number of 0 or more.")
+    require_whole("seed", seed, 0)
     drawn = np.random.default_rng([int(seed), stream]).standard_normal((len(names), count))
     return drawn * np.array([deviation.get(n, 0.0) for n in names])[:, None]

@@ -11,7 +11,7 @@ import numpy as np
 
 from greybox.files.arrays import Array
 from greybox.files.text_table import counted, one_line
-from greybox.modeling.parameter import Parameter, is_finite_number
+from greybox.modeling.parameter import Parameter, is_finite_number, require_whole
 
 # Starts of a rule: a million of ten parameters take 80 MB, and their runs ten times as much.
 MOST = 2**20
@@ -53,11 +53,7 @@ class RandomStarts(Starts):
     def __post_init__(self) -> None:
         """Check number and seed."""
         for name, least in (("number", 1), ("seed", 0)):
-            value = getattr(self, name)
-            if not isinstance(value, (int, np.integer)) or isinstance(value, bool) or value < least:
-                raise ValueError(
-                    f"{name} of starts is {value!r}: give a whole number of at least {least}."
-                )
+            require_whole(f"{name} of starts", getattr(self, name), least)
         if self.number > MOST:
             raise ValueError(f"number of starts is {self.number}: give at most {MOST}.")
 
@@ -186,7 +182,7 @@ def as_starts(
         For a seed together with a rule, which has its own.
     """
     if isinstance(starts, (int, np.integer)) and not isinstance(starts, bool):
-        drawn, declared = Sobol(int(starts), 0 if seed is None else seed), Listed(({},))
+        drawn, declared = Sobol(int(starts), seed or 0), Listed(({},))
         return Chained((declared, Sobol(starts - 1, drawn.seed))) if starts > 1 else declared
     if seed is not None:
         raise ValueError(

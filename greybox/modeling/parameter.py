@@ -131,6 +131,12 @@ def is_finite_number(value: Any) -> bool:
     return isinstance(value, (int, float, np.integer, np.floating)) and math.isfinite(value)
 
 
+def require_whole(name: str, value: Any, least: int) -> None:
+    """Raise ValueError for anything but a whole number of at least this much."""
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+        raise ValueError(f"{name} is {value!r}: give a whole number of at least {least}.")
+
+
 def number_pair(value: object, what: str) -> tuple[float, float]:
     """Return two numbers (low, high), neither of them NaN; ValueError for anything else."""
     try:

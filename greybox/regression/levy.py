@@ -20,6 +20,7 @@ from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.formulation.frequency_criteria import RelativeError, evaluate
 from greybox.modeling.factored_form import factored, upper_half
+from greybox.modeling.parameter import require_whole
 from greybox.regression.poles_and_zeros import NearPair, near_pairs, root_text
 
 # Singular values smaller than this share of the largest are rounding errors: 1e-16 in the columns,
@@ -173,7 +174,7 @@ def levy(
     """
     _check_orders(data, n, m, integrator)
     weights = _check_weight(weight, data)
-    _check_whole("iterations", iterations, 0)
+    require_whole("iterations", iterations, 0)
 
     numerator, denominator, condition = _solve(data, n, m, integrator, weights)
     # Divided by |a|, the equation error is the error of the response where a no longer changes.
@@ -261,8 +262,8 @@ def _solve(
 
 
 def _check_orders(data: FrequencyResponse, n: int, m: int, integrator: int) -> None:
-    _check_whole("n", n, 1)
-    _check_whole("m", m, 0)
+    require_whole("n", n, 1)
+    require_whole("m", m, 0)
     if m >= n:
         raise ValueError(f"m = {m} is not below n = {n}: (2.13) needs m < n, lower m or raise n.")
     unknowns = n + m + 1 - int(integrator)
@@ -272,11 +273,6 @@ def _check_orders(data: FrequencyResponse, n: int, m: int, integrator: int) -> N
             f"of n = {n}, m = {m}: (3.17) needs more equations than unknowns, lower n and m or add "
             "frequencies."
         )
-
-
-def _check_whole(name: str, value: int, least: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-        raise ValueError(f"{name} is {value!r}: give a whole number of at least {least}.")
 
 
 def _check_weight(weight: ArrayLike | None, data: FrequencyResponse) -> Array:

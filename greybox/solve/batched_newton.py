@@ -76,8 +76,6 @@ class _Searches:
     ----------
     owner : (w,) array
         The search of each live column.
-    path : (w,) array
-        The row of the barriers.
     numbers : (size, w) array
         See `newton_iteration`.
     live : (w,) array of bool
@@ -86,7 +84,6 @@ class _Searches:
     """
 
     owner: IntArray
-    path: IntArray
     numbers: Array
     live: BoolArray
     given: Array
@@ -97,7 +94,6 @@ class _Searches:
         columns = _filled(columns)
         return _Searches(
             self.owner[columns],
-            self.path[columns],
             self.numbers[:, columns],
             live,
             self.given[:, columns],
@@ -193,10 +189,9 @@ class BatchedNewton:
         numbers[SWITCHED] = 1
         numbers[ITERATIONS] = -1
         numbers[RADIUS] = 1.0  # the size of the start box in the solver's variables
-        places = np.arange(m)
+        owner = np.arange(m)
         given = np.zeros((0, m)) if given is None else given
-        searches = _Searches(places, places % len(BARRIERS), numbers, np.ones(m, bool), given)
-        return searches.narrowed_to(places)
+        return _Searches(owner, numbers, np.ones(m, bool), given).narrowed_to(owner)
 
     def _end(self, searches: _Searches, which: BoolArray, ends: Ends) -> None:
         """Move searches to the ends."""
@@ -218,7 +213,7 @@ class BatchedNewton:
         cost, gradient, hessian = self._function(*inputs)
 
         advance, within_radius = _iterations.result(p)
-        barrier = BARRIERS[searches.path, levels][None]
+        barrier = BARRIERS[searches.owner % len(BARRIERS), levels][None]
         tolerances = np.full((1, len(levels)), tolerance)
         numbers, hessian_of_free = advance(
             numbers, barrier, tolerances, cost[None], gradient, hessian

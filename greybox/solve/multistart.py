@@ -80,7 +80,8 @@ def multistart(
     the current run is the last. With an executor its workers make the runs
     (`greybox.solve.executors`). Runs that were `kept` are not made again.
     """
-    # Without moves 5 of 156 runs fewer end at the best minimum (tanks, conversion, reactor).
+    # Of 18 runs each, 16 instead of 8 end at the best minimum of the tanks, and 16 instead of 14 at
+    # that of the conversion.
     points = FiniteStarts(nlp, solver, starts) if movable else starts
     memory = Memory() if kept is None else Memory(kept, value_fingerprint(solver))
     few, enough = promising or (len(starts), 0)
@@ -190,28 +191,19 @@ class FiniteStarts:
         self._nlp, self._solver, self._starts = nlp, solver, starts
 
     @cached_property
-    def _first(self) -> tuple[int, Array] | None:
-        """Return number and start of the first with a finite model."""
-        finite = (
-            (k, start)
-            for k, start in enumerate(self._starts)
-            if stop_requested() or self._solver.is_finite_at(start)
-        )
+    def _home(self) -> Array | None:
+        """Return the first start with a finite model."""
+        finite = (s for s in self._starts if stop_requested() or self._solver.is_finite_at(s))
         return next(finite, None)
 
     def __getitem__(self, number: int) -> Array:
-        if self._first is None:
-            return self._starts[number]
-        first, finite = self._first
         start = self._starts[number]
-        if number == first:
-            return start
-        if number > first and self._solver.is_finite_at(start):
+        if self._solver.is_finite_at(start) or self._home is None:
             return start
 
         # The farthest point on the way, halved up to six times, in the solver's variables.
         nlp = self._nlp
-        home = nlp.scaling.to_solver(finite)
+        home = nlp.scaling.to_solver(self._home)
         away = nlp.scaling.to_solver(start) - home
         for halvings in range(1, 7):
             z = home + 0.5**halvings * away

@@ -9,6 +9,7 @@ from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecu
 from contextlib import contextmanager, suppress
 from typing import Any
 
+from greybox.modeling.parameter import require_whole
 from greybox.solve.interruption import ENDING
 
 # How often a task is tried that ends its worker, since another program may have used up the memory.
@@ -47,8 +48,7 @@ class WorkerPool(Executor):
 
     def __init__(self, workers: int | None = None) -> None:
         workers = workers if workers is not None else os.cpu_count() or 1
-        if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
-            raise ValueError(f"workers is {workers!r}: give a whole number of at least 1.")
+        require_whole("workers", workers, 1)
         import multiprocessing  # noqa: PLC0415  (only those who use it wait for it)
 
         # A worker that imports an unguarded script gets here. It ends without a traceback, and

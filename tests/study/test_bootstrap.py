@@ -183,7 +183,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
 
 
 def test_what_cannot_be_drawn_is_refused(lag):
-    with pytest.raises(ValueError, match="replicates=1 must be"):
+    with pytest.raises(ValueError, match="replicates is 1: give"):
         gb.bootstrap(lag, replicates=1)
     exact = gb.fit(
         gb.Problem(Lag(), measured(Lag(), OMEGA, {"K": 2.0, "T": 0.3})), starts=8, progress=False
@@ -360,15 +360,15 @@ def test_four_replicates_lie_beyond_each_end(count, dof, make):
             ValueError,
             "has no estimate: stagnated",
         ),
-        ({}, {"seed": -1}, ValueError, "seed=-1 must be"),
-        ({}, {"seed": 1.0}, ValueError, "seed=1.0 must be"),
+        ({}, {"seed": -1}, ValueError, "seed is -1: give"),
+        ({}, {"seed": 1.0}, ValueError, "seed is 1.0: give"),
         (
             {},
             {"replicates": True},
             ValueError,
-            "replicates=True must be",
+            "replicates is True: give",
         ),
-        ({}, {"replicates": 2.0}, ValueError, "replicates=2.0 must be"),
+        ({}, {"replicates": 2.0}, ValueError, "replicates is 2.0: give"),
         ({}, {"executor": ThreadPoolExecutor}, TypeError, "give an instance such as"),
         ({"spectra": ("one",)}, {}, ValueError, "'made' has manoeuvres, which are not drawn yet"),
         (

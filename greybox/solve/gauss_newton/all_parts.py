@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.kalman_gain import kalman_gain
-from greybox.compiled.part import ASSUMED_ERROR, Part, Trajectory
+from greybox.compiled.part import ASSUMED_ERROR, Part
 from greybox.compiled.record_group import Groups
 from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.strategies import Strategies
@@ -68,8 +68,9 @@ class AllParts:
         """Return the iterate at z whose nodes come from the data."""
         return Iterate(z, tuple(part.initial_trajectory(z) for part in self.parts))
 
-    def _pairs(self, iterate: Iterate) -> Iterator[tuple[Part, Trajectory]]:
-        return zip(self.parts, iterate.trajectories, strict=True)
+    def _along(self, iterate: Iterate, *others: Sequence[Any]) -> Iterator[Any]:
+        """Yield every part with its trajectory, and with its member of the others."""
+        return zip(self.parts, iterate.trajectories, *others, strict=True)
 
     def first_progress(self, *, near_solution: bool = False) -> Progress:
         """Return the progress of an iteration with nodes from the data; exact without nodes."""
@@ -82,7 +83,7 @@ class AllParts:
 
     def explain_data(self, iterate: Iterate) -> bool:
         """Return whether all residuals look like noise."""
-        return all(part.explains_data(trajectory) for part, trajectory in self._pairs(iterate))
+        return all(part.explains_data(trajectory) for part, trajectory in self._along(iterate))
 
     def is_continuous(self, iterate: Iterate) -> bool:
         """Return whether all gaps are rounding, relative to the largest value of a state."""
@@ -98,7 +99,7 @@ class AllParts:
     def signature(self, iterate: Iterate) -> Array:
         """Return numbers by which runs are distinguished, see `Part.signature`."""
         return np.concatenate(
-            [part.signature(trajectory) for part, trajectory in self._pairs(iterate)]
+            [part.signature(trajectory) for part, trajectory in self._along(iterate)]
         )
 
     # --- cost
@@ -107,31 +108,31 @@ class AllParts:
         """Return the cost, infinite where anything diverges."""
         if not iterate.finite:
             return math.inf
-        return float(sum(part.weight * part.cost(t, smoothing) for part, t in self._pairs(iterate)))
+        return float(sum(part.weight * part.cost(t, smoothing) for part, t in self._along(iterate)))
 
     def squared_cost(self, iterate: Iterate, residual_weights: Sequence[Array]) -> float:
         """Return half the sum of squares of a finite iterate, with fixed residual weights."""
-        zipped = zip(self.parts, iterate.trajectories, residual_weights, strict=True)
-        return float(sum(part.weight * part.squared_cost(t, w, SMOOTHING) for part, t, w in zipped))
+        pairs = self._along(iterate, residual_weights)
+        return float(sum(part.weight * part.squared_cost(t, w, SMOOTHING) for part, t, w in pairs))
 
     def gap_cost(self, iterate: Iterate, multipliers: Sequence[Array]) -> float:
         """Return the l1 penalty of the gaps, with multipliers (n,) for every state."""
-        zipped = zip(self.weights, iterate.trajectories, multipliers, strict=True)
-        return sum(weight * float((np.abs(t.gaps) * m).sum()) for weight, t, m in zipped)
+        pairs = self._along(iterate, multipliers)
+        return sum(part.weight * float((np.abs(t.gaps) * m).sum()) for part, t, m in pairs)
 
     def squared_gap_cost(self, iterate: Iterate, variances: Sequence[Array]) -> float:
         """Return the quadratic penalty of the gaps, with variances (n,) for every state.
 
         Gaps of a variance of zero, which the next step closes, do not count.
         """
-        zipped = zip(self.weights, iterate.trajectories, variances, strict=True)
         return sum(
-            weight * float((t.gaps[:, v > 0] ** 2 / v[v > 0]).sum()) / 2 for weight, t, v in zipped
+            part.weight * float((t.gaps[:, v > 0] ** 2 / v[v > 0]).sum()) / 2
+            for part, t, v in self._along(iterate, variances)
         )
 
     def residual_weights(self, iterate: Iterate) -> list[Array]:
         """Return square roots of the inverse residual covariances at an iterate."""
-        return [part.residual_weight(trajectory) for part, trajectory in self._pairs(iterate)]
+        return [part.residual_weight(trajectory) for part, trajectory in self._along(iterate)]
 
     def initial_weights(self) -> list[Array]:
         """Return the weights that are assumed as long as continuity is a penalty."""
@@ -141,8 +142,7 @@ class AllParts:
 
     def linearize(self, iterate: Iterate, weights: Sequence[Array]) -> list[Any]:
         """Return the linearization of every part."""
-        zipped = zip(self.parts, iterate.trajectories, weights, strict=True)
-        return [part.linearize(trajectory, weight) for part, trajectory, weight in zipped]
+        return [part.linearize(t, weight) for part, t, weight in self._along(iterate, weights)]
 
     def gap_variances(self, linearizations: Sequence[Any]) -> list[Array]:
         """Return the variances of the gaps in the first stage, where nodes follow the data freely.
@@ -174,8 +174,8 @@ class AllParts:
         for _ in range(GAP_CLOSINGS):
             if not iterate.finite or penalty <= enough:
                 break
-            zipped = zip(self.parts, step.linearizations, iterate.trajectories, strict=True)
-            nodes = [part.close_gaps(linearization, t) for part, linearization, t in zipped]
+            pairs = self._along(iterate, step.linearizations)
+            nodes = [part.close_gaps(linearization, t) for part, t, linearization in pairs]
             closer = self.at(iterate.z, nodes, iterate)
             closer_penalty = self.gap_cost(closer, step.multipliers)
 
