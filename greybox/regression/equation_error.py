@@ -26,7 +26,7 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import OutputError, modeled_outputs
 from greybox.modeling.model import Model
 from greybox.modeling.parameter import Parameter
-from greybox.modeling.realization import Dynamics, dynamics
+from greybox.modeling.realization import dynamics
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.regression.linear_in_parameters import Equations, regressions
 from greybox.regression.regressors import Regressors, memory, regressors
@@ -161,7 +161,6 @@ def equation_error(
     system = dynamics(model)
     for piece in record.pieces:
         check_uniform(piece.time, record)
-    _require_motion(model, system, record)
     start = np.array([p.start for p in unknown.values()])
     equations = regressions(system, record.signals, constants, start)
     _require_equations(model, equations, record)
@@ -195,20 +194,6 @@ class _NoOutputs(OutputError):  # noqa: N818  (no exception)
     def compared(self, model: Model, record: Record) -> tuple[str, ...]:
         modeled_outputs(model, record.signals, model.output_names, "record")  # checks the inputs
         return ()
-
-
-def _require_motion(model: Model, system: Dynamics, record: Record) -> None:
-    """Raise when nothing moves at all."""
-    signals = dict.fromkeys((*system.inputs, *system.states, *system.outputs))
-    names = [name for name in signals if name in record.signals]
-    values = [record[name][np.isfinite(record[name])] for name in names]
-    # 1e-9: such a signal is constant but for rounding.
-    if all(v.size == 0 or np.ptp(v) <= 1e-9 * np.abs(v).max() for v in values):
-        raise ValueError(
-            f"{' and '.join(names)} of {model.label} {'is' if len(names) == 1 else 'are'} constant "
-            "in the record, which has no information on the parameters: give one with an "
-            "excitation."
-        )
 
 
 def _require_equations(model: Model, equations: Equations, record: Record) -> None:

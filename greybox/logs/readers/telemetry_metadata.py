@@ -33,6 +33,11 @@ class Heartbeats(NamedTuple):
     fields: Mapping[str, Array]
     time: Array
 
+    @property
+    def autopilot(self) -> int:
+        """MAV_AUTOPILOT of the sender; that of no autopilot without a heartbeat."""
+        return int(self.fields["autopilot"][0]) if len(self.time) else mavlink.MAV_AUTOPILOT_INVALID
+
 
 def metadata(kinds: Mapping[str, Kind], times: Mapping[str, Array]) -> dict[str, Any]:
     """Return the metadata that were sent; `times` are those of each kind, (n,), s."""
@@ -74,15 +79,11 @@ def heartbeats(kinds: Mapping[str, Kind], times: Mapping[str, Array]) -> Heartbe
 
 def _firmware(beats: Heartbeats, texts: Sequence[str]) -> dict[str, str]:
     for text in texts:
-        vehicle = vehicle_in(text)
-        if vehicle:
+        if vehicle := vehicle_in(text):
             return {"vehicle": vehicle, "firmware": text}
-    if not beats.time.size:
-        return {}
-    autopilot = beats.fields["autopilot"][0]
-    if autopilot == mavlink.MAV_AUTOPILOT_PX4:
+    if beats.autopilot == mavlink.MAV_AUTOPILOT_PX4:
         return {"vehicle": "PX4"}
-    if autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA:
+    if beats.autopilot == mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA:
         return {"vehicle": HULLS.get(int(beats.fields["type"][0]), "ArduPilot")}
 
     return {}
@@ -94,7 +95,7 @@ def _parameters(sent: Kind | None, beats: Heartbeats) -> dict[str, float]:
         return {}
     values = sent.columns["param_value"].tolist()
     # PX4 sends the bytes of an integer, ArduPilot its value.
-    if beats.time.size and beats.fields["autopilot"][0] == mavlink.MAV_AUTOPILOT_PX4:
+    if beats.autopilot == mavlink.MAV_AUTOPILOT_PX4:
         codes = [INTEGERS.get(int(kind), "f") for kind in sent.columns["param_type"]]
         values = [
             float(struct.unpack_from(f"<{code}", struct.pack("<f", value))[0])
