@@ -57,4 +57,4 @@ def complex_response(
     cure = "if these are decibels, give magnitude_unit='dB'"
     require("magnitude", size, ~(size < 0), cure)
 
-    return np.asarray(size * np.exp(1j * conversion.apply(angle)), dtype=complex)
+    return size * np.exp(1j * conversion.apply(angle))

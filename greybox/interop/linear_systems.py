@@ -84,7 +84,7 @@ class GivenModel:
         jacobians = [ca.jacobian(formula, z) for formula in formulas for z in (x, u)]
         at_point = [[point[name] for name in names] for names in (system.states, system.inputs)]
         return LinearSystem(
-            *(np.asarray(ca.DM(e)) for e in ca.Function("linear", [x, u], jacobians)(*at_point)),
+            *(e.full() for e in ca.Function("linear", [x, u], jacobians)(*at_point)),
             states=system.states,
             inputs=system.inputs,
             outputs=system.outputs,

@@ -83,7 +83,7 @@ def thinning(recording: Recording, signal: str, start: float, end: float) -> Thi
     """Return how a signal was thinned from `start` to `end`, s; None if it was not, or unknown."""
     parameters = recording.metadata.get("parameters", {})
     is_px4 = parameters.get(PX4_LOOP, 0) > 0
-    loop = float(parameters.get(PX4_LOOP if is_px4 else "SCHED_LOOP_RATE", 0))
+    loop = parameters.get(PX4_LOOP if is_px4 else "SCHED_LOOP_RATE", 0)
     record, _ = recording.locate(signal)
     time = record.time[(record.time >= start) & (record.time <= end)]
     if loop <= 0 or time.size < 3 or not (is_px4 or "INS_GYRO_FILTER" in parameters):
@@ -121,7 +121,7 @@ def thinning_error(
     share = gain * s * response.response * low_pass(1, cutoff, response.omega)
     # The D term acts on the rate, behind the filter of the gyro.
     if response.units.get(response.output) == "rad":
-        share = share * s * low_pass(2, float(parameters["INS_GYRO_FILTER"]), response.omega)
+        share = share * s * low_pass(2, parameters["INS_GYRO_FILTER"], response.omega)
 
     return DRIFTING * np.array(
         [share * found.count * remaining_alternation(parameters, axis, found.loop), s * found.age]
@@ -161,7 +161,7 @@ def low_pass(order: int, cutoff: float, omega: Array) -> Complex:
 
 def _of_controller(parameters: Mapping[str, float], axis: str, name: str) -> float:
     """Return a parameter of ArduPilot's rate controller of an axis; 0 if it is not in the log."""
-    return float(parameters.get(f"ATC_RAT_{CONTROLLERS.get(axis, '')}_{name}", 0))
+    return parameters.get(f"ATC_RAT_{CONTROLLERS.get(axis, '')}_{name}", 0)
 
 
 def _px4_cure(parameters: Mapping[str, float]) -> str:

@@ -38,16 +38,14 @@ def named_filters(recording: Recording) -> dict[str, tuple[KnownFilter, ...]]:
     filters: dict[str, tuple[KnownFilter, ...]] = {}
     for name, key in (("gyro-filter", "IMU_GYRO_CUTOFF"), ("d-term-filter", "IMU_DGYRO_CUTOFF")):
         cutoff = parameters.get(key, 0)
-        filters |= {name: (LowPass(float(cutoff)),)} if cutoff > 0 else {}
+        filters |= {name: (LowPass(cutoff),)} if cutoff > 0 else {}
     # Two static notches, each with a center and a width.
     pairs = [
         (parameters.get(f"IMU_GYRO_NF{k}_FRQ", 0), parameters.get(f"IMU_GYRO_NF{k}_BW", 0))
         for k in (0, 1)
     ]
     notches = tuple(
-        Notch(float(center), center / width, COMPLETE)
-        for center, width in pairs
-        if center > 0 < width
+        Notch(center, center / width, COMPLETE) for center, width in pairs if center > 0 < width
     )
 
     return filters | ({"gyro-notch": notches} if notches else {})

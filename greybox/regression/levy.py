@@ -99,7 +99,7 @@ class RationalFit:
 
     def response(self, omega: ArrayLike) -> FrequencyResponse:
         """Evaluate P(jω) at `omega` (k,) in rad/s."""
-        omega = np.atleast_1d(np.asarray(omega, dtype=float))
+        omega = np.array(omega, dtype=float, ndmin=1)
         values = ratio(self.numerator, self.denominator, omega)
         name = f"least squares ({self.n}, {self.m})"
         return FrequencyResponse(

@@ -74,7 +74,7 @@ class ModelAtEstimate:
     @property
     def delays(self) -> Array:
         """The delay of every input (m,), s."""
-        return np.asarray(self.system.delay(self.p).full()).ravel()
+        return self.system.delay(self.p).full().ravel()
 
     @property
     def uncertain(self) -> IntArray:

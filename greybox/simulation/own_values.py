@@ -294,7 +294,7 @@ def pseudo_inverse(matrix: Array) -> Array:
     scale = (diagonal > 0) / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
     scales = np.outer(scale, scale)
     inverse = np.linalg.pinv(matrix * scales, BLIND, hermitian=True)
-    return np.asarray(inverse * scales, dtype=np.float64)
+    return inverse * scales
 
 
 def _not_determined(estimate: _Estimate, parameters: Mapping[str, Parameter]) -> str:

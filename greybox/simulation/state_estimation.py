@@ -182,8 +182,8 @@ class _LeadIns:
         finite = np.all(np.isfinite(e), axis=(1, 2)) & np.all(np.isfinite(S), axis=(1, 2, 3))
         usable = finite[:, None, None]
         return (
-            np.where(usable, e, 0.0).astype(float),
-            np.where(usable[..., None], S, 0.0).astype(float),
+            np.where(usable, e, 0.0),
+            np.where(usable[..., None], S, 0.0),
             finite,
         )
 
@@ -199,11 +199,11 @@ def information_of(e: Array, S: Array, R: Array) -> tuple[Array, Array]:
 
 def whitening(covariance: Array) -> Array:
     """Return W (k, k) such that the elements of W e are independent and of variance one."""
-    return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)), dtype=np.float64)
+    return np.linalg.inv(np.linalg.cholesky(covariance))
 
 
 def _inverse(H: Array, precision: Array) -> Array:
-    return np.asarray(np.linalg.inv(H + np.diag(precision)), dtype=np.float64)
+    return np.linalg.inv(H + np.diag(precision))
 
 
 def shared_prior(

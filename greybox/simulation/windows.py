@@ -137,15 +137,14 @@ def sample_data(
     """
     record = windows.record
     stretches = gapless(record, inputs, outputs, lead=np.maximum(delays, 0.0))
-    delayed, around = SampledData(tuple(stretches), outputs, 1).delayed_inputs(delays)
+    data = SampledData(tuple(stretches), outputs, 1)
+    delayed, around = data.delayed_inputs(delays)
 
     # Windows index the record, the data its stretches without gaps.
     column = np.full(len(record), -1)
     column[np.concatenate([s.rows for s in stretches])] = np.arange(delayed.shape[1])
     places = column[windows.rows]
-    measured = np.concatenate([s.outputs for s in stretches], axis=1)
-    step = np.concatenate([s.steps for s in stretches])[None]
-    named = {"whole": delayed, "around": around, "measured": measured, "step": step}
+    named = {"whole": delayed, "around": around, "measured": data.measured, "step": data.steps}
     return {name: values[:, places] for name, values in named.items()}
 
 

@@ -1,7 +1,6 @@
 """Complex amplitudes of a signal at one frequency, over whole periods: the paper's (3.16)."""
 
 import math
-from typing import Any
 
 import numpy as np
 
@@ -90,8 +89,7 @@ def spectral_line(t: Array, x: Array, omega: float, origin: float) -> ComplexArr
 
 def _coefficients(columns: Array, x: Array) -> Array:
     # The columns are few and well scaled, so that normal equations are as accurate as QR.
-    solution: Any = np.linalg.lstsq(columns @ columns.T, columns @ x.T, rcond=None)[0]
-    return solution
+    return np.linalg.lstsq(columns @ columns.T, columns @ x.T, rcond=None)[0]
 
 
 def sine_and_cosine(time: Array, omega: float, origin: float) -> Array:

@@ -70,7 +70,7 @@ def periodic_response(
     amplitude = np.linalg.norm(spectra[:, 2], axis=0)
     lines = np.flatnonzero(amplitude > EXCITED * amplitude.max())
     points = _estimates(*np.moveaxis(spectra[:, :, lines], 1, 0))
-    omega = np.asarray((1 + lines) * (HZ / period), float)
+    omega = (1 + lines) * (HZ / period)
     return without_incoherent(response_at(omega, points, (input, output, name), stretches))
 
 

@@ -94,7 +94,7 @@ def response_matrix(
     for rows in rows_of:
         own = omega[lines[rows]]
         spline = make_interp_spline(np.log(own), np.eye(own.size), k=min(3, own.size - 1))
-        between.append(np.asarray(spline(np.log(np.clip(omega[lines], own[0], own[-1])))))
+        between.append(spline(np.log(np.clip(omega[lines], own[0], own[-1]))))
     total = spectra[:, :, lines].sum(axis=0)
     # The mean over all periods, and for the jackknife the means without one of them.
     count = len(spectra)

@@ -106,7 +106,7 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
         ends = _excited_band(lines, *limits) if band is None else _within(band, *limits)
         grid, estimated = tiled_points(lines, *ends, max(points, 2), near)
     else:
-        grid = np.atleast_1d(np.asarray(omega, dtype=float))
+        grid = np.array(omega, dtype=float, ndmin=1)
         too_low = grid[~(grid >= lowest * (1 - 1e-9))]
         if too_low.size:
             raise ValueError(

@@ -37,13 +37,13 @@ def named_filters(recording: Recording, axis: str = "") -> dict[str, tuple[Known
     parameters = recording.metadata.get("parameters", {})
     filters: dict[str, tuple[KnownFilter, ...]] = {}
     if parameters.get("INS_GYRO_FILTER", 0) > 0:
-        filters["gyro-filter"] = (LowPass(float(parameters["INS_GYRO_FILTER"])),)
+        filters["gyro-filter"] = (LowPass(parameters["INS_GYRO_FILTER"]),)
         notches = _harmonic_notches(recording, parameters)
         filters |= {"gyro-notch": notches} if notches else {}
     controller = CONTROLLERS.get(axis, "")
     for name, end in CONTROLLER_FILTERS.items():
         cutoff = parameters.get(f"ATC_RAT_{controller}_{end}", 0)
-        filters |= {name: (FirstOrderLowPass(float(cutoff)),)} if cutoff > 0 else {}
+        filters |= {name: (FirstOrderLowPass(cutoff),)} if cutoff > 0 else {}
 
     return filters
 
@@ -57,11 +57,7 @@ def _harmonic_notches(recording: Recording, parameters: Mapping[str, float]) -> 
             )
     if parameters.get("INS_NOTCH_ENABLE", 0) > 0:  # the static notch of firmware before 4.1
         center, width, depth = (parameters.get(f"INS_NOTCH_{k}", 0) for k in ("FREQ", "BW", "ATT"))
-        notches += (
-            [Notch(float(center), _quality(center, width), float(depth))]
-            if center > width / 2 > 0
-            else []
-        )
+        notches += [Notch(center, _quality(center, width), depth)] if center > width / 2 > 0 else []
 
     return tuple(notches)
 
@@ -86,7 +82,7 @@ def _one_harmonic_notch(
     harmonics = [k + 1 for k in range(16) if int(setting["HMNCS"] or 1) >> k & 1]
 
     return [
-        Notch(k * base * (1 + offset), quality, float(setting["ATT"]))
+        Notch(k * base * (1 + offset), quality, setting["ATT"])
         for k in harmonics
         for offset in offsets
     ]
@@ -114,11 +110,11 @@ def _logged_center(recording: Recording, number: int) -> float:
 
 def _set_center(recording: Recording, setting: Mapping[str, float]) -> float:
     if setting["MODE"] == FIXED or setting["REF"] <= 0:
-        return float(setting["FREQ"])
+        return setting["FREQ"]
     # The center follows the root of the throttle, as thrust grows with the square of the speed.
     if setting["MODE"] == THROTTLE and "RATE" in recording and "AOut" in recording["RATE"].signals:
         throttle = recording["RATE"]["AOut"]
         flying = throttle[throttle > 0]
         median = float(np.median(flying)) if flying.size else 0.0
-        return float(setting["FREQ"]) * math.sqrt(max(1.0, median / setting["REF"]))
+        return setting["FREQ"] * math.sqrt(max(1.0, median / setting["REF"]))
     return 0.0

@@ -62,9 +62,7 @@ def rounding_error(amplitude: ArrayLike, spread: ArrayLike) -> Array:
     """
     from scipy.special import j1  # noqa: PLC0415  (scipy takes longer to import than this package)
 
-    a, sigma = (
-        np.atleast_1d(np.asarray(values, dtype=float))[..., None] for values in (amplitude, spread)
-    )
+    a, sigma = (np.array(values, dtype=float, ndmin=1)[..., None] for values in (amplitude, spread))
     # The terms are 0/0 at zero amplitude, and their limit is finite.
     a = np.maximum(a, 1e-9)
     terms = (
@@ -120,7 +118,7 @@ def saturation(recording: Recording, spans: Sequence[tuple[float, float]]) -> fl
 
 
 def _range(parameters: Mapping[str, float]) -> tuple[float, float]:
-    low, high = (float(parameters.get(name, 0)) for name in ("MOT_PWM_MIN", "MOT_PWM_MAX"))
+    low, high = (parameters.get(name, 0) for name in ("MOT_PWM_MIN", "MOT_PWM_MAX"))
     low, high = (low, high) if 0 < low < high else PWM
     values = {**DEFAULTS, **parameters}
     least, greatest = (values[name] for name in ("MOT_SPIN_MIN", "MOT_SPIN_MAX"))
