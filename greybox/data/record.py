@@ -152,13 +152,7 @@ class Record:
     @property
     def step(self) -> float:
         """Median sampling interval, s; NaN for a single sample, and 1 for rows without a time."""
-        if not self.has_time:
-            return 1.0
-        if len(self) < 2:
-            return math.nan
-        # np.median imports masked arrays, which takes a hundredth of a second.
-        steps = np.sort(np.diff(self.time))
-        return float((steps[(steps.size - 1) // 2] + steps[steps.size // 2]) / 2)
+        return median_step(self.time) if self.has_time else 1.0
 
     def __getstate__(self) -> dict[str, Any]:
         """Return what was measured: a key of equal records must not depend on what was asked."""
@@ -405,6 +399,15 @@ class Recording(Mapping[str, Record]):
         return one_line(
             self, repr(self.source), counted(len(self), "message"), ", ".join(self.records)
         )
+
+
+def median_step(values: Array) -> float:
+    """Return the median step between values (n,); NaN for a single one."""
+    # np.median imports masked arrays, which takes a hundredth of a second.
+    steps = np.sort(np.diff(values))
+    if not steps.size:
+        return math.nan
+    return float((steps[(steps.size - 1) // 2] + steps[steps.size // 2]) / 2)
 
 
 def runs_between_gaps(values: Array | IntArray, gap: float) -> list[IntArray]:

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.data.record import Recording
+from greybox.data.record import Recording, median_step
 from greybox.files.arrays import Array
 from greybox.logs.ardupilot.filters import CONTROLLERS
 
@@ -88,7 +88,7 @@ def thinning(recording: Recording, signal: str, start: float, end: float) -> Thi
     time = record.time[(record.time >= start) & (record.time <= end)]
     if loop <= 0 or time.size < 3 or not (is_px4 or "INS_GYRO_FILTER" in parameters):
         return None
-    logged = 1 / float(np.median(np.diff(time)))
+    logged = 1 / median_step(time)
     if loop < EVERY_PASS * logged:
         return None
     # The rate of the log jitters, while the loop logs every pass, every second, every third ...

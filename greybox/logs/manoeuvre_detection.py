@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from greybox.data.record import Record, Recording
+from greybox.data.record import Record, Recording, median_step
 from greybox.data.test_segment import Segment
 from greybox.files.arrays import Array
 from greybox.files.text_table import alternatives
@@ -123,7 +123,7 @@ def manoeuvres_in(time: Array, values: Array) -> list[Segment]:
 
 def _rests(time: Array, values: Array, height: float) -> list[_Rest]:
     """Return the parts of at least a second in which a signal stays within `height`."""
-    step = float(np.median(np.diff(time)))
+    step = median_step(time)
     window = max(round(REST / step), 2)
     if time.size < window:
         return []

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from greybox.data.intersample import HELD, intersample
-from greybox.data.record import GAP, Record, Recording, require_time, runs_between_gaps
+from greybox.data.record import GAP, Record, Recording, median_step, require_time, runs_between_gaps
 from greybox.data.units import to_si
 from greybox.files.arrays import Array
 from greybox.files.text_table import counted
@@ -233,7 +233,7 @@ def _source(recording: Recording, signal: str, start: float, end: float) -> _Sou
         findings += (f"{signal}: {conversion.remark}.",) if conversion.remark else ()
 
     inside = time[(time >= start) & (time <= end)]
-    step = float(np.median(np.diff(inside if inside.size > 1 else time)))
+    step = median_step(inside if inside.size > 1 else time)
     # Before any filter or interpolation, which would smear a jump from 2π to 0.
     values = np.unwrap(values) if unit == "rad" else values
 

@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from greybox.data.record import median_step
 from greybox.data.test_segment import Segment
 from greybox.files.arrays import Array, IntArray
 
@@ -192,7 +193,7 @@ def _fitted(time: Array, values: Array, crossings: Array) -> Segment | None:
     half_period = float(np.median(crossings[apart:] - crossings[:-apart])) / apart
     error = np.abs(crossings - half_period * index - np.median(crossings - half_period * index))
     good = crossings[error < max(TRANSIENT * half_period, 5 * float(np.median(error)))]
-    if good.size < CROSSINGS or good[-1] - good[0] < SAMPLES * float(np.median(np.diff(time))):
+    if good.size < CROSSINGS or good[-1] - good[0] < SAMPLES * median_step(time):
         return None
 
     start = float(good[0])
@@ -263,7 +264,7 @@ def _sweep(
 
     The half wave in which a sweep leaves or reaches a rest is part of it.
     """
-    step = float(np.median(np.diff(time)))
+    step = median_step(time)
 
     def end(k: int, way: int) -> int:
         while 0 <= k + way < crossings.size and _follows(crossings, swings, k, way, step):

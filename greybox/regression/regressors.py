@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from greybox.data.intersample import Intersample
-from greybox.data.record import Record
+from greybox.data.record import Record, median_step
 from greybox.files.arrays import Array
 from greybox.modeling.held_inputs import held_response
 from greybox.regression.least_squares import Rows
@@ -70,7 +70,7 @@ class Regressors:
     @property
     def step(self) -> float:
         """Sampling interval, s."""
-        return float(np.median(np.diff(self.time)))
+        return median_step(self.time)
 
     def rows(self, p: Array) -> Rows:
         """Return every equation over every stretch, at the values `p` of the free parameters.

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.data.record import GAP, runs_between_gaps
+from greybox.data.record import GAP, median_step, runs_between_gaps
 from greybox.files.arrays import Array, IntArray
 
 POWER = 8  # twice the order of the smoothing spline
@@ -67,7 +67,7 @@ def smooth(time: Array, values: Array, cutoff: float | None = None) -> Smoothed:
     ValueError
         If no stretch has 12 samples.
     """
-    step = float(np.median(np.diff(time)))
+    step = median_step(time)
     values = without_holes(time, values)
     parts = [rows for rows in stretches(time, values) if rows.stop - rows.start >= SHORTEST]
     if not parts:
@@ -146,7 +146,7 @@ def without_holes(time: Array, values: Array) -> Array:
 
 def _cut(time: Array, rows: IntArray, gap: float) -> list[IntArray]:
     """Cut rows where time advances by more than `gap` median steps."""
-    step = float(np.median(np.diff(time)))
+    step = median_step(time)
     return [rows[run] for run in runs_between_gaps(time[rows], gap * step)]
 
 

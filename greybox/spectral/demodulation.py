@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from greybox.data.record import median_step
 from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.files.text_table import counted
 
@@ -36,7 +37,7 @@ def whole_periods(time: Array, omega: float, settle: float) -> tuple[BoolArray, 
     period = 2 * math.pi / omega
     if time.size < LEAST_SAMPLES:
         raise UnusableSegmentError(f"only {counted(time.size, 'sample')}")
-    step = float(np.median(np.diff(time)))
+    step = median_step(time)
     if step > period / 4:
         raise UnusableSegmentError(
             f"a period of {period:.3g} s has fewer than four samples of {step:.3g} s"
@@ -70,7 +71,7 @@ def least_squares(
         Change of the trend over the window.
     residual : (rows, n) array
     """
-    step = float(np.median(np.diff(t)))
+    step = median_step(t)
     count = max(1, min(harmonics, int(HIGHEST * math.pi / (omega * step))))
     # From -1/2 to 1/2: its coefficient is the drift over the window.
     trend = (t - t.mean()) / (t[-1] - t[0])

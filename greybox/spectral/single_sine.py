@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.intersample import hold_of_response
-from greybox.data.record import Record, require_time
+from greybox.data.record import Record, median_step, require_time
 from greybox.data.test_segment import Segment, checked_segments
 from greybox.files.arrays import Array, ComplexArray
 from greybox.spectral.demodulation import (
@@ -206,7 +206,7 @@ def _point(
         saturation=saturation(x[0]),
         notes=tuple(notes),
     )
-    missing = 1 - t.size * float(np.median(np.diff(t))) * omega / (q * 2 * math.pi)
+    missing = 1 - t.size * median_step(t) * omega / (q * 2 * math.pi)
     return with_findings(point, missing), harmonics_of(t, amplitudes, residual, omega, q)
 
 

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.data.intersample import CONTINUOUS, HELD
-from greybox.data.record import Record
+from greybox.data.record import Record, median_step
 from greybox.files.arrays import Array
 from greybox.files.delimited_text import are_numbers
 from greybox.files.heading import Heading
@@ -90,8 +90,8 @@ def completed(record: Record, settings: Mapping[str, float]) -> Record:
         signals[CHIRP] = np.where(debug > 0, np.cos(debug / PHASE), 0.0)
 
     # In a thinned log, a value lasted for one pass of the loop and not until the next sample.
-    passes = float(np.median(np.diff(record[LOOPS]))) if record.time.size > 1 else 1.0
-    period = HELD if passes <= 1 else record.step / passes
+    passes = median_step(record[LOOPS])
+    period = record.step / passes if passes > 1 else HELD
     hold = {name: CONTINUOUS for name in rates if re.fullmatch(GYRO, name)}
     commanded = rf"axis\w+\[\d\]|{SETPOINT}|{CHIRP}|motor\[\d\]"
     hold |= {name: period for name in signals if re.fullmatch(commanded, name)}

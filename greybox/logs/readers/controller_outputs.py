@@ -15,9 +15,8 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
-import numpy as np
-
 from greybox.data.intersample import CONTINUOUS, HELD
+from greybox.data.record import median_step
 from greybox.logs.readers.messages import Messages
 
 # Message and fields. For fields in neither table, it is unknown.
@@ -81,9 +80,7 @@ def _holds(group: Messages, period: float) -> dict[str, float]:
     holds |= {name: HELD for name in group.columns if _is_among(KEPT, group.name, name)}
     if math.isnan(period):
         # If the loop is unknown, a log that is fast enough is assumed to have every pass.
-        if group.time is None or len(group) < 2:
-            return holds
-        if np.median(np.diff(group.time)) > 1 / SLOWEST_LOOP:
+        if group.time is None or not median_step(group.time) <= 1 / SLOWEST_LOOP:
             return holds
         period = HELD
 
