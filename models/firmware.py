@@ -243,7 +243,7 @@ def from_log(
 
 def _firmware(recording, start, end):
     """Return the function that reads the controllers of the firmware of a log."""
-    known = recording.metadata.get("parameters", {})
+    known = recording.parameters
     if {"looptime", "rollPID"} & {*known}:
         return _betaflight
     vehicle = recording.metadata.get("vehicle")

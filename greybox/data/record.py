@@ -365,6 +365,11 @@ class Recording(Mapping[str, Record]):
     def __len__(self) -> int:
         return len(self.records)
 
+    @property
+    def parameters(self) -> Mapping[str, float]:
+        """Last value of every parameter of the vehicle; empty if they were not logged."""
+        return self.metadata.get("parameters", {})
+
     def locate(self, signal: str) -> tuple[Record, str]:
         """Return the record and the field that ``"RATE.POut"`` names, or a unique ``"POut"``.
 

@@ -167,7 +167,7 @@ def _rounded(
     spans: Sequence[tuple[float, float]],
     amplitudes: Array | None,
 ) -> SystematicError | None:
-    steps = pwm_of_control(recording.metadata.get("parameters", {}))
+    steps = pwm_of_control(recording.parameters)
     if math.isnan(steps):
         return None
     pieces = [record.between(*span)[response.input] for span in spans]

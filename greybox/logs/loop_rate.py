@@ -81,7 +81,7 @@ class Thinning:
 
 def thinning(recording: Recording, signal: str, start: float, end: float) -> Thinning | None:
     """Return how a signal was thinned from `start` to `end`, s; None if it was not, or unknown."""
-    parameters = recording.metadata.get("parameters", {})
+    parameters = recording.parameters
     is_px4 = parameters.get(PX4_LOOP, 0) > 0
     loop = parameters.get(PX4_LOOP if is_px4 else "SCHED_LOOP_RATE", 0)
     record, _ = recording.locate(signal)
@@ -115,7 +115,7 @@ def thinning_error(
     is a delay. A row is one standard deviation, common to all frequencies: the clocks of gyro and
     loop drift through a flight from one phase to the next, whatever frequency is flown.
     """
-    parameters = recording.metadata.get("parameters", {})
+    parameters = recording.parameters
     s = 1j * response.omega
     gain, cutoff = (_of_controller(parameters, axis, name) for name in ("D", "FLTD"))
     share = gain * s * response.response * low_pass(1, cutoff, response.omega)

@@ -272,6 +272,8 @@ def _grid(sources: Mapping[str, _Source], rate: float, start: float, end: float)
 
 def _on_grid(source: _Source, grid: Array, rate: float) -> Array:
     """Return the signal on `grid`, NaN in its gaps and outside."""
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415  (0.25 s to import)
+
     result = np.full(grid.size, np.nan)
     for run in runs_between_gaps(source.time, GAP * source.step):
         time, values = source.time[run], source.values[run]
@@ -279,15 +281,12 @@ def _on_grid(source: _Source, grid: Array, rate: float) -> Array:
         if time.size < 2 or not inside.any():
             continue
         times = np.clip(grid[inside], time[0], time[-1])
-        if source.is_held and not source.is_filtered(rate):
+        if source.is_filtered(rate):
+            time, values = _low_passed(time, values, source.step, rate)
+        elif source.is_held:
             result[inside] = _held_mean(time, values, times, 1 / rate)
             continue
-        smooth = (
-            _low_passed(time, values, source.step, rate)
-            if source.is_filtered(rate)
-            else (time, values)
-        )
-        result[inside] = _interpolated(*smooth, times)
+        result[inside] = CubicSpline(time, values)(times)
 
     return result
 
@@ -306,12 +305,6 @@ def _known_hold(sources: Sequence[_Source], rate: float) -> float | None:
     # A signal that is computed from held and continuous ones is neither.
     holds = {source.hold_at(rate) for source in sources}
     return holds.pop() if len(holds) == 1 else None
-
-
-def _interpolated(time: Array, values: Array, grid: Array) -> Array:
-    from scipy.interpolate import CubicSpline  # noqa: PLC0415  (0.25 s to import)
-
-    return CubicSpline(time, values)(grid)
 
 
 def _low_passed(time: Array, values: Array, step: float, rate: float) -> tuple[Array, Array]:

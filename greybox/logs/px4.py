@@ -34,7 +34,7 @@ AXES = {
 
 def named_filters(recording: Recording) -> dict[str, tuple[KnownFilter, ...]]:
     """Return the filters of the gyro whose parameters are known, by name."""
-    parameters = recording.metadata.get("parameters", {})
+    parameters = recording.parameters
     filters: dict[str, tuple[KnownFilter, ...]] = {}
     for name, key in (("gyro-filter", "IMU_GYRO_CUTOFF"), ("d-term-filter", "IMU_DGYRO_CUTOFF")):
         cutoff = parameters.get(key, 0)

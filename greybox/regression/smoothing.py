@@ -146,8 +146,7 @@ def without_holes(time: Array, values: Array) -> Array:
 
 def _cut(time: Array, rows: IntArray, gap: float) -> list[IntArray]:
     """Cut rows where time advances by more than `gap` median steps."""
-    step = median_step(time)
-    return [rows[run] for run in runs_between_gaps(time[rows], gap * step)]
+    return [rows[run] for run in runs_between_gaps(time[rows], gap * median_step(time))]
 
 
 def _sines(values: Array, step: float) -> tuple[Array, Array]:

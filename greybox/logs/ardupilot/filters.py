@@ -34,11 +34,11 @@ DOUBLE, TRIPLE = 1, 16  # bits of INS_HNTCH_OPTS
 
 def named_filters(recording: Recording, axis: str = "") -> dict[str, tuple[KnownFilter, ...]]:
     """Return the known filters of the gyro and of the rate controller of an axis, by name."""
-    parameters = recording.metadata.get("parameters", {})
+    parameters = recording.parameters
     filters: dict[str, tuple[KnownFilter, ...]] = {}
     if parameters.get("INS_GYRO_FILTER", 0) > 0:
         filters["gyro-filter"] = (LowPass(parameters["INS_GYRO_FILTER"]),)
-        notches = _harmonic_notches(recording, parameters)
+        notches = _harmonic_notches(recording)
         filters |= {"gyro-notch": notches} if notches else {}
     controller = CONTROLLERS.get(axis, "")
     for name, end in CONTROLLER_FILTERS.items():
@@ -48,7 +48,8 @@ def named_filters(recording: Recording, axis: str = "") -> dict[str, tuple[Known
     return filters
 
 
-def _harmonic_notches(recording: Recording, parameters: Mapping[str, float]) -> tuple[Notch, ...]:
+def _harmonic_notches(recording: Recording) -> tuple[Notch, ...]:
+    parameters = recording.parameters
     notches: list[Notch] = []
     for number, begin in enumerate(("INS_HNTCH_", "INS_HNTC2_")):
         if parameters.get(f"{begin}ENABLE", 0) > 0:

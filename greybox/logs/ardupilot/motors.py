@@ -77,7 +77,7 @@ def rounding_error(amplitude: ArrayLike, spread: ArrayLike) -> Array:
 
 def motor_outputs(recording: Recording, start: float, end: float) -> Record | None:
     """Return the PWM of the motors from `start` to `end`, µs; None where it was not logged."""
-    parameters = recording.metadata.get("parameters", {})
+    parameters = recording.parameters
     if "RCOU" not in recording:
         return None
     record = recording["RCOU"]
@@ -104,7 +104,7 @@ def limits(parameters: Mapping[str, float]) -> tuple[float, float]:
 
 def saturation(recording: Recording, spans: Sequence[tuple[float, float]]) -> float:
     """Return the share of time during which a motor is at its limit; NaN without logged outputs."""
-    low, high = limits(recording.metadata.get("parameters", {}))
+    low, high = limits(recording.parameters)
     shares, sizes = [], []
     for start, end in spans:
         outputs = motor_outputs(recording, start, end)
