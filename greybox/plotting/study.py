@@ -16,7 +16,7 @@ from greybox.plotting.matplotlib_figure import draw
 from greybox.plotting.signals import distinct_labels
 from greybox.study.ranking import EVIDENCE
 from greybox.study.store import StudyMember
-from greybox.study.study import Study, shown
+from greybox.study.study import Study, names_by_difference, shown
 from greybox.validation.comparison import Comparison, p_text
 
 NAMED = 40  # members up to which each has its name
@@ -137,7 +137,8 @@ def estimates_figure(study: Study | Sequence[Fit], quantity: str) -> Figure:
         notes = [f"{m.name}: {shown(*pair)}" for m, *pair in group]
         y = np.array([rows[member] for member, _, _ in group])
         series.append(Series(model, "points", x, y, k, k, notes=notes, **look))
-    names = [member.name for member in rows][::-1] if len(rows) <= NAMED else [""]
+    labels = [", ".join(label.values()) for label in names_by_difference([*rows])]
+    names = labels[::-1] if len(rows) <= NAMED else [""]
     height, limits = max(1.0, min(len(rows), NAMED) / 10), (0.5, len(rows) + 0.5)
     panel = Panel("", series, height, limits=limits, ticks=names)
     x = [value for _, value, _ in values]

@@ -33,12 +33,15 @@ def latex_symbol(name: str, unit: str = "") -> str:
     if numbered := re.fullmatch(r"([^\W\d]+)(\d+)", base):
         base, digits = numbered.groups()
         indices = [digits, *indices]
-    letter = latex_text(base) if greek(base) == base else f"\\{base}"
+    # Letters side by side are a product, and italic.
+    letter = latex_text(base) if len(base) == 1 else f"\\mathrm{{{latex_text(base)}}}"
+    letter = letter if greek(base) == base else f"\\{base}"
     if indices and indices[-1] in ACCENTS:
         letter = f"\\{indices.pop()}{{{letter}}}"
     index = ",".join(latex_text(text) for text in indices)
     symbol = f"${letter}_{{\\mathrm{{{index}}}}}$" if indices else f"${letter}$"
-    return f"{symbol} ({latex_text(unit)})" if unit not in ("", "1") else symbol
+    powers = re.sub(r"\\textasciicircum\{\}(-?\d+)", r"$^{\1}$", latex_text(unit))
+    return f"{symbol} ({powers})" if unit not in ("", "1") else symbol
 
 
 def latex_number(value: float | None, error: float | None = None) -> str:

@@ -39,12 +39,16 @@ def test_a_trend_has_a_weighted_line_and_its_test(small_study):
 def test_estimates_have_a_row_each_and_costs_are_sorted(small_study):
     figure = estimates_figure(small_study, "K")
     (panel,) = figure.panels
-    assert panel.ticks[-1] == "hover, Lag"
     lag = by_name(figure)["Lag"]
     for x, y, note in zip(lag.x, lag.y, lag.notes, strict=True):
-        name = panel.ticks[int(y) - 1]
-        assert note.startswith(name)
+        name = note.split(":")[0]
         assert x == small_study[name].answer["estimate"]["K"]
+        assert set(panel.ticks[int(y) - 1].split(", ")) >= {
+            "Lag",
+            small_study[name].factors["data"],
+        }
+    alike = estimates_figure(small_study.select(model="Lag", seed=0), "K")
+    assert alike.panels[0].ticks[-1] == "hover"  # what members share is not repeated
     costs = estimates_figure(small_study, "cost")
     rows = sorted((y, x) for s in costs.panels[0].series for x, y in zip(s.x, s.y, strict=True))
     assert [x for _, x in rows] == sorted((x for _, x in rows), reverse=True)

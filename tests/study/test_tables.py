@@ -80,6 +80,7 @@ def test_numbers_in_latex(value, error, shown):
 def test_names_in_latex():
     assert latex_symbol("omega_p", "rad/s") == r"$\omega_{\mathrm{p}}$ (rad/s)"
     assert latex_symbol("a3_tilde") == r"$\tilde{a}_{\mathrm{3}}$"
+    assert latex_symbol("damping", "kg m/s^2") == r"$\mathrm{damping}$ (kg m/s$^{2}$)"
     assert latex_text("50 % of a_1 & {b}") == r"50 \% of a\_1 \& \{b\}"
 
 
