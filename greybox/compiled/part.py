@@ -7,7 +7,7 @@ gradients in z, for any kind of data. A frequency response has none, and a spect
 hidden unknowns within its cost. For these, `Part` has the answers: arrays over nodes are empty, no
 gap is closed, and residuals need no weights.
 
-Callers: the Gauss-Newton driver (`initial_trajectory` to `close_gaps`), the grouping of minima
+Callers: the Gauss-Newton driver (`trajectory` to `close_gaps`), the grouping of minima
 (`signature`), the check of the discretization (`refined`), IPOPT (`program`, where there are
 nodes), the covariance of the estimate (`information`), the diagnostics (the properties at the end).
 """
@@ -309,13 +309,11 @@ class Part(ABC):
         """True when another process, without the user's classes, can compute `information`."""
         return True
 
-    def initial_trajectory(self, z: Array) -> Trajectory:
-        """Return the trajectory at z (p,) with nodes from the data."""
-        return self.trajectory(z, NO_NODES)
-
     @abstractmethod
-    def trajectory(self, z: Array, nodes: Array, *, simulated: bool = False) -> Trajectory:
-        """Return the trajectory at z (p,) from nodes (s, n).
+    def trajectory(
+        self, z: Array, nodes: Array | None = None, *, simulated: bool = False
+    ) -> Trajectory:
+        """Return the trajectory at z (p,) from nodes (s, n), by default from those of the data.
 
         If it is `simulated`, the first node of every stretch determines all others.
         """

@@ -55,10 +55,6 @@ class RecordGroup(SegmentedPart):
         model, substeps = first.model, first.substeps
         super().__init__(model, data, substeps, first.step, segments, covariance)
 
-    def excerpt(self, samples: int) -> "RecordGroup":
-        """Return the group on excerpts with about this total number of samples."""
-        return RecordGroup(excerpts(self.parts, samples))
-
     # --- placement
 
     @cached_property
@@ -154,10 +150,7 @@ def excerpts(parts: Sequence[Part], samples: int) -> list[Any]:
     total = sum(part.samples for part in parts)
     if total <= samples:
         return list(parts)
-    return [
-        part.excerpt(max(samples * part.samples // total, 1)) if part.samples else part
-        for part in parts
-    ]
+    return [part.excerpt(max(samples * part.samples // total, 1)) for part in parts]
 
 
 def _kind(part: Part, number: int) -> Any:

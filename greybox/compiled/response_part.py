@@ -119,7 +119,9 @@ class ResponsePart(Part):
         hessian, gradient = ca.hessian(self.objective(z, smoothing), z)
         return ca.Function("derivatives", [z, smoothing], [gradient, hessian])
 
-    def trajectory(self, z: Array, nodes: Array, *, simulated: bool = False) -> Trajectory:
+    def trajectory(
+        self, z: Array, nodes: Array | None = None, *, simulated: bool = False
+    ) -> Trajectory:
         """Return the point z, without nodes; its cost may not be finite."""
         # Smoothed already, because every iteration asks for this cost and rarely for another.
         cost = np.array([[float(self.objective(z, SMOOTHING))]])

@@ -77,7 +77,6 @@ class SampledData:
     """
 
     stretches: tuple[Stretch, ...]
-    outputs: tuple[str, ...]
     segment_length: int
     masked: int = 0
     constant_inputs: bool = False
@@ -133,7 +132,7 @@ class SampledData:
                 piece = replace(stretch, inputs=inputs, outputs=outputs, times=times, masked=0)
                 pieces_of_all.append(replace(piece, rows=stretch.rows[rows]))
 
-        return SampledData(tuple(pieces_of_all), self.outputs, self.segment_length)
+        return SampledData(tuple(pieces_of_all), self.segment_length)
 
     def padded(self, values: Sequence[Array], fill: float | None) -> Array:
         """Join one array (r, n) per stretch, each filled up to whole segments: (r, samples).
@@ -199,7 +198,7 @@ class SampledData:
 def joined(each: Sequence[SampledData]) -> SampledData:
     """Return the stretches of several records, one record after the other."""
     stretches = tuple(stretch for data in each for stretch in data.stretches)
-    return SampledData(stretches, each[0].outputs, each[0].segment_length)
+    return SampledData(stretches, each[0].segment_length)
 
 
 def sampled_data(
@@ -285,7 +284,7 @@ def sampled_data(
     # For the warning of a fit that loses too much to the longest delay.
     measured = np.any([np.isfinite(record[name]) for name in outputs], axis=0)
     masked = sum(int(measured[s.rows[: s.masked]].sum()) for s in stretches)
-    return SampledData(usable, outputs, segment_length, masked, constant)
+    return SampledData(usable, segment_length, masked, constant)
 
 
 def gapless(

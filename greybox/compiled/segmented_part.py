@@ -144,18 +144,15 @@ class SegmentedPart(Part):
 
     # --- trajectories
 
-    def initial_trajectory(self, z: Array) -> Trajectory:
-        """Return the trajectory at z (p,) with nodes from the data, see `initial_states`."""
-        placed = self.place(z)
-        return self._along(z, self.initial_nodes(placed), placed)
-
-    def trajectory(self, z: Array, nodes: Array, *, simulated: bool = False) -> Trajectory:
-        """Return the trajectory at z (p,) from nodes (s, n), or `simulated` from the first ones."""
-        return self._along(z, nodes, self.place(z), simulated=simulated)
-
-    def _along(
-        self, z: Array, nodes: Array, placed: Placed, *, simulated: bool = False
+    def trajectory(
+        self, z: Array, nodes: Array | None = None, *, simulated: bool = False
     ) -> Trajectory:
+        """Return the trajectory at z (p,) from nodes (s, n), or `simulated` from the first ones.
+
+        By default the nodes come from the data, see `initial_states`.
+        """
+        placed = self.place(z)
+        nodes = self.initial_nodes(placed) if nodes is None else nodes
         segments, at = self.segments, (placed.q, placed.data)
         initial = placed.initial if placed.initial.ndim == 1 else placed.initial[segments.records]
         nodes = np.where(self.known_states, initial + self.delays_at_rest, nodes)

@@ -297,7 +297,9 @@ class TransientPart(Part):
 
     # --- for Gauss-Newton
 
-    def trajectory(self, z: Array, nodes: Array, *, simulated: bool = False) -> Trajectory:
+    def trajectory(
+        self, z: Array, nodes: Array | None = None, *, simulated: bool = False
+    ) -> Trajectory:
         """Return the point z, with the best end term; not finite where the model is not."""
         at, _ = self._at(z)
         products = np.full((1, 1), np.nan) if at is None else at.errors @ at.errors.T

@@ -527,7 +527,7 @@ def _estimate(nlp: CompiledProblem, fit: Fit) -> _Estimate:
             nlp.scaling.to_solver(x),
             nlp.cost(nlp.all_values(x)),
         )
-        trajectories = tuple(part.initial_trajectory(point) for part in nlp.parts)
+        trajectories = tuple(part.trajectory(point) for part in nlp.parts)
 
     accuracy = assess(nlp, x, trajectories)
     if refusal or accuracy.white is None:

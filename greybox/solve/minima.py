@@ -69,10 +69,6 @@ class Multistart:
     nodes: tuple[Array, ...] | None = None
     ends: tuple[tuple[Array, ...] | None, ...] = ()
 
-    def __post_init__(self) -> None:
-        """Store the runs in columns."""
-        object.__setattr__(self, "runs", Runs.of(self.runs))
-
     @property
     def converged(self) -> int:
         """How many runs converged."""

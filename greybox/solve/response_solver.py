@@ -138,7 +138,7 @@ class ResponseSolver(LocalSolver):
     def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
         """Return the point x (p,): there are no hidden unknowns."""
         z = self.problem.scaling.to_solver(x)
-        trajectories = tuple(part.initial_trajectory(z) for part in self.problem.parts)
+        trajectories = tuple(part.trajectory(z) for part in self.problem.parts)
         return Profile(z, trajectories, float(self.problem.costs(x[None])[0]), converged=True)
 
     def cost(self, values: Array) -> float:

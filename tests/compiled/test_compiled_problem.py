@@ -150,7 +150,7 @@ def test_rows_of_unknowns_are_evaluated_like_single_ones():
     for row, cost, signature in zip(rows, nlp.costs(rows), nlp.signatures(rows), strict=True):
         values = dict(zip(nlp.free, row, strict=True)) | {"K": 4.0}
         assert cost == pytest.approx(relative(LagLagDelay(), NOISY, values), rel=1e-12)
-        alone = nlp.parts[0].signature(nlp.parts[0].initial_trajectory(nlp.scaling.to_solver(row)))
+        alone = nlp.parts[0].signature(nlp.parts[0].trajectory(nlp.scaling.to_solver(row)))
         assert_allclose(signature, alone, rtol=1e-12)
     assert nlp.costs(np.zeros((0, 3))).shape == (0,)
 

@@ -146,7 +146,7 @@ def test_samples_at_which_states_begin():
         Stretch(np.arange(7.0)[None], y, np.arange(7), 0.1),
         Stretch(100 + np.arange(4.0)[None], z, 8 + np.arange(4), 0.1),
     )
-    data = SampledData(stretches, ("y", "z"), 5)
+    data = SampledData(stretches, 5)
     outputs, inputs = at_samples(data, 3)
     assert outputs == pytest.approx(np.array([[0, 3, 6, 10, 40], [4, 4, 4, 2, 6]]))
     assert inputs.tolist() == [[0, 3, 6, 100, 103]]
@@ -201,5 +201,5 @@ def test_an_output_that_was_never_measured_begins_at_zero():
     stretch = Stretch(
         np.arange(4.0)[None], np.array([[np.nan] * 4, [1.0, 2.0, 3.0, 4.0]]), np.arange(4), 0.1
     )
-    outputs, _ = at_samples(SampledData((stretch,), ("y", "z"), 5), 2)
+    outputs, _ = at_samples(SampledData((stretch,), 5), 2)
     assert outputs.tolist() == [[0.0, 0.0], [1.0, 3.0]]

@@ -130,7 +130,7 @@ def spring_gain(*process_noise, **values):
     nlp = compiled_spring(*process_noise)
     z = nlp.scaling.to_solver(np.array([(SPRING | values).get(name, 0.0) for name in nlp.free]))
     (part,) = nlp.parts
-    return kalman_gain(part), part.initial_trajectory(z), z
+    return kalman_gain(part), part.trajectory(z), z
 
 
 @pytest.mark.parametrize(

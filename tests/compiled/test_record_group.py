@@ -83,7 +83,7 @@ def test_a_group_has_the_condensed_system_of_its_records(case):
         np.array([p.start for n, p in nlp.problem.parameters.items() if n in nlp.free])
     )
     z = z + 0.05 * random.standard_normal(z.size)
-    each = [part.initial_trajectory(z) for part in nlp.parts]
+    each = [part.trajectory(z) for part in nlp.parts]
     each = [
         part.trajectory(z, t.nodes + 0.1 * random.standard_normal(t.nodes.shape))
         for part, t in zip(nlp.parts, each, strict=True)
@@ -206,10 +206,6 @@ def test_excerpts_share_the_samples_as_the_parts_have_them(mixed):
     ]
     assert [part.samples for part in found if part.samples] == wanted
     assert len(set(wanted)) > 1
-    group = Groups(parts).parts[0]
-    assert [part.samples for part in group.excerpt(150).parts] == [
-        part.excerpt(share).samples for part, share in zip(parts[:2], (50, 100), strict=True)
-    ]
 
 
 def test_groups_give_back_what_they_were_given(mixed):
@@ -219,9 +215,7 @@ def test_groups_give_back_what_they_were_given(mixed):
     parts, groups = mixed.parts, Groups(mixed.parts)
     assert [isinstance(group, RecordGroup) for group in groups.parts] == [True, False, False]
     z = mixed.scaling.to_solver(np.ones(len(mixed.free)))
-    trajectories = [
-        part.trajectory(z, part.initial_trajectory(z).nodes, simulated=True) for part in parts
-    ]
+    trajectories = [part.trajectory(z, part.trajectory(z).nodes, simulated=True) for part in parts]
     nodes = [t.nodes for t in trajectories]
     joined = groups.joined(nodes)
     assert [len(own) for own in joined] == [45, 0, 15]
@@ -243,7 +237,7 @@ def test_groups_give_back_what_they_were_given(mixed):
     )
     group = groups.parts[0]
     assert_allclose(np.sort(group.signature(together[0])), np.sort(scaled, axis=None), rtol=1e-9)
-    nodes = group.initial_trajectory(z).nodes
+    nodes = group.trajectory(z).nodes
     initial = [nodes[rows] for rows in group.segments.record_rows]
     for one, part in zip(initial, parts[:2], strict=True):
-        assert_allclose(one, part.initial_trajectory(z).nodes)
+        assert_allclose(one, part.trajectory(z).nodes)

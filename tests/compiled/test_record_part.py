@@ -37,7 +37,7 @@ def made():
     record = record.with_signals(x=np.where(np.arange(120) % 7 == 3, np.nan, record["x"]))
     record = record.with_signals(F=np.where(np.arange(120) == 61, np.nan, record["F"]))
     part, z = part_of(record, gb.OutputError(inputs="held", biases=("x",)), free=("d",))
-    nodes = part.initial_trajectory(z).nodes + 0.1 * np.random.default_rng(0).normal(
+    nodes = part.trajectory(z).nodes + 0.1 * np.random.default_rng(0).normal(
         size=(part.data.segments, 2)
     )
     return part, z, part.trajectory(z, nodes)
@@ -193,7 +193,7 @@ def test_gaps_are_closed_by_the_least_change_of_the_outputs(made):
 def test_known_initial_states_follow_their_function_of_the_parameters():
     criterion = gb.OutputError(inputs="held", initial={"x": lambda p: p.b / p.k, "v": 0.0})
     part, z = part_of(spring(60), criterion)
-    trajectory = part.initial_trajectory(z)
+    trajectory = part.trajectory(z)
     assert_allclose(trajectory.nodes[0], [SPRING["b"] / SPRING["k"], 0.0])
     weight = part.initial_weight()
     simulated = part.trajectory(z, trajectory.nodes, simulated=True)
@@ -222,7 +222,7 @@ def test_an_excerpt_and_a_refinement_are_parts_of_their_own(made):
     finer = part.refined(4)
     assert finer.substeps == 4 * part.substeps
     assert part.data.samples == 2 * (part.data.samples // 2)
-    coarse, fine = (p.trajectory(z, p.initial_trajectory(z).nodes).ends for p in (part, finer))
+    coarse, fine = (p.trajectory(z, p.trajectory(z).nodes).ends for p in (part, finer))
     assert 0 < np.abs(coarse - fine).max() < 1e-3
 
 
@@ -232,11 +232,9 @@ def test_other_outputs_make_the_part_of_the_record_that_has_them():
         x=record["x"] + 5.0
     )  # so far from zero that the first nodes are as measured
     part, z = part_of(record)
-    before = part.initial_trajectory(z)
-    other = part.with_outputs(
-        [np.array([shifted[name] for name in part.outputs])]
-    ).initial_trajectory(z)
-    wanted = part_of(shifted)[0].initial_trajectory(z)
+    before = part.trajectory(z)
+    other = part.with_outputs([np.array([shifted[name] for name in part.outputs])]).trajectory(z)
+    wanted = part_of(shifted)[0].trajectory(z)
     assert np.abs(wanted.nodes - before.nodes).max() > 1
     assert_allclose(other.nodes, wanted.nodes)
     assert_allclose(other.products, wanted.products)
@@ -265,7 +263,7 @@ def test_a_signature_is_of_up_to_500_samples_in_units_of_the_spread(made):
     outputs = part.segments.columns(part.simulated_outputs(trajectory))
     assert_allclose(found, outputs / part.covariance.spread[:, None])
     long, z = part_of(spring(2300))
-    simulated = long.initial_trajectory(z)
+    simulated = long.trajectory(z)
     outputs = long.segments.columns(long.simulated_outputs(simulated))
     assert_allclose(
         long.signature(simulated).reshape(2, -1),
@@ -276,7 +274,7 @@ def test_a_signature_is_of_up_to_500_samples_in_units_of_the_spread(made):
 @pytest.mark.parametrize(("error", "explained"), [(0.0, True), (0.3, False)])
 def test_white_residuals_explain_the_data_and_a_wrong_parameter_does_not(error, explained):
     part, z = part_of(spring(600))
-    nodes = part.initial_trajectory(z).nodes
+    nodes = part.trajectory(z).nodes
     nodes[0] = 0.0
     assert part.explains_data(part.trajectory(z * (1 + error), nodes, simulated=True)) is explained
 
@@ -301,7 +299,7 @@ def test_process_noise_reaches_the_outputs_as_jumps_of_the_states_do():
     record = spring(120)
     record = record.with_signals(x=np.where(np.arange(120) % 7 == 3, np.nan, record["x"]))
     part, z = part_of(record)
-    trajectory = part.trajectory(z, part.initial_trajectory(z).nodes)
+    trajectory = part.trajectory(z, part.trajectory(z).nodes)
     shocks = sensitivity(part, trajectory, part.initial_weight()).shocks()
     A = np.array([[0.0, 1.0], [-SPRING["k"], -SPRING["c"]]])
     wanted = np.stack([expm(A * t) for t in record.time - record.time[0]], axis=2)
@@ -312,7 +310,7 @@ def test_process_noise_of_an_unstable_model_has_no_spectrum():
     part, z = part_of(spring(120))
     unstable = z.copy()
     unstable[list(SPRING).index("c")] *= -3
-    trajectory = part.trajectory(unstable, part.initial_trajectory(unstable).nodes)
+    trajectory = part.trajectory(unstable, part.trajectory(unstable).nodes)
     assert sensitivity(part, trajectory, part.initial_weight()).shocks().shape[1] == 0
 
 
@@ -339,7 +337,7 @@ def informed(request):
         record, gb.OutputError(inputs="held", biases=("x",), **options), free=("d",)
     )
     begins = part.data.begins_stretch
-    trajectory = part.trajectory(z, part.initial_trajectory(z).nodes, simulated=True)
+    trajectory = part.trajectory(z, part.trajectory(z).nodes, simulated=True)
     weight = part.residual_weight(trajectory)
 
     def moved(v, first):
@@ -482,7 +480,7 @@ def test_a_predictor_whose_noise_is_estimated_has_the_gradient_of_its_likelihood
     nlp = compile_problem(gb.Problem(Spring(), spring(80), criterion))
     values = SPRING | {"w_v": 0.4, "v_x": 0.06, "v_v": 0.09}
     (part,), z = nlp.parts, nlp.scaling.to_solver(np.array([values[name] for name in nlp.free]))
-    nodes = part.initial_trajectory(z).nodes
+    nodes = part.trajectory(z).nodes
 
     def run(v):
         return part.trajectory(v, nodes, simulated=True)
@@ -536,7 +534,7 @@ def test_a_program_for_ipopt_begins_with_the_record_and_what_follows_is_the_like
     z = nlp.scaling.to_solver(np.array([values[name] for name in nlp.free]))
     symbol = ca.MX.sym("z", len(z))
     program = part.program(symbol)
-    trajectory = part.trajectory(z, part.initial_trajectory(z).nodes, simulated=True)
+    trajectory = part.trajectory(z, part.trajectory(z).nodes, simulated=True)
     unknowns, w = program.initial_unknowns(trajectory), program.initial_parameters(z)
     measured = part.data.measured
     spread, count = np.nanstd(measured, axis=1), np.isfinite(measured[0]).sum()

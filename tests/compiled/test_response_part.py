@@ -34,15 +34,15 @@ def part_of_lag():
 
 def test_the_signature_is_the_response_over_the_measured_one():
     nlp, part, measured = part_of_lag()
-    found = part.signature(part.initial_trajectory(nlp.scaling.to_solver(np.array([9.0, 0.7]))))
+    found = part.signature(part.trajectory(nlp.scaling.to_solver(np.array([9.0, 0.7]))))
     expected = 3.0 / (1 + 0.7j * OMEGA) / np.abs(measured)
     assert_allclose(found, np.concatenate([expected.real, expected.imag]), rtol=1e-12)
 
 
 def test_a_response_that_is_not_finite_is_told():
     nlp, part, _ = part_of_lag()
-    assert part.initial_trajectory(nlp.scaling.to_solver(np.array([4.0, 0.5]))).finite
-    assert not part.initial_trajectory(nlp.scaling.to_solver(np.array([-4.0, 0.5]))).finite
+    assert part.trajectory(nlp.scaling.to_solver(np.array([4.0, 0.5]))).finite
+    assert not part.trajectory(nlp.scaling.to_solver(np.array([-4.0, 0.5]))).finite
 
 
 def test_costs_and_their_derivatives_are_those_of_the_criterion():

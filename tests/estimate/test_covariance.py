@@ -347,9 +347,7 @@ def test_a_parameter_that_a_solver_leaves_just_off_its_bound_is_at_it(off):
     nlp = compile_problem(gb.Problem(Lags(), free.parts[0].data))
     x = np.array([free.estimate[name] for name in nlp.free])
     x[nlp.free.index("T")] = off * 0.05  # of the delay's upper bound
-    accuracy = assess(
-        nlp, x, [part.initial_trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts]
-    )
+    accuracy = assess(nlp, x, [part.trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts])
     assert accuracy.at_bound == ("T",)
     k = nlp.free.index("K")
     assert np.sqrt(accuracy.covariance[k, k]) == pytest.approx(fixed.standard_error["K"], rel=0.02)
@@ -878,7 +876,5 @@ def test_a_bound_holds_what_is_close_and_pushed_or_within_rounding(side, away, b
     given = {"fixed": {"b": 0.0}, "bounds": {"a": bounds}}
     nlp = compile_problem(gb.Problem(Plane(), record, gb.OutputError(noise={"y": sigma}), **given))
     x = np.array([bound - side * away * unit])
-    accuracy = assess(
-        nlp, x, [part.initial_trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts]
-    )
+    accuracy = assess(nlp, x, [part.trajectory(nlp.scaling.to_solver(x)) for part in nlp.parts])
     assert accuracy.at_bound == (("a",) if held else ())

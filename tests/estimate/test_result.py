@@ -14,7 +14,7 @@ from greybox.solve.minima import (
     find_minima,
     same_cost,
 )
-from greybox.solve.runs import SCREENED, TOO_COARSE, Run
+from greybox.solve.runs import SCREENED, TOO_COARSE, Run, Runs
 
 DATA = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS, noise=0.03, seed=6)
 GAIN = measured(Parabola(), [0.5, 1.0, 2.0], {"x": 1.0, "slope": 0.0})
@@ -76,7 +76,7 @@ def test_a_multistart_counts_its_failures_by_status():
         run(0, 1.0, 0.1),
         *(run(k, 1.0, np.nan, False, s) for k, s in enumerate("aba", start=1)),
     )
-    search = Multistart(runs, ())
+    search = Multistart(Runs.of(runs), ())
     assert search.converged == 1
     assert search.failures == "2 × a, 1 × b"
 
@@ -139,6 +139,6 @@ def test_the_best_run_that_did_not_end():
     assert best_unfinished(runs).index == 3
     assert best_unfinished(runs[:2]).index == 1
     assert best_unfinished(runs[:1]) is None
-    search = Multistart(runs, ())
+    search = Multistart(Runs.of(runs), ())
     assert [r.index for r in search.brought] == [0, 2, 3, 4, 5]
     assert repr(search) == "<Multistart 1 of 5 runs converged, 0 minima>"

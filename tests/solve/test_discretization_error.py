@@ -24,7 +24,7 @@ from greybox.solve.discretization_error import (
 )
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.minima import Minimum, Multistart
-from greybox.solve.runs import TOO_COARSE, Outcome, Run
+from greybox.solve.runs import TOO_COARSE, Outcome, Run, Runs
 
 COARSE = gb.MultipleShooting(integrator=gb.RungeKutta(1))
 
@@ -165,7 +165,7 @@ def search_of(*minima):
         )
         runs += members
     runs.append(made_run(len(runs), (99.0, 1.0), 0.0, converged=False))
-    return Multistart(tuple(runs), tuple(found), nodes=(np.zeros((1, 1)),))
+    return Multistart(Runs.of(runs), tuple(found), nodes=(np.zeros((1, 1)),))
 
 
 def test_rivals_move_to_finer_steps_with_their_runs_and_may_change_places():

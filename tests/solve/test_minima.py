@@ -14,7 +14,7 @@ from greybox.solve.minima import (
     find_minima,
     same_cost,
 )
-from greybox.solve.runs import SCREENED, TOO_COARSE, Run
+from greybox.solve.runs import SCREENED, TOO_COARSE, Run, Runs
 
 
 def problem(*, is_likelihood=True, numbers=(40, 60)):
@@ -145,7 +145,7 @@ def test_what_failed_is_counted_by_its_reason_but_not_what_was_left_out():
         run_to(3, math.inf, status="not finite", reason="at t = 3 s"),
         run_to(4, math.inf, status="lost", stage=SCREENED),
     ]
-    search = Multistart(tuple(runs), (Minimum(1.0, np.zeros(2), (0,), 1),))
+    search = Multistart(Runs.of(runs), (Minimum(1.0, np.zeros(2), (0,), 1),))
     assert search.failures == "2 × lost, 1 × not finite (at t = 3 s)"
     assert (search.converged, len(search.brought)) == (1, 4)
     assert "1 of 4 runs converged, 1 minimum" in repr(search)

@@ -117,7 +117,7 @@ def test_first_states_lie_where_the_model_is_finite():
         time, {"gamma": -0.1 + 0.02 * np.cos(time), "V": speed, "lift": 6 + 0.1 * np.sin(time)}
     )
     _, part, z = point(gb.Problem(Airspeed(), record), drag=0.001, lift=0.05)
-    trajectory = part.initial_trajectory(z)
+    trajectory = part.trajectory(z)
     assert np.allclose(
         trajectory.nodes[:, 0], speed[:: part.data.segment_length]
     )  # an output shows it

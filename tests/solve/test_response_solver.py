@@ -16,7 +16,7 @@ from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.newton_iteration import RADIUS, bounded, layout
 from greybox.solve.response_solver import ResponseSolver
-from greybox.solve.runs import Run
+from greybox.solve.runs import Run, Runs
 
 PAPER = (pitch_hover, pitch_5deg, yaw_hover, rotors)
 NOISY = gb.Problem(
@@ -352,7 +352,9 @@ def test_minima_close_to_the_best_are_polished_and_sorted_again():
         Minimum(best.cost * factor, x * (1 + 1e-5), (k,), 1)
         for k, factor in enumerate((1.0001, 1.0002, 1.02))
     )
-    polished = solver.polished(Multistart((Run(0, x, x, best.cost, "ended", True),), minima)).minima
+    polished = solver.polished(
+        Multistart(Runs.of([Run(0, x, x, best.cost, "ended", True)]), minima)
+    ).minima
     assert [m.cost for m in polished[:2]] == pytest.approx([best.cost] * 2, rel=1e-9)
     assert polished[2].cost == minima[2].cost
     assert polished[0].estimate == pytest.approx(x, rel=1e-6)
@@ -364,7 +366,7 @@ def test_a_minimum_is_never_polished_to_a_higher_cost():
     claimed = Minimum(0.0, x, (0,), 1)
     [minimum] = (
         ResponseSolver(nlp)
-        .polished(Multistart((Run(0, x, x, 0.0, "ended", True),), (claimed,)))
+        .polished(Multistart(Runs.of([Run(0, x, x, 0.0, "ended", True)]), (claimed,)))
         .minima
     )
     assert minimum.cost == 0.0

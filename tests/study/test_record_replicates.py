@@ -31,7 +31,7 @@ def draws_of(values=VALUES):
     nlp = compile_problem(gb.Problem(Ramp(), record))
     (part,) = nlp.parts
     x = np.array([np.nanmean(values)])
-    return white_draws(nlp, x, (part.initial_trajectory(nlp.scaling.to_solver(x)),))
+    return white_draws(nlp, x, (part.trajectory(nlp.scaling.to_solver(x)),))
 
 
 def white_draws(nlp, x, trajectories, seed=0):
@@ -66,7 +66,7 @@ def test_drawn_errors_that_are_correlated_move_the_estimate_as_far_as_theory_say
         record = gb.Record(t / 10, {"u": u, "y": np.where(there, y, np.nan)})
         nlp = compile_problem(gb.Problem(Ramp(), record))
         estimate = np.array([row @ y])
-        trajectories = (nlp.parts[0].initial_trajectory(nlp.scaling.to_solver(estimate)),)
+        trajectories = (nlp.parts[0].trajectory(nlp.scaling.to_solver(estimate)),)
         draws = record_draws(nlp, trajectories, assess(nlp, estimate, trajectories), 0)
         errors = [row @ np.nan_to_num(next(draws.of(number)[1])[0][0]) for number in range(60)]
         logarithms.append(np.log(np.std(errors) / expected))
@@ -89,7 +89,7 @@ def levels():
     records = [gb.Record(np.arange(v.size) / 10, {"u": np.ones(v.size), "y": v}) for v in values]
     nlp = compile_problem(gb.several(Ramp(), records))
     start = nlp.scaling.to_solver(np.array([2.0]))
-    return records, nlp, start, tuple(part.initial_trajectory(start) for part in nlp.parts)
+    return records, nlp, start, tuple(part.trajectory(start) for part in nlp.parts)
 
 
 def test_replicates_of_several_records_are_the_same_where_the_problem_was_left_behind():
@@ -126,7 +126,7 @@ def pair_draws(missing=(), noise="full"):
         )
     )
     x = np.array([2.0])
-    trajectory = nlp.parts[0].initial_trajectory(nlp.scaling.to_solver(x))
+    trajectory = nlp.parts[0].trajectory(nlp.scaling.to_solver(x))
     return white_draws(nlp, x, (trajectory,), 5), np.array([y - 2 * u, z - 6 * u])
 
 

@@ -75,7 +75,7 @@ def _trouble(nlp: CompiledProblem, x: Array) -> Trouble | None:
 def _trouble_of(part: Part, z: Array) -> Trouble | None:
     """Return the trouble of a part at the solver's point z (p,)."""
     if isinstance(part, RecordPart):
-        trajectory = part.initial_trajectory(z)
+        trajectory = part.trajectory(z)
         return None if trajectory.finite else _located(part, trajectory)
     if not isinstance(part, ResponsePart):
         return None

@@ -66,7 +66,7 @@ class AllParts:
 
     def from_data(self, z: Array) -> Iterate:
         """Return the iterate at z whose nodes come from the data."""
-        return Iterate(z, tuple(part.initial_trajectory(z) for part in self.parts))
+        return Iterate(z, tuple(part.trajectory(z) for part in self.parts))
 
     def _along(self, iterate: Iterate, *others: Sequence[Any]) -> Iterator[Any]:
         """Yield every part with its trajectory, and with its member of the others."""

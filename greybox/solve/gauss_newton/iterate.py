@@ -167,10 +167,6 @@ class Progress:
             self, multipliers=step.multipliers, constraint_penalty=step.constraint_penalty
         )
 
-    def with_delays_held(self) -> "Progress":
-        """Return the progress with the discontinuous delays held, whose jumps block all steps."""
-        return replace(self, delays_held=True, damping=0.0)
-
     def after(self, step: Step, merit: float, gained: float, length: float) -> "Progress":
         """Return the progress after a share `length` of a step, which `gained` so much merit."""
         ratio = gained / step.decrease if step.decrease > 0 else 1.0

@@ -116,7 +116,7 @@ def _iterated(
             progress = replace(progress, damping=after_failure(progress.damping))
             continue
         if _delays_block(parts, progress):
-            progress = progress.with_delays_held()
+            progress = replace(progress, delays_held=True, damping=0.0)
             continue
         if progress.is_exact and (trial is None or progress.damping > LARGEST_DAMPING):
             return End(iterate, STALLED, count, hessian)

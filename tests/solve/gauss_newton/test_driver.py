@@ -16,6 +16,7 @@ import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.minima import Minimum, Multistart
+from greybox.solve.runs import Runs
 
 
 def record(seed, samples=300):
@@ -55,7 +56,7 @@ def test_a_polished_minimum_is_the_same_to_nine_digits_wherever_it_began():
         a = outcome.estimate * (1 + error)
         (first, second) = solver.profile(a).trajectories
         minimum = Minimum(solver.cost(nlp.all_values(a)), a, (0,), 1)
-        search = Multistart((), (minimum,), nodes=(first.nodes, second.nodes))
+        search = Multistart(Runs.of(()), (minimum,), nodes=(first.nodes, second.nodes))
         found.append(solver.polished(search).minima[0])
     assert found[0].estimate == pytest.approx(found[1].estimate, rel=1e-9)
     assert found[0].estimate == pytest.approx(outcome.estimate, rel=1e-4)
@@ -104,7 +105,7 @@ def test_what_leads_to_another_cost_has_left_the_minimum(change, kept):
     solver = GaussNewton(nlp)
     outcome = solver.run(np.array([1.0]))
     best = Minimum(outcome.cost - change, outcome.estimate, (0,), 1)
-    polished = solver.polished(Multistart((), (best,), nodes=outcome.nodes))
+    polished = solver.polished(Multistart(Runs.of(()), (best,), nodes=outcome.nodes))
     (minimum,) = polished.minima
     assert (minimum is not best) == kept
     assert minimum.cost == (
@@ -177,10 +178,10 @@ def test_other_minima_are_kept_when_the_best_is_polished():
     outcome = solver.run(np.array([1.0]))
     others = tuple(Minimum(outcome.cost + k, outcome.estimate + k, (k,), 1) for k in (1, 2))
     best = Minimum(outcome.cost, outcome.estimate * (1 + 1e-6), (0,), 1)
-    polished = solver.polished(Multistart((), (best, *others), nodes=outcome.nodes))
+    polished = solver.polished(Multistart(Runs.of(()), (best, *others), nodes=outcome.nodes))
     assert polished.minima[1:] == others
     assert polished.minima[0] is not best
-    nothing = Multistart((), (), nodes=outcome.nodes)
+    nothing = Multistart(Runs.of(()), (), nodes=outcome.nodes)
     assert solver.polished(nothing) is nothing
 
 

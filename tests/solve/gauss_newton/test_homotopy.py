@@ -1,6 +1,5 @@
 """The stages in which continuity is tightened."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -65,8 +64,3 @@ def test_how_an_iteration_begins():
     near = relaxed(near_solution=True)
     assert not near.is_exact  # the nodes move alone first
     assert after(near, 1.0).is_exact
-
-
-def test_held_delays_begin_without_damping():
-    progress = replace(EXACT, damping=3.0).with_delays_held()
-    assert (progress.delays_held, progress.damping) == (True, 0.0)
