@@ -79,10 +79,8 @@ class _Group(NamedTuple):
 
 def _derivatives(inputs: Sequence[ca.SX], cost: ca.SX) -> ca.Function:
     hessian, gradient = ca.hessian(cost, inputs[0])
-    outputs = [cost, ca.densify(gradient), ca.vec(ca.densify(hessian))]
-    return ca.Function(
-        "derivatives", [*inputs], [ca.densify(value) for value in outputs], {"cse": True}
-    )
+    outputs = [ca.densify(value) for value in (cost, gradient, ca.vec(hessian))]
+    return ca.Function("derivatives", [*inputs], outputs, {"cse": True})
 
 
 def grouped(inputs: Sequence[ca.SX], cost: ca.SX) -> tuple[list[_Group], ca.SX]:

@@ -293,7 +293,6 @@ def compile_records(
             model.system.inputs,
             model.outputs,
             lead=longest_delay(model.problem, model.system),
-            segment_length=1,
             complete=model.criterion.noise == "full" or bool(model.driven),
             static=model.problem.model.is_static,
         )

@@ -77,7 +77,7 @@ class SampledData:
     """
 
     stretches: tuple[Stretch, ...]
-    segment_length: int
+    segment_length: int = 1
     masked: int = 0
     constant_inputs: bool = False
 
@@ -207,11 +207,10 @@ def sampled_data(
     outputs: tuple[str, ...],
     *,
     lead: ArrayLike,
-    segment_length: int,
     complete: bool,
     static: bool = False,
 ) -> SampledData:
-    """Cut a record into stretches and these into segments.
+    """Cut a record into stretches, in segments of one sample.
 
     The first `lead` (m,) seconds of a stretch give the delayed inputs their past and are not
     compared, see `gapless`. With `complete`, a sample counts only where all outputs are there. For
@@ -284,7 +283,7 @@ def sampled_data(
     # For the warning of a fit that loses too much to the longest delay.
     measured = np.any([np.isfinite(record[name]) for name in outputs], axis=0)
     masked = sum(int(measured[s.rows[: s.masked]].sum()) for s in stretches)
-    return SampledData(usable, segment_length, masked, constant)
+    return SampledData(usable, masked=masked, constant_inputs=constant)
 
 
 def gapless(

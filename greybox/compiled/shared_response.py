@@ -125,7 +125,7 @@ class SharedResponses:
         second, first = ca.hessian(cost, symbols[0])
         pattern = second.sparsity()
         self._second = np.array(pattern.row()), np.array(pattern.colind())
-        outputs = [cost, ca.densify(first), second.nz[:]]
+        outputs = [cost, first, second.nz[:]]
         self._criterion = Columns(ca.Function("criterion", [*symbols], outputs))
 
     def stacked(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
@@ -226,6 +226,6 @@ def _system(
         outputs=C.shape[0],
         omega=omega,
         rows=np.array(system.sparsity().get_triplet(), dtype=int).T,
-        entries=Columns(ca.Function("entries", [point], [ca.densify(values), slopes])),
+        entries=Columns(ca.Function("entries", [point], [values, slopes])),
         pairs=tuple(pairs),
     )

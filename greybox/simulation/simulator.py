@@ -139,7 +139,7 @@ class Simulator:
         """
         model = self._model
         count = len(stretch)
-        delayed, around = SampledData((stretch,), 1).delayed_inputs(model.delays)
+        delayed, around = SampledData((stretch,)).delayed_inputs(model.delays)
 
         # A free run has no measurements that could correct its states.
         nothing_measured = np.zeros((2 * len(self._outputs), count))

@@ -137,7 +137,7 @@ def sample_data(
     """
     record = windows.record
     stretches = gapless(record, inputs, outputs, lead=np.maximum(delays, 0.0))
-    data = SampledData(tuple(stretches), 1)
+    data = SampledData(tuple(stretches))
     delayed, around = data.delayed_inputs(delays)
 
     # Windows index the record, the data its stretches without gaps.

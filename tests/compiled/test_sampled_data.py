@@ -2,6 +2,8 @@
 samples, and bad input.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -32,9 +34,8 @@ def record(n=60, outputs=("y",), step=STEP, start=3.0, **signals):
 
 
 def cut(data, *, inputs=("u",), outputs=("y",), lead=0.0, segment_length=7, complete=False):
-    return sampled_data(
-        data, inputs, outputs, lead=lead, segment_length=segment_length, complete=complete
-    )
+    made = sampled_data(data, inputs, outputs, lead=lead, complete=complete)
+    return replace(made, segment_length=segment_length)
 
 
 def measured_input(u, held):
@@ -359,7 +360,7 @@ def static(data, **options):
         data,
         ("u",),
         ("y",),
-        **({"lead": 0.0, "segment_length": 7, "complete": False, "static": True} | options),
+        **({"lead": 0.0, "complete": False, "static": True} | options),
     )
 
 

@@ -53,14 +53,9 @@ class AllParts:
 
     # --- iterates
 
-    def at(
-        self, z: Array, nodes: Nodes, like: Iterate | None = None, *, simulated: bool = False
-    ) -> Iterate:
-        """Return the iterate at z with these nodes, simulated where the iterate `like` is.
-
-        With `simulated`, all stretches are simulated from their first node to their end.
-        """
-        flags = [t.simulated for t in like.trajectories] if like else [simulated] * len(nodes)
+    def at(self, z: Array, nodes: Nodes, like: Iterate | None = None) -> Iterate:
+        """Return the iterate at z with these nodes, simulated where the iterate `like` is."""
+        flags = [t.simulated for t in like.trajectories] if like else [False] * len(nodes)
         zipped = zip(self.parts, nodes, flags, strict=True)
         return Iterate(z, tuple(part.trajectory(z, n, simulated=flag) for part, n, flag in zipped))
 

@@ -14,6 +14,7 @@ import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.gauss_newton.iterate import Iterate
 
 
 @pytest.fixture(scope="module")
@@ -80,9 +81,15 @@ def test_signatures_stand_side_by_side(made):
     assert_allclose(parts.signature(iterate), np.concatenate(each))
 
 
+def simulated_at(parts, z, nodes):
+    """Return the iterate whose stretches are simulated from their first nodes to their ends."""
+    pairs = zip(parts.parts, nodes, strict=True)
+    return Iterate(z, tuple(part.trajectory(z, n, simulated=True) for part, n in pairs))
+
+
 def test_an_iterate_is_simulated_where_the_one_before_it_was(made):
     parts, iterate = made
-    simulated = parts.at(iterate.z, iterate.nodes, simulated=True)
+    simulated = simulated_at(parts, iterate.z, iterate.nodes)
     with_nodes = [bool(t.nodes.size) for t in iterate.trajectories]
     assert [t.simulated for t in simulated.trajectories] == [True] * 3
     assert not parts.is_continuous(iterate)
@@ -100,7 +107,7 @@ def test_an_iterate_is_simulated_where_the_one_before_it_was(made):
 @pytest.mark.parametrize(("share", "continuous"), [(0.9, True), (1.1, False)])
 def test_gaps_are_rounding_beside_the_largest_value_of_their_own_state(made, share, continuous):
     parts, iterate = made
-    even = parts.at(iterate.z, iterate.nodes, simulated=True)
+    even = simulated_at(parts, iterate.z, iterate.nodes)
     trajectory = even.trajectories[0]
     size = np.abs(trajectory.nodes).max(axis=0)
     gaps = np.zeros_like(trajectory.gaps)

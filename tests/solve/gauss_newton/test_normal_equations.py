@@ -32,7 +32,8 @@ def prepared(values, **options):
     parts = AllParts(nlp.parts, nlp.free, solver.limits, nlp.method.strategies)
     z = nlp.scaling.to_solver(np.array([values[name] for name in nlp.free]))
     start = parts.from_data(z)
-    iterate = parts.at(z, parts.at(z, start.nodes, simulated=True).nodes)
+    pairs = zip(parts.parts, start.nodes, strict=True)
+    iterate = parts.at(z, [part.trajectory(z, n, simulated=True).nodes for part, n in pairs])
     weights = parts.residual_weights(iterate)
     linearizations = parts.linearize(iterate, weights)
     return nlp, parts, iterate, weights, linearizations
