@@ -21,7 +21,7 @@ from greybox.files.arrays import Array
 from greybox.files.safe_files import write_text
 from greybox.files.text_table import counted, is_number
 
-COMMENTS = ("#", "%")
+COMMENTS = ("#", "%", "sep=", "SEP=")  # the last ones of Excel, for the separator
 FACT = re.compile(r"#\s*(?P<key>[^:]+?)\s*:\s*(?P<value>.*?)\s*")
 WIDER = "name all columns, or, if its numbers have decimal commas, separate cells by semicolons"
 MISSING = frozenset(("", "nan", "na", "n/a", "#n/a", "null", "none", "-", "--"))  # in lower case
@@ -140,23 +140,18 @@ def read_delimited(path: Path, raw: bytes) -> DelimitedText:
             "UTF-8."
         )
     lines = _decoded(raw).replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    # Excel names its separator in a line of its own, sep=;
-    first = lines[0].strip().lower()
-    hint = first[4:] if re.fullmatch(r"sep=[;,]", first) else ""
-
     body = [
         k for k, line in enumerate(lines) if line.strip() and not line.lstrip().startswith(COMMENTS)
     ]
-    body = body[1:] if hint else body
     if not body:
         return DelimitedText(path, ",", (), (), (), {})
 
     header = body[0]
-    names, separator = _split(lines[header], hint)
+    names, separator = _split(lines[header])
     # `numpy.savetxt` writes the names as a comment.
     if are_numbers(names):
         comment = next((line for line in reversed(lines[:header]) if line.strip()), "")
-        titles, mark = _split(comment.lstrip().lstrip("#%"), hint)
+        titles, mark = _split(comment.lstrip().lstrip("#%"))
         if len(titles) == len(names) and mark == separator and not are_numbers(titles):
             names = titles
             body = [header, *body]
@@ -262,12 +257,12 @@ def _decoded(raw: bytes) -> str:
     return raw.decode("latin-1")
 
 
-def _split(line: str, hint: str) -> tuple[list[str], str]:
-    """Return the cells of a header and their separator: the hint, or the one with most cells."""
+def _split(line: str) -> tuple[list[str], str]:
+    """Return the cells of a header and their separator, the one with most cells."""
     best: list[str] = []
-    separator = hint or ","
+    separator = ","
     # Commas come last: between semicolons they are decimal marks.
-    for mark in hint or ";\t,":
+    for mark in ";\t,":
         try:
             cells = next(csv.reader([line], delimiter=mark, skipinitialspace=True), [])
         except csv.Error:

@@ -17,9 +17,8 @@ class Heading(NamedTuple):
 
 def heading(cell: str) -> Heading:
     """Split ``pitch [deg]`` or ``pitch (deg)`` into name and unit; ``motor[0]`` is a name."""
-    match = None if INDEX.fullmatch(cell.strip()) else BRACKETS.match(cell.strip())
-    return (
-        Heading(match[1].strip(), (match[2] or match[3] or "").strip())
-        if match
-        else Heading(cell.strip(), "")
-    )
+    cell = cell.strip()
+    match = BRACKETS.match(cell)
+    if match is None or INDEX.fullmatch(cell):
+        return Heading(cell, "")
+    return Heading(match[1].strip(), (match[2] or match[3] or "").strip())

@@ -41,8 +41,12 @@ def near_pairs(zeros: ArrayLike, poles: ArrayLike) -> tuple[NearPair, ...]:
     """
     free_zeros = upper_half(zeros)
     free_poles = upper_half(poles)
-    sizes = [(z, p, max(abs(z), abs(p))) for z in free_zeros for p in free_poles]
-    candidates = [NearPair(z, p, abs(z - p) / size if size else 0.0) for z, p, size in sizes]
+    # A zero and an integrator are 0 apart.
+    candidates = [
+        NearPair(z, p, abs(z - p) / max(abs(z), abs(p), 1e-300))
+        for z in free_zeros
+        for p in free_poles
+    ]
     matched: list[NearPair] = []
     # The closest pair first: a zero between two poles cancels the nearer one.
     for pair in sorted(candidates, key=lambda pair: pair.distance):

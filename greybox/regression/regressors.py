@@ -180,22 +180,22 @@ def regressors(
         delay + (record.step if between[n].held else between[n].late)
         for n, delay in zip(equations.input_names, latest, strict=True)
     ]
-    targets = [
-        derivatives[e.target] if e.kind == "derivative" else without_holes(time, record[e.target])
-        for e in equations.equations
-    ]
-    bands = [
-        SHARE * min((used[s] for s in e.signals), default=math.inf) for e in equations.equations
-    ]
     return Regressors(
         equations=equations,
         time=time,
         states=x,
-        targets=tuple(targets),
+        targets=tuple(
+            derivatives[e.target]
+            if e.kind == "derivative"
+            else without_holes(time, record[e.target])
+            for e in equations.equations
+        ),
         between=between,
         cutoffs=used,
         noise=noise,
-        bands=tuple(bands),
+        bands=tuple(
+            SHARE * min((used[s] for s in e.signals), default=math.inf) for e in equations.equations
+        ),
         lateness=max(longest, default=0.0) + memory(equations, p),
         splines={
             name: _splines(time, without_holes(time, record[name]), between[name].held)

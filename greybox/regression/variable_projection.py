@@ -231,8 +231,9 @@ def _refine(search: _Search, point: Array, weights: Array) -> Array:
         xtol=1e-8,
         ftol=1e-10,
     )
-    values = np.where(end.x - low < 2 * TOUCHING * width, low, end.x)
-    values = np.where(high - values < 2 * TOUCHING * width, high, values)
+    at_bound = 2 * TOUCHING * width
+    values = np.where(high - end.x < at_bound, high, end.x)
+    values = np.where(end.x - low < at_bound, low, values)
     return values if 2 * end.cost <= begin @ begin else point
 
 

@@ -162,8 +162,7 @@ def _of_values(model: Model, given: Mapping[str, float], inputs: Inputs) -> Mode
     require_known(given, (*model.parameters, *added), "parameter", model.label)
     for name, value in given.items():
         # A result of numpy may be an array without dimensions.
-        plain = value[()] if isinstance(value, np.ndarray) and not value.ndim else value
-        if not is_finite_number(plain):
+        if not is_finite_number(np.asarray(value)[()]):
             raise ValueError(
                 f"values gives {name!r} the value {value!r:.60}: give a finite number."
             )

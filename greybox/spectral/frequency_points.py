@@ -180,8 +180,6 @@ def averaged(points: list[FrequencyPoint]) -> FrequencyPoint:
     if variance > 0 and np.all(dof > 0):  # Welch, Satterthwaite
         effective_dof = float(variance**2 / np.sum(parts**2 / dof))
 
-    # The worst test decides: a nonlinearity does not average out.
-    shares = [p.unexplained for p in points if not math.isnan(p.unexplained)]
     return replace(
         points[0],
         response=complex(weight @ [p.response for p in points]),
@@ -193,7 +191,8 @@ def averaged(points: list[FrequencyPoint]) -> FrequencyPoint:
             f"mean of {len(points)} tests",
             *dict.fromkeys(text for p in points for text in p.notes),
         ),
-        unexplained=max(shares, default=math.nan),
+        # The worst test decides: a nonlinearity does not average out.
+        unexplained=float(np.fmax.reduce([p.unexplained for p in points])),
     )
 
 

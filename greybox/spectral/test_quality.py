@@ -127,17 +127,18 @@ def check(
         For a signal that the record does not have.
     """
     require_time(record, "a test")
-    band = _highest_lowest(response, segments)
+    usable = [segment for segment in segments if segment.usable]
+    band = _highest_lowest(response, usable)
     findings = [
         *_filters(record, (input, output)),
-        *_gaps(record, segments),
+        *_gaps(record, usable),
         *jitter(record),
-        *_saturation(_excited(record, segments), input),
+        *_saturation(_excited(record, usable), input),
         *_amplitude(record, (input, output)),
         *_segments(segments),
         *_spread(*band),
-        *_length(record, band[1], segments),
-        *_rate(record, band[0], response, segments),
+        *_length(record, band[1], usable),
+        *_rate(record, band[0], response, usable),
     ]
     if response is not None:
         findings += [*_coherence(response), *_noise(response)]
@@ -162,7 +163,7 @@ def _filters(record: Record, names: Sequence[str]) -> Iterator[Finding]:
 
 
 def _gaps(record: Record, segments: Sequence[Segment]) -> Iterator[Finding]:
-    spans = [(s.start, s.end) for s in segments if s.usable] or [(-math.inf, math.inf)]
+    spans = [(s.start, s.end) for s in segments] or [(-math.inf, math.inf)]
     # Gaps between tests lose nothing.
     begins = record.time[:-1]
     ends = record.time[1:]
@@ -190,12 +191,10 @@ def jitter(record: Record) -> Iterator[Finding]:
 
 
 def _excited(record: Record, segments: Sequence[Segment]) -> Record:
-    """Return the samples within the usable segments; the whole record without any."""
-    inside = np.zeros(len(record), dtype=bool)
-    for segment in segments:
-        if segment.usable:
-            inside |= (record.time >= segment.start) & (record.time <= segment.end)
-    return record.rows(np.flatnonzero(inside)) if inside.any() else record
+    """Return the samples within the segments; the whole record without any."""
+    within = [(record.time >= s.start) & (record.time <= s.end) for s in segments]
+    rows = np.flatnonzero(np.any(within, axis=0))
+    return record.rows(rows) if rows.size else record
 
 
 def _saturation(record: Record, name: str) -> Iterator[Finding]:
@@ -238,7 +237,7 @@ def _highest_lowest(
     # A response shows what was measured, segments only what was planned.
     if response is not None:
         return float(response.omega.max()), float(response.omega.min())
-    ends = [edge for segment in segments if segment.usable for edge in segment.band]
+    ends = [edge for segment in segments for edge in segment.band]
     return (max(ends), min(ends)) if ends else (math.nan, math.nan)
 
 
@@ -259,10 +258,9 @@ def _spread(high: float, low: float) -> Iterator[Finding]:
 
 
 def _length(record: Record, lowest: float, segments: Sequence[Segment]) -> Iterator[Finding]:
-    usable = [s for s in segments if s.usable]
-    if usable:
+    if segments:
         # The shortest test has the largest errors.
-        fewest = min(usable, key=lambda s: s.periods)
+        fewest = min(segments, key=lambda s: s.periods)
         periods = fewest.periods
         lowest = fewest.band[0]
     else:
@@ -285,7 +283,7 @@ def _rate(
     segments: Sequence[Segment],
 ) -> Iterator[Finding]:
     reach = 2 * math.pi * record.rate / SAMPLES[1]
-    bands = [segment.band for segment in segments if segment.usable]
+    bands = [segment.band for segment in segments]
     if response is None and any(low < reach for low, _ in bands):
         # Sweeps are cut off at this frequency, and sines above it are left out.
         highest = max(min(high, reach) for low, high in bands if low < reach)

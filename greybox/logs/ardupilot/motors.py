@@ -105,16 +105,14 @@ def limits(parameters: Mapping[str, float]) -> tuple[float, float]:
 def saturation(recording: Recording, spans: Sequence[tuple[float, float]]) -> float:
     """Return the share of time during which a motor is at its limit; NaN without logged outputs."""
     low, high = limits(recording.parameters)
-    shares, sizes = [], []
+    at_limit = []
     for start, end in spans:
         outputs = motor_outputs(recording, start, end)
         if outputs is not None:
             values = np.array(list(outputs.signals.values()))
             # Outputs are truncated to whole numbers: the greatest may be a step less.
-            shares.append(np.any((values <= low) | (values >= high - 1), axis=0).mean())
-            sizes.append(len(outputs))
-
-    return float(np.average(shares, weights=sizes)) if sizes else math.nan
+            at_limit.append(np.any((values <= low) | (values >= high - 1), axis=0))
+    return float(np.mean(np.concatenate(at_limit))) if at_limit else math.nan
 
 
 def _range(parameters: Mapping[str, float]) -> tuple[float, float]:
