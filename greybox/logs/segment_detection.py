@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from statistics import median
 from typing import Any
 
 import numpy as np
@@ -90,9 +91,9 @@ def find_segments(
         segments = [
             s for name in names or present(data, SETPOINTS) for s in _in_setpoint(data, name)
         ]
-    segments = _compared([_checked(s, data) for s in segments])
-
-    return tuple(sorted(segments, key=lambda s: (s.start, s.axis)))
+    sines = [s for s in segments if s.kind == "sine" and s.source != "SIDS"]
+    checked = (_checked(s, data, sines) for s in segments)
+    return tuple(sorted(checked, key=lambda s: (s.start, s.axis)))
 
 
 def _system_identification(data: Recording | Record) -> list[Segment]:
@@ -189,8 +190,11 @@ def _tests(time: Array, columns: Mapping[str, Array]) -> list[IntArray]:
     return [rows for rows in groups if rows.size > 1 and columns["omega"][rows[0]] > 0]
 
 
-def _checked(segment: Segment, data: Recording | Record) -> Segment:
-    """Refuse a test that is too short, not excited, flown by hand, or cut by a change of mode."""
+def _checked(segment: Segment, data: Recording | Record, sines: Sequence[Segment]) -> Segment:
+    """Refuse a test that is too short, not excited, flown by hand, or cut by a change of mode.
+
+    Refuse a sine also if it is much shorter, or much weaker, than the others of the flight.
+    """
     texts = []
     if segment.periods < 1:
         texts.append(f"shorter than one period ({segment.periods:.2f} of one)")
@@ -205,6 +209,23 @@ def _checked(segment: Segment, data: Recording | Record) -> Segment:
         if segment.start + EDGE < moment < segment.end - EDGE and segment.source != "SIDS":
             texts.append(f"the mode changed to {mode} at {moment:.1f} s, during the test")
 
+    # With two sines, neither can be called the exception.
+    if segment in sines and len(sines) > 2:
+        periods = median(s.periods for s in sines)
+        duration = median(s.duration for s in sines)
+        largest = max(s.amplitude for s in sines if s.unit == segment.unit)
+        # Both, since sines of low frequency have fewer periods, and those of high frequency are
+        # shorter.
+        if segment.periods < 0.5 * periods and segment.duration < 0.75 * duration:
+            texts.append(
+                f"ended early, after {segment.periods:.1f} periods where others have about "
+                f"{periods:.0f}"
+            )
+        if 0 < segment.amplitude < 0.01 * largest:
+            texts.append(
+                f"barely excited: amplitude {segment.amplitude:.3g} where others reach "
+                f"{largest:.3g}"
+            )
     return segment.refused(*texts) if texts else segment
 
 
@@ -227,35 +248,6 @@ def _moving_stick(segment: Segment, data: Recording | Record) -> str:
                 return stick
 
     return ""
-
-
-def _compared(segments: list[Segment]) -> list[Segment]:
-    """Refuse sines that are much shorter, or much weaker, than the others of the same flight."""
-    sines = [s for s in segments if s.kind == "sine" and s.source != "SIDS"]
-    # With two sines, neither can be called the exception.
-    if len(sines) < 3:
-        return segments
-    periods = float(np.median([s.periods for s in sines]))
-    duration = float(np.median([s.duration for s in sines]))
-    largest = {s.unit: max(t.amplitude for t in sines if t.unit == s.unit) for s in sines}
-
-    result = []
-    for s in segments:
-        texts = []
-        # Both, since sines of low frequency have fewer periods, and those of high frequency are
-        # shorter.
-        if s in sines and s.periods < 0.5 * periods and s.duration < 0.75 * duration:
-            texts.append(
-                f"ended early, after {s.periods:.1f} periods where others have about {periods:.0f}"
-            )
-        if s in sines and 0 < s.amplitude < 0.01 * largest[s.unit]:
-            texts.append(
-                f"barely excited: amplitude {s.amplitude:.3g} where others reach "
-                f"{largest[s.unit]:.3g}"
-            )
-        result.append(s.refused(*texts) if texts else s)
-
-    return result
 
 
 def present(data: Recording | Record, names: Iterable[str]) -> list[str]:

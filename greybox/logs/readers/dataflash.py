@@ -5,7 +5,6 @@ letters, unit and multiplier tables) follows pymavlink, and the values are equal
 the last bit.
 """
 
-import hashlib
 import mmap
 from collections.abc import Collection, Sequence
 from pathlib import Path
@@ -20,7 +19,7 @@ from greybox.logs.readers import ardupilot_metadata
 from greybox.logs.readers.controller_outputs import with_holds
 from greybox.logs.readers.dataflash_index import Bytes, Index, Layout, index, text
 from greybox.logs.readers.dataflash_units import Units, UnitTables, with_usual_units
-from greybox.logs.readers.messages import Messages, bare, on_one_clock, records
+from greybox.logs.readers.messages import Messages, bare, checksum_of, on_one_clock, records
 
 # About the log or the vehicle: no time histories.
 ABOUT = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "FILE", "ISBH", "ISBD")
@@ -55,17 +54,17 @@ def read(path: Path, messages: Collection[str] | None = None) -> Recording:
     with open(path, "rb") as file:
         data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     groups, damage = _contents(data, messages)
-    return recording(groups, path, hashlib.sha256(data).hexdigest(), messages, damage)
+    return recording(groups, path, messages, damage)
 
 
 def recording(
     groups: list[Messages],
     path: Path,
-    checksum: str,
     messages: Collection[str] | None,
     findings: Sequence[str],
 ) -> Recording:
     """Make a recording of the messages of an ArduPilot log, binary or text."""
+    checksum = checksum_of(path)
     groups, restarts = on_one_clock(groups)
     # Before the messages are chosen: any unit in the log shows that it has tables of units.
     groups, assumed = with_usual_units(groups)

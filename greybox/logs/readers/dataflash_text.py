@@ -1,6 +1,5 @@
 """ArduPilot DataFlash logs as text (.log): one message per line, ``ATT, 42079828, 0.01, ...``."""
 
-import hashlib
 import math
 from array import array
 from collections.abc import Collection
@@ -98,8 +97,6 @@ def read(path: Path, messages: Collection[str] | None = None) -> Recording:
         If the file cannot be opened.
     """
     messages = bare(messages)
-    with path.open("rb") as file:
-        checksum = hashlib.file_digest(file, "sha256").hexdigest()
     lines: dict[str, _MessageLines] = {}
     unknown = 0
     with path.open(encoding="utf-8-sig", errors="replace") as file:
@@ -130,7 +127,7 @@ def read(path: Path, messages: Collection[str] | None = None) -> Recording:
             f"{unknown} lines are damaged, or have no FMT line that describes them, and were "
             "skipped."
         )
-    return recording(groups, path, checksum, messages, (*findings, *tables.findings))
+    return recording(groups, path, messages, (*findings, *tables.findings))
 
 
 def _number(field: str) -> float:

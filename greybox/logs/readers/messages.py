@@ -1,8 +1,10 @@
 """From messages to records: one per instance, on one clock, with increasing times."""
 
+import hashlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import chain
+from pathlib import Path
 
 import numpy as np
 
@@ -55,6 +57,12 @@ class Messages:
             columns={name: values[rows] for name, values in self.columns.items()},
             texts={name: [values[i] for i in rows] for name, values in self.texts.items()},
         )
+
+
+def checksum_of(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def bare(messages: Collection[str] | None) -> tuple[str, ...] | None:

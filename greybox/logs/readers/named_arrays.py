@@ -3,7 +3,6 @@
 The same records are made of the topics of PX4 logs and of tables of text.
 """
 
-import hashlib
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,7 +12,7 @@ from greybox.files.arrays import Array
 from greybox.files.subprocess_reader import read_in_subprocess
 from greybox.logs.named_columns import renamed
 from greybox.logs.readers.controller_outputs import with_holds
-from greybox.logs.readers.messages import on_one_clock, records
+from greybox.logs.readers.messages import checksum_of, on_one_clock, records
 from greybox.logs.readers.table_columns import table
 
 HEAD = 4096  # bytes, in which HDF5 has its signature: MATLAB 7.3 puts a text before it
@@ -137,8 +136,7 @@ def recording(
     `rows_allowed`, a group without a time becomes a record of rows; otherwise, since it has
     settings and the like, a finding.
     """
-    with open(path, "rb") as file:
-        checksum = hashlib.file_digest(file, "sha256").hexdigest()
+    checksum = checksum_of(path)
     groups: dict[str, dict[str, Variable]] = {}
     for variable in contents.variables:
         groups.setdefault(variable.group or path.stem, {})[variable.name] = variable

@@ -5,7 +5,6 @@ of the jitter of the link. The others have their time of reception. Both are on 
 starts with the vehicle.
 """
 
-import hashlib
 import mmap
 from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
@@ -17,7 +16,7 @@ from greybox.files.arrays import Array, IntArray
 from greybox.logs.readers import telemetry_metadata, time_stamps
 from greybox.logs.readers.ardupilot_metadata import unit
 from greybox.logs.readers.controller_outputs import with_holds
-from greybox.logs.readers.messages import Messages, bare, records
+from greybox.logs.readers.messages import Messages, bare, checksum_of, records
 from greybox.logs.readers.telemetry_packets import TICKS, Kind, Packets
 
 ABOUT = ("HEARTBEAT", "PARAM_VALUE", "STATUSTEXT")  # the metadata are made of these
@@ -50,7 +49,7 @@ def read(path: Path, messages: Collection[str] | None = None) -> Recording:
     messages = bare(messages)
     with open(path, "rb") as file:
         data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-        checksum = hashlib.file_digest(file, "sha256").hexdigest()
+    checksum = checksum_of(path)
     packets = Packets(data)
     kinds, first_received = _kinds(packets, messages)
     if not kinds:
