@@ -179,16 +179,10 @@ def _cure(parameters: Mapping[str, float], mode: str) -> str:
         return f"set LOG_FILE_RATEMAX 0 (it is {parameters['LOG_FILE_RATEMAX']:g} Hz)"
     mask = int(parameters.get("LOG_BITMASK", 0))
     # The firmware logs at full rate in this mode only if both bits are set.
+    needed, bits = mask | FAST, "fast attitude"
     if mode == "SYSTEMID":
-        needed, bits = (
-            mask | FAST | MEDIUM,
-            "fast and medium attitude: System Identification mode needs both",
-        )
-    else:
-        needed, bits = mask | FAST, "fast attitude"
-
-    return (
-        f"set LOG_BITMASK {needed} ({bits})"
-        if needed != mask
-        else "log to a faster card, or lower SCHED_LOOP_RATE"
-    )
+        needed |= MEDIUM
+        bits = "fast and medium attitude: System Identification mode needs both"
+    if needed == mask:
+        return "log to a faster card, or lower SCHED_LOOP_RATE"
+    return f"set LOG_BITMASK {needed} ({bits})"

@@ -339,16 +339,15 @@ def _model_and_record(
     model: Any, values: Any, record: Any, inputs: Inputs | None, part: int | None
 ) -> tuple[ModelAtEstimate, Record]:
     """Return the model at its values, and the record, by default that of the fit."""
-    given = record if isinstance(record, Record) else None
-    estimated = model_at(model, values, inputs=inputs, part=part, record=given)
-    if record is None and estimated.part is None:
-        raise TypeError("record is missing: give the Record whose inputs are to drive the model.")
-    if record is None:
-        record = estimated.part.data
-    if not isinstance(record, Record):
+    if record is not None and not isinstance(record, Record):
         raise TypeError(
             f"record is {record!r:.80}: give one Record; for several, call it for each."
         )
+    estimated = model_at(model, values, inputs=inputs, part=part, record=record)
+    if record is None:
+        if estimated.part is None:
+            raise TypeError("record is missing: give the Record that drives the model.")
+        record = estimated.part.data
     require_signals(record, estimated.system.inputs, estimated.label)
     return estimated, record
 

@@ -155,14 +155,20 @@ def _columns(
     odd_cells: list[str] = []
     for k, (name, _) in enumerate(headings):
         cells = [row[k] for _, row in complete]
-        values, odd = _numbers(cells, comma)
-        if name and values is not None:
-            columns[name] = values
-            if odd:
-                first = f"the first {cells[odd[0]][:LONGEST]!r} in line {complete[odd[0]][0]}"
-                odd_cells.append(f"{name} ({counted(len(odd), 'cell')}, {first})")
-        elif name and any(cells):
+        if not name or not any(cells):
+            continue
+        values = np.array([number_in(cell, comma) for cell in cells])
+        values[np.isinf(values)] = np.nan
+        missing = np.flatnonzero(np.isnan(values)).tolist()
+        odd = [j for j in missing if cells[j].lower() not in MISSING]
+        # Some damaged cells do not make a column one of text.
+        if len(odd) > sum(map(bool, cells)) / 2:
             not_numeric.append(name)
+            continue
+        columns[name] = values
+        if odd:
+            first = f"the first {cells[odd[0]][:LONGEST]!r} in line {complete[odd[0]][0]}"
+            odd_cells.append(f"{name} ({counted(len(odd), 'cell')}, {first})")
 
     findings = []
     if short:
@@ -178,14 +184,3 @@ def _columns(
         findings.append(f"columns without numbers were left out: {some(not_numeric, 12)}.")
 
     return columns, findings
-
-
-def _numbers(cells: Sequence[str], comma: bool) -> tuple[Array | None, list[int]]:
-    """Return the numbers of a column (NaN: missing; None: it is text), and the odd rows."""
-    values = np.array([number_in(cell, comma) for cell in cells])
-    values[np.isinf(values)] = np.nan
-    missing = np.flatnonzero(np.isnan(values)).tolist()
-    odd = [k for k in missing if cells[k].lower() not in MISSING]
-    # Some damaged cells do not make a column one of text.
-    filled = sum(map(bool, cells))
-    return (values, odd) if len(odd) <= filled / 2 > 0 else (None, [])
