@@ -39,7 +39,7 @@ def whitened(values: Array, filters: Sequence[Array], outputs: Outputs) -> Array
     Each stretch loses as many rows at its beginning as its filter (q + 1,) has orders.
     """
     pieces = [
-        np.array([np.convolve(column, weights, "valid") for column in values[rows].T]).T
+        sliding_window_view(values[rows], len(weights), axis=0) @ weights[::-1]
         for weights, stretches in zip(filters, outputs, strict=True)
         for rows in stretches
         if len(rows) >= len(weights)
