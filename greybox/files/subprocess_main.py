@@ -103,7 +103,10 @@ def hdf5(path: str, collector: Collector, _: list[str]) -> None:
                 # Reversed, since the last one is taken first: in the order of the file.
                 waiting += reversed([*_members(name, item, collector, addresses)])
             elif isinstance(item, h5py.Dataset):
-                _require_own_storage(name, item)
+                # Reading such a dataset would open a file that the sender of this one names.
+                created = item.id.get_create_plist()
+                if created.get_layout() == h5py.h5d.VIRTUAL or created.get_external_count():
+                    raise RefusedError(f"the data of {name} are stored in another file")
                 try:
                     _keep_dataset(name, item, collector)
                 except PROBLEMS:
@@ -129,15 +132,6 @@ def _members(
             if place.count("/") > DEEPEST:
                 raise RefusedError(f"it has more than {DEEPEST} levels of groups")
             yield place, group[name]
-
-
-def _require_own_storage(name: str, dataset: Any) -> None:
-    import h5py  # noqa: PLC0415
-
-    # Reading such a dataset would open a file that the sender of this one names.
-    created = dataset.id.get_create_plist()
-    if created.get_layout() == h5py.h5d.VIRTUAL or created.get_external_count():
-        raise RefusedError(f"the data of {name} are stored in another file")
 
 
 def _stored(dataset: Any) -> int:

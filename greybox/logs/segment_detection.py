@@ -275,8 +275,9 @@ def stretches(
     finite = np.isfinite(record[field])
     time = record.time[finite]
     values = record[field][finite]
-    turn = _whole_turn(unit)
-
+    # A whole turn in the unit of an angle, the jump of a heading at north.
+    conversion = known_unit(unit)
+    turn = 2 * math.pi / conversion.factor if conversion and conversion.si == "rad" else 0.0
     return unit, [
         (time[run], np.unwrap(values[run], period=turn) if turn else values[run])
         for run in runs_between_gaps(time, max(longest_gap, GAP * record.step))
@@ -288,12 +289,6 @@ def _in_setpoint(data: Recording | Record, name: str) -> list[Segment]:
     unit, parts = stretches(data, name, PAUSE)
     segments = [segment for time, values in parts for segment in sines_and_sweeps(time, values)]
     return [replace(s, axis=name, unit=unit, source=f"setpoint {name}") for s in segments]
-
-
-def _whole_turn(unit: str) -> float:
-    """Return a whole turn in the unit of an angle, the jump of a heading at north; 0 otherwise."""
-    conversion = known_unit(unit)
-    return 2 * math.pi / conversion.factor if conversion and conversion.si == "rad" else 0.0
 
 
 def announcing(recording: Recording) -> tuple[str, ...]:

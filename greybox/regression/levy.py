@@ -173,7 +173,12 @@ def levy(
         iterations out of range.
     """
     _check_orders(data, n, m, integrator)
-    weights = _check_weight(weight, data)
+    weights = np.ones(len(data)) if weight is None else np.asarray(weight, dtype=float)
+    if weights.shape != (len(data),) or not np.all((weights > 0) & np.isfinite(weights)):
+        raise ValueError(
+            f"weight has the shape {weights.shape}: give one finite number above 0 for each of the "
+            f"{len(data)} frequencies."
+        )
     require_whole("iterations", iterations, 0)
 
     numerator, denominator, condition = _solve(data, n, m, integrator, weights)
@@ -273,13 +278,3 @@ def _check_orders(data: FrequencyResponse, n: int, m: int, integrator: int) -> N
             f"of n = {n}, m = {m}: (3.17) needs more equations than unknowns, lower n and m or add "
             "frequencies."
         )
-
-
-def _check_weight(weight: ArrayLike | None, data: FrequencyResponse) -> Array:
-    weights = np.ones(len(data)) if weight is None else np.asarray(weight, dtype=float)
-    if weights.shape != (len(data),) or not np.all((weights > 0) & np.isfinite(weights)):
-        raise ValueError(
-            f"weight has the shape {weights.shape}: give one finite number above 0 for each of the "
-            f"{len(data)} frequencies."
-        )
-    return weights

@@ -77,22 +77,17 @@ def bare(messages: Collection[str] | None) -> tuple[str, ...] | None:
 def on_one_clock(groups: Iterable[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
     """Return the messages on one clock that never restarts, and findings; see `time_stamps`."""
     groups = list(groups)
-    shifted, findings = time_stamps.one_clock(_stamps(groups))
-    groups = [
-        group if group.time is None else replace(group, time=shifted[group.order])
-        for group in groups
-    ]
-    return groups, findings
-
-
-def _stamps(groups: Iterable[Messages]) -> Array:
-    """Return the times of all messages by their number, NaN for those without."""
     timed = [group for group in groups if group.time is not None and len(group)]
     # In the order of the file, since restarts show in it across all types of messages.
     stamps = np.full(max((1 + int(group.order.max()) for group in timed), default=0), np.nan)
     for group in timed:
         stamps[group.order] = group.time
-    return stamps
+    shifted, findings = time_stamps.one_clock(stamps)
+    groups = [
+        group if group.time is None else replace(group, time=shifted[group.order])
+        for group in groups
+    ]
+    return groups, findings
 
 
 def records(
@@ -164,8 +159,12 @@ def _record(name: str, part: Messages, source: str, checksum: str) -> Record | N
     time = part.time
     columns = part.columns
     findings = ()
-    if rows.size < time.size:
-        findings = (_dropped(name, time.size - rows.size, time),)
+    dropped = time.size - rows.size
+    if dropped:
+        wrong = int(np.count_nonzero(~np.isfinite(time)))
+        reasons = [f"{wrong} with implausible times"] if wrong else []
+        reasons += [f"{dropped - wrong} whose time does not increase"] if dropped > wrong else []
+        findings = (f"{name}: {dropped} of {time.size} samples dropped: {', '.join(reasons)}.",)
         time = time[rows]
         columns = {column: values[rows] for column, values in columns.items()}
     for values in (time, *columns.values()):
@@ -174,10 +173,3 @@ def _record(name: str, part: Messages, source: str, checksum: str) -> Record | N
     units = {column: part.units.get(column, "") for column in columns}
 
     return Record(time, columns, units, name, source, checksum, hold=part.hold, findings=findings)
-
-
-def _dropped(name: str, dropped: int, time: Array) -> str:
-    wrong = int(np.count_nonzero(~np.isfinite(time)))
-    reasons = [f"{wrong} with implausible times"] if wrong else []
-    reasons += [f"{dropped - wrong} whose time does not increase"] if dropped > wrong else []
-    return f"{name}: {dropped} of {time.size} samples dropped: {', '.join(reasons)}."

@@ -81,9 +81,15 @@ def read(path: Path, messages: Collection[str] | None = None) -> Recording:
     by_name, problems = records(
         with_holds(groups, about.get("parameters", {})), path.name, checksum
     )
+    restarted = (
+        f"sender {_address(sender)} restarted at {(start - zero) / 1e6:.1f} s; its clock continues "
+        "there."
+        for sender, starts in boots.items()
+        for start in starts[1:]
+    )
     findings = (
         *_damage(packets),
-        *_restarts(boots, zero),
+        *restarted,
         *(f"there is no message {name}; the log has {present}." for name in missing),
         *received,
         *problems,
@@ -172,15 +178,6 @@ def _labels(senders: IntArray, names: Sequence[str] | None, instances: Array | N
 
 def _address(sender: int) -> str:
     return f"{sender >> 8}:{sender & 0xFF}"
-
-
-def _restarts(boots: Mapping[int, Sequence[float]], zero: float) -> list[str]:
-    return [
-        f"sender {_address(sender)} restarted at {(start - zero) / 1e6:.1f} s; its clock continues "
-        "there."
-        for sender, starts in boots.items()
-        for start in starts[1:]
-    ]
 
 
 def _damage(packets: Packets) -> list[str]:
