@@ -302,16 +302,14 @@ class Record:
         signals = ", ".join(
             f"{n} ({self.units[n]})" if self.units.get(n) else n for n in self.signals
         )
-        return f"{self.name or 'record'}: {self._extent()}: {signals}"
-
-    def _extent(self) -> str:
+        name = self.name or "record"
         if not self.has_time:
-            return f"{counted(len(self), 'row')} without a time"
+            return f"{name}: {counted(len(self), 'row')} without a time: {signals}"
         pieces = len(self.pieces)
         rate = "irregular times" if self.is_irregular else f"{self.rate:.4g} Hz"
         return (
-            f"{counted(len(self), 'sample')} at {rate}, {self.duration:.1f} s from "
-            f"{self.time[0]:.1f} s{f' in {pieces} pieces' if pieces > 1 else ''}"
+            f"{name}: {counted(len(self), 'sample')} at {rate}, {self.duration:.1f} s from "
+            f"{self.time[0]:.1f} s{f' in {pieces} pieces' if pieces > 1 else ''}: {signals}"
         )
 
 

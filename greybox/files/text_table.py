@@ -19,7 +19,10 @@ def printable(text: str, keep: str = "") -> str:
     if text.isprintable():
         return text
     return "".join(
-        c if c in keep or unicodedata.category(c) not in CONTROLS else _escaped(c) for c in text
+        c
+        if c in keep or unicodedata.category(c) not in CONTROLS
+        else c.encode("unicode_escape", "surrogatepass").decode("ascii")
+        for c in text
     )
 
 
@@ -32,10 +35,6 @@ def all_printable(thing: Any) -> Any:
     if type(thing) in (tuple, list):
         return type(thing)(all_printable(item) for item in thing)
     return thing
-
-
-def _escaped(character: str) -> str:
-    return character.encode("unicode_escape", "surrogatepass").decode("ascii")
 
 
 def text_table(

@@ -94,7 +94,11 @@ def thinning(recording: Recording, signal: str, start: float, end: float) -> Thi
     # The rate of the log jitters, while the loop logs every pass, every second, every third ...
     kept = round(loop / logged)
     if is_px4:
-        return Thinning(loop, logged, kept, math.nan, math.nan, _px4_cure(parameters))
+        profile = int(parameters.get("SDLOG_PROFILE", 1))
+        cure = f"set SDLOG_PROFILE {profile | IDENTIFICATION} (system identification)"
+        if profile & IDENTIFICATION:
+            cure = "log to a faster card, or lower IMU_GYRO_RATEMAX"
+        return Thinning(loop, logged, kept, math.nan, math.nan, cure)
     gyro = GYRO_RATE * 2 ** int(parameters.get("INS_GYRO_RATE", 0))
     count, age = _differences(gyro / loop, kept)
     mode = next(
@@ -162,15 +166,6 @@ def low_pass(order: int, cutoff: float, omega: Array) -> Complex:
 def _of_controller(parameters: Mapping[str, float], axis: str, name: str) -> float:
     """Return a parameter of ArduPilot's rate controller of an axis; 0 if it is not in the log."""
     return parameters.get(f"ATC_RAT_{CONTROLLERS.get(axis, '')}_{name}", 0)
-
-
-def _px4_cure(parameters: Mapping[str, float]) -> str:
-    profile = int(parameters.get("SDLOG_PROFILE", 1))
-    return (
-        "log to a faster card, or lower IMU_GYRO_RATEMAX"
-        if profile & IDENTIFICATION
-        else f"set SDLOG_PROFILE {profile | IDENTIFICATION} (system identification)"
-    )
 
 
 def _cure(parameters: Mapping[str, float], mode: str) -> str:

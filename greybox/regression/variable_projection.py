@@ -157,7 +157,13 @@ def project(data: Regressors, parameters: Mapping[str, Parameter], start: Array)
     first = np.array([parameters[n].start for n in search.nonlinear])
     search = replace(search, size=search.rows(first).target.size)
     if not search.size:
-        raise ValueError(_too_short(data))
+        longest = max(rows.stop - rows.start for rows in stretches(data.time, data.time))
+        lost = 2 * reach(min(data.bands)) + data.lateness
+        raise ValueError(
+            "no stretch without a gap is long enough: the longest piece of the record has "
+            f"{longest * data.step:.3g} s, of which smoothing, delays and simulated states need "
+            f"{lost:.3g} s at its ends; give a longer or less noisy record."
+        )
     point = _located(search, first)
 
     # The equations are weighted by the sizes of their residuals, known only after a first solution.
@@ -173,16 +179,6 @@ def project(data: Regressors, parameters: Mapping[str, Parameter], start: Array)
 def _widths(low: Array, high: Array, point: Array) -> Array:
     """Return the intervals between bounds, or the size of the value without bounds."""
     return np.where(np.isfinite(high - low), high - low, np.maximum(np.abs(point), 1))
-
-
-def _too_short(data: Regressors) -> str:
-    longest = max(rows.stop - rows.start for rows in stretches(data.time, data.time))
-    lost = 2 * reach(min(data.bands)) + data.lateness
-    return (
-        "no stretch without a gap is long enough: the longest piece of the record has "
-        f"{longest * data.step:.3g} s, of which smoothing, delays and simulated states need "
-        f"{lost:.3g} s at its ends; give a longer or less noisy record."
-    )
 
 
 def _errors(search: _Search, point: Array, weights: Array) -> Array:

@@ -123,10 +123,8 @@ class Kind:
         seconds = getattr(packet, self.timer) / TICKS[self.timer] if self.timer else math.nan
         # Some senders fill in zero, or the time since 1970.
         self.sent.append(seconds if 0 < seconds < EPOCH else math.nan)
-        if self._is_stored:
-            self._append_fields(packet)
-
-    def _append_fields(self, packet: Any) -> None:
+        if not self._is_stored:
+            return
         first = len(self.numbers) == 1
         for name in self.definition.fieldnames:
             value = getattr(packet, name)
