@@ -14,7 +14,7 @@ from greybox.data.intersample import HOLD, NO_HOLD
 from greybox.data.magnitude_phase import angular_frequency, complex_response
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.units import known_unit, to_si
-from greybox.files.arrays import Array, BoolArray, ComplexArray
+from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
 from greybox.files.text_table import all_printable, counted, one_line, printable
 
 COLUMNS = ("omega", "response", "coherence", "variance", "dof")
@@ -285,8 +285,8 @@ class FrequencyResponse:
             digest.update(np.ascontiguousarray(self.common_errors).tobytes())
         return digest.hexdigest()
 
-    def where(self, selected: BoolArray) -> "FrequencyResponse":
-        """Return the points for which `selected` (n,) is true."""
+    def where(self, selected: BoolArray | IntArray) -> "FrequencyResponse":
+        """Return the points for which `selected` (n,) is true, or that have these places."""
         # The frequencies are the last axis of all.
         arrays = {
             name: values[..., selected]
@@ -294,6 +294,11 @@ class FrequencyResponse:
             if (values := getattr(self, name)) is not None
         }
         return replace(self, **arrays)
+
+    @property
+    def by_frequency(self) -> "FrequencyResponse":
+        """The same points in the order of their frequencies."""
+        return self.where(np.argsort(self.omega))
 
     def between(self, low: float, high: float) -> "FrequencyResponse":
         """Return the points from `low` to `high`, rad/s."""

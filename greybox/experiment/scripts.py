@@ -7,6 +7,7 @@ from greybox.experiment.excitation import Excitation
 from greybox.experiment.sweep import DWELL
 from greybox.files.delimited_text import write_delimited
 from greybox.logs.ardupilot.signals import SYSTEMID_AXES
+from greybox.modeling.model import require_known
 
 AXES = {"roll": 1, "pitch": 2, "yaw": 3}  # of the SINE message, and the first three of SID_AXIS
 FLOWN_AXES = SYSTEMID_AXES[:13]  # those that inject into an attitude loop or the mixer
@@ -41,8 +42,7 @@ def ardupilot_script(excitation: Excitation, axis: str = "pitch") -> str:
     ValueError
         For an unknown axis, another unit, or anything that is not a sine schedule.
     """
-    if axis not in AXES:
-        raise ValueError(f"the axis {axis!r} is not known: use one of {', '.join(AXES)}.")
+    require_known([axis], AXES, "axis", "the script")
     if any(segment.kind != "sine" for segment in excitation.schedule):
         raise ValueError(
             "the script flies sines only: use sine_schedule(...), or systemid_parameters for a "
@@ -83,8 +83,7 @@ def systemid_parameters(excitation: Excitation, axis: str) -> str:
         values out of the mode's range.
     """
     settings = excitation.settings
-    if axis not in FLOWN_AXES:
-        raise ValueError(f"the axis {axis!r} is not known: use one of {', '.join(FLOWN_AXES)}.")
+    require_known([axis], FLOWN_AXES, "axis", "SystemID mode")
     if settings.get("dwell") != DWELL:
         raise ValueError(
             f"SystemID mode flies logarithmic sweeps after {DWELL} periods only: use "

@@ -36,17 +36,14 @@ def _append(element: Element, children: Child) -> None:
     if children is None:
         return
     if isinstance(children, str):
-        _append_text(element, printable(children, keep="\n\t"))
+        text = printable(children, keep="\n\t")
+        # This tree keeps a text in the element before it.
+        if len(element):
+            element[-1].tail = (element[-1].tail or "") + text
+        else:
+            element.text = (element.text or "") + text
     elif isinstance(children, Element):
         element.append(children)
     else:
         for child in children:
             _append(element, child)
-
-
-def _append_text(element: Element, text: str) -> None:
-    """Append text; this tree keeps it in the element before it."""
-    if len(element):
-        element[-1].tail = (element[-1].tail or "") + text
-    else:
-        element.text = (element.text or "") + text

@@ -65,12 +65,10 @@ def to_control(
     control = required("control", "control", "to_control()")
     if isinstance(thing, FrequencyResponse):
         # python-control interpolates between frequencies, which must increase for that.
-        order = np.argsort(thing.omega)
+        thing = thing.by_frequency
         names = {"inputs": [thing.input or "u"], "outputs": [thing.output or "y"]}
-        response = thing.response[order].reshape(1, 1, -1)
-        return control.FrequencyResponseData(
-            response, thing.omega[order], **names, **_named(thing.name)
-        )
+        response = thing.response.reshape(1, 1, -1)
+        return control.FrequencyResponseData(response, thing.omega, **names, **_named(thing.name))
 
     if isinstance(thing, Margins):
         loop = thing.require_loop()

@@ -223,9 +223,8 @@ def phases(responses: Sequence[DrawnResponse]) -> list[Array]:
 
 def _unwrapped(response: FrequencyResponse) -> _Phase:
     """Return the sorted omega (n,) and the phase (n,), unwrapped from within (-180°, 180°]."""
-    order = np.argsort(response.omega)
-    phase = response.degrees[order]
-    return response.omega[order], phase + 360 * (phase[0] <= -180)
+    response = response.by_frequency
+    return response.omega, response.degrees + 360 * (response.degrees[0] <= -180)
 
 
 def _moved(phase: _Phase, guide: _Phase) -> _Phase:

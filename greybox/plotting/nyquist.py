@@ -95,8 +95,7 @@ def _figure(responses: Sequence[DrawnResponse], level: float | None) -> Figure:
             labels = [f"{float(f'{omega:.3g}'):g}" for omega in np.sort(response.omega)]
             series.append(drawn.series(**in_plane(response, level), labels=labels))
         else:
-            order = np.argsort(response.omega)  # a curve runs along frequency
-            series.append(drawn.series(response.alpha[order], response.beta[order]))
+            series.append(drawn.series(response.alpha, response.beta))
 
     name = ratio(responses)
     note = "Curves that reach farther are cut off." if limits else ""
@@ -123,9 +122,9 @@ def in_plane(response: FrequencyResponse, level: float | None) -> dict[str, Any]
 
     With a variance and a level, they have circles: the regions of the true response.
     """
-    order = np.argsort(response.omega)
-    x, y = response.alpha[order], response.beta[order]
-    values = zip(response.response[order], response.omega[order], strict=True)
+    response = response.by_frequency
+    x, y = response.alpha, response.beta
+    values = zip(response.response, response.omega, strict=True)
     look: dict[str, Any] = {
         "x": x,
         "y": y,
@@ -134,7 +133,7 @@ def in_plane(response: FrequencyResponse, level: float | None) -> dict[str, Any]
     if level is not None and response.variance is not None:
         dof = np.full(len(response), np.inf) if response.dof is None else response.dof
         sizes = np.array([radius(level, value) for value in dof])
-        radii = (sizes * response.relative_error * np.abs(response.response))[order]
+        radii = sizes * response.relative_error * np.abs(response.response)
         look |= {"low": y - radii, "high": y + radii}
     return look
 

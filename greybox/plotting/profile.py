@@ -6,6 +6,7 @@ from matplotlib.axes import Axes
 from greybox.estimate.profiles import Contour, ProfileOf, Profiles
 from greybox.plotting.figure import GRAY, INK, Figure, Panel, Series, band
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
+from greybox.plotting.signals import with_unit
 
 
 def profiles(profiles: Profiles, axes: GivenAxes | None = None) -> AxesArray:
@@ -68,13 +69,9 @@ def contour(contour: Contour, axes: Axes | None = None) -> Axes:
 
     estimate = contour.estimate[:, None]
     series.append(Series("estimate", "points", *estimate, color=INK))
-    across, upward = map(_label, contour.names, contour.units)
+    across, upward = map(with_unit, contour.names, contour.units)
     figure = Figure("Region", across, [Panel(upward, series)], "Region")
     return draw([figure], axes, size=(5.0, 2.9))[0]
-
-
-def _label(name: str, unit: str) -> str:
-    return f"{name}, {unit}" if unit else name
 
 
 def _figure(profile: ProfileOf, limit: float, interval_name: str) -> Figure:
@@ -107,7 +104,7 @@ def _figure(profile: ProfileOf, limit: float, interval_name: str) -> Figure:
     panel = Panel("|r|", series, limits=(0.0, top))
     return Figure(
         f"Profile of {profile.name}",
-        _label(profile.name, profile.unit),
+        with_unit(profile.name, profile.unit),
         [panel],
         bands=interval_name,
         limits=(float(ends[0]), float(ends[1])),

@@ -11,7 +11,7 @@ from greybox.files.arrays import Array
 from greybox.files.text_table import in_greek
 from greybox.plotting.figure import GRAY, Figure, Panel, Series, rule
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
-from greybox.plotting.signals import chosen, shown_unit
+from greybox.plotting.signals import chosen, shown_unit, with_unit
 from greybox.statistics.metrics import CorrelationTest, whiteness
 from greybox.validation.comparison import p_text
 
@@ -108,7 +108,7 @@ def _means(part: FittedRecord, output: str, name: str, values: Array) -> Figure:
     x, mean, error = np.array(
         [(values[r].mean(), e[r].mean(), 2 * e[r].std() / math.sqrt(r.size)) for r in parts]
     ).T
-    label = f"Residual of {in_greek(output)}{f', {unit}' if unit else ''}"
+    label = with_unit(f"Residual of {in_greek(output)}", unit)
     series = [rule(), Series("", "points", x, mean, low=mean - error, high=mean + error)]
     return Figure(
         f"{label} over {in_greek(name)}",

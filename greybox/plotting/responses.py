@@ -2,7 +2,7 @@
 
 import contextlib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,12 +55,11 @@ class DrawnResponse:
         y: Array,
         low: Array | None = None,
         high: Array | None = None,
-        notes: Sequence[str] = (),
-        labels: Sequence[str] = (),
+        **more: Sequence[str],
     ) -> Series:
-        """Return points or a curve with this look."""
+        """Return points or a curve with this look; `more` are other fields of `Series`."""
         kind = "points" if self.is_measured else "line"
-        return Series(self.label, kind, x, y, self.color, self.style, low, high, notes, labels)
+        return Series(self.label, kind, x, y, self.color, self.style, low, high, **more)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,13 +180,7 @@ def _band(part: _Part, level: float | None) -> ResponseBand | None:
 def _distinct(parts: Sequence[_Part]) -> list[tuple[_Part, FrequencyResponse]]:
     """Return the curves, except those that lie on a longer one."""
     # Four rotors with one model would draw one line four times, in four colors.
-    curves = []
-    for part in parts:
-        if part.curve is not None:
-            order = np.argsort(part.curve.omega)
-            sorted_values = part.curve.omega[order], part.curve.response[order]
-            curve = replace(part.curve, omega=sorted_values[0], response=sorted_values[1])
-            curves.append((part, curve))
+    curves = [(part, part.curve.by_frequency) for part in parts if part.curve is not None]
 
     distinct: list[tuple[_Part, FrequencyResponse]] = []
     for part, curve in sorted(curves, key=lambda pair: pair[1].omega[0] / pair[1].omega[-1]):

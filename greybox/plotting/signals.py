@@ -19,8 +19,12 @@ def shown_unit(unit: str) -> tuple[float, str]:
 
 def signal_label(record: Record, name: str) -> str:
     """Return the symbol of a signal and the unit that a person reads."""
-    unit = shown_unit(record.units.get(name, ""))[1]
-    return f"{in_greek(name)}, {unit}" if unit else in_greek(name)
+    return with_unit(in_greek(name), shown_unit(record.units.get(name, ""))[1])
+
+
+def with_unit(label: str, unit: str) -> str:
+    """Return the label of an axis with its unit, if it has one."""
+    return f"{label}, {unit}" if unit else label
 
 
 def chosen(items: Sequence[Item], number: int, kind: str) -> Item:

@@ -9,6 +9,7 @@ from greybox.estimate.result import Fit
 from greybox.files.text_table import counted
 from greybox.plotting.figure import CROSS, GRAY, INK, Figure, Limits, Panel, Series
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
+from greybox.plotting.signals import with_unit
 from greybox.solve.runs import SCREENED, Run
 
 COLORED = 5  # minima with a color of their own; the others are gray
@@ -108,8 +109,8 @@ def ends_figure(fit: Fit, k: int) -> Figure:
     """Return the ends of the k-th free parameter over its starts."""
     series = _minima(fit, lambda run: run.start[k], lambda run: run.estimate[k])
     name = fit.free[k]
-    unit = f", {fit.by_name[name].unit}".rstrip(", ")
-    return Figure("Starts and ends", f"Start of {name}{unit}", [Panel(f"End{unit}", series)])
+    start, end = (with_unit(text, fit.by_name[name].unit) for text in (f"Start of {name}", "End"))
+    return Figure("Starts and ends", start, [Panel(end, series)])
 
 
 def _minima(fit: Fit, x: Callable[[Run], float], y: Callable[[Run], float]) -> list[Series]:

@@ -11,7 +11,13 @@ from greybox.files.arrays import Array, IntArray
 from greybox.plotting.figure import GRAY, INK, Figure, Panel, Series, band, rule
 from greybox.plotting.long_lines import COLUMNS, drawn_line
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
-from greybox.plotting.signals import chosen, distinct_labels, shown_unit, signal_label
+from greybox.plotting.signals import (
+    chosen,
+    distinct_labels,
+    shown_unit,
+    signal_label,
+    with_unit,
+)
 from greybox.simulation.prediction import Prediction
 
 BANDS = (
@@ -147,7 +153,7 @@ def _output_panels(drawn: Mapping[str, History], name: str, columns: int) -> lis
 
     return [
         Panel(signal_label(data, name), outputs),
-        Panel(f"Residual, {unit}" if unit else "Residual", residuals, height=0.5),
+        Panel(with_unit("Residual", unit), residuals, height=0.5),
     ]
 
 
