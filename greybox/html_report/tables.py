@@ -78,11 +78,7 @@ def _interval(low: float, high: float) -> str:
         return "–"
     # A quarter of a 95 % interval is about one standard error, which decides the digits.
     ends = (with_error(end, (high - low) / 4)[0] for end in (low, high))
-    return _minus(" to ".join(ends))
-
-
-def _minus(text: str) -> str:
-    return text.replace("-", "−").replace("inf", "∞")
+    return " to ".join(ends)
 
 
 def _cell(cell: Cell, is_number: bool) -> Element:
@@ -93,7 +89,7 @@ def _cell(cell: Cell, is_number: bool) -> Element:
         if len(text) > 24:  # characters from which a text is broken into lines
             classes.append("prose")
         if is_number:
-            text = _minus(text)
+            text = text.replace("-", "−").replace("inf", "∞")
 
     # The script sorts by this number, not by the rounded text.
     value = f"{cell.value:.12g}" if cell.value is not None and math.isfinite(cell.value) else None

@@ -30,7 +30,7 @@ from greybox.logs.flight_controllers import axis_of, named_filters
 from greybox.logs.injected_tests import INJECTED
 from greybox.logs.known_filters import KnownFilter, in_series
 from greybox.logs.prepare import prepare
-from greybox.logs.segment_detection import find_segments
+from greybox.logs.segment_detection import find_segments, present
 from greybox.spectral.frequency_points import FiniteFrequency
 from greybox.spectral.multisine_lines import periodic_response
 from greybox.spectral.single_sine import finite_frequency
@@ -371,11 +371,11 @@ def _numbers(text: str, count: int) -> list[int]:
                 f"tests={text!r} is not understood: write numbers and ranges, e.g. 1,3-5."
             )
         first, last = int(match[1]), int(match[2] or match[1])
-        outside = [k for k in (first, last) if not 1 <= k <= count]
-        if outside:
-            raise ValueError(f"there is no test {outside[0]}; the log has {count}.")
-        if first > last:
-            raise ValueError(f"tests={part.strip()!r} runs backwards: write {last}-{first}.")
+        if not 1 <= first <= last <= count:
+            raise ValueError(
+                f"tests={part.strip()!r} must lie between 1 and {count}, the number of tests, and "
+                "a range must not run backwards."
+            )
         result += range(first, last + 1)
     return result
 
@@ -406,11 +406,7 @@ def _instrument(recording: Recording, settings: Settings, used: Sequence[Segment
         return settings.instrument or ("" if settings.open_loop or used else settings.setpoint)
     # SIDD logs the injected signal itself, whatever axis it was added to.
     if used[0].source == "SIDS":
-        return (
-            "SIDD.Targ"
-            if "SIDD" in recording and "Targ" in recording["SIDD"].signals
-            else settings.setpoint
-        )
+        return next(iter(present(recording, ["SIDD.Targ"])), settings.setpoint)
     for start in ("setpoint ", INJECTED):
         if used[0].source.startswith(start):
             return used[0].source.removeprefix(start)
@@ -441,12 +437,9 @@ def _estimated(
             setpoint=setpoint,
             settle=settings.settle,
         )
-        dropped = (
-            {"dropped": f"{len(estimate.left_out)} of {counted(len(sines), 'test')}"}
-            if estimate.left_out
-            else {}
-        )
-        about = {**estimate.response.about, **dropped}
+        about = dict(estimate.response.about)
+        if estimate.left_out:
+            about["dropped"] = f"{len(estimate.left_out)} of {counted(len(sines), 'test')}"
         return replace(estimate.response, about=about), estimate.table, estimate, {}
 
     instrument = INSTRUMENT if INSTRUMENT in record.signals else None

@@ -8,18 +8,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, ComplexArray
 from greybox.logs.ardupilot.motors import motor_outputs, pwm_of_control, rounding_error, saturation
 from greybox.logs.flight_controllers import axis_of
 from greybox.logs.loop_rate import thinning, thinning_error
 from greybox.spectral.test_quality import SATURATED, Finding
-
-Complex = NDArray[np.complexfloating]
 
 # An error that is a smaller share of the response everywhere is not mentioned: a tenth of the
 # standard errors of sine tests of ten periods, 0.2 to 1 %.
@@ -36,7 +33,7 @@ class SystematicError:
     about: str
     relative: Array
     finding: Finding
-    common: Complex | None = None
+    common: ComplexArray | None = None
 
 
 def systematic_errors(

@@ -24,14 +24,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording, median_step
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, ComplexArray
 from greybox.logs.ardupilot.filters import CONTROLLERS
-
-Complex = NDArray[np.complexfloating]
 
 PX4_LOOP = "IMU_GYRO_RATEMAX"
 GYRO_RATE = 1000.0  # Hz, of INS_GYRO_RATE 0; 1, 2, 3 double it as often
@@ -111,7 +108,7 @@ def thinning(recording: Recording, signal: str, start: float, end: float) -> Thi
 
 def thinning_error(
     found: Thinning, recording: Recording, axis: str, response: FrequencyResponse
-) -> Complex:
+) -> ComplexArray:
     """Return the relative errors (2, n) of a response from a control to an angle or a rate.
 
     The first row is due to the D term, whose share of the control follows from the gains of the
@@ -153,7 +150,7 @@ def remaining_alternation(parameters: Mapping[str, float], axis: str, loop: floa
     return alpha / (2 - alpha)
 
 
-def low_pass(order: int, cutoff: float, omega: Array) -> Complex:
+def low_pass(order: int, cutoff: float, omega: Array) -> ComplexArray:
     """Return the response of a Butterworth filter, cutoff in Hz, at omega, rad/s; 1 without it."""
     from scipy.signal import butter, freqs  # noqa: PLC0415  (0.33 s to import)
 

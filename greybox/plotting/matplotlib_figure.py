@@ -240,15 +240,14 @@ def _draw_band(ax: Axes, series: Series) -> None:
 
 
 def _draw_rule(ax: Axes, series: Series) -> None:
-    dash = DASHES[series.style % len(DASHES)]
-    ax.axhline(series.y[0], color=color_of(series.color), linewidth=0.8, linestyle=dash, zorder=1)
+    look = {"color": color_of(series.color), "linewidth": 0.8, "linestyle": _dash(series)}
+    ax.axhline(series.y[0], zorder=1, **look)
 
 
 def _draw_regions(ax: Axes, series: Series) -> None:
     color = color_of(series.color)
-    dash = DASHES[series.style % len(DASHES)]
     look: dict[str, Any] = {"facecolors": "none", "edgecolors": color, "linewidths": 0.8}
-    look |= {"linestyles": dash, "alpha": 0.6, "zorder": 2}
+    look |= {"linestyles": _dash(series), "alpha": 0.6, "zorder": 2}
     if not series.is_hollow:
         # A pale opaque color: transparent ellipses would become dark where they overlap.
         pale = tuple(1 - BAND_ALPHA * (1 - part) for part in to_rgb(color))
@@ -325,12 +324,11 @@ def _look(series: Series) -> dict[str, Any]:
     color = color_of(series.color)
     look = {"color": color, "label": plain(series.name) or "_"}
     if series.kind in ("line", "rule", "regions"):
-        dash = DASHES[series.style % len(DASHES)]
         # Long records swing so fast that wide lines would fill the panel. What was measured is gray
         # and must show beside the thin lines on it.
         thin = 2.4 if series.color == GRAY else 0.9
         width = thin if len(series.x) > LONG else 1.6
-        return {**look, "linestyle": dash, "linewidth": 0.3 if series.is_hollow else width}
+        return {**look, "linestyle": _dash(series), "linewidth": 0.3 if series.is_hollow else width}
 
     look |= {"linestyle": "none", "markersize": MARKER_SIZE}
     if series.style == CROSS:
@@ -339,6 +337,10 @@ def _look(series: Series) -> dict[str, Any]:
     if series.is_hollow:
         return {**look, "markerfacecolor": "none", "markeredgecolor": color}
     return {**look, "markeredgecolor": "white", "markeredgewidth": 0.5}
+
+
+def _dash(series: Series) -> str:
+    return DASHES[series.style % len(DASHES)]
 
 
 def _finite(values: Array) -> Array:

@@ -170,8 +170,8 @@ def test_tests_of_several_axes_are_refused_until_one_is_chosen():
             {},
             "no test was found: give setpoint=..., announced=... or instrument=..., or whole=True for the whole log.",
         ),
-        ({"setpoint": "IN.w", "tests": "2"}, "there is no test 2; the log has 1."),
-        ({"setpoint": "IN.w", "tests": "0"}, "there is no test 0; the log has 1."),
+        ({"setpoint": "IN.w", "tests": "2"}, "tests='2' must lie between 1 and 1"),
+        ({"setpoint": "IN.w", "tests": "0"}, "tests='0' must lie between 1 and 1"),
         ({"setpoint": "IN.w", "axis": "yaw"}, "no test has the axis 'yaw'; there are IN.w."),
         (
             {"setpoint": "IN.w", "tests": "1,1-1", "axis": "yaw"},
