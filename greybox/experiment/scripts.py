@@ -10,7 +10,9 @@ from greybox.logs.ardupilot.signals import SYSTEMID_AXES
 from greybox.modeling.model import require_known
 
 AXES = {"roll": 1, "pitch": 2, "yaw": 3}  # of the SINE message, and the first three of SID_AXIS
-FLOWN_AXES = SYSTEMID_AXES[:13]  # those that inject into an attitude loop or the mixer
+FLOWN_AXES: tuple[str, ...] = SYSTEMID_AXES[
+    :13
+]  # those that inject into an attitude loop or the mixer
 
 
 def write_excitation(excitation: Excitation, path: str | Path) -> None:

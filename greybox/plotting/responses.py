@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,7 +56,7 @@ class DrawnResponse:
         y: Array,
         low: Array | None = None,
         high: Array | None = None,
-        **more: Sequence[str],
+        **more: Any,
     ) -> Series:
         """Return points or a curve with this look; `more` are other fields of `Series`."""
         kind = "points" if self.is_measured else "line"
