@@ -10,7 +10,7 @@ from greybox.logs.ardupilot.signals import SYSTEMID_AXES
 from greybox.modeling.model import require_known
 
 AXES = {"roll": 1, "pitch": 2, "yaw": 3}  # of the SINE message, and the first three of SID_AXIS
-FLOWN_AXES: tuple[str, ...] = SYSTEMID_AXES[
+FLOWN_AXES: list[str] = SYSTEMID_AXES[
     :13
 ]  # those that inject into an attitude loop or the mixer
 
