@@ -133,7 +133,7 @@ def check(
         *_filters(record, (input, output)),
         *_gaps(record, usable),
         *jitter(record),
-        *_saturation(_excited(record, usable), input),
+        *_saturation(record, usable, input),
         *_amplitude(record, (input, output)),
         *_segments(segments),
         *_spread(*band),
@@ -190,15 +190,12 @@ def jitter(record: Record) -> Iterator[Finding]:
         yield Finding("jitter", "note", jitter, text)
 
 
-def _excited(record: Record, segments: Sequence[Segment]) -> Record:
-    """Return the samples within the segments; the whole record without any."""
+def _saturation(record: Record, segments: Sequence[Segment], name: str) -> Iterator[Finding]:
     within = [(record.time >= s.start) & (record.time <= s.end) for s in segments]
     rows = np.flatnonzero(np.any(within, axis=0))
-    return record.rows(rows) if rows.size else record
-
-
-def _saturation(record: Record, name: str) -> Iterator[Finding]:
-    share = float(at_limit(record[name][np.isfinite(record[name])]).mean())
+    # Without segments, the whole record is judged.
+    values = record[name][rows] if rows.size else record[name]
+    share = float(at_limit(values[np.isfinite(values)]).mean())
     text = (
         f"the control {name} is at a limit for {100 * share:.0f} % of the time: a linear model is "
         "wrong there; use a smaller amplitude."

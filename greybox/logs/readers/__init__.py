@@ -160,18 +160,6 @@ def read(
 
 
 def _format(path: Path) -> Format:
-    head = _head(path)
-    # The contents decide: logs are renamed and sent around.
-    suited = [format_ for format_ in FORMATS if format_.recognizes(head)]
-    suited += [format_ for format_ in FORMATS if path.suffix.lower() in format_.suffixes]
-    if suited:
-        return suited[0]
-    kinds = "; ".join(f"{format_.about} ({', '.join(format_.suffixes)})" for format_ in FORMATS)
-    raise ValueError(f"{path} {_looks(head)}, which greybox does not read; supported are: {kinds}.")
-
-
-def _head(path: Path) -> bytes:
-    """Return the first bytes of a file that has some."""
     require_file(path)
     try:
         with open(path, "rb") as file:
@@ -185,7 +173,13 @@ def _head(path: Path) -> bytes:
             f"{path} is empty: logging never started, or the copy failed; copy it again."
         )
 
-    return head
+    # The contents decide: logs are renamed and sent around.
+    suited = [format_ for format_ in FORMATS if format_.recognizes(head)]
+    suited += [format_ for format_ in FORMATS if path.suffix.lower() in format_.suffixes]
+    if suited:
+        return suited[0]
+    kinds = "; ".join(f"{format_.about} ({', '.join(format_.suffixes)})" for format_ in FORMATS)
+    raise ValueError(f"{path} {_looks(head)}, which greybox does not read; supported are: {kinds}.")
 
 
 def _looks(head: bytes) -> str:
