@@ -8,9 +8,10 @@ import numpy as np
 from greybox.estimate.result import Fit
 from greybox.experiment.margins import Margins
 from greybox.files.safe_files import write_text
-from greybox.files.text_table import counted
+from greybox.files.text_table import counted, number
 from greybox.html_report.entry import Entry
 from greybox.html_report.page import page
+from greybox.study.store import StudyMember
 from greybox.study.study import Study
 from greybox.validation.comparison import Comparison
 from greybox.validation.same_data import labels_of
@@ -92,9 +93,21 @@ def report(
 
 
 def members_of(study: Study) -> list[Entry]:
-    """Return the members of a study, the first with their fits."""
+    """Return the members of a study, those with the same answer as one; the first with fits."""
+    alike: dict[tuple[str, ...], list[StudyMember]] = {}
+    for member in study.members:
+        # Neither a seed nor an approximation of the delay need change an answer.
+        unseen = ("seed", "delay")
+        factors = [f"{n} {value}" for n, value in member.factors.items() if n not in unseen]
+        identity = member.answer["cost"] if member.status == "done" else member.number
+        alike.setdefault((*factors, number(identity, 6)), []).append(member)
     # Only the first ones are loaded: a page about a hundred fits would take minutes and megabytes.
     return [
-        Entry(member.name, member.fit if k < DETAILED else None, member.answer, member.reason)
-        for k, member in enumerate(study.members)
+        Entry(
+            f"{first.name} and {len(others)} alike" if others else first.name,
+            first.fit if k < DETAILED else None,
+            first.answer,
+            first.reason,
+        )
+        for k, (first, *others) in enumerate(alike.values())
     ]

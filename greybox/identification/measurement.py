@@ -103,11 +103,13 @@ class Settings:
 
     def __post_init__(self) -> None:
         """Raise ValueError for settings that are invalid for any log."""
-        for name, value in (("settle", self.settle), ("period", self.period)):
-            if value is not None and not (math.isfinite(value) and value >= 0):
-                raise ValueError(f"{name}={value} must be a number of seconds of at least 0.")
-        if self.period == 0:
-            raise ValueError("period=0 must be above 0 s: leave it out where none is known.")
+        if not 0 <= self.settle < math.inf:
+            raise ValueError(f"settle={self.settle} must be a number of seconds of at least 0.")
+        if self.period is not None and not 0 < self.period < math.inf:
+            raise ValueError(
+                f"period={self.period:g} must be a number of seconds above 0: leave it out where "
+                "none is known."
+            )
         if not 2 <= self.points <= 10_000:
             raise ValueError(f"points={self.points} must lie between 2 and 10000.")
         if self.band is not None and not 0 < self.band[0] < self.band[1] < math.inf:
