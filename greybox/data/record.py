@@ -116,10 +116,13 @@ class Record:
                 "samples and remove duplicates."
             )
 
-        signals = {
-            all_printable(name): within_range(_read_only(values, name))
-            for name, values in self.signals.items()
-        }
+        measured = {all_printable(name): _read_only(x, name) for name, x in self.signals.items()}
+        signals = {name: within_range(values) for name, values in measured.items()}
+        lost = [
+            f"{name} has values beyond 1e75, which count as missing: check its sensor."
+            for name, values in measured.items()
+            if np.isinf(signals[name][np.isfinite(values)]).any()
+        ]
         for name, values in signals.items():
             require_size(name, values, "time" if self.has_time else next(iter(signals)), time.size)
         unknown = [name for name in map(all_printable, self.units) if name not in signals]
@@ -135,7 +138,10 @@ class Record:
         hold = {name: seconds for name, seconds in hold.items() if name in signals}
         # A given checksum is that of the file: excerpts of one log are recognized by it.
         checksum = self.checksum or _digest(time, signals)
-        vars(self).update(time=time, signals=signals, hold=hold, checksum=checksum)
+        findings = (*self.findings, *lost)
+        vars(self).update(
+            time=time, signals=signals, hold=hold, checksum=checksum, findings=findings
+        )
         for name in ("name", "source", "units", "findings"):
             vars(self)[name] = all_printable(getattr(self, name))
 

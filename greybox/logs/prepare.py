@@ -217,8 +217,8 @@ def _source(recording: Recording, signal: str, start: float, end: float) -> _Sou
     values = record[field][finite]
     if time.size < 2:
         raise ValueError(
-            f"{signal} has values in {time.size} of {counted(len(record), 'sample')}: there is "
-            f"nothing to put on a time base.{''.join(f' {text}' for text in record.findings)}"
+            f"{signal} has {counted(time.size, 'value')} in {counted(len(record), 'sample')}, too "
+            f"few for a time base.{''.join(f' {text}' for text in record.findings)}"
         )
     unit = record.units.get(field, "")
     findings = record.findings

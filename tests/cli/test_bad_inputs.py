@@ -33,9 +33,12 @@ def tables(tmp_path, monkeypatch):
     ("words", "fragments"),
     [
         (("identify", "sine.csv", *PAIR), ("less than an octave",)),
-        (("identify", "reversed.csv", *PAIR), ("u has 1 sample", "time does not increase")),
-        (("identify", "still.csv", *PAIR), ("u has 1 sample", "time does not increase")),
-        (("identify", "missing.csv", *PAIR), ("y has 0 samples", "3000 values are missing")),
+        (
+            ("identify", "reversed.csv", *PAIR),
+            ("u has 1 value in 1 sample", "time does not increase"),
+        ),
+        (("identify", "still.csv", *PAIR), ("u has 1 value in 1 sample", "time does not increase")),
+        (("identify", "missing.csv", *PAIR), ("y has 0 values in 3000 samples, too few",)),
         (("identify", "huge.csv", *PAIR), ("beyond 1e75", "check its sensor")),
         (("identify", "counted.csv", *PAIR), ("counts by one", "time=COLUMN:ms")),
         (("identify", "sine.csv", *PAIR, "--period", "0"), ("--period 0", "leave it out")),

@@ -331,5 +331,5 @@ def test_units_of_unknown_signals_are_refused():
         Record([0, 1], {"theta": [1, 2]}, {"thta": "rad"})
 
 
-def test_a_value_beyond_the_range_of_arithmetic_is_missing():
-    assert not np.isfinite(Record([0, 1], {"x": [1, 1e150]})["x"][1])
+def test_a_sensor_beyond_the_range_of_arithmetic_is_a_finding():
+    assert "x has values beyond 1e75" in Record([0, 1], {"x": [1, 1e150]}).findings[0]

@@ -435,7 +435,7 @@ def test_the_grid_is_what_all_signals_have_in_common():
             gb.prepare(log, signals, **{"rate": 10, **words})
     with pytest.raises(
         ValueError,
-        match=r"C\.z has values in 1 of 1 sample: there is nothing to put on a time base",
+        match=r"C\.z has 1 value in 1 sample, too few for a time base",
     ):
         gb.prepare(log, {"z": "C.z"})
 
