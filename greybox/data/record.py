@@ -198,9 +198,9 @@ class Record:
     @property
     def independent_pieces(self) -> list[IntArray]:
         """The rows of each stretch between gaps; without a time, each row by itself."""
-        # Relative to the median step: the mean would grow with the gaps.
         if self.is_irregular:
             return [np.arange(len(self))]
+        # Relative to the median step: the mean would grow with the gaps.
         return runs_between_gaps(self.time, GAP * self.step if self.has_time else 0)
 
     def between(self, start: float, end: float) -> "Record":

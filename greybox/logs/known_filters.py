@@ -80,9 +80,12 @@ def from_text(text: str) -> tuple[KnownFilter, ...]:
     filters = []
     for part in text.split(SERIES.strip()):
         # The text comes from a file: only known names and numbers, never an expression.
-        name, _, numbers = part.strip().removesuffix(")").partition("(")
+        name, _, rest = part.strip().partition("(")
         try:
-            filters.append(KINDS[name](*map(float, numbers.split(","))))
+            values = [float(value) for value in rest.removesuffix(")").split(",")]
+            if not (rest.endswith(")") and all(map(math.isfinite, values))):
+                raise ValueError(part)
+            filters.append(KINDS[name](*values))
         except (KeyError, ValueError, TypeError):
             raise ValueError(
                 f"the filter {part.strip()!r:.60} is not known: it must be one of "
