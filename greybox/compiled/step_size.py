@@ -38,7 +38,7 @@ def substeps_and_segment(
     """Return the substeps per sample and samples per segment: of the method, or as needed.
 
     The poles along the data need the upper quartile of the substeps over the draws, and no less
-    than the declared parameters need. More than `MOST_SUBSTEPS` say that the model is stiff.
+    than the declared parameters need. More than `MOST_SUBSTEPS` say that the model is stiff there.
 
     Parameters
     ----------
@@ -71,7 +71,8 @@ def substeps_and_segment(
 
     longest = SEGMENT_GROWTH / max(_upper_quartile(growth_rates) * step, 1e-12)
     segment = method.segment or int(np.clip(longest, SHORTEST_SEGMENT, LONGEST_SEGMENT))
-    substeps = max([1, *counts[:1], _upper_quartile(counts)])
+    # What is stiff only far from the declared parameters need not be so at the minimum.
+    substeps = max([1, *counts[:1], min(_upper_quartile(counts), MOST_SUBSTEPS)])
     return integrator.substeps or int(substeps), segment
 
 

@@ -9,6 +9,7 @@ from page_results import lag
 
 import greybox as gb
 from greybox.estimate.verdict import verdict
+from greybox.solve.runs import Runs
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +63,7 @@ def test_a_failed_fit_has_no_estimate(fit):
     runs = tuple(
         replace(run, converged=False, status="Maximum_Iterations_Exceeded") for run in fit.runs
     )
-    judged = verdict(replace(fit, runs=runs, minima=()))
+    judged = verdict(replace(fit, runs=Runs.of(runs), minima=()))
     assert judged.grade == "failed"
     assert judged.sentences[0].startswith("There is no estimate: no start converged")
 
