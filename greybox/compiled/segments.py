@@ -94,9 +94,10 @@ class Segments:
         built = self._step.built
         if key not in built:
             x, q, d = self._step.symbols()
-            end, e, y = self._step.function(x, q, d)
-            results = {"advance": [end], "output": [e, y]}.get(name)
-            if results is None:
+            if name in ("advance", "output"):
+                end, e, y = self._step.function(x, q, d)
+                results = [end] if name == "advance" else [e, y]
+            else:
                 # One vector of all free variables: an integrator repeats its steps for every
                 # Jacobian, not for every column.
                 places = self.active.tolist()
@@ -106,12 +107,9 @@ class Segments:
                     values[places] = free[self.n :]
                 of_free = self._step.function(free[: self.n], values, d)
                 slopes = [of_free[0], of_free[1] if name == "derivatives" else of_free[2]]
-                derivatives = ca.Function(
-                    "derivatives",
-                    [free, q, d],
-                    [ca.densify(ca.jacobian(slope, free)) for slope in slopes],
-                )
-                results = [*derivatives(ca.vertcat(x, *(q[i] for i in places)), q, d), e]
+                derivatives = [ca.densify(ca.jacobian(slope, free)) for slope in slopes]
+                at_free = ca.Function("at_free", [free, q, d], [*derivatives, of_free[1]])
+                results = at_free(ca.vertcat(x, *(q[i] for i in places)), q, d)
             function = ca.Function(name, [x, q, d], results, {"cse": True})
             built[key] = Columns(function, shared=() if self._own else (1,))
         return built[key]

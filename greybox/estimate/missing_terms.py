@@ -8,7 +8,7 @@ steps of the gain.
 import itertools
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import casadi as ca
@@ -220,24 +220,30 @@ def _of_equations(record: DisturbedRecord, candidates: Mapping[str, Formula]) ->
         values = np.asarray(formula(Names(x), Names(u), Names(p)), dtype=float)
         own[name] = np.broadcast_to(values, record.part.samples)
 
-    near = _neighbors(system)
-    for i, present in dynamic_equations(record.part).items():
-        states, signals = ({n: s[n] for n in s if n in near[i]} for s in (x, x | u))
-        pairs = itertools.combinations(signals.items(), 2)
-        shapes = {a: row for a, row in signals.items() if a in u}
+    # Equations of a small model have the same neighbors, and so the same functions of them.
+    @cache
+    def shapes_of(names: frozenset[str]) -> dict[str, Array]:
+        near = {name: row for name, row in (x | u).items() if name in names}
+        pairs = itertools.combinations(near.items(), 2)
+        shapes = {a: row for a, row in near.items() if a in u}
         shapes |= {f"{a} * {b}": row * other for (a, row), (b, other) in pairs if a in x}
-        for name, row in states.items():
-            shapes |= _shapes(name, row)
-        for a, row in (shapes | own).items():
+        for name, row in near.items():
+            shapes |= _shapes(name, row) if name in x else {}
+        return shapes | own
+
+    neighbors = _neighbors(system)
+    for i, present in dynamic_equations(record.part).items():
+        for a, row in shapes_of(neighbors[i]).items():
             if a not in present:
                 yield Term("equation", partial(record.by_state, i, row), a, [*x][i])
+        states = {name: row for name, row in x.items() if name in neighbors[i]}
         for (a, row), share in itertools.product(states.items(), STOPS):
             level = float(np.quantile(row, share))
             over = (np.maximum if share > 0.5 else np.minimum)(row - level, 0.0)
             yield Term("limit", partial(record.by_state, i, over), a, [*x][i], level=level)
 
 
-def _neighbors(system: Dynamics) -> list[set[str]]:
+def _neighbors(system: Dynamics) -> list[frozenset[str]]:
     """Return the states and inputs whose functions are tried in the equation of every state.
 
     In a large model they are those that the equation contains: with twenty states, the products of
@@ -246,9 +252,12 @@ def _neighbors(system: Dynamics) -> list[set[str]]:
     x, u, p = system.symbols
     names = (*system.states, *system.inputs)
     if len(names) <= LARGE:
-        return [set(names)] * len(system.states)
+        return [frozenset(names)] * len(system.states)
     slopes = ca.jacobian(system.derivative(x, u, p), ca.vertcat(x, u)).sparsity()
-    return [{n for k, n in enumerate(names) if slopes.has_nz(i, k)} for i in range(x.numel())]
+    return [
+        frozenset(name for k, name in enumerate(names) if slopes.has_nz(i, k))
+        for i in range(x.numel())
+    ]
 
 
 def _shapes(name: str, row: Array) -> dict[str, Array]:

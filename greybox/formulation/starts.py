@@ -182,7 +182,7 @@ def as_starts(
         For a seed together with a rule, which has its own.
     """
     if isinstance(starts, (int, np.integer)) and not isinstance(starts, bool):
-        drawn, declared = Sobol(int(starts), seed or 0), Listed(({},))
+        drawn, declared = Sobol(int(starts), 0 if seed is None else seed), Listed(({},))
         return Chained((declared, Sobol(starts - 1, drawn.seed))) if starts > 1 else declared
     if seed is not None:
         raise ValueError(
