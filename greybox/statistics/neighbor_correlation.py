@@ -205,12 +205,13 @@ def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[floa
     """Return variance and degrees of freedom of the Student's t closest to an average of such.
 
     The distributions have variances (m,) and the same degrees of freedom; the result has the same
-    intervals as their average at `LEVELS`.
+    intervals as their average at `LEVELS`. With infinite degrees of freedom, the result is normal
+    and has the variance of the average: such variances add over the parts of a problem. From four
+    degrees of freedom on, the 95 % interval of Student's t is within 2 % of that of its variance.
     """
     from scipy.special import stdtr, stdtrit  # noqa: PLC0415  (takes a tenth of a second to import)
 
-    dof = min(dof, 1e9)
-    if variance.size == 1 or not variance.min() > 0:
+    if variance.size == 1 or not variance.min() > 0 or math.isinf(dof):
         return float(weight @ variance), dof
 
     # The interval of the average lies between those of the narrowest and the widest distribution.

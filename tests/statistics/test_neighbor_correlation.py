@@ -175,6 +175,14 @@ def test_one_variance_or_none_is_its_own_average():
     assert (variance, dof) == pytest.approx((4.0, 7.0), rel=1e-6)
 
 
+def test_an_average_of_normal_distributions_has_their_mean_variance_and_is_normal():
+    weight, variance = np.array([0.5, 0.3, 0.2]), np.array([1.0, 2.0, 9.0])
+    found, dof = student_of_average(weight, variance, np.inf)
+    draws = np.random.default_rng(0).choice(np.sqrt(variance), 200_000, p=weight)
+    assert found == pytest.approx(np.mean(draws**2), rel=0.02)
+    assert dof == np.inf
+
+
 def test_two_points_that_are_alike_are_enough_and_what_is_not_finite_tells_nothing():
     e = np.array([1.0 + 1j, 1.01 + 0.99j])
     assert neighbor_correlation(e, np.zeros((4, 0))) is not None
