@@ -426,24 +426,6 @@ def test_stated_variances_hold_unless_the_residuals_are_larger(stated, widened):
     same_covariance(fit.covariance_of(fit.free), covariance, 1e-4)
 
 
-def test_given_variances_leave_infinite_degrees_of_freedom_where_errors_are_correlated():
-    """The estimated correlation widens the errors, and intervals stay normal."""
-    random = np.random.default_rng(1)
-    omega = np.geomspace(OMEGA[0], OMEGA[-1], 60)
-    exact = response_of(Lags(), omega, tuple(LAGS))(list(LAGS.values()))
-    errors = random.standard_normal((omega.size, 2)) @ [1, 1j] / np.sqrt(2)
-    for k in range(1, omega.size):
-        errors[k] = 0.8 * errors[k - 1] + 0.6 * errors[k]
-    data = gb.FrequencyResponse(
-        omega, exact * (1 + 0.03 * errors), variance=(0.03 * np.abs(exact)) ** 2
-    )
-    fit = fitted(gb.Problem(Lags(), data, criterion=gb.MaximumLikelihood()))
-    assert fit.inflation > 1.2  # the correlation counts
-    assert fit.dof == np.inf
-    for name, (low, high) in fit.interval(0.95).items():
-        assert high - low == pytest.approx(2 * 1.959964 * fit.standard_error[name], rel=1e-5)
-
-
 def test_an_inactive_constraint_changes_nothing():
     data = measured(Lags(), OMEGA, LAGS, 0.02)
     plain = fitted(gb.Problem(Lags(), data))
