@@ -12,6 +12,7 @@ from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import one_line
+from greybox.formulation.frequency_criteria import MagnitudePhase, evaluate
 from greybox.formulation.input_assumptions import Inputs, described_inputs
 from greybox.formulation.prior import Prior
 from greybox.modeling.sine import Sine
@@ -113,6 +114,16 @@ class FittedResponse(FittedPart):
         """Input, output, operating point and delay, as keywords for evaluating the model."""
         pair = {"input": self.data.input, "output": self.data.output}
         return {**pair, "at": self.at, "delay": self.delay}
+
+    @property
+    def magnitude_phase_cost(self) -> float:
+        """The cost by `MagnitudePhase` whatever was fitted; NaN at a zero of the response.
+
+        Guidelines: at most 200 for each pair, and 100 (good) to 150 (acceptable) on average over
+        the pairs. Source: Tischler and Remple (2012), Aircraft and Rotorcraft System
+        Identification, 2nd ed., chapter 11.
+        """
+        return evaluate(MagnitudePhase(), self.response, self.data)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)

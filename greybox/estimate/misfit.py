@@ -204,7 +204,7 @@ class _Regression:
 
     `rows` makes columns (N, c) of values; `changes` returns the values for terms; `separate`
     returns the residuals and slopes of a response that is fitted alone; `outputs` has the rows of
-    every output of a record, by stretches.
+    every output of a record, by stretches; `causes` need no regression.
     """
 
     measured: Numbers
@@ -215,7 +215,7 @@ class _Regression:
     rows: Callable[[Any], Array]
     separate: Callable[[], tuple[Array, Array, Sequence[int]]] | None = None
     outputs: Outputs = ()
-    offsets: Sequence[Cause] = ()
+    causes: Sequence[Cause] = ()
     is_unstable: bool = False
 
     def columns(self, keys: Sequence[Key]) -> Array:
@@ -247,7 +247,11 @@ def assessed_misfit(
     most = max(MOST // max(len(records), 1), FEWEST)
     records = [_of_record(*record, candidates, most) for record in records]
 
-    groups = [_of_group(g, in_time=g is records) for g in (responses, records) if g and g[0].terms]
+    groups = [
+        _of_group(group, in_time=group is records)
+        for group in (responses, records)
+        if any(part.terms for part in group)
+    ]
     if not groups:
         return None
     # What explains most comes first, among what is significant; the best stands for equal texts.
@@ -295,7 +299,7 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
         p_values = autoregressive_p_values(residuals[:, 0], fitted, best_columns, outputs).tolist()
 
     # Real and imaginary parts follow one another in every response.
-    lengths = [len(rows) // 2 for rows in tested for _ in "ri"]
+    lengths = [len(rows) // 2 for rows in tested if len(rows) for _ in "ri"]
     p_common, score, apart, noise_apart = 1.0, None, (0.0, 0), 0.0
     if not in_time and ranked:
         score = correlated_score([(residuals, fitted, lengths)])
@@ -325,7 +329,7 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
         p_values_of_all = np.minimum(tried * np.array(chances), 1.0).tolist()
         causes.append(Cause(*texts[k], value, error, share, *p_values_of_all, alike=alike[k]))
 
-    causes += [cause for part in parts for cause in part.offsets]
+    causes += [cause for part in parts for cause in part.causes]
     measured, squares, noise = (
         float(np.sum(rows**2)) + TINY
         for rows in (
@@ -447,7 +451,7 @@ def _of_record(
         lambda terms: record.followed_by([term.effect() for term in terms]),
         rows,
         outputs=outputs,
-        offsets=tuple(_offsets(part, residuals, record.present)),
+        causes=tuple(_offsets(part, residuals, record.present)),
         is_unstable=record.is_unstable,
     )
 
@@ -503,7 +507,8 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
     order = order[used[order]]
 
     def rows(columns: Any) -> Array:
-        scaled = columns[order] / (response * size / np.abs(response))[order, None]
+        at = response[order]
+        scaled = columns[order] / (at * size[order] / np.abs(at))[:, None]
         return np.vstack([scaled.real, scaled.imag])
 
     def residuals(x: Array) -> Array:
@@ -534,6 +539,9 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
         Term("own", lambda k=k: slope[:, k] / response, name, part.name)
         for k, name in enumerate(free)
     ]
+    # The relative errors of a zero are infinite, so that no test is needed.
+    signals = f"{part.data.output or 'the output'} to {part.data.input or 'the input'}"
+    path = Cause(f"a response of {signals}", "a path between both", 1.0, 0.0, 1.0, 0.0, 0.0)
     return _Regression(
         response[:, None],
         (part.data.response - response)[:, None],
@@ -541,7 +549,8 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
         _numbered([*terms_of_response(part.data.omega), *own]) if order.size else {},
         lambda terms: np.column_stack([response * term.effect() for term in terms]),
         rows,
-        separate,
+        separate if order.size else None,
+        causes=() if response.any() else (path,),
     )
 
 

@@ -101,10 +101,24 @@ def facts(fit: Any) -> list[tuple[str, str]]:
             f"{counted(fit.agreeing, 'agrees', 'agree')} on the best of {minima}; {fit.starts}",
         ),
         ("cost", f"{fit.cost:.6g}  ({fit.rule})"),
+        *_magnitude_phase_costs(fit.responses),
         ("delay", f"{fit.delay}{pade}"),
         *([("correlated", f"beyond 0.9: {correlated}")] if correlated else []),
         ("time", f"{fit.seconds:.2f} s"),
     ]
+
+
+def _magnitude_phase_costs(responses: Sequence[FittedResponse]) -> list[tuple[str, str]]:
+    """Return the cost of CIFER by pair, the largest first, beside its guidelines."""
+    costs = sorted(((part.magnitude_phase_cost, part.name) for part in responses), reverse=True)
+    if not costs or not all(math.isfinite(cost) for cost, _ in costs):
+        return []
+    mean = number(sum(cost for cost, _ in costs) / len(costs), 3)
+    text = f"{mean} by magnitude and phase (guideline: at most 100)"
+    if len(costs) > 1:
+        by_pair = some([f"{name} {number(cost, 3)}" for cost, name in costs], 3)
+        text = f"{mean} on average by magnitude and phase (guideline: at most 100); {by_pair} (200)"
+    return [("agreement", text)]
 
 
 def correlations(fit: Any) -> str:

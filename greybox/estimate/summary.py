@@ -62,6 +62,10 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
             for part in (*result.records, *result.spectra)
             for name in part.outputs
         ],
+        "responses": [
+            {"part": part.name, "magnitude_phase_cost": part.magnitude_phase_cost}
+            for part in result.responses
+        ],
         "at_bound": [q.name for q in result.quantities if q.at_bound],
         "warnings": result.warnings,
         "notes": result.notes,

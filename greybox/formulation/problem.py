@@ -99,8 +99,8 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         Its signals have the names of the model's inputs and outputs. Outputs that a record or a
         spectrum lacks are not compared. Read files with `gb.read_response` or `gb.read`; for more
         than one record, see `several`. Several responses of the model, in a list, a matrix or by
-        pair, ``{"p/lat": response}`` (output/input), make a `Sum` with one part for each, named by
-        its pair; see `gb.data.read_responses`.
+        pair, ``{"p/lat": response}`` or ``{("p", "lat"): response}`` (output, input), make a `Sum`
+        with one part for each, named by its pair; see `gb.data.read_responses`.
     criterion : Criterion or TimeCriterion, optional
         By default `RelativeError` (4.26) for a response and `OutputError` for a record or a
         spectrum; a spectrum takes `EquationError` as well. In a sum with a likelihood the default
@@ -487,7 +487,8 @@ def _responses_by_pair(given: Any) -> list[FrequencyResponse]:
     if isinstance(given, Mapping):
         responses = []
         for pair, response in given.items():
-            output, _, input = str(pair).partition("/")
+            names = pair if isinstance(pair, tuple) else str(pair).split("/", 1)
+            output, input = names if len(names) == 2 else ("", "")
             if not (output and input and isinstance(response, FrequencyResponse)):
                 return []
             responses.append(replace(response, output=output, input=input))
@@ -519,6 +520,11 @@ def _wrong_data(given: Any) -> str:
 
     if isinstance(given, list | tuple):
         return f"a list with {len(given)} in it: use gb.several(model, [...])"
+    if isinstance(given, Mapping):
+        return (
+            f"a mapping with the keys {', '.join(map(repr, given)):.200}: give every "
+            "FrequencyResponse by its pair, such as {'p/lat': response} (output/input)"
+        )
     return f"{given!r:.80}: give a FrequencyResponse, a Record or a TransientSpectrum"
 
 

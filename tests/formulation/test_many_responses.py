@@ -49,7 +49,8 @@ def test_every_form_of_a_matrix_makes_the_same_sum(tmp_path):
     flat = [r for row in rows for r in row]
     gb.data.write_responses(flat, tmp_path / "matrix.csv")
     named = {f"{r.output}/{r.input}": r for r in flat}
-    for form in (rows, flat, named, np.array(rows, dtype=object),
+    by_pair = {(r.output, r.input): r for r in flat}
+    for form in (rows, flat, named, by_pair, np.array(rows, dtype=object),
                  gb.data.read_responses(tmp_path / "matrix.csv")):  # fmt: skip
         problem = gb.Problem(Roll(), form)
         assert [part.name for part in problem.parts] == ["v/lat", "v/ped", "p/lat", "p/ped"]
@@ -91,3 +92,34 @@ def test_names_with_underscores_need_their_pairs(tmp_path):
     path.write_text(path.read_text().split("\n", 1)[1])
     with pytest.raises(ValueError, match="state the pairs"):
         gb.data.read_responses(path)
+
+
+def test_a_mapping_by_anything_but_pairs_names_its_keys():
+    with pytest.raises(TypeError, match=r"keys 'roll': give every FrequencyResponse by its pair"):
+        gb.Problem(Roll(), {"roll": matrix()[0][0]})
+
+
+def test_the_cost_of_every_pair_is_that_of_cifer_and_stands_in_the_details():
+    # 10 % more gain at every point of one pair: 0.828 dB, no phase.
+    rows = matrix()
+    rows[1][0] = gb.FrequencyResponse(OMEGA, 1.1 * rows[1][0].response, input="lat", output="p")
+    fixed = {name: value for name, value in TRUTH.items() if name != "Lped"}
+    fit = gb.fit(gb.Problem(Roll(), rows, fixed=fixed), starts=1, progress=False)
+    weight = 1.58 * (1 - np.exp(-1))
+    expected = 20 * weight**2 * (20 * np.log10(1.1)) ** 2
+    costs = {part.name: part.magnitude_phase_cost for part in fit.responses}
+    assert_allclose(costs["p/lat"], expected, rtol=1e-6)
+    assert costs["v/lat"] < 1e-6
+    assert "3.42 on average" in fit.details
+    assert "p/lat 13.7" in fit.details
+    by_part = {row["part"]: row["magnitude_phase_cost"] for row in fit.to_dict()["responses"]}
+    assert by_part == costs
+
+
+def test_a_response_that_the_model_lacks_is_not_explained():
+    # Without Lped and Lv, the pedals do not reach p.
+    names = {"Lped": 0.0, "Lv": 0.0}
+    fit = gb.fit(gb.Problem(Roll(), matrix(), fixed=names), starts=1, progress=False)
+    assert not np.any(fit.responses[3].response)
+    assert "does not explain the data" in str(fit)
+    assert "a response of p to ped" in str(fit)
