@@ -10,7 +10,7 @@ One solver is used for all parameters, and one program for each other quantity.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -174,98 +174,148 @@ Held = list[int] | ca.Function
 """What is held: the parameters at these places, or a quantity (z) -> value."""
 
 
-class HeldMinima:
-    """The minima of a problem with something held.
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A minimum with something held at a value.
 
-    A point consists of the solver's variables (p,), which may be followed by the states at the
-    nodes of all parts.
-
-    Parameters
+    Attributes
     ----------
-    nlp : CompiledProblem
-    shapes : sequence of (int, int)
-        Shapes of the nodes of every part, if it has any.
+    z : (p,) array
+        In the variables of the solver.
+    cost : float
+        Infinite where the solver failed.
+    nodes : tuple of arrays
+        The states at the nodes of every part; empty where they are not known.
+    value : float
     """
 
-    def __init__(self, nlp: CompiledProblem, shapes: Sequence[tuple[int, ...]] = ()) -> None:
-        self._nlp = nlp
-        self._shapes = list(shapes)
+    z: Array
+    cost: float = math.inf
+    nodes: tuple[Array, ...] | None = ()
+    value: float = 0.0
+
+
+class HeldMinima:
+    """The minima of a problem with something held, and its minimum at an estimate x (p,).
+
+    Attributes
+    ----------
+    nlp : CompiledProblem
+    best : Point
+        The minimum. Records are solved again: it may be slightly lower than that of the fit.
+    x : (p,) array
+        The parameters there.
+    accuracy : Accuracy
+
+    Raises
+    ------
+    NoProfileError
+        If the minimum is not found again.
+    """
+
+    def __init__(self, nlp: CompiledProblem, x: Array) -> None:
+        self.nlp = nlp
+        self.best, trajectories = self._minimum(x)
+        self.x = nlp.scaling.to_parameters(self.best.z)
+        self.accuracy = assess(nlp, self.x, trajectories)
+
+    def _minimum(self, x: Array) -> tuple[Point, tuple[Trajectory, ...]]:
+        nlp = self.nlp
+        if not any(part.has_states for part in nlp.parts):
+            z = nlp.scaling.to_solver(x)
+            return self._response_minimum(z), tuple(part.trajectory(z) for part in nlp.parts)
+
+        # A fit does not store the states at the nodes: they are solved again, then everything
+        # together.
+        states = self._solver.profile(x)
+        nodes = [trajectory.nodes for trajectory in states.trajectories]
+        outcome = self._solver.solved_from(x, nodes)
+        if not outcome.converged:
+            raise NoProfileError(
+                f"the minimum of {nlp.problem.name!r} is not found again from the estimate: "
+                f"{outcome.status}."
+            )
+        profile = self._solver.profile(outcome.estimate, outcome.nodes)
+        return self._point(outcome), profile.trajectories
+
+    @cached_property
+    def numbers(self) -> float:
+        """N for costs of the form N/2 log(sum of squares); infinite for other costs."""
+        are_logarithms = all(
+            isinstance(part, RecordPart) and part.covariance.known is None and not part.model.driven
+            for part in self.nlp.parts
+        )
+        return sum(part.numbers for part in self.nlp.parts) if are_logarithms else math.inf
 
     @cached_property
     def _solver(self) -> GaussNewton:
-        return GaussNewton(self._nlp)
+        return GaussNewton(self.nlp)
 
     @cached_property
     def _newton(self) -> BatchedNewton | None:
         """Newton's method for responses with bounds alone; it takes a tenth of the time."""
-        program, scaling = self._nlp.programs[-1], self._nlp.scaling
-        if program.explicit is None or not ResponseSolver.serves(self._nlp):
+        program, scaling = self.nlp.programs[-1], self.nlp.scaling
+        if program.explicit is None or not ResponseSolver.serves(self.nlp):
             return None
-        lower, upper = map(scaling.to_solver, (self._nlp.lower, self._nlp.upper))
+        lower, upper = map(scaling.to_solver, (self.nlp.lower, self.nlp.upper))
         return BatchedNewton(program.explicit, lower, upper, program.roots)
 
-    def solve(
-        self, held: Held, starts: Sequence[Array], value: float | Array
-    ) -> list[tuple[Array, float]]:
-        """Return the minimum from each start with a quantity held at a value: point and cost.
+    def lowest(self, held: Held, starts: Sequence[Point], value: float | Array) -> Point:
+        """Return the lowest minimum from these starts with a quantity held at a value.
 
-        Several parameters have an array of values. A cost is infinite where the solver failed.
+        Several parameters have an array of values.
         """
-        if not isinstance(held, list) or self._newton is None:
-            return [self._solved(held, start, value) for start in starts]
-
-        bounds = map(self._nlp.scaling.to_solver, self._bounds(held, value))
-        lower, upper = (np.tile(bound[:, None], len(starts)) for bound in bounds)
-        ends = self._newton.minimize(
-            np.clip(np.array(starts).T, lower, upper),
-            from_near=True,
-            max_iterations=WARM["max_iter"],
-            tolerance=TOLERANCE,
-            bounds=(lower, upper),
-        )
-        pairs = zip(ends.z.T, ends.at_minimum, strict=True)
-        return [(z, self._cost(z) if at_minimum else math.inf) for z, at_minimum in pairs]
-
-    def _bounds(self, held: list[int], value: float | Array) -> tuple[Array, Array]:
-        """Return the bounds (p,), which are equal for a held parameter."""
-        lower, upper = self._nlp.lower.copy(), self._nlp.upper.copy()
-        lower[held] = upper[held] = value
-        return lower, upper
-
-    def _cost(self, z: Array) -> float:
-        """Return the cost of a response at z (p,), without the smoothing of solvers."""
-        cost = self._nlp.cost(self._nlp.all_values(self._nlp.scaling.to_parameters(z)))
-        return cost if math.isfinite(cost) else math.inf
-
-    def _solved(self, held: Held, start: Array, value: float | Array) -> tuple[Array, float]:
-        scaling = self._nlp.scaling
-        p = len(self._nlp.free)
-        equation = None
+        lower, upper = self.nlp.lower.copy(), self.nlp.upper.copy()
         if isinstance(held, list):
-            lower, upper = self._bounds(held, value)
+            lower[held] = upper[held] = value
+        lower, upper = map(self.nlp.scaling.to_solver, (lower, upper))
+
+        if self._newton is None or not isinstance(held, list):
+            minima = []
+            for start in starts:
+                equation = None
+                if not isinstance(held, list):
+                    equation = steep_equation(held, start.z, float(value))
+                minima.append(self._solved(self._solver.within(lower, upper, equation), start))
         else:
-            lower, upper = self._nlp.lower, self._nlp.upper
-            equation = steep_equation(held, start[:p], float(np.ravel(value)[0]))
+            low, high = (np.tile(bound[:, None], len(starts)) for bound in (lower, upper))
+            ends = self._newton.minimize(
+                np.clip(np.array([start.z for start in starts]).T, low, high),
+                from_near=True,
+                max_iterations=WARM["max_iter"],
+                tolerance=TOLERANCE,
+                bounds=(low, high),
+            )
+            pairs = zip(ends.z.T, ends.at_minimum, strict=True)
+            minima = [self._response_minimum(z) if found else Point(z) for z, found in pairs]
+        return min(minima, key=lambda minimum: minimum.cost)
 
-        solver = self._solver.within(scaling.to_solver(lower), scaling.to_solver(upper), equation)
-        x = np.clip(scaling.to_parameters(start[:p]), lower, upper)
+    def _solved(self, solver: GaussNewton, start: Point) -> Point:
+        limits = solver.limits
+        x = self.nlp.scaling.to_parameters(np.clip(start.z, limits.low, limits.high))
         # From the states of a neighboring point a solution takes a few iterations.
-        outcome = None
-        if len(start) > p:
-            ends = np.cumsum([math.prod(shape) for shape in self._shapes])[:-1]
-            nodes = [
-                piece.reshape(shape)
-                for piece, shape in zip(np.split(start[p:], ends), self._shapes, strict=True)
-            ]
-            outcome = solver.solved_from(x, nodes)
-
+        outcome = solver.solved_from(x, start.nodes) if start.nodes else None
         # States of a distant neighbor may lead nowhere: then begin with the states of the data.
         if outcome is None or not outcome.converged:
             outcome = solver.run(x)
-        point = _point(self._nlp, outcome)
-        if not outcome.converged:
-            return point, math.inf
-        return point, outcome.cost if len(self._shapes) else self._cost(point)
+        return self._point(outcome)
+
+    def _point(self, outcome: Outcome) -> Point:
+        z = self.nlp.scaling.to_solver(outcome.estimate)
+        cost = outcome.cost if outcome.converged else math.inf
+        return Point(z, cost, outcome.nodes)
+
+    def at_bounds(self, point: Point) -> set[str]:
+        """Return the names of the parameters at a bound."""
+        x = self.nlp.scaling.to_parameters(point.z)
+        room = np.minimum(x - self.nlp.lower, self.nlp.upper - x)
+        # IPOPT's barrier leaves a relative distance of up to 1e-4 to an active bound.
+        return {self.nlp.free[k] for k in np.flatnonzero(room <= 1e-4 * np.abs(x))}
+
+    def _response_minimum(self, z: Array) -> Point:
+        """Return the point z (p,) with the cost of responses, without the smoothing of solvers."""
+        cost = self.nlp.cost(self.nlp.all_values(self.nlp.scaling.to_parameters(z)))
+        return Point(z, cost if math.isfinite(cost) else math.inf)
 
 
 @one_thread_at_a_time
@@ -284,40 +334,11 @@ def slope_of(quantity: ca.Function, z: Array) -> Array:
     return quantity.jacobian()(z, 0).full().ravel()
 
 
-def best_of_records(
-    nlp: CompiledProblem, x: Array
-) -> tuple[HeldMinima, Array, float, tuple[Trajectory, ...]]:
-    """Return the solver of records, its minimum from x (p,), the cost, and the trajectories.
-
-    Raises
-    ------
-    NoProfileError
-    """
-    # A fit does not store the states at the nodes: they are solved again, then everything together.
-    solver = GaussNewton(nlp)
-    states = solver.profile(x)
-    outcome = solver.solved_from(x, [trajectory.nodes for trajectory in states.trajectories])
-    if not outcome.converged or outcome.nodes is None:
-        raise NoProfileError(
-            f"the minimum of {nlp.problem.name!r} is not found again from the estimate: "
-            f"{outcome.status}."
-        )
-
-    held = HeldMinima(nlp, [nodes.shape for nodes in outcome.nodes])
-    trajectories = solver.profile(outcome.estimate, outcome.nodes).trajectories
-    return held, _point(nlp, outcome), outcome.cost, trajectories
-
-
-def _point(nlp: CompiledProblem, outcome: Outcome) -> Array:
-    nodes = [] if outcome.nodes is None else [part.ravel() for part in outcome.nodes]
-    return np.concatenate([nlp.scaling.to_solver(outcome.estimate), *nodes])
-
-
 # --- the cost as a likelihood
 
 
-def _ratio_refusal(nlp: CompiledProblem, x: Array) -> str:
-    """Return why the costs at the estimate x (p,) admit no likelihood ratio, or an empty text."""
+def _refusals(nlp: CompiledProblem, x: Array) -> Iterator[str]:
+    """Yield why the costs at the estimate x (p,) admit no likelihood ratio."""
     # The costs of records are log-likelihoods. The cost of a response is one, up to a factor, if
     # every point has the same weight in units of its error: then the curvature gives the factor.
     values = nlp.all_values(x)
@@ -326,15 +347,13 @@ def _ratio_refusal(nlp: CompiledProblem, x: Array) -> str:
             continue
         bread, meat = part.criterion.spread(part.response(values), part.data, 1.0)
         if not np.isfinite(bread) or not meat.size or not np.all(meat > 0):
-            return f"{part.problem.name!r} is fitted exactly, so the size of its errors is unknown"
-        if not part.criterion.weighs_alike and np.ptp(meat) > 1e-6 * meat.max():
-            return (
+            yield f"{part.problem.name!r} is fitted exactly, so the size of its errors is unknown"
+        elif not part.criterion.weighs_alike and np.ptp(meat) > 1e-6 * meat.max():
+            yield (
                 f"{type(part.criterion).__name__} does not weigh the points of "
                 f"{part.problem.name!r} by their errors, so its cost is not a log-likelihood: use "
                 "RelativeError, SquaredRelativeError or MaximumLikelihood, or a bootstrap"
             )
-
-    return ""
 
 
 def likelihood_factor(accuracy: Accuracy, gradient: Array) -> float:
@@ -357,43 +376,7 @@ def likelihood_factor(accuracy: Accuracy, gradient: Array) -> float:
     return float(by_curvature / variance)
 
 
-def _numbers(nlp: CompiledProblem) -> float:
-    """Return N for costs of the form N/2 log(sum of squares); infinite for other costs."""
-    numbers = 0
-    for part in nlp.parts:
-        is_logarithm = (
-            isinstance(part, RecordPart) and part.covariance.known is None and not part.model.driven
-        )
-        if not is_logarithm:
-            return math.inf
-        numbers += part.numbers
-
-    return numbers
-
-
 # --- the search along one quantity
-
-
-@dataclass(frozen=True, eq=False)
-class _Point:
-    value: float
-    z: Array
-    cost: float
-
-
-@dataclass(frozen=True, eq=False)
-class _Estimate:
-    """The estimate x (p,) of a fit with its accuracy and cost, as a point of a solver.
-
-    `numbers` is N for costs that are N/2 log of a sum of squares; infinite for other costs.
-    """
-
-    x: Array
-    accuracy: Accuracy
-    cost: float
-    point: Array
-    solver: HeldMinima
-    numbers: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -402,9 +385,9 @@ class _Search:
 
     Attributes
     ----------
-    estimate : _Estimate
+    minima : HeldMinima
     held : Held
-    best : _Point
+    best : Point
         The estimate.
     factor : float
         c of the likelihood ratio.
@@ -413,47 +396,40 @@ class _Search:
         Typical size of the quantity.
     first : float
         The first step.
-    starts : (s, p) array
+    starts : sequence of Point
         Further starts of every point.
-    bias : float
-        Bias of the estimate in standard errors.
     ray : pair of (2,) arrays, optional
         Where the values are distances along a ray of two parameters: its origin and direction.
     """
 
-    estimate: _Estimate
+    minima: HeldMinima
     held: Held
-    best: _Point
+    best: Point
     factor: float
     bounds: tuple[float, float]
     size: float
     first: float
-    starts: Sequence[Array] = ()
-    bias: float = 0.0
-    ray: tuple[Any, Array] = 0.0, np.ones(())
+    starts: Sequence[Point] = ()
+    ray: tuple[Any, Any] = (0.0, 1.0)
 
-    def root(self, point: _Point) -> float:
-        """Return |r|."""
+    def root(self, point: Point) -> float:
+        """Return r, negative below the estimate."""
         increase = 2 * max(point.cost - self.best.cost, 0.0)
-        numbers = self.estimate.numbers
+        numbers = self.minima.numbers
         if math.isfinite(numbers) and math.isfinite(increase):
             # For N numbers of an estimated variance the cost is N/2 log of a sum of squares, and r²
             # is the F statistic of that sum: exact for a linear model, however few the numbers. An
             # exponent of 100 is beyond any limit; larger ones would overflow.
             increase = numbers * math.expm1(min(increase / numbers, 100.0))
-        return math.sqrt(self.factor * increase)
+        return math.copysign(math.sqrt(self.factor * increase), point.value - self.best.value)
 
-    def signed_root(self, point: _Point) -> float:
-        """Return r, negative below the estimate."""
-        return math.copysign(self.root(point), point.value - self.best.value)
-
-    def point(self, value: float, *starts: Array) -> _Point:
+    def point(self, value: float, *starts: Point) -> Point:
         """Return the lowest minimum from these starts with the quantity at a value."""
         origin, direction = self.ray
-        minima = self.estimate.solver.solve(self.held, starts, origin + value * direction)
-        return _Point(value, *min(minima, key=lambda minimum: minimum[1]))
+        lowest = self.minima.lowest(self.held, starts, origin + value * direction)
+        return replace(lowest, value=value)
 
-    def side(self, direction: int, limit: float) -> tuple[list[_Point], End]:
+    def side(self, direction: int, limit: float) -> tuple[list[Point], End]:
         """Walk from the estimate until |r| crosses a limit; the points, and how the walk ended."""
         points = [self.best]
         step = self.first
@@ -465,16 +441,16 @@ class _Search:
             if not room > 0:
                 return points, "bound"
             value = last.value + direction * step if step < room else bound
-            ahead = last.z
+            ahead = last
             # The other parameters move nearly along a line: extrapolated, a point takes few
             # iterations.
             if len(points) > 1:
                 previous = points[-2]
                 share = (value - last.value) / (last.value - previous.value)
-                ahead = last.z + share * (last.z - previous.z)
+                ahead = replace(last, z=last.z + share * (last.z - previous.z))
 
             point = self.point(value, ahead, *self.starts)
-            rise = self.root(point) - self.root(last)
+            rise = direction * (self.root(point) - self.root(last))
             # A jump over the crossing does not show the curve before it.
             if rise > limit and step > 1e-3 * self.first:
                 step = min(step, room) / GROWTH
@@ -482,7 +458,7 @@ class _Search:
             if math.isinf(rise):
                 return points, "failed"
             points.append(point)
-            if self.root(point) > BEYOND * limit:
+            if direction * self.root(point) > BEYOND * limit:
                 return points, "crossed"
             if abs(value - self.best.value) > FAR * self.size:
                 break
@@ -490,15 +466,14 @@ class _Search:
 
         return points, "flat"
 
-    def crossing(self, inner: _Point, outer: _Point, root: float) -> float:
-        """Return where the signed root has a value between two points."""
+    def crossing(self, inner: Point, outer: Point, root: float) -> float:
+        """Return where the root has a value between two points."""
         from scipy.optimize import brentq  # noqa: PLC0415  (takes a tenth of a second to import)
 
         ends = {point.value: point for point in (inner, outer)}
 
         def height(value: float) -> float:
-            point = ends[value] if value in ends else self.point(value, inner.z, outer.z)
-            return self.signed_root(point) - root
+            return self.root(ends.get(value) or self.point(value, inner, outer)) - root
 
         tolerance = max(1e-3 * abs(outer.value - inner.value), 1e-12 * self.size)
         root_value: Any = brentq(height, inner.value, outer.value, xtol=tolerance)
@@ -513,27 +488,15 @@ def _value_of(nlp: CompiledProblem, name: str) -> ca.Function:
     return ca.Function("value", [z], [expressions(nlp.problem, values)[name]])
 
 
-def _estimate(nlp: CompiledProblem, fit: Fit) -> _Estimate:
-    """Return the estimate of a fit, if costs are ratios of likelihoods there."""
-    x = np.array([fit.estimate[name] for name in nlp.free])
-    refusal = _ratio_refusal(nlp, x)
-    if any(part.has_states for part in nlp.parts):
-        # Records are solved again, and may end slightly lower than the fit: r is zero there.
-        solver, point, cost, trajectories = best_of_records(nlp, x)
-        x = nlp.scaling.to_parameters(point[: len(x)])
-    else:
-        solver, point, cost = (
-            HeldMinima(nlp),
-            nlp.scaling.to_solver(x),
-            nlp.cost(nlp.all_values(x)),
-        )
-        trajectories = tuple(part.trajectory(point) for part in nlp.parts)
-
-    accuracy = assess(nlp, x, trajectories)
-    if refusal or accuracy.white is None:
-        refusal = refusal or "its errors are not known"
+def _minima(nlp: CompiledProblem, fit: Fit) -> HeldMinima:
+    """Return the minima of a fitted problem, if its costs are ratios of likelihoods."""
+    minima = HeldMinima(nlp, np.array([fit.estimate[name] for name in nlp.free]))
+    refusals = [*_refusals(nlp, minima.x)]
+    if minima.accuracy.white is None:
+        refusals.append("its errors are not known")
+    for refusal in refusals:
         raise NoProfileError(f"no profile of {fit.name!r}: {refusal}.")
-    return _Estimate(x, accuracy, cost, point, solver, _numbers(nlp))
+    return minima
 
 
 # --- profiles
@@ -542,92 +505,90 @@ def _estimate(nlp: CompiledProblem, fit: Fit) -> _Estimate:
 def _profiles(
     nlp: CompiledProblem, fit: Fit, lines: Sequence[Quantity], level: float, fresh: int
 ) -> Profiles:
-    estimate = _estimate(nlp, fit)
-    starts = np.zeros((0, len(nlp.free)))
+    minima = _minima(nlp, fit)
+    starts = []
     if fresh:
         boxes = {name: nlp.problem.parameters[name] for name in nlp.free}
-        starts = nlp.scaling.to_solver(Sobol(fresh, 0).draw(boxes))
+        starts = [Point(z) for z in nlp.scaling.to_solver(Sobol(fresh, 0).draw(boxes))]
 
     profiles = []
     limits = {}
     for line in bar(lines, desc="profiles", unit="profile"):
-        dof = line.dof if math.isfinite(line.dof) else estimate.accuracy.dof
+        dof = line.dof if math.isfinite(line.dof) else minima.accuracy.dof
         limits[line.name] = limit = t_quantile(level, dof)
-        search = _search(nlp, estimate, line, limit, starts)
-        profiles.append(_profile_of(nlp, search, line, limit))
+        profiles.append(_profile_of(_search(minima, line, limit, starts), line, limit))
 
     lowest = min((float(profile.costs.min()) for profile in profiles), default=math.inf)
     warnings = ()
     # The smoothing moves costs by up to 6e-5.
-    if lowest < estimate.cost - 1e-4 * max(abs(estimate.cost), 1.0):
+    best = minima.best.cost
+    if lowest < best - 1e-4 * max(abs(best), 1.0):
         warnings = (
-            f"a profile found the cost {number(lowest)} below the fit's {number(estimate.cost)}: "
+            f"a profile found the cost {number(lowest)} below the fit's {number(best)}: "
             "fit from more starts.",
         )
 
     return Profiles(fit.name, level, limits, nlp.free, tuple(profiles), warnings)
 
 
-def _search(
-    nlp: CompiledProblem, estimate: _Estimate, line: Quantity, limit: float, starts: Array
-) -> _Search:
+def _search(minima: HeldMinima, line: Quantity, limit: float, starts: Sequence[Point]) -> _Search:
     """Return the search along one parameter or derived quantity."""
-    x = estimate.x
+    nlp, x = minima.nlp, minima.x
     slope_of_x = nlp.scaling.slope(x)
     if line.name in nlp.free:
         place = nlp.free.index(line.name)
         held: Held = [place]
         slope = np.eye(len(x))[place]
         value = float(x[place])
-        bounds = line.bounds
     else:
         held = _value_of(nlp, line.name)
-        slope = slope_of(held, nlp.scaling.to_solver(x)) * slope_of_x
+        slope = slope_of(held, minima.best.z) * slope_of_x
         value = line.value
-        bounds = (-math.inf, math.inf)
-        starts = starts[:0]  # a quantity is held by an equation: runs from far away take long
+        starts = ()  # a quantity is held by an equation: runs from far away take long
 
     size = float(np.max(np.abs([line.value, *(slope / slope_of_x)])))
     error = line.standard_error
     first = STEP * limit * error if math.isfinite(error) and error > 0 else 0.02 * size
     return _Search(
-        estimate=estimate,
+        minima=minima,
         held=held,
-        best=_Point(value, estimate.point, estimate.cost),
-        factor=likelihood_factor(estimate.accuracy, slope),
-        bounds=bounds,
+        best=replace(minima.best, value=value),
+        factor=likelihood_factor(minima.accuracy, slope),
+        bounds=line.bounds,
         size=size,
-        first=min(first, *(STEP * abs(bound - line.value) or math.inf for bound in bounds)),
-        starts=[*starts],
-        bias=line.bias / error if error > 0 else 0.0,
+        first=min(first, *(STEP * abs(bound - line.value) or math.inf for bound in line.bounds)),
+        starts=starts,
     )
 
 
-def _profile_of(nlp: CompiledProblem, search: _Search, line: Quantity, limit: float) -> ProfileOf:
+def _profile_of(search: _Search, line: Quantity, limit: float) -> ProfileOf:
     # A relative criterion biases the estimate by b, so that at the truth r has the mean -b over the
     # standard error. The interval is where r plus this ratio is within the limit: like the interval
     # of the standard error, it is about the value less b.
-    lowest, highest = -limit - search.bias, limit - search.bias
+    bias = line.bias / line.standard_error if line.standard_error > 0 else 0.0
+    lowest, highest = -limit - bias, limit - bias
     # With a bias beyond the limit one end lies on the other side of the estimate: that walk still
     # takes a step, which shows the curve.
     down, low_end = search.side(-1, max(-lowest, STEP * limit))
     up, high_end = search.side(1, max(highest, STEP * limit))
     points = [*down[::-1], *up[1:]]
-    roots = np.array([search.signed_root(point) for point in points])
+    roots = np.array([search.root(point) for point in points])
     inside = np.flatnonzero((roots >= lowest) & (roots <= highest))
     if not inside.size:  # beyond the bound at which the walk ended
-        inside = np.array([np.argmin(np.abs(roots + search.bias))])
+        inside = np.array([np.argmin(np.abs(roots + bias))])
 
     interval = [-math.inf, math.inf]
     ends: list[End] = [low_end, high_end]
     at_bound: list[tuple[str, ...]] = [(), ()]
+    at_best = search.minima.at_bounds(search.best) | {line.name}
     first, last = int(inside[0]), int(inside[-1])
     for side, k, outside, root in ((0, first, first - 1, lowest), (1, last, last + 1, highest)):
         if 0 <= outside < len(points):
             interval[side] = search.crossing(points[k], points[outside], root)
             ends[side] = "crossed"
-            at_bound[side] = _newly_at_bound(nlp, points[outside], search.best, line.name)
+            at_bound[side] = tuple(sorted(search.minima.at_bounds(points[outside]) - at_best))
 
+    scaling = search.minima.nlp.scaling
     return ProfileOf(
         name=line.name,
         unit=line.unit,
@@ -636,26 +597,13 @@ def _profile_of(nlp: CompiledProblem, search: _Search, line: Quantity, limit: fl
         values=np.array([point.value for point in points]),
         costs=np.array([point.cost for point in points]),
         roots=roots,
-        others=nlp.scaling.to_parameters(np.array([point.z[: len(nlp.free)] for point in points])),
+        others=scaling.to_parameters(np.array([point.z for point in points])),
         interval=(interval[0], interval[1]),
         ends=(ends[0], ends[1]),
         bounds=line.bounds,
-        bias=search.bias,
+        bias=bias,
         at_bound=(at_bound[0], at_bound[1]),
         connected=len(inside) == last - first + 1,
-    )
-
-
-def _newly_at_bound(
-    nlp: CompiledProblem, point: _Point, best: _Point, held: str
-) -> tuple[str, ...]:
-    """Name the parameters beside the held one that are at a bound here, but not at the estimate."""
-    x, x_best = (nlp.scaling.to_parameters(z[: len(nlp.free)]) for z in (point.z, best.z))
-    room, room_best = (np.minimum(v - nlp.lower, nlp.upper - v) for v in (x, x_best))
-    # IPOPT's barrier leaves a relative distance of up to 1e-4 to an active bound.
-    near = (room <= 1e-4 * np.abs(x)) & (room_best > 1e-4 * np.abs(x_best))
-    return tuple(
-        name for name, is_near in zip(nlp.free, near, strict=True) if is_near and name != held
     )
 
 
@@ -717,25 +665,25 @@ def contour(
 def _contour(
     nlp: CompiledProblem, fit: Fit, lines: tuple[Quantity, Quantity], level: float, directions: int
 ) -> Contour:
-    estimate = _estimate(nlp, fit)
-    x, accuracy = estimate.x, estimate.accuracy
+    minima = _minima(nlp, fit)
+    accuracy = minima.accuracy
     places = [nlp.free.index(line.name) for line in lines]
     limit = radius(level, min(line.dof for line in lines))
     block = accuracy.covariance[np.ix_(places, places)]
     axes = np.diag(accuracy.size[places])
     if np.linalg.det(block) > 0:
         axes = np.linalg.cholesky(block)
-    factors = [likelihood_factor(accuracy, np.eye(len(x))[place]) for place in places]
+    factors = [likelihood_factor(accuracy, row) for row in np.eye(len(nlp.free))[places]]
     search = _Search(
-        estimate=estimate,
+        minima=minima,
         held=places,
-        best=_Point(0.0, estimate.point, estimate.cost),
+        best=minima.best,
         factor=float(np.mean(factors)),
         bounds=(0.0, math.inf),
         size=limit,
         first=limit / 2,
     )
-    origin = x[places]
+    origin = minima.x[places]
     bounds = np.array([line.bounds for line in lines])
     bias = np.linalg.solve(axes, [line.bias for line in lines])
     # The rays begin at the estimate, which must lie within the contour: a larger bias is cut.

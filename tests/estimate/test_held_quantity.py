@@ -7,7 +7,13 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.estimate.profile import NoProfileError, best_of_records, slope_of, steep_equation
+from greybox.estimate.profile import (
+    HeldMinima,
+    NoProfileError,
+    Point,
+    slope_of,
+    steep_equation,
+)
 from greybox.solve.runs import Outcome
 
 
@@ -55,22 +61,22 @@ def held():
     )
     columns = np.column_stack([through["y"], np.ones(80), decay])
     best = np.linalg.lstsq(columns, record["y"], rcond=None)[0]
-    return nlp, columns, record["y"], best, best_of_records(nlp, best[:2])
+    return nlp, columns, record["y"], best, HeldMinima(nlp, best[:2])
 
 
 def test_the_best_point_of_records_is_that_of_least_squares(held):
-    nlp, columns, y, best, (_, point, cost, trajectories) = held
-    assert_allclose(nlp.scaling.to_parameters(point[:2]), best[:2], rtol=1e-4)
-    assert len(point) > 2
-    assert_allclose(trajectories[0].nodes[0, 0], best[2], rtol=1e-3)
+    _, columns, y, best, minima = held
+    assert_allclose(minima.x, best[:2], rtol=1e-4)
+    assert_allclose(minima.best.nodes[0][0, 0], best[2], rtol=1e-3)
     squares = np.sum((y - columns @ best) ** 2) / 0.01
-    assert cost == pytest.approx(
+    assert minima.best.cost == pytest.approx(
         0.5 * squares + 80 * np.log(0.1) + 40 * np.log(2 * np.pi), rel=1e-6
     )
 
 
 def test_costs_with_a_parameter_or_a_quantity_held_rise_as_those_of_least_squares(held):
-    nlp, columns, _, best, (solver, point, cost, _) = held
+    nlp, columns, _, best, minima = held
+    point, cost = minima.best, minima.best.cost
 
     def rise(constraint, value):
         """Of the cost, with a linear combination of gain and offset held."""
@@ -79,16 +85,16 @@ def test_costs_with_a_parameter_or_a_quantity_held_rise_as_those_of_least_square
         return 0.5 * (value - row @ best) ** 2 / (row @ inverse @ row) / 0.01
 
     low, high = best[1] - 0.1, best[1] + 0.2
-    for start, at in ((point, low), (point[:2], high)):
-        ((end, value),) = solver.solve([1], [start], at)
-        assert value - cost == pytest.approx(rise([0, 1], at), rel=1e-4)
-        assert nlp.scaling.to_parameters(end[:2])[1] == pytest.approx(at)
+    for start, at in ((point, low), (Point(point.z), high)):
+        end = minima.lowest([1], [start], at)
+        assert end.cost - cost == pytest.approx(rise([0, 1], at), rel=1e-4)
+        assert nlp.scaling.to_parameters(end.z)[1] == pytest.approx(at)
     z = ca.SX.sym("z", 2)
     k, c = nlp.scaling.expressions(z)
     total = best[0] + 3 * best[1] + 0.4
-    ((end, value),) = solver.solve(ca.Function("q", [z], [k + 3 * c]), [point], total)
-    assert value - cost == pytest.approx(rise([1, 3], total), rel=1e-4)
-    assert nlp.scaling.to_parameters(end[:2]) @ [1, 3] == pytest.approx(total)
+    end = minima.lowest(ca.Function("q", [z], [k + 3 * c]), [point], total)
+    assert end.cost - cost == pytest.approx(rise([1, 3], total), rel=1e-4)
+    assert nlp.scaling.to_parameters(end.z) @ [1, 3] == pytest.approx(total)
 
 
 def test_where_no_minimum_is_found_again_there_is_an_error(held, monkeypatch):
@@ -96,7 +102,7 @@ def test_where_no_minimum_is_found_again_there_is_an_error(held, monkeypatch):
     lost = Outcome(np.zeros(2), "iterations exceeded", 3, 0.1, converged=False)
     monkeypatch.setattr("greybox.estimate.profile.GaussNewton.solved_from", lambda *_: lost)
     with pytest.raises(NoProfileError, match="from the estimate: iterations exceeded"):
-        best_of_records(nlp, held[3][:2])
+        HeldMinima(nlp, held[3][:2])
 
 
 def test_whole_numbers_as_bounds_hold_what_is_between_them(held):
