@@ -1,6 +1,5 @@
 """Where and why a model has no finite value: which response, state or output, and what helps."""
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -76,7 +75,7 @@ def _trouble_of(part: Part, z: Array) -> Trouble | None:
     """Return the trouble of a part at the solver's point z (p,)."""
     if isinstance(part, RecordPart):
         trajectory = part.trajectory(z)
-        return None if trajectory.finite else _located(part, trajectory)
+        return None if trajectory.finite else _of_record(part, trajectory)
     if not isinstance(part, ResponsePart):
         return None
 
@@ -90,74 +89,48 @@ def _trouble_of(part: Part, z: Array) -> Trouble | None:
     return Trouble(f"no finite response at {place}")
 
 
-def _located(part: RecordPart, trajectory: Trajectory) -> Trouble | None:
-    """Return the first state, derivative or output that is not finite."""
-    # Later values that are not finite follow from the first. Where a state diverges, so do the
-    # formulas of that sample.
-    first = min(_diverged(part, trajectory), _invalid(part, trajectory), key=lambda pair: pair[0])
-    return first[1]
-
-
-def _invalid(part: RecordPart, trajectory: Trajectory) -> tuple[float, Trouble | None]:
-    """Return the first sample at which a derivative or output is not finite, and which."""
-    system, placed = part.system, trajectory.detail
+def _of_record(part: RecordPart, trajectory: Trajectory) -> Trouble | None:
+    """Return the first derivative, output or simulated state that is not finite."""
+    system, placed, sampled = part.system, trajectory.detail, part.data
     x, data = map(part.segments.in_order, (trajectory.states, placed.data))
     _, u, _, residual, _ = (value.full() for value in part.step.measurement(x, placed.q, data))
-    names = [f"the output {name}" for name in part.outputs]
-    rows = residual
-    if part.states:
-        slopes = system.derivative(x, u, placed.q[: len(system.parameters)]).full()
-        names = [*(f"the derivative of {name}" for name in system.states), *names]
-        rows = np.vstack([slopes, residual])
+    slopes = system.derivative(x, u, placed.q[: len(system.parameters)]).full()
+    # A state is simulated to the next sample, also at the end of a segment.
+    within = x.T.reshape(-1, sampled.segment_length, part.states)[:, 1:]
+    later = np.concatenate([within, trajectory.ends[:, None]], axis=1).reshape(-1, part.states).T
 
-    lost = ~np.isfinite(rows)
+    # Later values that are not finite follow from the first.
+    lost = ~np.isfinite(np.vstack([slopes, residual, later]))
     if not lost.any():
-        return math.inf, None
+        return None
     at = int(np.argmax(lost.any(axis=0)))
-    what = names[int(np.argmax(lost[:, at]))]
-    point = zip((*system.states, *system.inputs), (*x[:, at], *u[:, at]), strict=True)
-    values = ", ".join(f"{name} = {value:.4g}" for name, value in point)
-    when = _time(part, at)
-    place = f"at {when:.6g} s" if part.model.record.has_time else f"in row {when + 1:.0f}"
-    why = f"{what} is not finite {place}, where {values}"
-    return at, Trouble(what, why, _elsewhere(part))
+    first = int(np.argmax(lost[:, at]))
+    times = sampled.padded([part.model.record.time[None, s.rows] for s in sampled.stretches], None)
+    label, method = part.problem.model.label, part.model.method
+    cure = f"start elsewhere, or bound the parameters to where {label} has finite values"
+    if part.states:
+        cure += f", or give known states, initial={{{system.states[0]!r}: ...}}"
 
+    names = [
+        *(f"the derivative of {name}" for name in system.states),
+        *(f"the output {name}" for name in part.outputs),
+    ]
+    if first < len(names):
+        when = times[0, at]
+        place = f"at {when:.6g} s" if part.model.record.has_time else f"in row {when + 1:.0f}"
+        point = zip((*system.states, *system.inputs), (*x[:, at], *u[:, at]), strict=True)
+        values = ", ".join(f"{name} = {value:.4g}" for name, value in point)
+        return Trouble(names[first], f"{names[first]} is not finite {place}, where {values}", cure)
 
-def _diverged(part: RecordPart, trajectory: Trajectory) -> tuple[float, Trouble | None]:
-    """Return the first sample at which simulated states are not finite, and which."""
-    states = part.segments.in_order(trajectory.states).T
-    within = states.reshape(len(trajectory.ends), -1, part.states)
-    lost = ~np.isfinite(np.concatenate([within, trajectory.ends[:, None]], axis=1))
-    if not lost.any():
-        return math.inf, None
-    segment, sample = (int(k) for k in np.argwhere(lost.any(axis=2))[0])
-    diverged = zip(part.system.states, lost[segment, sample], strict=True)
-    names = [name for name, is_lost in diverged if is_lost]
-    at = segment * part.data.segment_length + sample
-
-    cure = f"{_elsewhere(part)}, or use method=MultipleShooting(segment=2)"
-    if isinstance(part.model.method.scheme, RungeKutta):
+    cure += ", or use method=MultipleShooting(segment=2)"
+    if isinstance(method.scheme, RungeKutta):
         cure += (
             "; if the model is stiff, with time constants far below a sample, use "
             "method=MultipleShooting(integrator=Radau())"
         )
-    verb = "is" if len(names) == 1 else "are"
-    joined = " and ".join(names)
-    why = f"{joined} {verb} no longer finite at {_time(part, at):.6g} s"
-    return at, Trouble(f"{joined}, simulated", why, cure)
-
-
-def _elsewhere(part: RecordPart) -> str:
-    initial = (
-        f", or give known states, initial={{{part.system.states[0]!r}: ...}}" if part.states else ""
-    )
-    label = part.problem.model.label
-    return f"start elsewhere, or bound the parameters to where {label} has finite values{initial}"
-
-
-def _time(part: RecordPart, column: int) -> float:
-    """Return the time of a sample, or the number of a row, counted over all segments."""
-    experiment, time = part.data, part.model.record.time
-    times = [time[None, stretch.rows] for stretch in experiment.stretches]
-    padded = experiment.padded(times, None)[0]
-    return float(padded[min(column, len(padded) - 1)])
+    diverged = [system.states[k] for k in np.flatnonzero(lost[len(names) :, at])]
+    verb = "is" if len(diverged) == 1 else "are"
+    joined = " and ".join(diverged)
+    when = times[0, min(at + 1, times.size - 1)]
+    why = f"{joined} {verb} no longer finite at {when:.6g} s"
+    return Trouble(f"{joined}, simulated", why, cure)
