@@ -48,6 +48,19 @@ class Explosive(gb.StateSpace):
         return (x.x,)
 
 
+class Table(gb.StateSpace):
+    """A logarithm whose argument is negative in the first rows."""
+
+    states, inputs, outputs = (), ("u",), ("y",)
+    h = gb.Parameter(2.0, bounds=(1, 5))
+
+    def derivative(self, x, u, p):
+        return ()
+
+    def output(self, x, u, p):
+        return (gb.log(u.u - p.h),)
+
+
 def record(output, start=7.0, n=100, **more):
     random = np.random.default_rng(0)
     values = 1 + 0.1 * np.sin(0.3 * np.arange(n)) + 0.01 * random.normal(size=n)
@@ -92,6 +105,18 @@ def test_where_no_start_is_finite_the_sentence_names_what_when_and_the_cure(prob
         in said
     )
     assert said in str(found)
+
+
+def test_a_table_names_the_row():
+    rows = gb.Record(
+        np.arange(30.0), {"u": np.linspace(0.1, 3, 30), "y": np.ones(30)}, has_time=False
+    )
+    found = fit(gb.Problem(Table(), rows))
+    assert found.status == "no start converged (4 × not finite at the start (the output y))"
+    assert found.warnings[0] == (
+        "at the start of run 0 the output y is not finite in row 1, where u = 0.1: start "
+        "elsewhere, or bound the parameters to where Table has finite values."
+    )
 
 
 def test_the_cures_work():

@@ -96,8 +96,9 @@ def _of_record(part: RecordPart, trajectory: Trajectory) -> Trouble | None:
     _, u, _, residual, _ = (value.full() for value in part.step.measurement(x, placed.q, data))
     slopes = system.derivative(x, u, placed.q[: len(system.parameters)]).full()
     # A state is simulated to the next sample, also at the end of a segment.
-    within = x.T.reshape(-1, sampled.segment_length, part.states)[:, 1:]
-    later = np.concatenate([within, trajectory.ends[:, None]], axis=1).reshape(-1, part.states).T
+    segments = len(trajectory.ends), sampled.segment_length, part.states
+    within = x.T.reshape(segments)[:, 1:]
+    later = np.concatenate([within, trajectory.ends[:, None]], axis=1).reshape(x.T.shape).T
 
     # Later values that are not finite follow from the first.
     lost = ~np.isfinite(np.vstack([slopes, residual, later]))
