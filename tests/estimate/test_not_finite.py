@@ -109,7 +109,7 @@ def test_where_no_start_is_finite_the_sentence_names_what_when_and_the_cure(prob
 
 def test_a_table_names_the_row():
     rows = gb.Record(
-        np.arange(30.0), {"u": np.linspace(0.1, 3, 30), "y": np.ones(30)}, has_time=False
+        np.arange(30.0), {"u": np.repeat([0.1, 0.2, 3.0], 10), "y": np.ones(30)}, has_time=False
     )
     found = fit(gb.Problem(Table(), rows))
     assert found.status == "no start converged (4 × not finite at the start (the output y))"
