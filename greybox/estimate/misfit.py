@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.disturbances import DisturbedRecord
@@ -16,7 +15,7 @@ from greybox.compiled.record_sensitivity import sensitivity
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.diagnostics.outlying_points import SIZE, largest_deviation
 from greybox.estimate.missing_terms import Formula, Term, terms_of_record, terms_of_response
-from greybox.files.arrays import Array, BoolArray
+from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.files.html_text import Printed
 from greybox.files.text_table import number, percent, text_table, with_error
 from greybox.statistics.autoregressive_test import (
@@ -54,7 +53,6 @@ FEWEST = 500  # of each
 REFIT = 30  # iterations of a response by itself
 ENOUGH = 0.3  # change of -2 log likelihood in one of these, far below what is significant
 
-Numbers = NDArray[np.inexact]  # real, or complex for a response
 Key = tuple[tuple[str, str, str], int]  # the family of a term, and its number in it
 
 
@@ -202,29 +200,28 @@ class Misfit(Printed):
 class _Regression:
     """A part as a regression of its residuals on the parameters of the fit and on missing terms.
 
-    `rows` makes columns (N, c) of values; `changes` returns the values for terms; `separate`
-    returns the residuals and slopes of a response that is fitted alone; `outputs` has the rows of
-    every output of a record, by stretches; `causes` need no regression.
+    All columns have N rows; `changes` returns those (N, c) of terms. `separate` returns the
+    residuals and slopes of a response that is fitted alone; `outputs` has the rows of every output
+    of a record, by stretches.
     """
 
-    measured: Numbers
-    residuals: Numbers
-    fitted: Numbers
+    measured: Array
+    residuals: Array
+    fitted: Array
     terms: Mapping[Key, Term]
-    changes: Callable[[Sequence[Term]], Numbers]
-    rows: Callable[[Any], Array]
+    changes: Callable[[Sequence[Term]], Array]
     separate: Callable[[], tuple[Array, Array, Sequence[int]]] | None = None
     outputs: Outputs = ()
     causes: Sequence[Cause] = ()
     is_unstable: bool = False
 
     def columns(self, keys: Sequence[Key]) -> Array:
-        """Return the rows (N, c) of terms, zero for those that this part does not have."""
+        """Return the columns (N, c) of terms, zero for those that this part does not have."""
+        values = np.zeros((len(self.residuals), len(keys)))
         present = [k for k, key in enumerate(keys) if key in self.terms]
-        values = np.repeat(0 * self.residuals, len(keys), axis=1)
         if present:
             values[:, present] = self.changes([self.terms[keys[k]] for k in present])
-        return self.rows(values)
+        return values
 
 
 def assessed_misfit(
@@ -275,10 +272,9 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
         for key, term in part.terms.items()
         if term.kind != "own" or key not in either
     }
-    tested = [part.rows(part.residuals) for part in parts]
-    residuals = np.vstack(tested)
-    fitted = np.vstack([part.rows(part.fitted) for part in parts])
-    outputs = _stacked_outputs(parts, [len(rows) for rows in tested])
+    residuals = np.vstack([part.residuals for part in parts])
+    fitted = np.vstack([part.fitted for part in parts])
+    outputs = _stacked_outputs(parts)
     filters = whitening_filters(residuals[:, 0], outputs)
 
     def white(values: Array) -> Array:
@@ -299,7 +295,7 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
         p_values = autoregressive_p_values(residuals[:, 0], fitted, best_columns, outputs).tolist()
 
     # Real and imaginary parts follow one another in every response.
-    lengths = [len(rows) // 2 for rows in tested if len(rows) for _ in "ri"]
+    lengths = [n // 2 for part in parts if (n := len(part.residuals)) for _ in "ri"]
     p_common, score, apart, noise_apart = 1.0, None, (0.0, 0), 0.0
     if not in_time and ranked:
         score = correlated_score([(residuals, fitted, lengths)])
@@ -333,7 +329,7 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
     measured, squares, noise = (
         float(np.sum(rows**2)) + TINY
         for rows in (
-            np.vstack([part.rows(part.measured) for part in parts]),
+            np.vstack([part.measured for part in parts]),
             residuals,
             beside(residuals, together),
         )
@@ -383,9 +379,9 @@ def _ranked(
     return tried, sorted(best.values(), key=lambda test: test[0], reverse=True)
 
 
-def _stacked_outputs(parts: Sequence[_Regression], lengths: Sequence[int]) -> Outputs:
+def _stacked_outputs(parts: Sequence[_Regression]) -> Outputs:
     """Return the rows of the outputs of all parts, whose rows follow one another."""
-    firsts = np.cumsum([0, *lengths[:-1]])
+    firsts = np.cumsum([0, *(len(part.residuals) for part in parts[:-1])])
     return [
         [first + rows for rows in stretches]
         for first, part in zip(firsts, parts, strict=True)
@@ -444,12 +440,11 @@ def _of_record(
         for k in range(len(present[0]))
     ]
     return _Regression(
-        np.nan_to_num(data.measured)[:, None],
-        residuals[:, None],
-        np.einsum("ab,bpn->apn", noise, slopes.weighted),
+        rows(np.nan_to_num(data.measured)[:, None]),
+        rows(residuals[:, None]),
+        rows(np.einsum("ab,bpn->apn", noise, slopes.weighted)),
         _numbered(terms_of_record(record, candidates)),
-        lambda terms: record.followed_by([term.effect() for term in terms]),
-        rows,
+        lambda terms: rows(record.followed_by([term.effect() for term in terms])),
         outputs=outputs,
         causes=tuple(_offsets(part, residuals, record.present)),
         is_unstable=record.is_unstable,
@@ -506,7 +501,7 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
     order = np.argsort(part.data.omega, kind="stable")
     order = order[used[order]]
 
-    def rows(columns: Any) -> Array:
+    def rows(columns: ComplexArray) -> Array:
         at = response[order]
         scaled = columns[order] / (at * size[order] / np.abs(at))[:, None]
         return np.vstack([scaled.real, scaled.imag])
@@ -519,15 +514,13 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
         full = np.append(x, values[len(free) :])
         return rows(part.sensitivity(full)[:, : len(free)])
 
-    slope = part.sensitivity(values)[:, : len(free)]
-
     def separate() -> tuple[Array, Array, tuple[int, int]]:
         from scipy.optimize import least_squares  # noqa: PLC0415  (slow to import)
 
         jac: Any = lambda x: -slopes(x)  # noqa: E731  (typed as a string)
         x = least_squares(
             lambda x: residuals(x)[:, 0],
-            values[: len(free)],
+            at_fit,
             jac,
             x_scale="jac",
             max_nfev=REFIT,
@@ -535,6 +528,7 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
         ).x
         return residuals(x), slopes(x), (order.size, order.size)
 
+    at_fit, slope = values[: len(free)], part.sensitivity(values)
     own = [
         Term("own", lambda k=k: slope[:, k] / response, name, part.name)
         for k, name in enumerate(free)
@@ -543,12 +537,11 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
     signals = f"{part.data.output or 'the output'} to {part.data.input or 'the input'}"
     path = Cause(f"a response of {signals}", "a path between both", 1.0, 0.0, 1.0, 0.0, 0.0)
     return _Regression(
-        response[:, None],
-        (part.data.response - response)[:, None],
-        slope,
+        rows(response[:, None]),
+        residuals(at_fit),
+        slopes(at_fit),
         _numbered([*terms_of_response(part.data.omega), *own]) if order.size else {},
-        lambda terms: np.column_stack([response * term.effect() for term in terms]),
-        rows,
+        lambda terms: rows(np.column_stack([response * term.effect() for term in terms])),
         separate if order.size else None,
         causes=() if response.any() else (path,),
     )
