@@ -330,8 +330,8 @@ class Cell:
         found = np.concatenate([x, value.ravel()])
         center = found - gradient @ accuracy.bias
         rough = any(
-            known is not None and known.errors.independent < UNLIKELY
-            for known in accuracy.neighbors
+            part.neighbors is not None and part.neighbors.errors.independent < UNLIKELY
+            for part in accuracy.parts
         )
         return Answer(found, error, center, half, accuracy.covariance, accuracy.dof, rough)
 

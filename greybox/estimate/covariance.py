@@ -32,11 +32,9 @@ class Accuracy:
 
     Attributes
     ----------
-    names : tuple of str
-        Free parameters, then constants.
     covariance : (k, k) array
-        In the order of `names`, within the directions that the data determine. Constants have the
-        covariance of the earlier fit that they come from, or zero.
+        Of the free parameters, then the constants, within the directions that the data determine.
+        Constants have the covariance of the earlier fit that they come from, or zero.
     blind : (k, b) array
         Directions, in multiples of `size`, about which the data say nothing: invisible ones, and
         parameters at a bound.
@@ -63,20 +61,12 @@ class Accuracy:
     independent : (p, p) array and float, or None
         Covariance of the free parameters, and degrees of freedom, if the errors of responses were
         independent along frequency; None where they are.
-    correlation : (parts,) tuple of ColoredErrors or None
-        Effect of correlation in time on each record; None for responses, and where errors are
-        taken as white.
-    neighbors : (parts,) tuple of CorrelatedPoints or None
-        Effect of correlation along frequency on each response; None for others, and where it is
-        not known.
     informations : (parts,) tuple of Information
         Information of every part.
-    numbers : (parts,) tuple of float
-        Degrees of freedom of the residuals of each part, at least 0.5; empty where nothing is left
-        for them.
+    parts : (parts,) tuple of PartAccuracy
+        Errors of every part; empty where no degrees of freedom are left.
     """
 
-    names: tuple[str, ...]
     covariance: Array
     blind: Array
     size: Array
@@ -88,24 +78,19 @@ class Accuracy:
     active: tuple[str, ...] = ()
     white: Array | None = None
     independent: tuple[Array, float] | None = None
-    correlation: tuple[ColoredErrors | None, ...] = ()
-    neighbors: tuple[CorrelatedPoints | None, ...] = ()
     informations: tuple[Information, ...] = ()
-    numbers: tuple[float, ...] = ()
+    parts: tuple["PartAccuracy", ...] = ()
 
     @classmethod
     def unknown(cls, nlp: CompiledProblem) -> "Accuracy":
         """Return the accuracy of a fit without an estimate: NaN everywhere."""
         k = len(nlp.names)
         return cls(
-            names=nlp.names,
             covariance=np.full((k, k), np.nan),
             blind=np.zeros((k, 0)),
             size=np.ones(k),
             dof=0.0,
             bias=np.zeros(k),
-            correlation=(None,) * len(nlp.parts),
-            neighbors=(None,) * len(nlp.parts),
         )
 
 
@@ -126,13 +111,25 @@ class _Share:
 
 
 @dataclass(frozen=True, eq=False)
-class _Corrected:
+class PartAccuracy:
     """The information of a part, its noise larger for the parameters that the noise pays for.
 
-    Meats (r, r) are in the directions of the root of the inverse bread before the correction:
-    `meat` with `dof` degrees of freedom, and `independent` for errors that are independent along
-    frequency, with `numbers` degrees of freedom. `colored` and `neighbors` describe how the errors
-    are correlated.
+    Attributes
+    ----------
+    share : _Share
+    meat, independent : (r, r) arrays
+        In the directions of the root of the inverse bread before the correction; the second for
+        errors that are independent along frequency.
+    dof : float
+        Degrees of freedom of `meat`.
+    numbers : float
+        Degrees of freedom of the residuals, at least 0.5.
+    colored : ColoredErrors or None
+        Effect of correlation in time on a record; None for responses, and where errors are taken
+        as white.
+    neighbors : CorrelatedPoints or None
+        Effect of correlation along frequency on a response; None for others, and where it is not
+        known.
     """
 
     share: _Share
@@ -221,7 +218,7 @@ def _with_covariance(
     p, k = len(nlp.free), len(nlp.names)
     first = _root_of_inverse(shares, basis)
     pairs = zip(accuracy.informations, shares, strict=True)
-    parts = [_corrected(part, share, first) for part, share in pairs]
+    parts = tuple(_corrected(part, share, first) for part, share in pairs)
     root = _root_of_inverse([part.share for part in parts], basis)
     inverse = root @ root.T
 
@@ -239,7 +236,6 @@ def _with_covariance(
     terms += [(slope @ np.nan_to_num(covariance) @ slope.T, dof) for covariance, dof in earlier]
     covariance = np.sum([term for term, _ in terms], axis=0)
 
-    neighbors = tuple(part.neighbors for part in parts)
     dof = sum(min(part.numbers, part.dof) for part in parts)
     if known_noise:
         # Variances that were given have no uncertainty; the estimated correlation has, of every
@@ -247,7 +243,7 @@ def _with_covariance(
         shared = replace(accuracy, shares=tuple(terms))
         dof = degrees(shared, np.eye(p, k)).min()
     independent = None
-    if any(neighbors):
+    if any(part.neighbors for part in parts):
         # Tests of terms need errors that are taken as independent: a term that is missing looks
         # like a correlation.
         change = sum(turned @ (part.independent - part.meat) @ turned.T for part in parts)
@@ -271,9 +267,7 @@ def _with_covariance(
         bias=bias,
         white=inverse,
         independent=independent,
-        correlation=tuple(part.colored for part in parts),
-        neighbors=neighbors,
-        numbers=tuple(part.numbers for part in parts),
+        parts=parts,
     )
 
 
@@ -380,7 +374,7 @@ def propagate(accuracy: Accuracy, gradient: Array) -> Array:
     return known.errors(gradient)
 
 
-def _corrected(part: Information, share: _Share, root: Array) -> _Corrected:
+def _corrected(part: Information, share: _Share, root: Array) -> PartAccuracy:
     """Scale the noise of a part for its share of the parameters; `root` (p, r) is one of B⁻¹."""
     # The share is pᵢ = tr(B⁻¹ Bᵢ): 2nᵢ residuals then have 2nᵢ - pᵢ degrees of freedom, as if the
     # part had been fitted alone with pᵢ parameters. Correlated errors have their own.
@@ -392,7 +386,7 @@ def _corrected(part: Information, share: _Share, root: Array) -> _Corrected:
     colored = part.colored and part.colored(math.sqrt(problem.weight) * root)
     if colored:
         meat = problem.weight * colored.meat
-        return _Corrected(share, meat, colored.dof, meat, colored.dof, colored)
+        return PartAccuracy(share, meat, colored.dof, meat, colored.dof, colored)
 
     dof = math.inf if problem.criterion.known_noise else numbers
     correction = math.sqrt(max(part.numbers, numbers) / numbers)
@@ -402,7 +396,7 @@ def _corrected(part: Information, share: _Share, root: Array) -> _Corrected:
     if neighbors:
         meat = problem.weight**2 * root.T @ neighbors.meat[:p, :p] @ root
         dof = neighbors.dof
-    return _Corrected(share, meat, dof, independent, numbers, neighbors=neighbors)
+    return PartAccuracy(share, meat, dof, independent, numbers, neighbors=neighbors)
 
 
 def _root_of_inverse(shares: Sequence[_Share], basis: Array) -> Array:
@@ -453,8 +447,8 @@ def _at_bound(
     # How close a solver comes to a bound depends on its tolerances, not on the data. A parameter is
     # held if it is closer than the data can resolve (by the standard error that it would have with
     # all others known) and if its multiplier says that the cost would decrease beyond the bound.
-    distance = np.minimum(np.abs(x - nlp.lower), np.abs(x - nlp.upper))
     bound = np.where(np.abs(x - nlp.lower) <= np.abs(x - nlp.upper), nlp.lower, nlp.upper)
+    distance = np.abs(x - bound)
     size = np.maximum(np.abs(x), np.where(np.isfinite(bound), np.abs(bound), 0.0))
     # The tolerances of the solvers leave this relative distance.
     held = distance <= 1e-7 * size

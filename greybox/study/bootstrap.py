@@ -389,7 +389,7 @@ def _response_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> ResponseRepli
 
 def _accuracy(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory]) -> Accuracy:
     accuracy = assess(nlp, x, trajectories)
-    if not accuracy.numbers:
+    if not accuracy.parts:
         raise ValueError(
             f"the data of {nlp.problem.name!r} are too few for the size of their errors: "
             "fix parameters."

@@ -76,16 +76,16 @@ def record_draws(
         If the residuals correct the states, or if the data are fitted exactly.
     """
     records = []
-    spectra = [colored and colored.spectrum for colored in accuracy.correlation]
-    columns = zip(nlp.parts, trajectories, spectra, accuracy.numbers, strict=True)
-    for part, trajectory, spectrum, dof in columns:
+    spectra = [errors.colored and errors.colored.spectrum for errors in accuracy.parts]
+    columns = zip(nlp.parts, trajectories, spectra, accuracy.parts, strict=True)
+    for part, trajectory, spectrum, errors in columns:
         assert isinstance(part, RecordPart)
         if part.gains:
             raise ValueError(
                 f"the residuals of {part.name!r} correct its states, so that they cannot be drawn "
                 "and added: use OutputError(), or the standard errors."
             )
-        records.append(_drawn_record(part, trajectory, spectrum, dof))
+        records.append(_drawn_record(part, trajectory, spectrum, errors.numbers))
     about = "residuals drawn" + (" with their correlation in time" if any(spectra) else "")
     constants = nlp.constant_values
     return Draws(seed, tuple(records), constants, np.zeros((len(constants), 0)), about)

@@ -100,13 +100,11 @@ def response_draws(nlp: CompiledProblem, x: Array, accuracy: Accuracy, seed: int
     """
     values = nlp.all_values(x)
     parts = [
-        _drawn_part(part, values, dof, neighbors)
-        for part, dof, neighbors in zip(
-            nlp.parts, accuracy.numbers, accuracy.neighbors, strict=True
-        )
+        _drawn_part(part, values, errors.numbers, errors.neighbors)
+        for part, errors in zip(nlp.parts, accuracy.parts, strict=True)
     ]
     about = "normal errors of the fitted size"
-    if any(accuracy.neighbors):
+    if any(errors.neighbors for errors in accuracy.parts):
         about += " with their correlation along frequency"
 
     nothing = np.zeros((len(values), len(values)))

@@ -695,7 +695,6 @@ def test_degrees_of_freedom_of_a_sum_of_variances_are_those_of_welch_and_sattert
 
 
 BARE = Accuracy(
-    names=("a", "b", "c"),
     covariance=np.array([[4.0, 1.0, 0.0], [1.0, 9.0, 0.0], [0.0, 0.0, 0.25]]),
     blind=np.zeros((3, 0)),
     size=np.array([1.0, 10.0, 0.1]),

@@ -37,9 +37,11 @@ def draws_of(values=VALUES):
 def white_draws(nlp, x, trajectories, seed=0):
     """Draws of errors that are taken as white, however they are correlated."""
     accuracy = assess(nlp, x, trajectories)
-    numbers = tuple(part.numbers - len(x) / len(nlp.parts) for part in accuracy.informations)
-    white = replace(accuracy, correlation=(None,) * len(nlp.parts), numbers=numbers)
-    return record_draws(nlp, trajectories, white, seed)
+    white = tuple(
+        replace(errors, colored=None, numbers=part.numbers - len(x) / len(nlp.parts))
+        for errors, part in zip(accuracy.parts, accuracy.informations, strict=True)
+    )
+    return record_draws(nlp, trajectories, replace(accuracy, parts=white), seed)
 
 
 def test_drawn_errors_have_the_variance_with_n_less_one_degrees_of_freedom():

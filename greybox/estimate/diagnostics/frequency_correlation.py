@@ -37,9 +37,8 @@ def correlated_frequencies(
 ) -> Iterator[str]:
     """Name the responses and manoeuvres whose errors at the estimate x (p,) are correlated."""
     values, unlikely = nlp.all_values(x), UNLIKELY / len(nlp.parts)
-    for part, trajectory, neighbors in zip(
-        nlp.parts, trajectories, accuracy.neighbors, strict=True
-    ):
+    known = [part.neighbors for part in accuracy.parts] or [None] * len(nlp.parts)
+    for part, trajectory, neighbors in zip(nlp.parts, trajectories, known, strict=True):
         if isinstance(part, TransientPart):
             yield from _of_manoeuvre(part, trajectory.z, alone=len(nlp.parts) == 1)
         elif isinstance(part, ResponsePart) and part.data.has_independent_errors:

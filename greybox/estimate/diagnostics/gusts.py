@@ -24,11 +24,11 @@ def gusts(
 
     Residuals of a wrong model look like gusts, unless noise is most of them.
     """
-    records = zip(nlp.parts, trajectories, accuracy.correlation, strict=True)
-    for part, trajectory, colored in records:
-        if not isinstance(part, RecordPart) or part.is_static or colored is None:
+    # Without degrees of freedom the parts have no accuracy.
+    for part, trajectory, errors in zip(nlp.parts, trajectories, accuracy.parts, strict=False):
+        if not isinstance(part, RecordPart) or part.is_static or errors.colored is None:
             continue
-        steady, evidence = trajectory.detail.filter, colored.process_noise
+        steady, evidence = trajectory.detail.filter, errors.colored.process_noise
         if part.gains and (steady is None or steady.gain.any()):
             continue
         if evidence > CLEAR and noisy and isinstance(part.problem.model, StateSpace):

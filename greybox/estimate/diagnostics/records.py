@@ -75,7 +75,8 @@ def record_warnings(
 
 def _short(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[Finding]:
     """Name records that are too short to show how long their errors stay correlated."""
-    for part, colored in zip(nlp.parts, accuracy.correlation, strict=False):
+    for part, errors in zip(nlp.parts, accuracy.parts, strict=False):
+        colored = errors.colored
         if not isinstance(part, RecordPart) or colored is None or colored.is_long_enough:
             continue
         slowest = int(np.argmax(colored.correlation_times))
