@@ -1,13 +1,12 @@
 """Which parameters of a model structure data could determine, by the rank of sensitivities."""
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
+from greybox.compiled.compiled_problem import CompiledProblem, compile_problem
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.record_sensitivity import sensitivity
@@ -20,7 +19,6 @@ from greybox.files.arrays import Array, BoolArray
 from greybox.files.text_table import counted, listed, one_line
 from greybox.formulation.frequency_criteria import SquaredRelativeError
 from greybox.formulation.problem import Problem
-from greybox.formulation.sum import Sum
 from greybox.formulation.time_criteria import OutputError
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -189,11 +187,11 @@ def structural_identifiability(
         )
 
     # At a special point parameters may cancel by chance: the largest rank counts.
-    rank = max(point.rank for point in points)
-    best, *others = [point for point in points if point.rank == rank]
-    names = best.nlp.free
-    groups = invisible_groups(best.directions[rank:].T, best.size, names, [best.initial])
-    directions = replace(best.seen, elsewhere=others[0].seen if others else None)
+    fewest = min(point.seen.unseen.shape[1] for point in points)
+    best, *others = [point for point in points if point.seen.unseen.shape[1] == fewest]
+    names, seen = best.nlp.free, best.seen
+    groups = invisible_groups(seen.unseen, seen.size, names, [best.initial])
+    directions = replace(seen, elsewhere=others[0].seen if others else None)
     units = [best.nlp.problem.parameters[name].unit for name in names]
     judged = identifiability(names, units, directions, ())
     lost = {name for group in groups for name in group.names}
@@ -208,46 +206,32 @@ def structural_identifiability(
 
 @dataclass(frozen=True, eq=False)
 class _Sensitivity:
-    """How what is measured follows the free parameters x (p,) at one point.
+    """How what is measured follows the free parameters at one point.
 
     Attributes
     ----------
-    size : (p,) array
-        The change of each parameter that would be noticed if initial states were known.
-    singular, directions : (p,) and (p, p) arrays
-        Singular values of the Jacobian by multiples of `size`, and its right singular vectors.
+    seen : KnownDirections
+        What data would determine, as exactly as one likes.
     initial : mapping of state to (stretches, p) array
         How initial states follow the parameters, in changes that would be noticed.
     """
 
     nlp: CompiledProblem
-    x: Array
-    size: Array
-    singular: Array
-    directions: Array
+    seen: KnownDirections
     initial: Mapping[str, Array]
 
-    @classmethod
-    def of(
-        cls, nlp: CompiledProblem, x: Array, jacobian: Array, reach: Array, initial: Any = None
-    ) -> "_Sensitivity":
-        """Take the Jacobian (rows, p), and the length of its columns at known initial states."""
-        size = 1 / np.where(reach > 0, reach, 1.0)
-        _, singular, directions = np.linalg.svd(jacobian * size)
-        singular = np.concatenate([singular, np.zeros(len(x) - len(singular))])
-        return cls(nlp, x, size, singular, directions, initial or {})
 
-    @property
-    def rank(self) -> int:
-        return int(np.sum(self.singular > SEEN))
+def _directions(x: Array, jacobian: Array, reach: Array) -> KnownDirections:
+    """Return what data would determine, by the Jacobian (rows, p) at x (p,).
 
-    @property
-    def seen(self) -> KnownDirections:
-        """The directions that data would determine, as exactly as one likes."""
-        scaled = self.directions[: self.rank] * self.size
-        weight = (1e-12 / self.singular[: self.rank, None]) ** 2
-        unseen = self.directions[self.rank :].T
-        return KnownDirections(scaled.T @ (weight * scaled), unseen, self.size, self.x)
+    `reach` (p,) has the lengths of its columns at known initial states.
+    """
+    size = 1 / np.where(reach > 0, reach, 1.0)
+    _, singular, rows = np.linalg.svd(jacobian * size)
+    rank = int(np.sum(singular > SEEN))
+    scaled = rows[:rank] * size
+    weight = (1e-12 / singular[:rank, None]) ** 2
+    return KnownDirections(scaled.T @ (weight * scaled), rows[rank:].T, size, x)
 
 
 def _of_responses(
@@ -259,29 +243,24 @@ def _of_responses(
     random: np.random.Generator,
 ) -> _Sensitivity | None:
     """Return the sensitivity of the responses of all pairs; None if not finite."""
-    problems = []
+    responses = []
+    low, high = np.log(BAND)
     for input in model.input_names or ("",):
         for output in outputs or ("",):
             # Every pair has other frequencies, so that not all of them miss a narrow resonance.
-            omega = np.sort(
-                np.exp(random.uniform(math.log(BAND[0]), math.log(BAND[1]), FREQUENCIES))
-            )
-            response = FrequencyResponse(
-                omega, np.ones(FREQUENCIES, dtype=complex), input, output, name=f"{output}/{input}"
-            )
-            problems.append(
-                Problem(model, response, SquaredRelativeError("model"), at=at, **options)
-            )
+            omega = np.sort(np.exp(random.uniform(low, high, FREQUENCIES)))
+            ones = np.ones(FREQUENCIES, dtype=complex)
+            responses.append(FrequencyResponse(omega, ones, input, output))
 
-    problem: AnyProblem = problems[0] if len(problems) == 1 else Sum(tuple(problems))
-    nlp = compile_problem(problem)
+    data = responses[0] if len(responses) == 1 else responses
+    nlp = compile_problem(Problem(model, data, SquaredRelativeError("model"), at=at, **options))
     x = np.array([values[name] for name in nlp.free])
     # A response of zero at all frequencies would count every parameter as lost.
     seen = np.asarray(nlp.responses(nlp.all_values(x)))
     if not (np.all(np.isfinite(seen)) and np.any(seen)):
         return None
     jacobian = np.vstack([part.jacobian for part in informations(nlp, x)])[:, : len(x)]
-    return _Sensitivity.of(nlp, x, jacobian, np.linalg.norm(jacobian, axis=0))
+    return _Sensitivity(nlp, _directions(x, jacobian, np.linalg.norm(jacobian, axis=0)), {})
 
 
 def _of_record(
@@ -336,7 +315,8 @@ def _of_trajectory(
 
     scale = nlp.scaling.slope(x)
     initial = {state: follow * scale for state, follow in slopes.initial.items()}
-    return _Sensitivity.of(nlp, x, np.vstack(rows) * scale, slopes.reach * scale, initial)
+    seen = _directions(x, np.vstack(rows) * scale, slopes.reach * scale)
+    return _Sensitivity(nlp, seen, initial)
 
 
 @one_thread_at_a_time
