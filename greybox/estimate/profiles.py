@@ -225,8 +225,8 @@ class Contour:
             f"{', '.join(ranges)}"
         )
 
-    def ellipse(self, count: int = 200) -> Array:
-        """Return the region by the standard errors, (count, 2)."""
-        angle = np.linspace(0, 2 * math.pi, count)
+    def ellipse(self) -> Array:
+        """Return the region by the standard errors, (200, 2)."""
+        angle = np.linspace(0, 2 * math.pi, 200)
         axes = np.linalg.cholesky(self.covariance)
         return self.estimate + self.limit * (axes @ [np.cos(angle), np.sin(angle)]).T

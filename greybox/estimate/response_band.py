@@ -88,9 +88,9 @@ class ResponseBand:
         phase = np.angle(self._center)
         return phase - self.half_width[1], phase + self.half_width[1]
 
-    def ellipses(self, points: int = 48) -> ComplexArray:
-        """Return the confidence ellipse (n, points) of every response in the complex plane."""
-        turn = np.linspace(0, 2 * np.pi, points)
+    def ellipses(self) -> ComplexArray:
+        """Return the confidence ellipse (n, 48) of every response in the complex plane."""
+        turn = np.linspace(0, 2 * np.pi, 48)
         circle = np.array([np.cos(turn), np.sin(turn)]) * radius(self.level, self.dof)
         values, vectors = np.linalg.eigh(np.nan_to_num(self.covariance))
         root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]

@@ -15,40 +15,31 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
     parameters = [q for q in result.quantities if q.kind != "derived"]
     free = [q for q in parameters if q.kind == "free"]
     runs, misfit = Runs.of(result.runs), result.misfit
+    named = ("criterion", "rule", "delay", "seed", "agreeing", "cost", "costs", "status")
+    named += ("estimate", "best_effort", "standard_error", "derived", "dof")
+    named += ("warnings", "notes", "checksum", "seconds", "versions")
     answer = {
         "problem": result.name,
         "model": list(dict.fromkeys(part.label for part in result.parts)),
         "data": list(dict.fromkeys(part.data.name or part.name for part in result.parts)),
-        "criterion": result.criterion,
-        "rule": result.rule,
-        "delay": result.delay,
+        **{name: getattr(result, name) for name in named},
         "starts": len(runs),
         "screened": int(np.count_nonzero(runs.stage == SCREENED)),
-        "seed": result.seed,
         "converged": int(np.count_nonzero(runs.converged)),
-        "agreeing": result.agreeing,
         "minima": len(result.minima),
-        "cost": result.cost,
-        "costs": result.costs,
-        "status": result.status,
         "verdict": verdict(result),
         "misfit": misfit
         and vars(misfit) | {"explains": misfit.explains, "p_value": misfit.p_value},
-        "estimate": result.estimate,
-        "best_effort": result.best_effort,
-        "standard_error": result.standard_error,
         "level": level,
         "interval": result.interval(level),
         "profiles": {} if result.profiles is None else result.profiles.intervals_in_words(),
-        "dof": result.dof,
         "covariance": {"names": result.names, "values": result.covariance},
         "bounds": {q.name: q.bounds for q in free},
         "starts_box": {q.name: q.box for q in free},
         "unit": {q.name: q.unit for q in parameters},
         "fixed": {q.name: q.value for q in parameters if q.kind == "fixed"},
-        "at": {name: x for part in result.responses for name, x in part.at.items()},
         "tied": [q.name for q in parameters if q.kind == "tied"],
-        "derived": result.derived,
+        "at": {name: x for part in result.responses for name, x in part.at.items()},
         "prior": {
             name: {
                 "mean": mean,
@@ -67,11 +58,6 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
             for part in result.responses
         ],
         "at_bound": [q.name for q in result.quantities if q.at_bound],
-        "warnings": result.warnings,
-        "notes": result.notes,
-        "checksum": result.checksum,
-        "seconds": result.seconds,
-        "versions": result.versions,
     }
     return plain(answer)
 

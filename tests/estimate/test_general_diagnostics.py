@@ -306,8 +306,11 @@ def test_there_must_be_more_numbers_than_unknowns(numbers, initial, said):
 
 
 def test_an_approximate_delay_is_told_beyond_a_degree():
-    parts = [SimpleNamespace(delay="pade:2", name=name) for name in ("near", "far", "exact")]
-    found = [*coarse_pade(SimpleNamespace(problem=SimpleNamespace(parts=parts)), [1.0, 1.01, None])]
+    parts = [
+        SimpleNamespace(delay="pade:2", name=name, pade_error=error)
+        for name, error in (("near", 1.0), ("far", 1.01), ("exact", None))
+    ]
+    found = [*coarse_pade(parts)]
     assert found == [
         "the phase error of pade:2 reaches 1° in the band of 'far': use a higher order or delay='exact'."
     ]

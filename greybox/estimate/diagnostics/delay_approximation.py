@@ -4,7 +4,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from greybox.compiled.compiled_problem import CompiledProblem
+from greybox.estimate.fitted_part import FittedResponse
 from greybox.formulation.problem import Problem
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.pade_delay import delay_order
@@ -23,11 +23,11 @@ def pade_error(part: Problem, values: dict[str, float]) -> float | None:
     return float(np.degrees(np.abs(np.angle(approximate.response * exact.response.conj()))).max())
 
 
-def coarse_pade(nlp: CompiledProblem, errors: Sequence[float | None]) -> Iterator[str]:
+def coarse_pade(responses: Sequence[FittedResponse]) -> Iterator[str]:
     """Warn of a phase error beyond one degree, the effect of noise of 1.7 % in each component."""
-    for part, error in zip(nlp.problem.parts, errors, strict=True):
-        if error is not None and error > 1.0:
+    for part in responses:
+        if part.pade_error is not None and part.pade_error > 1.0:
             yield (
-                f"the phase error of {part.delay} reaches {error:.2g}° in the band of "
+                f"the phase error of {part.delay} reaches {part.pade_error:.2g}° in the band of "
                 f"{part.name!r}: use a higher order or delay='exact'."
             )

@@ -31,7 +31,6 @@ from greybox.estimate.diagnostics.prior_conflict import prior_conflicts
 from greybox.estimate.diagnostics.records import finding_warnings, record_warnings
 from greybox.estimate.diagnostics.repeated import once
 from greybox.estimate.diagnostics.unexplained import unexplained
-from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.result import Fit
 from greybox.solve.discretization_error import DiscretizationError
 from greybox.solve.local_solver import LocalSolver
@@ -61,9 +60,6 @@ def warnings(
     # In the order of consequence: first what could make the answer meaningless, then what makes
     # parameters or standard errors doubtful, then single points.
     best = search.minima[0]
-    pade_errors = [
-        part.pade_error if isinstance(part, FittedResponse) else None for part in answer.parts
-    ]
     misfit = answer.misfit
     feedback = misfit is None or misfit.may_be_feedback
     # Residuals of a wrong model are not errors, so their correlation does not matter.
@@ -87,7 +83,7 @@ def warnings(
         *unfinished_runs(search),
         *rival_minima(nlp, search),
         *several_estimates_of_one_response(nlp, search, accuracy),
-        *coarse_pade(nlp, pade_errors),
+        *coarse_pade(answer.responses),
         *unlikely_noise(nlp, trajectories),
         *(correlated_frequencies(nlp, trajectories, accuracy, best.estimate) if errors else ()),
         *discontinuous_costs(nlp),
