@@ -75,11 +75,7 @@ class SharedSystem:
         n, k = self.states, z.shape[1]
         S, delays, slopes, delay_slopes = self.matrices(z)
         s = 1j * self.omega
-        pencil = s[:, None, None] * np.eye(n) - S[:, None, :n, :n]
-        try:
-            inverse = np.linalg.inv(pencil)
-        except np.linalg.LinAlgError:  # a pole at a frequency: such a trial is refused
-            inverse = np.full_like(pencil, np.nan)
+        inverse = resolvents(S[:, :n, :n], self.omega)
         X = inverse @ S[:, None, :n, n:]
         Y = S[:, None, n:, :n] @ inverse
         shape, ends = X.shape[:2], (np.eye(self.outputs), np.eye(self.inputs))
@@ -98,6 +94,15 @@ class SharedSystem:
         slope = slope.reshape(*response.shape, len(z)) * lag[..., None]
         by_delay = -s[:, None] * response
         return response, slope + by_delay[..., None] * delay_slopes[:, None, inputs]
+
+
+def resolvents(A: Array, omega: Array) -> ComplexArray:
+    """Return (jωI - A)⁻¹ (k, w, n, n); NaN for all if a pole is at a frequency."""
+    pencil = 1j * omega[:, None, None] * np.eye(A.shape[-1]) - A[:, None]
+    try:
+        return np.linalg.inv(pencil)
+    except np.linalg.LinAlgError:  # such trials are refused
+        return np.full_like(pencil, np.nan)
 
 
 class SharedResponses:

@@ -71,3 +71,68 @@ def test_the_default_search_finds_the_minimum_in_wide_boxes():
         costs.append(fit.cost)
         assert fit.agreeing >= 4
     assert_allclose(costs, references, rtol=1e-6)
+
+
+FLAPPING = {"Lp": -1.0, "La": 8.0, "Lb": 60.0, "Llat": 5.0, "Mq": -0.5, "Ma": 40.0, "Mb": -5.0}
+FLAPPING |= {"Mlon": -4.0, "Aa": -6.0, "Ab": 1.0, "Aq": -1.0, "Alon": 0.3}
+FLAPPING |= {"Ba": -1.0, "Bb": -6.0, "Blat": 0.35}
+
+
+class Rotor(gb.StateSpace):
+    """Rates of a body under a rotor, whose flapping is not measured."""
+
+    states, inputs, outputs = ("p", "q", "a", "b"), ("lat", "lon"), ("p", "q")
+    locals().update(
+        {
+            name: gb.Parameter(0.5 * abs(value), bounds=(-4 * abs(value), 4 * abs(value)))
+            for name, value in FLAPPING.items()
+        }
+    )
+
+    def derivative(self, x, u, p):
+        return (
+            p.Lp * x.p + p.La * x.a + p.Lb * x.b + p.Llat * u.lat,
+            p.Mq * x.q + p.Ma * x.a + p.Mb * x.b + p.Mlon * u.lon,
+            p.Aa * x.a + p.Ab * x.b + p.Aq * x.q + p.Alon * u.lon,
+            p.Ba * x.a + p.Bb * x.b - x.p + p.Blat * u.lat,
+        )
+
+    def output(self, x, u, p):
+        return x.p, x.q
+
+
+def rotor_by_numpy(values):
+    p = dict(zip(FLAPPING, values, strict=True))
+    A = np.array(
+        [
+            [p["Lp"], 0, p["La"], p["Lb"]],
+            [0, p["Mq"], p["Ma"], p["Mb"]],
+            [0, p["Aq"], p["Aa"], p["Ab"]],
+            [-1, 0, p["Ba"], p["Bb"]],
+        ]
+    )
+    B = np.array([[p["Llat"], 0], [0, p["Mlon"]], [0, p["Alon"]], [p["Blat"], 0]])
+    pencil = 1j * OMEGA[:, None, None] * np.eye(4) - A
+    return np.linalg.solve(pencil, np.broadcast_to(B, (OMEGA.size, 4, 2)))[:, :2]
+
+
+def test_states_that_no_output_shows_follow_from_their_own_equations():
+    truth = np.array([*FLAPPING.values()])
+    exact = rotor_by_numpy(truth)
+    for seed in range(2):
+        noise = np.random.default_rng(seed).standard_normal((2, *exact.shape)) * 0.03
+        measured = exact * (1 + noise[0] + 1j * noise[1])
+
+        def residuals(values, measured=measured):
+            error = (rotor_by_numpy(values) / measured - 1).ravel()
+            return np.concatenate([error.real, error.imag])
+
+        reference = 2 * least_squares(residuals, truth, x_scale=abs(truth)).cost
+        data = {
+            (output, input): gb.FrequencyResponse(OMEGA, measured[:, k, i])
+            for i, input in enumerate(Rotor.inputs)
+            for k, output in enumerate(Rotor.outputs)
+        }
+        problem = gb.Problem(Rotor(), data, criterion=gb.SquaredRelativeError())
+        fit = gb.fit(problem, profiles=False, progress=False)
+        assert_allclose(fit.cost, reference, rtol=1e-6)
