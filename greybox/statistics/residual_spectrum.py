@@ -201,43 +201,24 @@ class AveragedSpectrum:
     score: float
 
 
-@dataclass(frozen=True, eq=False)
-class SlowParts:
-    """Spectra of white noise with an exponentially correlated part.
+def averaged(
+    score: Array, density: Array, typical: Array, taken: Array, within: Array, evidence: float
+) -> AveragedSpectrum:
+    """Return the average of m spectra by their scores (m,), -2 log of their likelihoods.
 
-    Attributes
-    ----------
-    shapes : (m, b) array
-        Spectra of mean one.
-    logarithm : (m,) array
-        Means of their logarithms.
-    inverse : (m, b) array
-        Weights of a periodogram in its mean over every shape.
+    Their disagreement on what the fit took is part of the uncertainty, besides that `within` each.
     """
-
-    shapes: Array
-    logarithm: Array
-    inverse: Array
-
-    @classmethod
-    def of(cls, grid: FrequencyGrid) -> "SlowParts":
-        """Return the spectra of many correlation times, and of every share of the variance."""
-        # In a record of this length, slower errors look like a constant.
-        times = np.geomspace(1.0, max(grid.longest / 3, 2.0), 14)
-        phi = np.exp(-1 / times)[:, None, None]
-        slow = (1 - phi**2) / (1 - 2 * phi * np.cos(grid.omega) + phi**2)
-        share = SHARES[:, None]
-        shapes = np.maximum(1 - share + share * slow, ROUNDING).reshape(-1, len(grid.omega))
-        return cls(shapes, grid.mean(np.log(shapes)), grid.band_weight / shapes)
-
-    def scores(self, banded: Array, n: float) -> tuple[Array, Array]:
-        """Return variances (m,) for n samples of a periodogram (b,), and -2 log likelihood."""
-        # All members are equally likely before the data: a family counts with its mean likelihood,
-        # whatever its number of members.
-        scale = self.inverse @ np.maximum(banded, ROUNDING)
-        return scale, n * (np.log(scale) + self.logarithm) + 2 * math.log(
-            len(scale)
-        ) + aicc_penalty(1, n)
+    weight = np.exp(-(score - score.min()) / 2)
+    weight /= weight.sum()
+    logarithm = np.log(np.maximum(taken, TINY))
+    between = (logarithm - weight @ logarithm) ** 2
+    return AveragedSpectrum(
+        np.tensordot(weight, density, 1),
+        np.exp(np.tensordot(weight, np.log(typical), 1)),
+        float(weight @ taken),
+        float(weight @ (between + within)),
+        evidence,
+    )
 
 
 def aicc_penalty(unknowns: float, n: float) -> float:
@@ -311,9 +292,17 @@ class ResidualSpectra:
         return np.sum(powers, axis=0)
 
     @cached_property
-    def slow(self) -> SlowParts:
-        """Spectra of white noise with a slow part, beside autoregressions."""
-        return SlowParts.of(self.grid)
+    def slow(self) -> Array:
+        """Spectra (m, b) of white noise with an exponentially correlated part, of mean one.
+
+        They have many correlation times, and every share of the variance.
+        """
+        # In a record of this length, slower errors look like a constant.
+        times = np.geomspace(1.0, max(self.grid.longest / 3, 2.0), 14)
+        omega, share = self.grid.omega, SHARES[:, None]
+        phi = np.exp(-1 / times)[:, None, None]
+        slow = (1 - phi**2) / (1 - 2 * phi * np.cos(omega) + phi**2)
+        return np.maximum(1 - share + share * slow, ROUNDING).reshape(-1, len(omega))
 
     def transforms(self) -> Iterator[ComplexArray]:
         """Yield the transforms (k, p, frequencies) of the weighted sensitivities of every stretch.
@@ -344,21 +333,12 @@ class ResidualSpectra:
         if self.noise_parts is not None:
             candidates.append(self.process_noise(self.noise_parts))
 
-        # By evidence, and with the disagreement of the spectra as part of the uncertainty.
-        score = np.array([average.score for average in candidates])
-        weight = np.exp(-(score - score.min()) / 2)
-        weight /= weight.sum()
-        taken = np.array([average.taken for average in candidates])
-        logarithm = np.log(np.maximum(taken, TINY))
-        between = (logarithm - weight @ logarithm) ** 2
-
-        return AveragedSpectrum(
-            np.tensordot(weight, [average.density for average in candidates], 1),
-            np.exp(np.tensordot(weight, [average.typical for average in candidates], 1)),
-            float(weight @ taken),
-            float(weight @ (between + [average.uncertainty for average in candidates])),
-            0.0 if self.noise_parts is None else float(score[:-1].min() - score[-1]),
+        fields = ("score", "density", "typical", "taken", "uncertainty")
+        score, density, typical, taken, within = (
+            np.array([getattr(average, name) for average in candidates]) for name in fields
         )
+        evidence = 0.0 if self.noise_parts is None else float(score[:-1].min() - score[-1])
+        return averaged(score, density, typical, taken, within, evidence)
 
     def independent_outputs(self, alone: Sequence[AveragedSpectrum]) -> AveragedSpectrum:
         """Return the joint spectrum of outputs whose errors are independent."""
@@ -411,7 +391,7 @@ class ResidualSpectra:
 
         return AveragedSpectrum(
             density,
-            np.log(np.maximum(np.einsum("iib->ib", density).real, TINY)),
+            np.maximum(np.einsum("iib->ib", density).real, TINY),
             float(taken.sum()),
             float(share @ estimated.covariance @ share),
             estimated.score + aicc_penalty(len(variance), self.counts.max() * sensors),
@@ -464,7 +444,11 @@ class ResidualSpectra:
         # The autoregression of first order is among the slow parts.
         steps = [step for order, step in enumerate(levinson(r)) if order != 1]
         orders = np.array([len(a) for a, _ in steps])
-        slow_scale, slow_score = self.slow.scores(banded, n)
+        slow_scale = (grid.band_weight / self.slow) @ np.maximum(banded, ROUNDING)
+        # All members are equally likely before the data: a family counts with its mean likelihood,
+        # whatever its number of members.
+        slow_score = n * (np.log(slow_scale) + grid.mean(np.log(self.slow)))
+        slow_score += 2 * math.log(len(slow_scale)) + aicc_penalty(1, n)
         variances = np.array([variance for _, variance in steps])
         scale = np.concatenate([variances, slow_scale])
         penalties = np.array([aicc_penalty(order, n) for order in orders])
@@ -475,24 +459,13 @@ class ResidualSpectra:
         weight = np.exp(-(score - least) / 2)
         evidence = least - 2 * math.log(weight.sum())
         likely = weight > 1e-4 * weight.sum()  # lower weights do not change the mean
-        weight = weight[likely] / weight[likely].sum()
-
         likely_steps = [a for (a, _), is_likely in zip(steps, likely, strict=False) if is_likely]
         responses = [np.abs(a @ grid.delays[: len(a)]) ** 2 for a in likely_steps]
         autoregressions = 1 / np.array(responses).reshape(-1, len(grid.omega))
-        shapes = [autoregressions, self.slow.shapes[likely[len(steps) :]]]
+        shapes = [autoregressions, self.slow[likely[len(steps) :]]]
         spectra = scale[likely, None] * np.concatenate(shapes)
         taken = grid.mean(spectra * self.power[i, i].real)
-        logarithm = np.log(np.maximum(taken, TINY))
-        between = (logarithm - weight @ logarithm) ** 2
-
-        return AveragedSpectrum(
-            weight @ spectra,
-            weight @ np.log(spectra),
-            float(weight @ taken),
-            float(weight @ (between + within[likely])),
-            evidence,
-        )
+        return averaged(score[likely], spectra, spectra, taken, within[likely], evidence)
 
     def joint_outputs(
         self, apart: AveragedSpectrum, banded: ComplexArray, blocks: int

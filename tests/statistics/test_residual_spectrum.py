@@ -18,7 +18,6 @@ from greybox.statistics.residual_spectrum import (
     BLOCKS,
     AveragedSpectrum,
     ResidualSpectra,
-    SlowParts,
     aicc_penalty,
     colored_information,
     remaining_products,
@@ -530,8 +529,9 @@ def test_the_best_lag_tells_which_share_of_the_products_is_left():
 def test_slow_parts_are_exponentials_in_white_noise():
     """Of a circle of samples: covariances share φˡ, wound around it, and the rest of one at lag zero."""
     for n, slowest in ((90, 30.0), (4, 2.0)):
-        grid = FrequencyGrid.of(n)
-        shapes = SlowParts.of(grid).shapes.reshape(14, 11, -1)
+        e = np.ones((1, n))
+        made = ResidualSpectra([e[None]], [e], np.eye(1), np.eye(1))
+        grid, shapes = made.grid, made.slow.reshape(14, 11, -1)
         for k, share in ((0, 0.01), (4, 0.12), (9, 0.9)):
             for m in (0, 5, 13):
                 phi = np.exp(-(slowest ** (-m / 13)))
@@ -581,7 +581,7 @@ def test_outputs_that_share_errors_have_their_coherency_in_every_block():
     made = ResidualSpectra([J], [white], 1 / np.einsum("kpn,kpn->p", J, J)[:, None], np.eye(2))
     banded = made.periodogram[1]
     flat = np.ones(len(made.grid.omega))
-    apart = made.independent_outputs([AveragedSpectrum(flat, 0 * flat, 1.0, 0.1, 7.0)] * 2)
+    apart = made.independent_outputs([AveragedSpectrum(flat, flat, 1.0, 0.1, 7.0)] * 2)
     found = made.joint_outputs(apart, banded, 1)
     correlation = np.sum(white[0] * white[1]) / np.sqrt(np.prod(np.sum(white**2, axis=1)))
     assert_allclose(found.density[0, 1].real, correlation, rtol=1e-3)
@@ -610,8 +610,10 @@ def test_autoregressions_and_slow_parts_of_one_output_are_averaged_by_their_aicc
             n * np.log(variance) + 2 * unknowns + 2 * unknowns * (unknowns + 1) / (n - unknowns - 1)
         )
     banded = made.periodogram[1][0, 0].real
-    variances, of_slow = made.slow.scores(banded, n)
-    spectra = np.concatenate([spectra, variances[:, None] * made.slow.shapes])
+    variances = made.grid.mean(banded / made.slow)
+    of_slow = n * (np.log(variances) + made.grid.mean(np.log(made.slow)))
+    of_slow += 2 * np.log(14 * 11) + aicc_penalty(1, n)
+    spectra = np.concatenate([spectra, variances[:, None] * made.slow])
     scores = np.concatenate([scores, of_slow])
     unknowns = np.concatenate([np.array(orders) + 1, np.ones(len(of_slow))])
     weight = np.exp(-0.5 * (scores - scores.min()))
@@ -619,7 +621,7 @@ def test_autoregressions_and_slow_parts_of_one_output_are_averaged_by_their_aicc
     weight /= weight.sum()
     found = made.one_output(0, r, banded)
     assert_allclose(found.density, weight @ spectra, rtol=2e-3)
-    assert_allclose(found.typical, weight @ np.log(spectra), atol=2e-3)
+    assert_allclose(np.log(found.typical), weight @ np.log(spectra), atol=2e-3)
     assert found.score == pytest.approx(evidence)
     taken = np.array([made.taken_by(one[None, None] + 0j) for one in spectra])
     assert found.taken == pytest.approx(weight @ taken, rel=2e-3)
@@ -725,7 +727,7 @@ def test_spectra_are_averaged_by_their_evidence():
     assert np.sort(share)[-2] > 1e-6
     found = made.mixture(lags, banded)
     assert_allclose(found.density, np.tensordot(share, [s.density for s in each], 1))
-    assert_allclose(np.log(found.typical), apart.typical)
+    assert_allclose(found.typical, apart.typical)
     taken = np.array([spectrum.taken for spectrum in each])
     assert found.taken == pytest.approx(share @ taken)
     between = share @ (np.log(taken) - share @ np.log(taken)) ** 2
@@ -767,7 +769,7 @@ def test_process_noise_is_judged_by_the_variances_of_its_parts():
         found.density,
         sum(v * part for v, part in zip(variances.variance, parts.density, strict=True)),
     )
-    assert_allclose(found.typical, np.log([found.density[i, i].real for i in (0, 1)]))
+    assert_allclose(found.typical, [found.density[i, i].real for i in (0, 1)])
     assert found.taken == pytest.approx(made.taken_by(found.density))
     assert found.score == pytest.approx(variances.score + 8 + 2 * 4 * 5 / (120 - 5))
 
