@@ -808,4 +808,4 @@ def test_frequencies_without_power_do_not_make_a_spectrum_infinitely_unlikely():
     made = ResidualSpectra(
         [silent[None, None]], [e[None]], np.array([[1 / (silent @ silent)]]), np.eye(1)
     )
-    assert np.isfinite(made.slow.logarithm).all()
+    assert (made.slow > 0).all()
