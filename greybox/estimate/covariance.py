@@ -14,7 +14,7 @@ from greybox.estimate.undetermined import (
     collinear_groups,
     invisible_groups,
 )
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, IntArray
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.discretization_error import quadratic_model
 
@@ -163,7 +163,7 @@ def assess(
     # A column may be mere rounding, relative to the parameter or after the initial states have
     # compensated for it. It must not count as information.
     length = np.linalg.norm(jacobian, axis=0)
-    reach = np.sqrt(sum(((share.limit * share.reach) ** 2 for share in shares), np.zeros(p)))
+    reach = np.linalg.norm([share.limit * share.reach for share in shares], axis=0)
     rounding = ROUNDING * np.abs(nlp.scaling.slope(x))
     reach[reach < rounding] = 0
     jacobian = jacobian * ((length >= rounding) & (length >= DEAD * reach))
@@ -172,20 +172,22 @@ def assess(
     # the initial states are fitted: where these compensate for a parameter, only rounding remains.
     size = 1 / np.where(np.isfinite(reach) & (reach > 0), reach, 1.0)
     unit = np.nan_to_num(jacobian * size)
-    bounded = [nlp.free.index(name) for name in at_bound]
+    bounded = np.flatnonzero(np.isin(nlp.free, at_bound))
 
     # A parameter at a bound counts as known, unless the data see nothing of it: then the bound held
     # it only by chance.
     seen, invisible = determined_directions(unit, active * size, bounded)
     idle = [k for k in bounded if not (unit[:, k].any() or active[:, k].any())]
     combinations = invisible_groups(
-        np.hstack([invisible, np.eye(p)[:, idle]]), size, nlp.free, [part.initial for part in parts]
+        np.hstack([invisible, np.eye(p)[:, idle]]),
+        size,
+        nlp.free,
+        [part.initial for part in parts],
     )
 
     numbers = sum(part.numbers for part in parts) - seen.shape[1]
     known_noise = all(part.criterion.known_noise for part in nlp.problem.parts)
-    blind = np.zeros((k, invisible.shape[1] + len(bounded)))
-    blind[:p] = np.hstack([invisible, np.eye(p)[:, bounded]])
+    blind = np.eye(k, p) @ np.hstack([invisible, np.eye(p)[:, bounded]])
     suspect = collinear_groups(jacobian, active, nlp.free, at_bound, invisible)
     accuracy = replace(
         Accuracy.unknown(nlp),
@@ -203,7 +205,7 @@ def assess(
     # Collinearity matters where an error exceeds half of a value.
     error = np.sqrt(np.maximum(np.diag(accuracy.covariance)[:p], 0))
     loose = ~(error < 0.5 * np.abs(x))
-    reported = (c for c in suspect if loose[[nlp.free.index(name) for name in c.names]].any())
+    reported = (c for c in suspect if np.any(loose & np.isin(nlp.free, c.names)))
     return replace(accuracy, combinations=(*combinations, *reported))
 
 
@@ -229,8 +231,7 @@ def _with_covariance(
         slope[:p, p:] -= root @ (root.T @ part.share.root[:, :p].T) @ part.share.root[:, p:]
 
     stacked = np.vstack([share.root[:, :p] for share in shares])
-    turned = np.zeros((k, first.shape[1]))
-    turned[:p] = root @ ((stacked @ root).T @ (stacked @ first))
+    turned = np.eye(k, p) @ (root @ ((stacked @ root).T @ (stacked @ first)))
     earlier = known_covariances(nlp)
     terms = [(turned @ part.meat @ turned.T, part.dof) for part in parts]
     terms += [(slope @ np.nan_to_num(covariance) @ slope.T, dof) for covariance, dof in earlier]
@@ -251,8 +252,7 @@ def _with_covariance(
         independent = (covariance + change)[:p, :p], math.inf if known_noise else numbers
 
     # The bias is the least-squares answer to what noise adds to the residuals in the mean.
-    bias = np.zeros(k)
-    bias[:p] = inverse @ sum(part.share.pull for part in parts)
+    bias = np.eye(k, p) @ inverse @ sum(part.share.pull for part in parts)
     # What depends on a constant without a standard error has none either.
     unknown = np.isnan(sum((np.diag(covariance) for covariance, _ in earlier), np.zeros(k)))
     lost = slope[:, unknown] / accuracy.size[:, None]
@@ -302,7 +302,7 @@ def known_directions(
         return None
     # Directions of parameters at their bounds are among the blind ones only because these are held.
     scaled = slopes * accuracy.size
-    inside = np.array([name not in accuracy.at_bound for name in nlp.names], dtype=bool)
+    inside = ~np.isin(nlp.names, accuracy.at_bound)
     unseen = accuracy.blind[:, np.any(np.abs(accuracy.blind[inside]) > 0, axis=0)]
     size = np.maximum(np.linalg.norm(scaled, axis=1), 1e-300)
     covariance = slopes @ accuracy.covariance @ slopes.T
@@ -406,15 +406,13 @@ def _root_of_inverse(shares: Sequence[_Share], basis: Array) -> Array:
     return basis @ np.linalg.inv(np.linalg.qr(stacked @ basis, mode="r")).astype(float)
 
 
-def determined_directions(
-    jacobian: Array, active: Array, bounded: Sequence[int]
-) -> tuple[Array, Array]:
+def determined_directions(jacobian: Array, active: Array, bounded: IntArray) -> tuple[Array, Array]:
     """Split the space of the unknowns (p,) into seen and unseen directions.
 
     Directions closed by a bound or an active constraint are in neither.
     """
     p = jacobian.shape[1]
-    closed = np.vstack([active, np.eye(p)[list(bounded)]])
+    closed = np.vstack([active, np.eye(p)[bounded]])
     basis = np.eye(p)
     if len(closed):
         _, singular, rows = np.linalg.svd(closed)
@@ -449,13 +447,11 @@ def _at_bound(
     # all others known) and if its multiplier says that the cost would decrease beyond the bound.
     bound = np.where(np.abs(x - nlp.lower) <= np.abs(x - nlp.upper), nlp.lower, nlp.upper)
     distance = np.abs(x - bound)
-    size = np.maximum(np.abs(x), np.where(np.isfinite(bound), np.abs(bound), 0.0))
     # The tolerances of the solvers leave this relative distance.
-    held = distance <= 1e-7 * size
+    held = np.isfinite(bound) & (distance <= 1e-7 * np.maximum(np.abs(x), np.abs(bound)))
 
-    p = len(x)
-    curvature = sum((np.sum(share.root[:, :p] ** 2, axis=0) for share in shares), np.zeros(p))
-    spread = sum((np.diag(share.meat) for share in shares), np.zeros(p))
+    curvature = np.sum(np.vstack([share.root[:, : len(x)] for share in shares]) ** 2, axis=0)
+    spread = np.sum([np.diag(share.meat) for share in shares], axis=0)
     is_seen = np.isfinite(curvature) & (curvature > 0) & np.isfinite(spread)
     deviation = np.sqrt(np.where(is_seen, spread, 0.0))
     close = (distance * np.where(is_seen, curvature, 1.0) <= 0.01 * deviation) & ~held
