@@ -318,7 +318,7 @@ class Cell:
     def judge(self, problem: Any, x: np.ndarray, constants: np.ndarray) -> "Answer":
         """Return what a Fit would say at the minimum `x`, by the same code."""
         parts = tuple(
-            ResponsePart(p, part.objective, part.model_response, part.scaled_response)
+            ResponsePart(p, part.functions, part.inputs, part.is_open)
             for part, p in zip(self.nlp.parts, problem.parts, strict=True)
         )
         nlp = replace(self.nlp, problem=problem, parts=parts, constant_values=constants)

@@ -125,7 +125,7 @@ class Bare:
         values = ca.vertcat(x, *nlp.constant_values.tolist())
         cost = 0
         for part, own in zip(nlp.parts, problem.parts, strict=True):
-            response = part.model_response(values)
+            response = part.functions.response(values)
             half = response.numel() // 2
             re_im = Complex(response[:half], response[half:])
             cost += part.weight * own.criterion.cost(re_im, own.response, 1e-14)

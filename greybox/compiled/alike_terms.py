@@ -1,31 +1,35 @@
 """Costs that are sums of similar terms, with derivatives built for one term and evaluated for all.
 
-A response has a term for every frequency, and these terms differ only in their constants. The
-Hessian of one term is built in a fraction of the time of the Hessian of the sum, and all terms of a
-few searches are enough columns for numpy. `response_map` does this for responses as formulas, which
-IPOPT evaluates; here the terms are found in any cost.
+A response has a term for every frequency, and these terms differ only in their constants and in
+the data that they read. The Hessian of one term is built in a fraction of the time of the Hessian
+of the sum, and all terms of a few searches are enough columns for numpy. `response_map` does this
+for responses as formulas, which IPOPT evaluates; here the terms are found in any cost.
 """
 
 import math
 from collections import defaultdict
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from greybox.compiled.vectorized import CHUNK, Columns
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, IntArray
 from greybox.modeling.formula_structure import walk
 from greybox.modeling.one_thread import one_thread_at_a_time
 
 # Number of columns from which registers of numpy save time within a few calls: their layout takes
 # 1.5 µs for every operation.
 FEWEST_COLUMNS = 512
+DATA = 2  # the input with the data
 
 
 class SecondOrder:
-    """A scalar function with gradient and Hessian by its first input, for many columns."""
+    """A scalar function with gradient and Hessian by its first input, for many columns.
+
+    Its third input are data: terms of one form read them at different places.
+    """
 
     @one_thread_at_a_time
     def __init__(self, inputs: Sequence[ca.SX], cost: ca.SX) -> None:
@@ -34,8 +38,8 @@ class SecondOrder:
         # less time, and on 40 to 100 frequencies half the time.
         groups, remainder = grouped(inputs, cost)
         self._groups = [
-            (Columns(_derivatives([*inputs, symbols], term)), constants)
-            for term, symbols, constants in groups
+            (Columns(_derivatives([*_others(inputs), group.symbols], group.term)), group)
+            for group in groups
         ]
         self._remainder = None
         if not (groups and remainder.is_zero()):
@@ -48,16 +52,19 @@ class SecondOrder:
             values = [np.zeros((size, m)) for size in (1, p, p * p)]
         else:
             values = [*self._remainder(*inputs)]
-        for function, constants in self._groups:
+        for function, (_, _, constants, places) in self._groups:
             # All terms at once would not fit into the cache.
             total = constants.shape[1]
             width = math.ceil(total / math.ceil(total / max(CHUNK // m, 1)))
             for begin in range(0, total, width):
-                piece = constants[:, begin : begin + width]
-                count = piece.shape[1]
+                piece = slice(begin, min(begin + width, total))
+                count = piece.stop - begin
                 # np.tile takes three times as long on few columns.
-                repeated = (np.concatenate([value] * count, axis=1) for value in inputs)
-                terms = function(*repeated, np.repeat(piece, m, axis=1))
+                repeated = (np.concatenate([value] * count, axis=1) for value in _others(inputs))
+                numbers = [np.repeat(constants[:, piece], m, axis=1)]
+                if len(places):
+                    numbers.append(inputs[DATA][places[:, piece]].reshape(-1, count * m))
+                terms = function(*repeated, np.concatenate(numbers))
                 for k, of_terms in enumerate(terms):
                     values[k] += of_terms.reshape(-1, count, m).sum(axis=1)
 
@@ -68,13 +75,19 @@ class SecondOrder:
 class _Group(NamedTuple):
     """Similar terms.
 
-    One of them is the expression. Its symbols (c,) are the constants that differ; their values are
-    (c, n).
+    One of them is the expression. Its symbols (c + d,) are the constants that differ, with the
+    values (c, n), and the data, at the places (d, n) of the input.
     """
 
     term: ca.SX
     symbols: ca.SX
     constants: Array
+    places: IntArray
+
+
+def _others(inputs: Sequence[Any]) -> list[Any]:
+    """Return the inputs without the data."""
+    return [value for k, value in enumerate(inputs) if k != DATA]
 
 
 def _derivatives(inputs: Sequence[ca.SX], cost: ca.SX) -> ca.Function:
@@ -90,31 +103,46 @@ def grouped(inputs: Sequence[ca.SX], cost: ca.SX) -> tuple[list[_Group], ca.SX]:
         function = ca.Function("term", [*inputs], [term])
         places = range(function.n_instructions())
         operations = [function.instruction_id(k) for k in places]
-        # Terms have the same form if they differ only in their constants.
+        sources = [tuple(function.instruction_input(k)) for k in places]
+        read = [
+            source[1]
+            for operation, source in zip(operations, sources, strict=True)
+            if operation == ca.OP_INPUT and source[0] == DATA
+        ]
+        # Terms of one form differ only in their constants, and in the places of their data.
         form = tuple(
-            (operation, *function.instruction_input(k), *function.instruction_output(k))
-            for k, operation in zip(places, operations, strict=True)
+            (
+                operation,
+                *(source[:1] if operation == ca.OP_INPUT and source[0] == DATA else source),
+                *function.instruction_output(k),
+            )
+            for k, operation, source in zip(places, operations, sources, strict=True)
         )
         constants = [
             function.instruction_constant(k) for k in places if operations[k] == ca.OP_CONST
         ]
-        by_form[form].append((factor, term, function, constants))
+        by_form[form].append((factor, term, function, constants, read))
 
     groups, remainder = [], ca.SX(0)
     for members in by_form.values():
         if len(members) < 4:  # not worth a function
             remainder += sum(factor * term for factor, term, *_ in members)
             continue
-        table = np.array([[factor, *constants] for factor, _, _, constants in members]).T
+        table = np.array([[factor, *constants] for factor, _, _, constants, _ in members]).T
         differs = np.ptp(table, axis=1) > 0
-        symbols = ca.SX.sym("constant", int(differs.sum()))
+        read = np.array([places for *_, places in members], dtype=int).T
+        symbols = ca.SX.sym("constant", int(differs.sum()) + len(read))
+        first = [*inputs]
+        if len(read):
+            first[DATA] = ca.SX(inputs[DATA])
+            first[DATA][read[:, 0].tolist()] = symbols[-len(read) :]
         values = [ca.SX(value) for value in table[:, 0]]
         for k, place in enumerate(np.flatnonzero(differs)):
             values[place] = symbols[k]
         # CasADi cannot substitute constants: the instructions are repeated with symbols instead.
         remaining = iter(values[1:])
-        [term] = walk(members[0][2], inputs, lambda _, remaining=remaining: next(remaining))
-        groups.append(_Group(values[0] * term, symbols, table[differs]))
+        [term] = walk(members[0][2], first, lambda _, remaining=remaining: next(remaining))
+        groups.append(_Group(values[0] * term, symbols, table[differs], read))
 
     return groups, remainder
 

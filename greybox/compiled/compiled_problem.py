@@ -1,5 +1,6 @@
 """The compiled problem: its parts and constraints as functions of the solver's variables."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +17,7 @@ from greybox.compiled.transcription.multiple_shooting import MultipleShooting
 from greybox.compiled.transient_part import compile_spectrum
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, ComplexArray
 from greybox.formulation.prior_part import with_priors
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
@@ -54,8 +55,11 @@ class CompiledProblem:
         (all values) -> what must be >= 0, stacked.
     limits : tuple of str
         What each of these is, in words.
+    data : (g,) array
+        The constants and the data of all frequency responses, an input of their functions.
     response_cost : casadi.Function
-        (all values) -> the cost without smoothing of every frequency response, unweighted, stacked.
+        (all values, data) -> the cost without smoothing of every frequency response, unweighted,
+        stacked.
     responses : casadi.Function
         (all values) -> real and imaginary parts of all frequency responses, stacked: (2 N,).
     """
@@ -73,6 +77,7 @@ class CompiledProblem:
     zero_costs: Array
     constraint: ca.Function
     limits: tuple[str, ...]
+    data: Array
     response_cost: ca.Function
     responses: ca.Function
 
@@ -87,7 +92,7 @@ class CompiledProblem:
 
     @property
     def program(self) -> ca.Function:
-        """(z, smoothing) -> the cost of the frequency responses, and what must be >= 0."""
+        """(z, smoothing, data) -> the cost of the frequency responses, and what must be >= 0."""
         return self.programs[-1].function
 
     def all_values(self, x: Array) -> Array:
@@ -100,13 +105,18 @@ class CompiledProblem:
 
     def cost(self, values: Array) -> float:
         """Return the cost without smoothing of the frequency responses at all values (k,)."""
-        return float(self._weights @ np.asarray(self.response_cost(values)).ravel())
+        return float(self._weights @ np.asarray(self.response_cost(values, self.data)).ravel())
 
     def costs(self, x: Array) -> Array:
         """Return the costs (r,) of the frequency responses without smoothing, for x (r, p)."""
         if not len(x):
             return np.zeros(0)
-        return self._weights @ np.asarray(self.response_cost(self.all_values(x).T))
+        return self._weights @ np.asarray(self.response_cost(self.all_values(x).T, self.data))
+
+    def data_of(self, constants: Array, responses: Iterable[ComplexArray]) -> Array:
+        """Return the data (g,) for other constants (c,) and other measured responses."""
+        pairs = zip(self.parts, responses, strict=True)
+        return np.concatenate([constants, *(part.numbers_of(each) for part, each in pairs)])
 
     @property
     def _weights(self) -> Array:
@@ -147,13 +157,13 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     constant_values = np.array([parameters[name].start for name in constants])
     names = (*free, *constants)
 
-    def values_at(z: Any) -> dict[str, Any]:
-        """Return all values by name, at symbols of the solver's variables."""
-        return dict(zip(names, [*scaling.expressions(z), *constant_values], strict=True))
+    def values_at(z: Any, constants: Any) -> dict[str, Any]:
+        """Return all values by name, at symbols of the solver's variables and the constants."""
+        return dict(zip(names, [*scaling.expressions(z), *constants], strict=True))
 
     point = ca.SX.sym("z", len(free))
-    named = values_at(point)
-    response_parts, functions = compile_responses(problem, names, point, values_at)
+    named = values_at(point, constant_values)
+    response_parts, functions = compile_responses(problem, names, constant_values, point, values_at)
     parts: dict[Problem, Part] = {**response_parts}
     for part in problem.parts:
         if isinstance(part.data, TransientSpectrum):

@@ -48,6 +48,7 @@ class Mapped(NamedTuple):
 def lagrangian_hessian(
     parts: Sequence[tuple[Mapped, ca.SX, Callable[[Complex, Any], Any], float]],
     z: ca.SX,
+    data: ca.SX,
     limits: ca.SX,
 ) -> ca.Function:
     """Return the Hessian of weighted costs and constraints, as option `hess_lag` of `nlpsol`.
@@ -55,50 +56,52 @@ def lagrangian_hessian(
     Parameters
     ----------
     parts : sequence of (response, local, cost, weight)
-        `local` are its parameters as functions of z; `cost` takes response and smoothing.
-    z : (p,) symbols
-    limits : (c,) expressions of z
+        `local` are its parameters as functions of z and data; `cost` takes response and smoothing.
+    z, data : (p,), (g,) symbols
+        The `data` also occur in the costs.
+    limits : (c,) expressions of z and data
         The constraints.
 
     Returns
     -------
     casadi.Function
-        (z, smoothing, weight of the cost, multipliers) -> upper triangle.
+        (z, smoothing and data, weight of the cost, multipliers) -> upper triangle.
     """
-    point, smoothing = ca.MX.sym("z", z.numel()), ca.MX.sym("smoothing")
+    point, p = ca.MX.sym("z", z.numel()), ca.MX.sym("p", 1 + data.numel())
+    smoothing, given = p[0], p[1:]
     total: Any = ca.MX(z.numel(), z.numel())
     omega, factors = ca.SX.sym("omega"), ca.SX.sym("factors", 2)
     for mapped, local, cost, weight in parts:
         count, frequencies = mapped.omega.size, mapped.omega[None]
-        slope = _criterion_slope(cost, count)
+        slope = _criterion_slope(cost, count, data)
 
         # At one frequency: the expressions do not grow with the number of frequencies.
         r = ca.densify(ca.vertcat(*mapped.formula(local, omega)))
         jacobian = ca.densify(ca.jacobian(r, z).T)
-        rows = ca.Function("rows", [z, omega], [r, jacobian])
+        rows = ca.Function("rows", [z, data, omega], [r, jacobian])
         summed, _ = ca.hessian(ca.dot(factors, r), z)
-        curvature = ca.Function("curvature", [z, omega, factors], [summed])
+        curvature = ca.Function("curvature", [z, data, omega, factors], [summed])
 
         # At all of them.
-        outputs: Any = _over(rows, mapped.omega)(point, frequencies)
+        outputs: Any = _over(rows, mapped.omega)(point, given, frequencies)
         r, jacobian = ca.vec(outputs[0]), outputs[1]
-        along = slope.forward(1).map("along", "serial", z.numel(), [0, 1, 2, 4], [])
-        curved: Any = along(r, smoothing, slope(r, smoothing), jacobian.T, 0)
+        along = slope.forward(1).map("along", "serial", z.numel(), [0, 1, 2, 3, 5, 6], [])
+        pull: Any = slope(r, smoothing, given)
+        curved: Any = along(r, smoothing, given, pull, jacobian.T, 0, 0)
         total += weight * ca.mtimes(jacobian, curved)
         if summed.nnz():  # a formula that is linear in the parameters has none
-            mapped_sum = curvature.map("curvatures", "serial", count, [0], [0])
-            pull = ca.reshape(slope(r, smoothing), 2, count)
-            total += weight * mapped_sum(point, frequencies, pull)
+            mapped_sum = curvature.map("curvatures", "serial", count, [0, 1], [0])
+            total += weight * mapped_sum(point, given, frequencies, ca.reshape(pull, 2, count))
 
     multipliers = ca.SX.sym("multipliers", limits.numel())
     of_limits = ca.Function(
-        "limits", [z, multipliers], [ca.hessian(ca.dot(multipliers, limits), z)[0]]
+        "limits", [z, data, multipliers], [ca.hessian(ca.dot(multipliers, limits), z)[0]]
     )
     factor, symbols = ca.MX.sym("factor"), ca.MX.sym("multipliers", limits.numel())
     return ca.Function(
         "nlp_hess_l",
-        [point, smoothing, factor, symbols],
-        [ca.triu(ca.densify(factor * total + of_limits(point, symbols)))],
+        [point, p, factor, symbols],
+        [ca.triu(ca.densify(factor * total + of_limits(point, given, symbols)))],
         ["x", "p", "lam_f", "lam_g"],
         ["triu_hess_gamma_x_x"],
     )
@@ -106,11 +109,12 @@ def lagrangian_hessian(
 
 def _over(function: ca.Function, omega: Array) -> ca.Function:
     """Return the function mapped over all frequencies, its results side by side."""
-    return function.map(function.name(), "serial", omega.size, [0], [])
+    *shared, _ = range(function.n_in())  # the frequency is the last input
+    return function.map(function.name(), "serial", omega.size, shared, [])
 
 
-def _criterion_slope(cost: Callable[[Complex, Any], Any], size: int) -> ca.Function:
-    """Return (r, smoothing) -> φ'; real and imaginary parts alternate in r (2 size,)."""
+def _criterion_slope(cost: Callable[[Complex, Any], Any], size: int, data: ca.SX) -> ca.Function:
+    """Return (r, smoothing, data) -> φ'; real and imaginary parts alternate in r (2 size,)."""
     r, smoothing = ca.SX.sym("r", 2 * size), ca.SX.sym("smoothing")
     value = ca.SX(cost(Complex(r[0::2], r[1::2]), smoothing))
-    return ca.Function("slope", [r, smoothing], [ca.densify(ca.gradient(value, r))])
+    return ca.Function("slope", [r, smoothing, data], [ca.densify(ca.gradient(value, r))])

@@ -1,10 +1,12 @@
 """A frequency response with its model: cost, exact derivatives, and real residuals."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from greybox.compiled.data_input import data_numbers
 from greybox.compiled.part import (
     NO_NODES,
     CorrelatedPoints,
@@ -34,6 +36,44 @@ SMOOTHING = 1e-8
 OWN = 0.1
 
 
+@dataclass(frozen=True, eq=False)
+class ResponseFunctions:
+    """The functions of a frequency response, whatever its data.
+
+    Attributes
+    ----------
+    objective : casadi.Function
+        (z, smoothing, data) -> cost, unweighted.
+    response : casadi.Function
+        (all values x) -> real and imaginary parts of the model's response, stacked (2 n,).
+    scaled_response : casadi.Function
+        (z, data) -> the same.
+    """
+
+    objective: ca.Function
+    response: ca.Function
+    scaled_response: ca.Function
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Leave out the derivatives: they would change the key of stored runs."""
+        return ResponseFunctions, (self.objective, self.response, self.scaled_response)
+
+    @cached_property
+    @one_thread_at_a_time
+    def slope(self) -> ca.Function:
+        """(all values x) -> derivatives of the response."""
+        [x] = input_symbols(self.response)
+        return ca.Function("slope", [x], [ca.jacobian(self.response(x), x)])
+
+    @cached_property
+    @one_thread_at_a_time
+    def derivatives(self) -> ca.Function:
+        """(z, smoothing, data) -> gradient and Hessian of the cost."""
+        z, *others = input_symbols(self.objective)
+        hessian, gradient = ca.hessian(self.objective(z, *others), z)
+        return ca.Function("derivatives", [z, *others], [gradient, hessian])
+
+
 class ResponsePart(Part):
     """One frequency response of a problem.
 
@@ -43,29 +83,22 @@ class ResponsePart(Part):
     data : FrequencyResponse
     magnitude : (n,) array
         Magnitude of the measured response, above zero.
-    objective : casadi.Function
-        (z, smoothing) -> cost, unweighted.
-    model_response : casadi.Function
-        (all values x) -> real and imaginary parts of the model's response, stacked (2 n,).
-    scaled_response : casadi.Function
-        (z) -> the same.
+    functions : ResponseFunctions
+    inputs : (g,) array
+        The `data` of the functions, see `CompiledProblem`.
+    is_open : bool
+        Whether these include the data of this part: a user's criterion may accept only numbers.
     """
 
     def __init__(
-        self,
-        problem: Problem,
-        objective: ca.Function,
-        model_response: ca.Function,
-        scaled_response: ca.Function,
+        self, problem: Problem, functions: ResponseFunctions, inputs: Array, is_open: bool
     ) -> None:
         super().__init__(problem)
         assert isinstance(problem.criterion, Criterion)
         self.criterion = problem.criterion
         self.data = problem.response
         self.numbers = 2 * len(self.data)
-        self.objective = objective
-        self.model_response = model_response
-        self.scaled_response = scaled_response
+        self.functions, self.inputs, self.is_open = functions, inputs, is_open
         self._latest: Any = None, None
         size = np.abs(self.data.response)
         # Points that are nearly zero must not dominate the signature of a run.
@@ -85,24 +118,30 @@ class ResponsePart(Part):
 
     def response(self, values: Array) -> ComplexArray:
         """Return the model's response (n,) at all values x (k,)."""
-        parts = np.asarray(self.model_response(values)).reshape(2, -1)
+        parts = np.asarray(self.functions.response(values)).reshape(2, -1)
         return complex_array(*parts)
+
+    def scaled_response(self, z: Any) -> Any:
+        """Return real and imaginary parts of the model's response at z (p,), stacked (2 n,)."""
+        return self.functions.scaled_response(z, self.inputs)
+
+    def objective(self, z: Any, smoothing: float) -> Any:
+        """Return the cost at z (p,), unweighted."""
+        return self.functions.objective(z, smoothing, self.inputs)
+
+    def numbers_of(self, response: ComplexArray) -> Array:
+        """Return the inputs of this part with another measured response (n,)."""
+        return data_numbers(self.data, response) if self.is_open else np.zeros(0)
 
     def sensitivity(self, values: Array) -> ComplexArray:
         """Return the derivatives of the response by all values x (k,): (n, k)."""
         # Covariance, outliers and misfit ask at one point.
         point, slope = self._latest
         if not np.array_equal(values, point):
-            parts = np.asarray(ca.DM(self._slope(values))).reshape(2, -1, len(values))
+            parts = np.asarray(ca.DM(self.functions.slope(values))).reshape(2, -1, len(values))
             slope = complex_array(*parts)
             self._latest = values.copy(), slope
         return slope
-
-    @cached_property
-    @one_thread_at_a_time
-    def _slope(self) -> ca.Function:
-        [x] = input_symbols(self.model_response)
-        return ca.Function("slope", [x], [ca.jacobian(self.model_response(x), x)])
 
     def noise_ratio(self, trajectory: Trajectory) -> float:
         """Return the squared residuals over the given variances, or else their mean."""
@@ -110,14 +149,6 @@ class ResponsePart(Part):
         return self.criterion.noise_ratio(re + 1j * im, self.data)
 
     # --- for Gauss-Newton
-
-    @cached_property
-    @one_thread_at_a_time
-    def _derivatives(self) -> ca.Function:
-        """(z, smoothing) -> gradient and Hessian of the cost."""
-        z, smoothing = input_symbols(self.objective)
-        hessian, gradient = ca.hessian(self.objective(z, smoothing), z)
-        return ca.Function("derivatives", [z, smoothing], [gradient, hessian])
 
     def trajectory(
         self, z: Array, nodes: Array | None = None, *, simulated: bool = False
@@ -135,7 +166,8 @@ class ResponsePart(Part):
 
     def linearize(self, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
         """Return gradient (p,) and Hessian (p, p) with positive eigenvalues."""
-        gradient, hessian = (value.full() for value in self._derivatives(trajectory.z, SMOOTHING))
+        derivatives: Any = self.functions.derivatives(trajectory.z, SMOOTHING, self.inputs)
+        gradient, hessian = (value.full() for value in derivatives)
         # Away from a minimum the Hessian may be indefinite; a descent needs positive curvature.
         values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)
         return gradient.ravel(), (vectors * np.abs(values)) @ vectors.T

@@ -5,8 +5,12 @@ Most responses are one SX expression. Large ones are a formula of one frequency,
 SX function, and CasADi's derivatives through one take several times as long as those of the cost.
 With the roots as inputs the program is an SX function whose derivatives hold them (see
 `modeling.trim.Trimmed`), so that it can be evaluated for many points at once.
+
+The constants of the problem and the data are an input of all functions, see `data_input`. Small
+programs are stored: problems that are compiled to the same formulas share them.
 """
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
@@ -15,22 +19,30 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from greybox.compiled.alike_terms import SecondOrder
+from greybox.compiled.data_input import DataInput
 from greybox.compiled.limits import limits_at
 from greybox.compiled.response_map import LARGE, Mapped, lagrangian_hessian
-from greybox.compiled.response_part import ResponsePart
+from greybox.compiled.response_part import ResponseFunctions, ResponsePart
 from greybox.compiled.shared_response import SharedResponses, shared_responses
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.files.arrays import Array
 from greybox.formulation.frequency_criteria import Criterion, cost_of_zero
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.harmonic_balance import harmonic_function
 from greybox.modeling.linear_response import formulas_at_one_frequency, response_formula
+from greybox.modeling.one_thread import Stored, cached_property
 from greybox.modeling.pade_delay import delay_order
+from greybox.modeling.symbolic_reading import traced
 from greybox.modeling.trim import Trimmed
 
 Named = Mapping[str, Any]
 ChooseCriterion = Callable[[Problem], Criterion]
+
+# Compiled problems of the same formulas share what was built for the last ones.
+_stored = Stored(16)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,17 +52,19 @@ class CostProgram:
     Attributes
     ----------
     function : casadi.Function
-        (z, smoothing) -> the cost with `solver_weights`, and what must be >= 0.
+        (z, smoothing, data) -> the cost with `solver_weights`, and what must be >= 0.
     derivatives : dict
         Options of `casadi.nlpsol`: the Hessian of large responses, since CasADi's own takes longer.
     explicit : casadi.Function or None
-        The same as an SX function (z, smoothing), or (z, smoothing, w) with the `roots` given; None
-        where responses exist as MX functions only.
+        The same as an SX function (z, smoothing, data), or (z, smoothing, data, w) with the `roots`
+        given; None where responses exist as MX functions only.
     roots : casadi.Function or None
-        (z) -> w, the unknowns of all operating points that Newton's method finds.
+        (z, data) -> w, the unknowns of all operating points that Newton's method finds.
     shared : SharedResponses or None
         The cost in numpy, where all models are state spaces and the program is too large for a
         batch.
+    solvers : dict
+        What solvers have built for the program, which stays in this process.
     """
 
     function: ca.Function
@@ -58,12 +72,27 @@ class CostProgram:
     explicit: ca.Function | None = None
     roots: ca.Function | None = None
     shared: SharedResponses | None = None
+    solvers: dict[Any, Any] = field(default_factory=dict)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Leave out what was built later: it would change the key of stored runs."""
+        functions = self.function, self.derivatives, self.explicit, self.roots, self.shared
+        return CostProgram, functions
+
+    @cached_property
+    def second_order(self) -> SecondOrder | SharedResponses:
+        """Return the shared or explicit cost with its gradient and Hessian, for many columns."""
+        if self.shared is not None:
+            return self.shared
+        assert self.explicit is not None
+        inputs = self.explicit.sx_in()
+        return SecondOrder(inputs, self.explicit(*inputs)[0])
 
 
 def fits_a_batch(program: ca.Function | None) -> bool:
     """Return whether the derivatives of a program are small enough, as expressions, for a batch.
 
-    The program (z, smoothing, ...) -> cost, constraints needs an explicit cost (an SX function) and
+    The program (z, ...) -> cost, constraints needs an explicit cost (an SX function) and
     no constraints but bounds. From 50 000 instructions of cost, gradient and Hessian on, these take
     most of IPOPT's time, and from 20 unknowns on eigenvalues do: a batch gains little then.
     """
@@ -80,116 +109,217 @@ def instructions(program: ca.Function) -> int:
 def compile_responses(
     problem: Problem | Sum[Problem],
     names: Sequence[str],
+    constants: Array,
     point: ca.SX,
-    values_at: Callable[[Any], Named],
+    values_at: Callable[[Any, Any], Named],
 ) -> tuple[dict[Problem, ResponsePart], dict[str, Any]]:
     """Compile all frequency responses: their parts, and what `CompiledProblem` has of them all.
 
     `names` are those of all values; `values_at` turns symbols of the solver's variables, such as
-    `point` (p,), into these values by name.
+    `point` (p,), and of the constants into these values by name.
     """
-    parts = [part for part in problem.parts if isinstance(part.data, FrequencyResponse)]
-    mapped = _mapped(parts)
-    formulas = [] if mapped else [_formula(part) for part in parts]
-    models = [response.function() for response in mapped] or [
-        formula.closed() if isinstance(formula, Trimmed) else formula for formula in formulas
-    ]
-    kind: Any = ca.SX if all(model.is_a("SXFunction") for model in models) else ca.MX
+    responses = _Responses(problem, names, constants, point, values_at)
+    parts, source = responses.parts, responses.source
+    structure = responses.structure()
+    if fits_a_batch(structure):
+        key = structure.serialize(), *responses.weights
+        functions, programs = _stored.result(key, responses.built)
+    else:
+        functions, programs = responses.built()
+    columns = zip(parts, functions, source.are_open, strict=True)
+    zero = [cost_of_zero(_locator(part), part.response) for part in parts]
+    return {
+        part: ResponsePart(part, each, source.numbers, is_open) for part, each, is_open in columns
+    }, {
+        **programs,
+        "limits": responses.limits,
+        "data": source.numbers,
+        "zero_costs": np.array(responses.weights) * zero,
+    }
 
-    def responses_at(named: Named) -> list[Complex]:
-        pairs = zip(models, parts, strict=True)
+
+class _Responses:
+    """The responses of a problem as expressions in the user's parameters x, and what follows."""
+
+    def __init__(
+        self,
+        problem: Problem | Sum[Problem],
+        names: Sequence[str],
+        constants: Array,
+        point: ca.SX,
+        values_at: Callable[[Any, Any], Named],
+    ) -> None:
+        self.problem, self.constants, self.point = problem, constants, point
+        self.values_at = values_at
+        self.parts = [part for part in problem.parts if isinstance(part.data, FrequencyResponse)]
+        self.weights = solver_weights(self.parts)
+        self.source = DataInput(constants, self.parts)
+        is_located = any(_own_criterion(part).locator is not None for part in self.parts)
+        self.criteria = (_locator, _own_criterion) if is_located else (_own_criterion,)
+
+        self.mapped = _mapped(self.parts)
+        self.formulas = [] if self.mapped else [_formula(part) for part in self.parts]
+        self.models = [response.function() for response in self.mapped] or [
+            formula.closed() if isinstance(formula, Trimmed) else formula
+            for formula in self.formulas
+        ]
+        self.kind: Any = ca.SX if all(m.is_a("SXFunction") for m in self.models) else ca.MX
+
+        self.x = self.kind.sym("x", len(names))
+        by_name = dict(zip(names, ca.vertsplit(self.x), strict=True))
+        # Limits take the kind of the responses, so that one function can hold both.
+        self.limits, self.constraint = limits_at(problem, by_name, self.kind)
+        self.responses = self.responses_at(by_name)
+        self.z = self.kind.sym("z", point.numel())
+        self.smoothing = self.kind.sym("smoothing")
+        self.data = self.kind.sym("data", len(self.source.numbers))
+        symbols, self.measured = self.source.at(self.data)
+        self.named = values_at(self.z, symbols)
+
+    def responses_at(self, named: Named) -> list[Complex]:
+        """Return the responses of all parts at values by name."""
+        pairs = zip(self.models, self.parts, strict=True)
         return [Complex(*model(_values(part, named))) for model, part in pairs]
 
-    # In the user's parameters.
-    x = kind.sym("x", len(names))
-    by_name = dict(zip(names, ca.vertsplit(x), strict=True))
-    # Limits take the kind of the responses, so that one function can hold both.
-    limits, constraint = limits_at(problem, by_name, kind)
-    responses = responses_at(by_name)
-    costs = _costs(parts, responses, 0.0, _own_criterion)
-    real, imaginary = [r.re for r in responses], [r.im for r in responses]
+    def costs(
+        self,
+        responses: Sequence[Complex],
+        measured: Sequence[Any],
+        smoothing: Any,
+        choose: ChooseCriterion,
+    ) -> list[Any]:
+        """Return the costs of responses, with their measured data."""
+        return [
+            traced(f"the cost of {part.name!r}", choose(part).cost, response, data, smoothing)
+            for part, response, data in zip(self.parts, responses, measured, strict=True)
+        ]
 
-    # In the solver's variables.
-    z, smoothing = kind.sym("z", point.numel()), kind.sym("smoothing")
-    scaled = responses_at(values_at(z))
-    _, scaled_limits = limits_at(problem, values_at(z), kind)
-    trimmed = [formula for formula in formulas if isinstance(formula, Trimmed)]
-    has_roots = kind is ca.MX and len(trimmed) == len(parts)
+    def total(self, *arguments: Any) -> Any:
+        """Return the weighted sum of the costs."""
+        return sum(w * cost for w, cost in zip(self.weights, self.costs(*arguments), strict=True))
 
-    def program(choose: ChooseCriterion) -> CostProgram:
-        def cost(responses: Sequence[Complex], smoothing: Any) -> Any:
-            costs = _costs(parts, responses, smoothing, choose)
-            pairs = zip(solver_weights(parts), costs, strict=True)
-            return sum(weight * cost for weight, cost in pairs)
+    @property
+    def stacked(self) -> Any:
+        """Real parts of all responses, then imaginary parts."""
+        rows = [r.re for r in self.responses] + [r.im for r in self.responses]
+        return ca.vertcat(self.kind(0, 1), *rows)
 
-        if has_roots:
-            return _program_at_roots(problem, parts, trimmed, values_at, point, cost)
+    def structure(self) -> ca.Function:
+        """Return a function of all that `built` depends on, except the weights."""
+        costs = [
+            cost
+            for choose in self.criteria
+            for cost in self.costs(self.responses, self.measured, self.smoothing, choose)
+        ]
+        return ca.Function(
+            "structure",
+            [self.x, self.z, self.smoothing, self.data],
+            [self.stacked, self.constraint, ca.vertcat(*costs), ca.vertcat(*self.named.values())],
+        )
 
-        total = kind(cost(scaled, smoothing))
-        function = ca.Function("program", [z, smoothing], [total, scaled_limits])
-        if mapped:
-            large = shared(choose)
-            return CostProgram(function, {} if large else derivatives(choose), shared=large)
-        explicit = function if kind is ca.SX else None
-        large = None if fits_a_batch(explicit) else shared(choose)
-        return CostProgram(function, explicit=explicit, shared=large)
+    def built(self) -> tuple[list[ResponseFunctions], dict[str, Any]]:
+        """Return the functions of the parts, and those of the whole problem."""
+        kind, x, z, data = self.kind, self.x, self.z, self.data
+        scaled = self.responses_at(self.named)
+        costs = self.costs(scaled, self.measured, self.smoothing, _own_criterion)
+        functions = [
+            ResponseFunctions(
+                ca.Function("objective", [z, self.smoothing, data], [kind(cost)]),
+                ca.Function("response", [x], [ca.vertcat(response.re, response.im)]),
+                ca.Function("response", [z, data], [kind(ca.vertcat(at_z.re, at_z.im))]),
+            )
+            for cost, response, at_z in zip(costs, self.responses, scaled, strict=True)
+        ]
+        costs = self.costs(self.responses, self.measured, 0.0, _own_criterion)
+        return functions, {
+            "programs": tuple(self.program(scaled, choose) for choose in self.criteria),
+            "response_cost": ca.Function("cost", [x, data], [ca.vertcat(kind(0, 1), *costs)]),
+            "responses": ca.Function("responses", [x], [self.stacked]),
+            "constraint": ca.Function("constraint", [x], [self.constraint]),
+        }
 
-    def derivatives(choose: ChooseCriterion) -> dict[str, ca.Function]:
-        named = values_at(point)
+    def program(self, scaled: Sequence[Complex], choose: ChooseCriterion) -> CostProgram:
+        """Return the program of responses in the solver's variables."""
+        trimmed = [formula for formula in self.formulas if isinstance(formula, Trimmed)]
+        if self.kind is ca.MX and len(trimmed) == len(self.parts):
+            return self.program_at_roots(trimmed, choose)
+
+        total = self.kind(self.total(scaled, self.measured, self.smoothing, choose))
+        _, limits = limits_at(self.problem, self.named, self.kind)
+        function = ca.Function("program", [self.z, self.smoothing, self.data], [total, limits])
+        explicit = function if self.kind is ca.SX else None
+        large = None if fits_a_batch(explicit) else self.shared(choose)
+        derivatives = self.derivatives(choose) if self.mapped and not large else {}
+        return CostProgram(function, derivatives, explicit, shared=large)
+
+    def program_at_roots(self, formulas: Sequence[Trimmed], choose: ChooseCriterion) -> CostProgram:
+        """Return the program of responses at operating points that Newton's method finds."""
+        z, smoothing, data = self.z, self.smoothing, self.data
+        sizes = [formula.function.numel_in(1) for formula in formulas]
+        roots = [
+            ca.MX(0, 1) if formula.root is None else formula.root(_values(part, self.named))
+            for part, formula in zip(self.parts, formulas, strict=True)
+        ]
+
+        # As an SX function of the point and the roots.
+        given, named, measured = self.at_point()
+        s, w = ca.SX.sym("smoothing"), ca.SX.sym("w", sum(sizes))
+        pieces = ca.vertsplit(w, np.cumsum([0, *sizes]).tolist())
+        responses = []
+        for part, formula, piece in zip(self.parts, formulas, pieces, strict=True):
+            outputs: Any = formula.function(_values(part, named), piece)
+            responses.append(Complex(*outputs))
+        explicit = ca.Function(
+            "explicit",
+            [self.point, s, given, w],
+            [
+                ca.SX(self.total(responses, measured, s, choose)),
+                limits_at(self.problem, named, ca.SX)[1],
+            ],
+            {"cse": True},
+        )
+
+        # The derivatives of `explicit` hold the roots: CasADi must not differentiate them too.
+        at_roots: Any = ca.Function("roots", [z, data], [ca.vertcat(*roots)])
+        outputs = explicit(z, smoothing, data, ca.stop_diff(at_roots(z, data), 1))
+        function = ca.Function("program", [z, smoothing, data], outputs)
+        return CostProgram(function, explicit=explicit, roots=at_roots)
+
+    def at_point(self) -> tuple[ca.SX, Named, list[FrequencyResponse]]:
+        """Return SX symbols of the data, and with them the values by name and the data."""
+        data = ca.SX.sym("data", len(self.source.numbers))
+        constants, measured = self.source.at(data)
+        return data, self.values_at(self.point, constants), measured
+
+    def derivatives(self, choose: ChooseCriterion) -> dict[str, ca.Function]:
+        """Return the Hessian of large responses, for `CostProgram`."""
+        data, named, measured = self.at_point()
+        columns = zip(self.parts, measured, self.mapped, self.weights, strict=True)
         terms = [
             (
                 response,
                 ca.SX(_values(part, named)),
-                lambda r, smoothing, part=part: choose(part).cost(r, part.response, smoothing),
+                lambda r, smoothing, part=part, given=given: choose(part).cost(r, given, smoothing),
                 weight,
             )
-            for part, response, weight in zip(parts, mapped, solver_weights(parts), strict=True)
+            for part, given, response, weight in columns
         ]
-        _, at_point = limits_at(problem, named, ca.SX)
-        return {"hess_lag": lagrangian_hessian(terms, point, at_point)}
+        _, limits = limits_at(self.problem, named, ca.SX)
+        return {"hess_lag": lagrangian_hessian(terms, self.point, data, limits)}
 
-    def shared(choose: ChooseCriterion) -> SharedResponses | None:
-        if limits or len(parts) < len(problem.parts):
+    def shared(self, choose: ChooseCriterion) -> SharedResponses | None:
+        """Return the cost in numpy, if the responses share their solves."""
+        if self.limits or len(self.parts) < len(self.problem.parts):
             return None
-        named = values_at(point)
+        data, _, measured = self.at_point()
+        named = self.values_at(self.point, self.constants)
         return shared_responses(
-            parts,
-            solver_weights(parts),
-            [*map(choose, parts)],
-            point,
+            self.parts,
+            lambda responses, smoothing: ca.SX(self.total(responses, measured, smoothing, choose)),
+            data,
+            self.point,
             lambda part: ca.SX(_values(part, named)),
         )
-
-    is_located = any(_own_criterion(part).locator is not None for part in parts)
-    criteria = (_locator, _own_criterion) if is_located else (_own_criterion,)
-    compiled = (
-        ResponsePart(
-            problem=part,
-            objective=ca.Function("objective", [z, smoothing], [kind(cost)]),
-            model_response=ca.Function("response", [x], [ca.vertcat(response.re, response.im)]),
-            scaled_response=ca.Function(
-                "response", [z], [kind(ca.vertcat(scaled_response.re, scaled_response.im))]
-            ),
-        )
-        for part, cost, response, scaled_response in zip(
-            parts,
-            _costs(parts, scaled, smoothing, _own_criterion),
-            responses,
-            scaled,
-            strict=True,
-        )
-    )
-    zero = [cost_of_zero(_locator(part), part.response) for part in parts]
-    functions = {
-        "zero_costs": np.array(solver_weights(parts)) * zero,
-        "programs": tuple(program(choose) for choose in criteria),
-        "response_cost": ca.Function("cost", [x], [ca.vertcat(kind(0, 1), *costs)]),
-        "responses": ca.Function("responses", [x], [ca.vertcat(kind(0, 1), *real, *imaginary)]),
-        "constraint": ca.Function("constraint", [x], [constraint]),
-        "limits": limits,
-    }
-
-    return dict(zip(parts, compiled, strict=True)), functions
 
 
 def _values(part: Problem, named: Named) -> Any:
@@ -237,43 +367,6 @@ def _mapped(parts: Sequence[Problem]) -> list[Mapped]:
     return mapped if sum(response.work for response in mapped) > LARGE else []
 
 
-def _program_at_roots(
-    problem: Problem | Sum[Problem],
-    parts: Sequence[Problem],
-    formulas: Sequence[Trimmed],
-    values_at: Callable[[Any], Named],
-    point: ca.SX,
-    cost: Callable[[Sequence[Complex], Any], Any],
-) -> CostProgram:
-    """Return the program of responses at operating points that Newton's method finds."""
-    z, smoothing = ca.MX.sym("z", point.numel()), ca.MX.sym("smoothing")
-    sizes = [formula.function.numel_in(1) for formula in formulas]
-    roots = [
-        ca.MX(0, 1) if formula.root is None else formula.root(_values(part, values_at(z)))
-        for part, formula in zip(parts, formulas, strict=True)
-    ]
-
-    # As an SX function of the point and the roots.
-    named, s, w = values_at(point), ca.SX.sym("smoothing"), ca.SX.sym("w", sum(sizes))
-    pieces = ca.vertsplit(w, np.cumsum([0, *sizes]).tolist())
-    responses = []
-    for part, formula, piece in zip(parts, formulas, pieces, strict=True):
-        outputs: Any = formula.function(_values(part, named), piece)
-        responses.append(Complex(*outputs))
-    explicit = ca.Function(
-        "explicit",
-        [point, s, w],
-        [ca.SX(cost(responses, s)), limits_at(problem, named, ca.SX)[1]],
-        {"cse": True},
-    )
-
-    # The derivatives of `explicit` hold the roots: CasADi must not differentiate them too.
-    at_roots: Any = ca.Function("roots", [z], [ca.vertcat(*roots)])
-    outputs = explicit(z, smoothing, ca.stop_diff(at_roots(z), 1))
-    function = ca.Function("program", [z, smoothing], outputs)
-    return CostProgram(function, explicit=explicit, roots=at_roots)
-
-
 # --- the costs
 
 
@@ -284,16 +377,6 @@ def _own_criterion(part: Problem) -> Criterion:
 
 def _locator(part: Problem) -> Criterion:
     return _own_criterion(part).locator or _own_criterion(part)
-
-
-def _costs(
-    parts: Sequence[Problem],
-    responses: Sequence[Complex],
-    smoothing: Any,
-    choose: ChooseCriterion,
-) -> list[Any]:
-    pairs = zip(parts, responses, strict=True)
-    return [choose(part).cost(response, part.response, smoothing) for part, response in pairs]
 
 
 def solver_weights(parts: Sequence[Problem]) -> list[float]:
@@ -314,4 +397,6 @@ def solver_weights(parts: Sequence[Problem]) -> list[float]:
     # A hundred rounding errors over the tolerance: with ten, a quarter of the runs on 14 points
     # with errors of 1e-4 does not reach it, with a hundred all runs do.
     unit = max(1.0, 100 * float(np.finfo(float).eps) / 1e-8 * precision)
+    # Rounded up to a power of two, so that other data of the same kind rarely need other programs.
+    unit = 2.0 ** math.ceil(math.log2(unit))
     return [part.weight / unit for part in parts]

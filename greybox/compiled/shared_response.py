@@ -22,7 +22,6 @@ import numpy as np
 
 from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array, ComplexArray, IntArray
-from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.problem import Problem
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.linearization import jacobians
@@ -122,7 +121,7 @@ class SharedResponses:
         cost: ca.SX,
         symbols: Sequence[ca.SX],
     ) -> None:
-        """Take the cost as an expression of `symbols`: all real, imaginary parts; smoothing."""
+        """Take the cost as an expression of symbols: real, imaginary parts; smoothing; data."""
         self.systems = systems
         self.data = [part.response.response for part in parts]
         ends = np.cumsum([0, *map(len, self.data)]).tolist()
@@ -146,13 +145,16 @@ class SharedResponses:
                     slopes[:, self._places[part]] = slope[:, at, c]
         return values, slopes
 
-    def __call__(self, z: Array, smoothing: Array) -> tuple[Array, Array, Array]:
-        """Return cost (k,), gradient (p, k), Hessian (p * p, k) at z (p, k), smoothing (1, k)."""
+    def __call__(self, z: Array, smoothing: Array, data: Array) -> tuple[Array, Array, Array]:
+        """Return cost (k,), gradient (p, k), Hessian (p * p, k) at z (p, k), smoothing (1, k).
+
+        The columns of `data` (g, k) are those of `CompiledProblem`.
+        """
         from scipy.sparse import csc_array  # noqa: PLC0415  (imports slowly)
 
         values, slopes = self.stacked(z)
         numbers = np.concatenate([values.real, values.imag], axis=1).T
-        cost, first, second = self._criterion(numbers, smoothing)
+        cost, first, second = self._criterion(numbers, smoothing, data)
         p, k = z.shape
         gradient, hessian = np.empty((p, k)), np.empty((p * p, k))
         for c in range(k):
@@ -166,14 +168,15 @@ class SharedResponses:
 @one_thread_at_a_time
 def shared_responses(
     parts: Sequence[Problem],
-    weights: Sequence[float],
-    criteria: Sequence[Criterion],
+    cost: Callable[[Sequence[Complex], ca.SX], ca.SX],
+    data: ca.SX,
     point: ca.SX,
     values: Callable[[Problem], ca.SX],
 ) -> SharedResponses | None:
     """Return the responses of a problem if all are of state spaces; else None.
 
-    `values` gives the values of a part's own parameters at the solver's variables, `point` (p,).
+    `cost` is that of all responses and a smoothing, with the symbols of the `data`; `values` gives
+    the values of a part's own parameters at the solver's variables, `point` (p,).
     Operating points that Newton's method finds, finite amplitudes and Padé delays are not shared.
     """
     groups: dict[Any, list[int]] = {}
@@ -195,13 +198,10 @@ def shared_responses(
 
     total = sum(len(part.response) for part in parts)
     r, smoothing = ca.SX.sym("r", 2 * total), ca.SX.sym("smoothing")
-    cost, begin = ca.SX(0), 0
-    for part, weight, criterion in zip(parts, weights, criteria, strict=True):
-        end = begin + len(part.response)
-        response = Complex(r[begin:end], r[total + begin : total + end])
-        cost += weight * ca.SX(criterion.cost(response, part.response, smoothing))
-        begin = end
-    return SharedResponses(parts, systems, cost, (r, smoothing))
+    ends = np.cumsum([0, *(len(part.response) for part in parts)])
+    pieces = ca.vertsplit(r, [*ends, *(total + ends[1:])])
+    responses = [*map(Complex, pieces[: len(parts)], pieces[len(parts) :])]
+    return SharedResponses(parts, systems, cost(responses, smoothing), (r, smoothing, data))
 
 
 def _system(

@@ -254,11 +254,9 @@ class HeldMinima:
     @cached_property
     def _newton(self) -> BatchedNewton | None:
         """Newton's method for responses with bounds alone; it takes a tenth of the time."""
-        program, scaling = self.nlp.programs[-1], self.nlp.scaling
-        if program.explicit is None or not ResponseSolver.serves(self.nlp):
+        if not ResponseSolver.serves(self.nlp):
             return None
-        lower, upper = map(scaling.to_solver, (self.nlp.lower, self.nlp.upper))
-        return BatchedNewton(program.explicit, lower, upper, program.roots)
+        return BatchedNewton.of(self.nlp, self.nlp.programs[-1])
 
     def lowest(self, held: Held, starts: Sequence[Point], value: float | Array) -> Point:
         """Return the lowest minimum from these starts with a quantity held at a value.

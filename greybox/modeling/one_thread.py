@@ -39,6 +39,26 @@ class PerThread(threading.local):
         self.result = functools.lru_cache(stored)(one_thread_at_a_time(function))
 
 
+class Stored:
+    """The last results by key, for every thread by itself."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._results: dict[Any, Any] = {}
+
+    def result(self, key: Any, build: Callable[[], Result]) -> Result:
+        """Return the result of this key, built if it is not stored."""
+        # The lock is also held where CasADi frees the oldest result. A thread that has ended leaves
+        # its results to others, since its own storage would be freed without the lock.
+        with LOCK:
+            key = threading.get_ident(), key
+            result = self._results.pop(key) if key in self._results else build()
+            self._results[key] = result
+            if len(self._results) > self._most:
+                del self._results[next(iter(self._results))]
+            return result
+
+
 _traced: ContextVar[dict[Any, Any]] = ContextVar("traced")
 
 

@@ -14,14 +14,16 @@ over the variables that are not held at a bound by the gradient (Bertsekas, SIAM
 20, 1982).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.alike_terms import FEWEST_COLUMNS, SecondOrder
+from greybox.compiled.alike_terms import FEWEST_COLUMNS
+from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING
+from greybox.compiled.response_programs import CostProgram
 from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array, BoolArray, IntArray
 from greybox.modeling.one_thread import PerThread, one_thread_at_a_time
@@ -49,6 +51,7 @@ from greybox.solve.newton_iteration import (
 BARRIERS = np.array([[1.0, 1e-2, 1e-4, 0.0], [1e-2, 1e-3, 1e-4, 0.0]])
 SMOOTHINGS = np.array([1.0, 1e-2, 1e-4, SMOOTHING])
 LAST = BARRIERS.shape[1] - 1
+NO_DATA = np.zeros(0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,14 +82,14 @@ class _Searches:
     numbers : (size, w) array
         See `newton_iteration`.
     live : (w,) array of bool
-    given : (g, w) array
-        Further inputs of the function for each search.
+    data : (g, w) array
+        The data of each search.
     """
 
     owner: IntArray
     numbers: Array
     live: BoolArray
-    given: Array
+    data: Array
 
     def narrowed_to(self, columns: IntArray) -> "_Searches":
         """Return the searches in these columns, filled up to a width."""
@@ -96,7 +99,7 @@ class _Searches:
             self.owner[columns],
             self.numbers[:, columns],
             live,
-            self.given[:, columns],
+            self.data[:, columns],
         )
 
 
@@ -116,24 +119,30 @@ _iterations = PerThread(_iteration, 16)
 class BatchedNewton:
     """Minimizes a function of z within bounds, from many points at once."""
 
-    @one_thread_at_a_time
     def __init__(
-        self, program: Any, lower: Array, upper: Array, roots: ca.Function | None = None
+        self,
+        function: Callable[..., tuple[Array, Array, Array]],
+        lower: Array,
+        upper: Array,
+        data: Array = NO_DATA,
+        roots: ca.Function | None = None,
     ) -> None:
-        """Take an SX function (z, smoothing, ...) -> cost, ..., and the bounds (p,) of z.
+        """Take a function (z, smoothing, data), as `SecondOrder`, and the bounds (p,) of z.
 
-        The function also takes the `roots` of z, if there are any, which its derivatives may
-        contain, and what differs between the searches: `given` of `minimize`. Or a function in
-        numpy that returns what `SecondOrder` does.
+        It also takes the `roots` of z and data, if there are any: its derivatives may contain them.
         """
-        self._function = program
-        if isinstance(program, ca.Function):
-            inputs = program.sx_in()
-            self._function = SecondOrder(inputs, program(*inputs)[0])
+        self._function, self._data = function, data[:, None]
         self._roots = None if roots is None else Columns(roots)
         self._bounds = lower[:, None], upper[:, None]
         self._p = len(lower)
         self._rows = layout(len(lower))
+
+    @classmethod
+    @one_thread_at_a_time
+    def of(cls, problem: CompiledProblem, program: CostProgram) -> "BatchedNewton":
+        """Return the search for the minima of a program of the problem."""
+        lower, upper = map(problem.scaling.to_solver, (problem.lower, problem.upper))
+        return cls(program.second_order, lower, upper, problem.data, program.roots)
 
     def minimize(
         self,
@@ -151,10 +160,11 @@ class BatchedNewton:
         A `smoothing` replaces those of the levels.
 
         A search ends where its projected gradient is at most the `tolerance`, relative to the cost
-        where that is above one. The columns of `given` (g, m) are further inputs of the program for
-        each search; `bounds`, (p, m) each, replace those of the problem.
+        where that is above one. The columns of `given` (g, m) are the data of each search, and
+        `bounds`, (p, m) each, replace those of the problem.
         """
         m = z.shape[1]
+        data = np.broadcast_to(self._data, (len(self._data), m)) if given is None else given
         low, high = bounds or self._bounds
         ends = Ends(np.clip(z, low, high), np.zeros(m, bool), np.zeros(m, int))
         if not m:
@@ -163,7 +173,7 @@ class BatchedNewton:
         # A search begins at least a hundredth of the interval inside its bounds, as in IPOPT.
         margin = np.where(np.isfinite(high - low) & (not from_near), 1e-2 * (high - low), 0.0)
         z = np.clip(z, low + margin, high - margin)
-        searches = self._begun(z, low, high, LAST if from_near else 0, given)
+        searches = self._begun(z, low, high, LAST if from_near else 0, data)
         self._advance(searches, tolerance, smoothing)
         for _ in range(max_iterations):
             ended = searches.live & (searches.numbers[END] != 0)
@@ -176,9 +186,7 @@ class BatchedNewton:
         self._end(searches, searches.live, ends)
         return ends
 
-    def _begun(
-        self, z: Array, low: Array, high: Array, level: int, given: Array | None
-    ) -> _Searches:
+    def _begun(self, z: Array, low: Array, high: Array, level: int, data: Array) -> _Searches:
         """Return the searches from the columns of z (p, m), at a level."""
         m, rows = z.shape[1], self._rows
         numbers = np.zeros((rows.size, m))
@@ -190,8 +198,7 @@ class BatchedNewton:
         numbers[ITERATIONS] = -1
         numbers[RADIUS] = 1.0  # the size of the start box in the solver's variables
         owner = np.arange(m)
-        given = np.zeros((0, m)) if given is None else given
-        return _Searches(owner, numbers, np.ones(m, bool), given).narrowed_to(owner)
+        return _Searches(owner, numbers, np.ones(m, bool), data).narrowed_to(owner)
 
     def _end(self, searches: _Searches, which: BoolArray, ends: Ends) -> None:
         """Move searches to the ends."""
@@ -207,9 +214,8 @@ class BatchedNewton:
         trial = numbers[rows.trial]
         levels = (numbers[LEVEL] + numbers[SWITCHED]).astype(int)
         smoothings = SMOOTHINGS if smoothing is None else np.full(LAST + 1, smoothing)
-        inputs = [trial, smoothings[levels][None]]
-        inputs += [] if self._roots is None else self._roots(trial)
-        inputs += [searches.given] if len(searches.given) else []
+        inputs = [trial, smoothings[levels][None], searches.data]
+        inputs += [] if self._roots is None else self._roots(trial, searches.data)
         cost, gradient, hessian = self._function(*inputs)
 
         advance, within_radius = _iterations.result(p)

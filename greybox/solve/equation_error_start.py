@@ -29,7 +29,7 @@ class EquationErrors:
         """Find the states from the responses, at the points z (p, k) if entries depend on z."""
         self._regressions = [_regression(s, responses.data, points) for s in responses.systems]
 
-    def __call__(self, z: Array, smoothing: Array) -> tuple[Array, Array, Array]:
+    def __call__(self, z: Array, smoothing: Array, data: Array) -> tuple[Array, Array, Array]:
         """Return cost (k,), gradient (p, k) and Hessian (p * p, k) at z (p, k)."""
         p, k = z.shape
         cost, gradient, hessian = np.zeros(k), np.zeros((p, k)), np.zeros((p * p, k))

@@ -7,8 +7,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from greybox.compiled.response_programs import CostProgram
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
+from greybox.modeling.symbolic_reading import input_symbols
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.runs import STAGNATED
 
@@ -123,6 +125,18 @@ class Ipopt:
         self._derivatives = {} if derivatives is None else derivatives
         self._variants: dict[tuple[Any, ...], Ipopt] = {}
         self._check = StopCheck(statement)  # a reference, since CasADi holds only its address
+
+    @classmethod
+    def of(cls, program: CostProgram, options: Mapping[str, Any]) -> "Ipopt":
+        """Return IPOPT on a program; its p are the smoothing and the data."""
+        # Problems of the same formulas share it: to build it takes as long as a run.
+        key = repr(options)
+        if key not in program.solvers:
+            z, smoothing, data = input_symbols(program.function)
+            f, g = program.function(z, smoothing, data)
+            statement = {"x": z, "p": ca.vertcat(smoothing, data), "f": f, "g": g}
+            program.solvers[key] = cls(statement, options, {**program.derivatives})
+        return program.solvers[key]
 
     @cached_property
     @one_thread_at_a_time

@@ -22,7 +22,6 @@ from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.response_programs import fits_a_batch, instructions
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import cached_property
-from greybox.modeling.symbolic_reading import input_symbols
 from greybox.solve.batched_newton import BatchedNewton, Ends
 from greybox.solve.interruption import Response, one_run, reason_to_end, responding, stop_requested
 from greybox.solve.ipopt import CONVERGED, ROUNDED, WARM, WITHOUT_BARRIER, Ipopt
@@ -86,13 +85,7 @@ class ResponseSolver(LocalSolver):
 
     @cached_property
     def _stages(self) -> list[Ipopt]:
-        stages = []
-        for program in self.problem.programs:
-            x, p = input_symbols(program.function)
-            f, g = program.function(x, p)
-            statement = {"x": x, "p": p, "f": f, "g": g}
-            stages.append(Ipopt(statement, self._options, {**program.derivatives}))
-        return stages
+        return [Ipopt.of(program, self._options) for program in self.problem.programs]
 
     def __reduce__(self) -> tuple[Callable[..., "ResponseSolver"], tuple[Any, ...]]:
         """Return a recipe for the same solver."""
@@ -114,17 +107,17 @@ class ResponseSolver(LocalSolver):
         self, start: Array, smoothing: float, options: Mapping[str, Any] = NO_OPTIONS
     ) -> Outcome:
         began = time.perf_counter()
-        problem, stages = self.problem, self._stages
+        problem, stages, p = self.problem, self._stages, np.append(smoothing, self.problem.data)
         if options:
             stages = [stage.variant({**options, **self._options}) for stage in stages]
         z = problem.scaling.to_solver(start)
         iterations, status, located = 0, "", False
         for stage in stages:
             located = status in CONVERGED
-            z, status, count = stage.solve(z, smoothing, self._bounds)
+            z, status, count = stage.solve(z, p, self._bounds)
             iterations += count
             if status == STAGNATED:
-                end, again, count = stage.variant(WITHOUT_BARRIER).solve(z, smoothing, self._bounds)
+                end, again, count = stage.variant(WITHOUT_BARRIER).solve(z, p, self._bounds)
                 iterations += count
                 z, status = (end, again) if again in CONVERGED else (z, status)
             if status in (*CUT_SHORT, STAGNATED):
@@ -162,7 +155,8 @@ class ResponseSolver(LocalSolver):
         if not self._batched:
             return None
         z = self.problem.scaling.to_solver(starts).T
-        costs, limits = (value.full() for value in self.problem.programs[0].function(z, SMOOTHING))
+        first = self.problem.programs[0].function
+        costs, limits = (value.full() for value in first(z, SMOOTHING, self.problem.data))
         # A constraint missed by a thousandth weighs as much as a cost of one.
         values = costs.ravel() + 1e3 * np.maximum(-limits, 0).sum(axis=0)
         values = np.where(np.isfinite(values), values, np.inf)
@@ -200,8 +194,9 @@ class ResponseSolver(LocalSolver):
 
     def _away_from_zero(self, z: Array, ends: Ends) -> Ends:
         """Search again, from the columns of z (p, m), what ended at a response of zero."""
-        costs = self.problem.programs[0].function(ends.z, SMOOTHING)[0].full().ravel()
-        zero = np.flatnonzero(explains_nothing(costs, self.problem.zero_costs.sum()))
+        problem = self.problem
+        costs = problem.programs[0].function(ends.z, SMOOTHING, problem.data)[0].full().ravel()
+        zero = np.flatnonzero(explains_nothing(costs, problem.zero_costs.sum()))
         if not zero.size or self._walled is None:
             return ends
 
@@ -213,16 +208,12 @@ class ResponseSolver(LocalSolver):
     @cached_property
     def _walled(self) -> BatchedNewton | None:
         program = walled(self.problem)
-        return None if program is None else BatchedNewton(program, self.lower, self.upper)
+        return None if program is None else BatchedNewton.of(self.problem, program)
 
     @cached_property
     def batches(self) -> list[BatchedNewton]:
         """Build the criterion that locates the minimum, if any, then the problem's own."""
-        return [
-            BatchedNewton(program.explicit, self.lower, self.upper, program.roots)
-            for program in self.problem.programs
-            if program.explicit is not None
-        ]
+        return [BatchedNewton.of(self.problem, program) for program in self.problem.programs]
 
     def again(
         self, x: Array, earlier: Outcome | Run, options: Mapping[str, Any] = NO_OPTIONS

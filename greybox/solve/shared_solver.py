@@ -12,7 +12,6 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.files.arrays import Array
-from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BatchedNewton, Ends
 from greybox.solve.equation_error_start import EquationErrors
 from greybox.solve.minima import Minimum
@@ -37,12 +36,6 @@ class SharedSolver(ResponseSolver):
     def serves(problem: CompiledProblem) -> bool:
         """Return whether the responses of a problem share one solve."""
         return problem.programs[-1].shared is not None
-
-    @cached_property
-    def batches(self) -> list[BatchedNewton]:
-        """Build the criterion that locates the minimum, if any, then the problem's own."""
-        costs = [program.shared for program in self.problem.programs]
-        return [BatchedNewton(cost, self.lower, self.upper) for cost in costs]
 
     def improved(self, z: Array, **limits: Any) -> Ends:
         """Return the ends of searches from the columns of z (p, m)."""

@@ -12,6 +12,7 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING, ResponsePart
+from greybox.compiled.response_programs import CostProgram
 
 # Height of the wall at the first level of a search, as a share of the cost of a zero response. The
 # square root of the smoothing takes it down by ten from level to level. Of 1024 searches for (2.7)
@@ -20,8 +21,8 @@ from greybox.compiled.response_part import SMOOTHING, ResponsePart
 WALL = 0.5
 
 
-def walled(problem: CompiledProblem) -> ca.Function | None:
-    """Return the first program (z, smoothing) of a problem with a wall around zero responses.
+def walled(problem: CompiledProblem) -> CostProgram | None:
+    """Return the first program of a problem with a wall around zero responses.
 
     None where a response is not an explicit function of z. The wall is a logarithmic barrier of the
     mean square of the relative response; it vanishes at the smoothing of the last level.
@@ -30,8 +31,8 @@ def walled(problem: CompiledProblem) -> ca.Function | None:
     if program is None or problem.programs[0].roots is not None:
         return None
 
-    z, smoothing = program.sx_in()
-    cost, limits = program(z, smoothing)
+    z, smoothing, data = program.sx_in()
+    cost, limits = program(z, smoothing, data)
     share = WALL * ca.sqrt(ca.fmax(smoothing - SMOOTHING, 0))
     for part, height in zip(problem.parts, problem.zero_costs, strict=True):
         assert isinstance(part, ResponsePart)
@@ -40,4 +41,5 @@ def walled(problem: CompiledProblem) -> ca.Function | None:
         # At the last level a response may vanish, and its logarithm must still be finite.
         cost -= share * float(height) * ca.log(square + 1e-30)
 
-    return ca.Function("walled", [z, smoothing], [cost, limits])
+    function = ca.Function("walled", [z, smoothing, data], [cost, limits])
+    return CostProgram(function, explicit=function)

@@ -18,7 +18,6 @@ Begin with `batch`.
 | `replicates` | replicates of any data, by their number |
 | `response_replicates` | drawn frequency responses and their refits |
 | `record_replicates` | drawn records and their refits |
-| `open_data` | a compiled problem whose data are an input |
 """
 
 from greybox.study.batch import Member as Member

@@ -39,7 +39,6 @@ from greybox.solve.kept_runs import Memory
 from greybox.solve.minima import same_cost
 from greybox.solve.multistart import multistart, solver_for
 from greybox.solve.runs import Outcome
-from greybox.study.open_data import open_program
 from greybox.study.record_replicates import RecordReplicates, record_draws
 from greybox.study.replicates import Replicates
 from greybox.study.response_replicates import ResponseReplicates, response_draws
@@ -382,9 +381,15 @@ def _require_drawable(fit: Fit) -> None:
 
 
 def _response_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> ResponseReplicates:
+    for part in nlp.parts:
+        if not part.is_open:
+            raise ValueError(
+                f"{type(part.problem.criterion).__name__} accepts only numbers, but the bootstrap "
+                "gives it symbols for the data: write its cost with data.response, abs and the "
+                "functions of greybox."
+            )
     x = np.array([fit.estimate[name] for name in nlp.free])
-    draws = response_draws(nlp, x, _accuracy(nlp, x, ()), seed)
-    return ResponseReplicates(nlp, draws, x, open_program(nlp))
+    return ResponseReplicates(nlp, response_draws(nlp, x, _accuracy(nlp, x, ()), seed), x)
 
 
 def _accuracy(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory]) -> Accuracy:

@@ -5,7 +5,6 @@ import time
 from dataclasses import dataclass, replace
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
@@ -20,7 +19,6 @@ from greybox.solve.interruption import reason_to_end
 from greybox.solve.ipopt import CONVERGED, WARM, Ipopt
 from greybox.solve.response_solver import AT_MINIMUM, ITERATIONS, TOLERANCE
 from greybox.solve.runs import IMPROVED, Outcome
-from greybox.study.open_data import program_input
 from greybox.study.replicates import Draws, Replicates
 
 # Share of the variance of a point that is its own, at least: where nearly all of it is common to
@@ -145,15 +143,7 @@ def _drawn_part(
 
 @dataclass(frozen=True, eq=False)
 class ResponseReplicates(Replicates):
-    """Newton's method on many data sets at once from the estimate; IPOPT where it fails.
-
-    Attributes
-    ----------
-    program : casadi.Function
-        See `open_program`. It travels because the problem, with the user's classes, does not.
-    """
-
-    program: ca.Function
+    """Newton's method on many data sets at once from the estimate; IPOPT where it fails."""
 
     # A batch of 128 takes a tenth of a second for the tilt model: enough for workers to share a
     # thousand replicates evenly, at 0.2 ms more for each than in one batch.
@@ -166,7 +156,7 @@ class ResponseReplicates(Replicates):
     def run_together(self, starts: Array) -> list[Outcome]:
         """Refit the replicates with these numbers (r, 1)."""
         began = time.perf_counter()
-        data = [program_input(*self.draws.of(int(number))) for [number] in starts]
+        data = [self.nlp.data_of(*self.draws.of(int(number))) for [number] in starts]
         outcomes = self._solved(np.array(data).T)
         seconds = (time.perf_counter() - began) / len(starts)
         return [replace(outcome, seconds=seconds) for outcome in outcomes]
@@ -214,12 +204,9 @@ class ResponseReplicates(Replicates):
 
     @cached_property
     def _newton(self) -> BatchedNewton | None:
-        return BatchedNewton(self.program, *self._bounds) if fits_a_batch(self.program) else None
+        program = self.nlp.programs[-1]
+        return BatchedNewton.of(self.nlp, program) if fits_a_batch(program.explicit) else None
 
     @cached_property
     def _ipopt(self) -> Ipopt:
-        kind: Any = ca.SX if self.program.is_a("SXFunction") else ca.MX
-        z = kind.sym("z", self.program.numel_in(0))
-        p = kind.sym("p", 1 + self.program.numel_in(2))
-        cost, limits = self.program(z, p[0], p[1:])
-        return Ipopt({"x": z, "p": p, "f": cost, "g": limits}, WARM)
+        return Ipopt.of(self.nlp.programs[-1], WARM)

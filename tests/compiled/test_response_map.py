@@ -65,7 +65,7 @@ def as_large(monkeypatch):
 def hessian(nlp, z, smoothing, multipliers):
     """The Hessian of the Lagrangian of an expression, by CasADi."""
     x = ca.SX.sym("x", z.size)
-    f, g = nlp.program(x, smoothing)
+    f, g = nlp.program(x, smoothing, nlp.data)
     whole = ca.hessian(1.7 * f + ca.dot(g, multipliers), x)[0]
     return np.triu(ca.Function("h", [x], [whole])(z).full())
 
@@ -86,11 +86,13 @@ def test_values_and_derivatives_are_those_of_the_expression(problem, as_large, m
             [p.in_box(random.uniform()) for p in (problem.parameters[name] for name in plain.free)]
         )
         z = plain.scaling.to_solver(x)
-        for one, other in zip(plain.program(z, 1e-8), mapped.program(z, 1e-8), strict=True):
+        found, expected = (nlp.program(z, 1e-8, nlp.data) for nlp in (mapped, plain))
+        for one, other in zip(expected, found, strict=True):
             assert_allclose(other, one, rtol=1e-12)
         multipliers = random.normal(size=plain.constraint.numel_out())
         expected = hessian(plain, z, 1e-8, multipliers)
-        found = mapped.programs[-1].derivatives["hess_lag"](z, 1e-8, 1.7, multipliers).full()
+        p = np.append(1e-8, mapped.data)
+        found = mapped.programs[-1].derivatives["hess_lag"](z, p, 1.7, multipliers).full()
         assert_allclose(found, expected, rtol=1e-8, atol=1e-10 * np.abs(expected).max())
         for one, other in zip(plain.parts, mapped.parts, strict=True):
             values = plain.all_values(x)
@@ -116,9 +118,11 @@ def test_a_mapped_problem_travels(as_large):
     nlp = compile_problem(two_parts())
     z = nlp.scaling.to_solver(np.array([nlp.problem.parameters[name].start for name in nlp.free]))
     back = pickle.loads(pickle.dumps(nlp))
-    assert float(back.program(z, 0.0)[0]) == float(nlp.program(z, 0.0)[0])
+    costs = [float(each.program(z, 0.0, each.data)[0]) for each in (back, nlp)]
+    assert costs[0] == costs[1]
+    p = np.append(0.0, nlp.data)
     assert_allclose(
-        *(each.programs[-1].derivatives["hess_lag"](z, 0.0, 1, 0) for each in (back, nlp)),
+        *(each.programs[-1].derivatives["hess_lag"](z, p, 1, 0) for each in (back, nlp)),
         rtol=1e-14,
     )
 
@@ -162,6 +166,6 @@ def test_two_hundred_parameters_need_no_large_expressions():
     nlp = compile_problem(gb.Problem(many(), data))
     assert nlp.program.n_instructions() < 1000
     assert nlp.programs[-1].derivatives["hess_lag"].n_instructions() < 1000
-    assert float(nlp.program(nlp.scaling.to_solver(np.ones(count)), 0.0)[0]) == pytest.approx(
-        0, abs=1e-9
-    )
+    assert float(
+        nlp.program(nlp.scaling.to_solver(np.ones(count)), 0.0, nlp.data)[0]
+    ) == pytest.approx(0, abs=1e-9)

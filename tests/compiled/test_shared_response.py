@@ -58,12 +58,15 @@ def problem(criterion, seed=0):
     "criterion", [gb.RelativeError(), gb.MagnitudePhase(), gb.RelativeLikelihood()]
 )
 def test_cost_and_gradient_are_those_of_the_expressions(criterion):
-    program = compile_problem(problem(criterion)).programs[-1]
+    nlp = compile_problem(problem(criterion))
+    program = nlp.programs[-1]
     z = np.random.default_rng(1).uniform(0.1, 0.9, (6, 3))
-    cost, gradient, hessian = program.shared(z, np.full((1, 3), 1e-4))
+    cost, gradient, hessian = program.shared(
+        z, np.full((1, 3), 1e-4), np.tile(nlp.data[:, None], 3)
+    )
 
     point = ca.MX.sym("z", 6)
-    value = program.function(point, 1e-4)[0]
+    value = program.function(point, 1e-4, nlp.data)[0]
     slope = ca.Function("slope", [point], [value, ca.gradient(value, point)])
     for k in range(3):
         exact_cost, exact_gradient = (v.full().ravel() for v in slope(z[:, k]))

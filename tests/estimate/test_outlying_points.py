@@ -124,8 +124,7 @@ def test_clean_data_have_outliers_no_more_often_than_stated(criterion):
         noise = 0.05 * (random.normal(size=20) + 1j * random.normal(size=20))
         data = gb.FrequencyResponse(OMEGA, exact * (1 + noise), variance=variance)
         compiled = nlp.parts[0]
-        functions = compiled.objective, compiled.model_response, compiled.scaled_response
-        part = ResponsePart(problem.with_(data=data), *functions)
+        part = ResponsePart(problem.with_(data=data), compiled.functions, nlp.data, is_open=True)
         probabilities.append(20 * largest_deviation(part, values, 2).probability)
     shares = [np.mean(np.array(probabilities) < level) for level in (SIZE, 0.05)]
     assert shares[0] < 0.03

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+from greybox.compiled.alike_terms import SecondOrder
 from greybox.solve.batched_newton import SMOOTHINGS, BatchedNewton
 from greybox.solve.interruption import TimeLimits, limited
 
@@ -16,12 +17,8 @@ FAR = np.full(2, 9.0)
 
 def newton(cost, lower=-FAR, upper=FAR, given=0):
     """Of a cost (z, smoothing, given) of two variables."""
-    inputs = [
-        ca.SX.sym("z", 2),
-        ca.SX.sym("smoothing"),
-        *([ca.SX.sym("given", given)] if given else []),
-    ]
-    return BatchedNewton(ca.Function("f", inputs, [cost(*inputs)]), lower, upper)
+    inputs = [ca.SX.sym("z", 2), ca.SX.sym("smoothing"), ca.SX.sym("given", given)]
+    return BatchedNewton(SecondOrder(inputs, cost(*inputs[: 3 if given else 2])), lower, upper)
 
 
 def bowl(z, smoothing):

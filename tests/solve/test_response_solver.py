@@ -9,6 +9,7 @@ from numpy.testing import assert_array_equal
 from scipy.optimize import least_squares, lsq_linear
 
 import greybox as gb
+from greybox.compiled.alike_terms import SecondOrder
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.models.tilt import Tilt
 from greybox.problems import pitch_5deg, pitch_hover, pitch_operating_points, rotors, yaw_hover
@@ -136,7 +137,7 @@ def test_derivatives_with_the_roots_held_are_those_through_the_root_finder():
     through = sum(part.weight * part.objective(z, p) for part in nlp.parts)
     wanted, held = (
         ca.Function("derivatives", [z, p], [*ca.hessian(cost, z)])
-        for cost in (through, nlp.program(z, p)[0])
+        for cost in (through, nlp.program(z, p, nlp.data)[0])
     )
     point = 0.3 + 0.5 * np.random.default_rng(0).random(len(nlp.free))
     for found, exact in zip(held(point, 1e-8), wanted(point, 1e-8), strict=True):
@@ -160,11 +161,9 @@ def test_every_end_is_a_minimum_within_the_bounds():
     """Of a double well whose lower half is cut off by a bound, by the first and second derivatives there."""
     import casadi as ca
 
-    z, smoothing = ca.SX.sym("z", 2), ca.SX.sym("smoothing")
+    inputs = [z, *_] = ca.SX.sym("z", 2), ca.SX.sym("smoothing"), ca.SX(0, 1)
     cost = (z[0] ** 2 - 1) ** 2 + 0.3 * z[0] + (z[1] + 2) ** 2
-    newton = BatchedNewton(
-        ca.Function("f", [z, smoothing], [cost]), np.array([-3.0, -1.0]), np.array([3.0, 3.0])
-    )
+    newton = BatchedNewton(SecondOrder(inputs, cost), np.array([-3.0, -1.0]), np.array([3.0, 3.0]))
     ends = newton.minimize(
         np.random.default_rng(0).uniform(-1, 3, (2, 200)), max_iterations=100, tolerance=1e-9
     )
@@ -182,8 +181,8 @@ def test_searches_keep_to_bounds_of_their_own():
 
     rng = np.random.default_rng(1)
     a, b = rng.normal(size=(5, 3)), rng.normal(size=5)
-    z, smoothing = ca.SX.sym("z", 3), ca.SX.sym("smoothing")
-    cost = ca.Function("f", [z, smoothing], [ca.sumsqr(ca.DM(a) @ z - b) / 2])
+    inputs = [z, *_] = ca.SX.sym("z", 3), ca.SX.sym("smoothing"), ca.SX(0, 1)
+    cost = SecondOrder(inputs, ca.sumsqr(ca.DM(a) @ z - b) / 2)
     low = rng.uniform(-1, 0, (3, 11))
     high = low + rng.uniform(0, 0.5, low.shape)
     low[0, :3] = high[0, :3]  # held
@@ -224,9 +223,9 @@ def test_a_step_within_the_radius_is_the_best_of_many():
 def test_a_start_that_is_not_finite_does_not_disturb_the_others():
     import casadi as ca
 
-    z, smoothing = ca.SX.sym("z"), ca.SX.sym("smoothing")
+    inputs = [z, *_] = ca.SX.sym("z"), ca.SX.sym("smoothing"), ca.SX(0, 1)
     newton = BatchedNewton(
-        ca.Function("f", [z, smoothing], [ca.sqrt(z) + 1 / z]), np.array([-2.0]), np.array([9.0])
+        SecondOrder(inputs, ca.sqrt(z) + 1 / z), np.array([-2.0]), np.array([9.0])
     )
     ends = newton.minimize(np.array([[-1.0, 1.0, 8.0, -0.5]]), max_iterations=100, tolerance=1e-9)
     assert_array_equal(ends.at_minimum, [False, True, True, False])

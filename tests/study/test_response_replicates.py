@@ -11,7 +11,6 @@ from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import assess
 from greybox.solve.interruption import TimeLimits, limited
 from greybox.solve.runs import SEARCH_OVER
-from greybox.study.open_data import open_program, program_input
 from greybox.study.replicates import Draws
 from greybox.study.response_replicates import DrawnResponse, ResponseReplicates, response_draws
 
@@ -55,7 +54,6 @@ def test_constants_of_an_earlier_fit_are_drawn_with_their_covariance():
     found = np.array([made.of(k)[0] for k in range(2000)])
     assert found.mean(axis=0) == pytest.approx([5, 7], abs=0.05)
     assert np.cov(found.T) == pytest.approx(root @ root.T, rel=0.1)
-    assert program_input(*made.of(8))[:2] == pytest.approx(found[8])
 
 
 class Lag(gb.TransferFunction):
@@ -200,7 +198,7 @@ def refitted(problem):
 
 
 def runner_from(nlp, made, x):
-    return ResponseReplicates(nlp, made, x, open_program(nlp))
+    return ResponseReplicates(nlp, made, x)
 
 
 def runner_of(sets):

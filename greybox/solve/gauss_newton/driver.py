@@ -275,7 +275,7 @@ class GaussNewton(LocalSolver):
 @one_thread_at_a_time
 def _limits(nlp: CompiledProblem) -> Limits:
     """Return the bounds and constraints in the solver's variables."""
-    z, _ = input_symbols(nlp.program)
-    _, g = nlp.program(z, 0.0)
+    z, *_ = input_symbols(nlp.program)
+    _, g = nlp.program(z, 0.0, nlp.data)
     constraints = ca.Function("constraints", [z], [g, ca.densify(ca.jacobian(g, z))])
     return Limits(nlp.scaling.to_solver(nlp.lower), nlp.scaling.to_solver(nlp.upper), constraints)

@@ -1,4 +1,4 @@
-"""Costs of responses whose data are given: those of the compiled problem with the data inside."""
+"""Costs of responses with other data than those of the compiled problem; criteria of users."""
 
 from dataclasses import replace
 
@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.models.tilt import NonlinearTilt
-from greybox.study.open_data import open_program, program_input
 
 OMEGA = TWO_LAGS_OMEGA[::3]
 
@@ -43,12 +42,11 @@ def test_the_cost_for_data_as_an_input_is_that_of_a_problem_with_them(criterion)
     two = points(2, Lag(), {"K": 3.0, "T": 0.2})
     problem = one + gb.Problem(Lag(), two, criterion, rename={"K": "gain"}, weight=2.0)
     nlp = compile_problem(problem)
-    program = open_program(nlp)
     values = {"K": 4.0, "T1": 0.5, "T2": 0.2, "gain": 2.5, "T": 0.3}
     x = np.array([values[name] for name in nlp.free])
     measured = [points(3).response, two.response]
-    numbers = program_input(np.array([0.07]), measured)
-    cost = float(program(nlp.scaling.to_solver(x), 0.0, numbers)[0])
+    numbers = nlp.data_of(np.array([0.07]), measured)
+    cost = float(nlp.program(nlp.scaling.to_solver(x), 0.0, numbers)[0])
     wanted = sum(
         weight
         * gb.cost(
@@ -71,22 +69,53 @@ def test_limits_come_along():
     nlp = compile_problem(
         gb.Problem(LagLagDelay(), points(1), constraints=[lambda p: p.T1 - 2 * p.T2])
     )
-    program = open_program(nlp)
     z = nlp.scaling.to_solver(np.array([4.0, 0.5, 0.1, 0.05]))
-    numbers = program_input(np.zeros(0), [points(1).response])
-    cost, limits = program(z, 0.0, numbers)
+    cost, limits = nlp.program(z, 0.0, nlp.data_of(np.zeros(0), [points(1).response]))
     assert_allclose(limits.full().ravel(), [0.3])
     assert float(cost) == pytest.approx(nlp.cost(np.array([4.0, 0.5, 0.1, 0.05])))
 
 
-def test_sines_of_finite_amplitude_have_open_data_too():
+def test_sines_of_finite_amplitude_take_other_data_too():
     omega = np.array([1.0, 3.0])
     data = gb.FrequencyResponse(omega, np.array([1.0 - 0.5j, 0.2 - 0.1j]), "u", "theta")
     problem = gb.Problem(NonlinearTilt(), data, amplitude=gb.modeling.Sine("u", 0.1, harmonics=1))
     nlp = compile_problem(problem)
     x = np.array([nlp.problem.parameters[name].start for name in nlp.free])
     other = gb.FrequencyResponse(omega, 1.1 * data.response, "u", "theta")
-    numbers = program_input(nlp.constant_values, [other.response])
-    cost = float(open_program(nlp)(nlp.scaling.to_solver(x), 0.0, numbers)[0])
+    numbers = nlp.data_of(nlp.constant_values, [other.response])
+    cost = float(nlp.program(nlp.scaling.to_solver(x), 0.0, numbers)[0])
     values = dict(zip(nlp.names, nlp.all_values(x), strict=True))
     assert cost == pytest.approx(gb.cost(problem.with_(data=other), values), rel=1e-9)
+
+
+class Weighted(gb.SquaredRelativeError):
+    """A criterion whose weights are functions of the coherence; `weights` chooses which."""
+
+    def __init__(self, weights):
+        super().__init__()
+        object.__setattr__(self, "weights", weights)
+
+    def cost(self, model, data, smoothing=0.0):
+        error = abs(model - data.response) ** 2 / np.abs(data.response) ** 2
+        return gb.formulation.frequency_criteria.total(error * self.weights(data.coherence))
+
+
+@pytest.mark.parametrize(
+    ("weights", "is_open"),
+    [
+        (lambda coherence: coherence**2, True),
+        (lambda coherence: np.array([float(value) for value in coherence]), False),
+        (lambda coherence: 1.0 if isinstance(coherence, np.ndarray) else 2.0, False),
+    ],
+    ids=["symbols", "numbers", "another cost of symbols"],
+)
+def test_a_criterion_that_needs_numbers_has_them(weights, is_open):
+    """Also one that accepts symbols but makes another cost of them."""
+    data = points(1)
+    nlp = compile_problem(gb.Problem(LagLagDelay(), data, Weighted(weights)))
+    assert nlp.parts[0].is_open == is_open
+    assert nlp.data.size == (6 * len(data) if is_open else 0)
+    x = np.array([4.0, 0.5, 0.1, 0.05])
+    exact = gb.frequency_response(LagLagDelay(), dict(zip(nlp.free, x, strict=True)), OMEGA)
+    errors = np.abs(exact.response / data.response - 1) ** 2 * weights(data.coherence)
+    assert nlp.cost(x) == pytest.approx(errors.sum(), rel=1e-12)
