@@ -115,7 +115,8 @@ class CompiledProblem:
 
     def data_of(self, constants: Array, responses: Iterable[ComplexArray]) -> Array:
         """Return the data (g,) for other constants (c,) and other measured responses."""
-        pairs = zip(self.parts, responses, strict=True)
+        parts = [part for part in self.parts if isinstance(part, ResponsePart)]
+        pairs = zip(parts, responses, strict=True)
         return np.concatenate([constants, *(part.numbers_of(each) for part, each in pairs)])
 
     @property

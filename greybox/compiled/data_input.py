@@ -97,11 +97,11 @@ def _takes_symbols(part: Problem) -> bool:
         return True
     numbers = data_numbers(data, data.response)
     symbols, r = ca.SX.sym("data", len(numbers)), ca.SX.sym("r", 2 * len(data))
-    response = Complex(*ca.vertsplit(r, len(data)))
+    re, im = ca.vertsplit(r, len(data))
     elsewhere = (1.1 + 0.1j) * data.response
     try:
         costs = [
-            traced("cost", criterion.cost, response, each)
+            traced("cost", criterion.cost, Complex(re, im), each)
             for each in (_with_symbols(data, symbols), data)
         ]
         function: Any = ca.Function("costs", [r, symbols], [*map(ca.SX, costs)])

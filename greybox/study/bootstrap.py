@@ -381,13 +381,6 @@ def _require_drawable(fit: Fit) -> None:
 
 
 def _response_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> ResponseReplicates:
-    for part in nlp.parts:
-        if not part.is_open:
-            raise ValueError(
-                f"{type(part.problem.criterion).__name__} accepts only numbers, but the bootstrap "
-                "gives it symbols for the data: write its cost with data.response, abs and the "
-                "functions of greybox."
-            )
     x = np.array([fit.estimate[name] for name in nlp.free])
     return ResponseReplicates(nlp, response_draws(nlp, x, _accuracy(nlp, x, ()), seed), x)
 

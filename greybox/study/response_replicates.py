@@ -94,7 +94,7 @@ def response_draws(nlp: CompiledProblem, x: Array, accuracy: Accuracy, seed: int
     Raises
     ------
     ValueError
-        If the data are fitted exactly.
+        If the data are fitted exactly, or a criterion accepts only numbers.
     """
     values = nlp.all_values(x)
     parts = [
@@ -118,6 +118,12 @@ def _drawn_part(
 ) -> DrawnResponse:
     """Return the errors of a part whose residuals have these degrees of freedom."""
     assert isinstance(part, ResponsePart)
+    if not part.is_open:
+        raise ValueError(
+            f"{type(part.criterion).__name__} accepts only numbers, but the bootstrap gives it "
+            "symbols for the data: write its cost with data.response, abs and the functions of "
+            "greybox."
+        )
     response = part.response(values)
     size = part.criterion.error_size(response, part.data)
     has_variances = part.criterion.known_noise

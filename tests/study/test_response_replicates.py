@@ -140,7 +140,7 @@ def test_a_replicate_is_refitted_as_its_data_would_be(monkeypatch, by_ipopt):
             gb.SquaredRelativeError(),
         )
     )
-    runner = runner_from(nlp, made, np.array([2.0, 0.5]))
+    runner = ResponseReplicates(nlp, made, np.array([2.0, 0.5]))
     assert runner.draws.of(3)[0].size == 0
     if by_ipopt:
         monkeypatch.setattr(ResponseReplicates, "_newton", None)
@@ -197,15 +197,26 @@ def refitted(problem):
     return [fit.estimate["K"], fit.estimate["T"]]
 
 
-def runner_from(nlp, made, x):
-    return ResponseReplicates(nlp, made, x)
+class Rounded(gb.SquaredRelativeError):
+    """A criterion that accepts only numbers."""
+
+    def cost(self, model, data, smoothing=0.0):
+        weights = np.array([float(abs(value)) for value in data.response])
+        return super().cost(model, data) * weights.max()
+
+
+def test_a_criterion_that_accepts_only_numbers_is_refused():
+    problem = gb.Problem(Lag(), two_parts()[0], Rounded())
+    fit = gb.fit(problem, starts=2, progress=False)
+    with pytest.raises(ValueError, match=r"^Rounded accepts only numbers, .* data\.response, abs"):
+        gb.bootstrap(fit, 3, problem=problem, progress=False)
 
 
 def runner_of(sets):
     nlp = compile_problem(joint(sets))
     x = np.array(refitted(joint(sets)))
     made = response_draws(nlp, x, assess(nlp, x), 4)
-    return runner_from(nlp, made, x), made, x
+    return ResponseReplicates(nlp, made, x), made, x
 
 
 def test_when_time_is_up_what_newtons_method_left_has_no_estimate(monkeypatch):
