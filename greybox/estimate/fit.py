@@ -360,7 +360,7 @@ def assemble(
 
     values = nlp.all_values(best)
     estimate = dict(zip(nlp.names, values.tolist(), strict=True))
-    lines, covariance, slopes = quantities(nlp, accuracy, estimate)
+    lines, covariance, slopes = quantities(nlp, accuracy, values)
     # The warnings below read the fitted values, so the parts come first.
     # Values, not the compiled parts: a fit must be small, and readable without its model.
     parts = tuple(

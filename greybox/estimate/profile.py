@@ -25,7 +25,7 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.covariance import Accuracy, assess
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.profiles import Contour, End, ProfileOf, Profiles
-from greybox.estimate.quantities import expressions
+from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import radius, require_level, t_quantile
 from greybox.estimate.result import Fit, Quantity
 from greybox.files.arrays import Array
@@ -482,8 +482,8 @@ class _Search:
 def _value_of(nlp: CompiledProblem, name: str) -> ca.Function:
     """Return the function (z) -> value of a tied or derived quantity."""
     z = ca.SX.sym("z", len(nlp.free))
-    values = dict(zip(nlp.names, [*nlp.scaling.expressions(z), *nlp.constant_values], strict=True))
-    return ca.Function("value", [z], [expressions(nlp.problem, values)[name]])
+    x = ca.vertcat(*nlp.scaling.expressions(z), *nlp.constant_values)
+    return ca.Function("value", [z], [quantity_function(nlp, [name])(x)])
 
 
 def _minima(nlp: CompiledProblem, fit: Fit) -> HeldMinima:

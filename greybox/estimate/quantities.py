@@ -1,7 +1,6 @@
 """The quantities of an answer: parameters, ties and derived quantities, with their errors."""
 
-from collections.abc import Callable, Mapping
-from functools import partial
+from collections.abc import Callable, Sequence
 from operator import itemgetter
 from typing import Any, Literal, NamedTuple
 
@@ -17,32 +16,29 @@ from greybox.modeling.one_thread import one_thread_at_a_time
 
 
 class Formula(NamedTuple):
-    """A quantity that follows from the parameters; `evaluate` takes values by outside name."""
+    """A quantity that follows from the parameters of a part; `function` takes these by name."""
 
     name: str
     kind: Literal["tied", "derived"]
     unit: str
     about: str
-    evaluate: Callable[[Mapping[str, Any]], Any]
+    part: Problem
+    function: Callable[[Any], Any]
 
 
 @one_thread_at_a_time
 def quantities(
-    nlp: CompiledProblem, accuracy: Accuracy, estimate: Mapping[str, float]
+    nlp: CompiledProblem, accuracy: Accuracy, x: Array
 ) -> tuple[tuple[Quantity, ...], Array, Array]:
-    """Return all quantities, then the covariance and the slopes (m, k) of the parameters.
+    """Return all quantities at x (k,), then the covariance and slopes (m, k) of the parameters.
 
-    Parameters are free, fixed or tied; slopes are derivatives by all values. The errors of tied and
-    derived quantities are of first order. NaN where the data do not determine a quantity.
+    Parameters are free, fixed or tied; slopes are derivatives by all values x. The errors of tied
+    and derived quantities are of first order. NaN where the data do not determine a quantity.
     """
     follow = formulas(nlp.problem)
     # Exact derivatives: finite differences would limit the errors of ratios of close values.
-    symbols = ca.SX.sym("x", len(nlp.names))
-    named = dict(zip(nlp.names, ca.vertsplit(symbols), strict=True))
-    every = ca.vertcat(symbols, *[ca.SX(formula.evaluate(named)) for formula in follow])
-    rows = ca.densify(ca.horzcat(every, ca.jacobian(every, symbols)))
-    function = ca.Function("quantities", [symbols], [rows])
-    values, slopes = np.split(function([estimate[name] for name in nlp.names]).full(), [1], axis=1)
+    function = quantity_function(nlp, [*nlp.names, *(formula.name for formula in follow)])
+    values, slopes = function(x).full(), function.jacobian()(x, 0).full()
 
     # Errors are propagated once for all lines.
     errors = propagate(accuracy, slopes)
@@ -71,14 +67,15 @@ def quantities(
     return tuple(lines), covariance, of_parameters
 
 
-def expressions(problem: AnyProblem, values: Mapping[str, Any]) -> dict[str, ca.SX]:
-    """Return every parameter and formula by name, from symbols or numbers of the parameters."""
-    return {**values, **{f.name: ca.SX(f.evaluate(values)) for f in formulas(problem)}}
-
-
-def _from_part(part: Problem, function: Callable[[Any], Any], values: Mapping[str, Any]) -> Any:
-    """Return a function of a part's own values, from values by outside name."""
-    return function(part.local_values(values))
+@one_thread_at_a_time
+def quantity_function(nlp: CompiledProblem, names: Sequence[str]) -> ca.Function:
+    """Return the named parameters and formulas as a function of all values (k,)."""
+    x = ca.SX.sym("x", len(nlp.names))
+    named = dict(zip(nlp.names, ca.vertsplit(x), strict=True))
+    every = named | {
+        f.name: ca.SX(f.function(f.part.local_values(named))) for f in formulas(nlp.problem)
+    }
+    return ca.Function("quantities", [x], [ca.densify(ca.vertcat(*(every[n] for n in names)))])
 
 
 def formulas(problem: AnyProblem) -> list[Formula]:
@@ -90,9 +87,9 @@ def formulas(problem: AnyProblem) -> list[Formula]:
     for part in problem.parts:
         for name in part.tied:
             declared = part.model.parameters[name]
-            value = partial(_from_part, part, itemgetter(name))
-            formula = Formula(part.outside(name), "tied", declared.unit, declared.about, value)
-            formulas_by_name.setdefault(formula.name, formula)
+            label, unit, about = part.outside(name), declared.unit, declared.about
+            formula = Formula(label, "tied", unit, about, part, itemgetter(name))
+            formulas_by_name.setdefault(label, formula)
 
     used_names = {*problem.parameters, *formulas_by_name}
     for position, part in enumerate(problem.parts):
@@ -103,7 +100,7 @@ def formulas(problem: AnyProblem) -> list[Formula]:
             label = f"{name} ({part.name})" if differs or name in used_names else name
             if differs and label in formulas_by_name:  # two parts of one name
                 label = f"{name} (part {position})"
-            value = partial(_from_part, part, function)
-            formulas_by_name.setdefault(label, Formula(label, "derived", "", "", value))
+            formula = Formula(label, "derived", "", "", part, function)
+            formulas_by_name.setdefault(label, formula)
 
     return list(formulas_by_name.values())

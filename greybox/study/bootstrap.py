@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
@@ -22,7 +21,7 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.transcription.method import Transcription
 from greybox.estimate.covariance import Accuracy, assess
 from greybox.estimate.fitted_problem import compiled_again
-from greybox.estimate.quantities import Quantity, expressions
+from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
@@ -30,7 +29,7 @@ from greybox.files.html_text import Printed
 from greybox.files.json_numbers import finite, plain
 from greybox.files.progress import bar
 from greybox.files.text_table import alternatives, counted, number, one_line, some, text_table
-from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
+from greybox.modeling.one_thread import cached_property
 from greybox.modeling.parameter import require_whole
 from greybox.solve.discretization_error import refine_discretization
 from greybox.solve.executors import require_executor, run_all, value_fingerprint
@@ -332,7 +331,9 @@ def bootstrap(
     nlp = compiled_again(fit, problem, method)
     refits = _record_refits if fit.records else _response_refits
     runner = refits(fit, nlp, seed)
-    lines, function = _quantities(fit, nlp)
+    # Fixed values, and what follows from them alone, are the same in every replicate.
+    lines = [q for q in fit.quantities if q.kind != "fixed" and q.standard_error != 0]
+    function = quantity_function(nlp, [q.name for q in lines])
 
     outcomes, interrupted = _made(runner, replicates, executor, folder, progress)
     if not outcomes:
@@ -381,7 +382,7 @@ def _require_drawable(fit: Fit) -> None:
 
 
 def _response_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> ResponseReplicates:
-    x = np.array([fit.estimate[name] for name in nlp.free])
+    x = fit.minima[0].estimate
     return ResponseReplicates(nlp, response_draws(nlp, x, _accuracy(nlp, x, ()), seed), x)
 
 
@@ -402,7 +403,7 @@ def _record_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> RecordReplicate
             f"{names} of {nlp.problem.name!r} came with errors of an earlier fit, which are "
             "compiled into records as constants: fit them too, or bootstrap that fit."
         )
-    x = np.array([fit.estimate[name] for name in nlp.free])
+    x = fit.minima[0].estimate
     # A fit has no states at the nodes: one run from the estimate finds them again.
     solver = solver_for(nlp)
     search = multistart(nlp, solver, x[None], movable=False)
@@ -420,18 +421,6 @@ def _record_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> RecordReplicate
     trajectories = solver.profile(x, search.nodes).trajectories
     draws = record_draws(nlp, trajectories, _accuracy(nlp, x, trajectories), seed)
     return RecordReplicates(nlp, draws, x, search.nodes)
-
-
-@one_thread_at_a_time
-def _quantities(fit: Fit, nlp: CompiledProblem) -> tuple[list[Quantity], ca.Function]:
-    """Return the quantities of a fit and their function of all values."""
-    symbols = ca.SX.sym("x", len(nlp.names))
-    named = dict(zip(nlp.names, ca.vertsplit(symbols), strict=True))
-    formulas = expressions(nlp.problem, named)
-    # Fixed values, and what follows from them alone, are the same in every replicate.
-    lines = [q for q in fit.quantities if q.kind != "fixed" and q.standard_error != 0]
-    stacked = ca.vertcat(*(formulas[q.name] for q in lines))
-    return lines, ca.Function("quantities", [symbols], [stacked])
 
 
 def _made(
