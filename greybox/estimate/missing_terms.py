@@ -20,7 +20,6 @@ from greybox.files.arrays import Array
 from greybox.files.text_table import number
 from greybox.modeling.colored_disturbance import undisturbed
 from greybox.modeling.model import Names
-from greybox.modeling.realization import Dynamics
 from greybox.modeling.state_space import StateSpace
 
 Formula = Callable[[Names, Names, Names], Any]
@@ -231,33 +230,15 @@ def _of_equations(record: DisturbedRecord, candidates: Mapping[str, Formula]) ->
             shapes |= _shapes(name, row) if name in x else {}
         return shapes | own
 
-    neighbors = _neighbors(system)
-    for i, present in dynamic_equations(record.part).items():
-        for a, row in shapes_of(neighbors[i]).items():
+    for i, (names, present) in dynamic_equations(record.part).items():
+        for a, row in shapes_of(names).items():
             if a not in present:
                 yield Term("equation", partial(record.by_state, i, row), a, [*x][i])
-        states = {name: row for name, row in x.items() if name in neighbors[i]}
+        states = {name: row for name, row in x.items() if name in names}
         for (a, row), share in itertools.product(states.items(), STOPS):
             level = float(np.quantile(row, share))
             over = (np.maximum if share > 0.5 else np.minimum)(row - level, 0.0)
             yield Term("limit", partial(record.by_state, i, over), a, [*x][i], level=level)
-
-
-def _neighbors(system: Dynamics) -> list[frozenset[str]]:
-    """Return the states and inputs whose functions are tried in the equation of every state.
-
-    In a large model they are those that the equation contains: with twenty states, the products of
-    all pairs in all equations are thousands of terms, among which a true one is not found.
-    """
-    x, u, p = system.symbols
-    names = (*system.states, *system.inputs)
-    if len(names) <= LARGE:
-        return [frozenset(names)] * len(system.states)
-    slopes = ca.jacobian(system.derivative(x, u, p), ca.vertcat(x, u)).sparsity()
-    return [
-        frozenset(name for k, name in enumerate(names) if slopes.has_nz(i, k))
-        for i in range(x.numel())
-    ]
 
 
 def _shapes(name: str, row: Array) -> dict[str, Array]:
@@ -273,9 +254,10 @@ def _shapes(name: str, row: Array) -> dict[str, Array]:
     }
 
 
-def dynamic_equations(part: RecordPart) -> dict[int, set[str]]:
-    """Return the states and inputs with a parameter in the derivative of each state, by its place.
+def dynamic_equations(part: RecordPart) -> dict[int, tuple[frozenset[str], set[str]]]:
+    """Return the signals in the derivative of each state by its place, and those with a parameter.
 
+    Signals are states and inputs; in a small model all of them count as being in every derivative.
     Derivatives without any parameter or input are kinematic, and left out unless all are; those of
     colored disturbances are left out, too.
     """
@@ -285,12 +267,18 @@ def dynamic_equations(part: RecordPart) -> dict[int, set[str]]:
     slopes = ca.jacobian(derivative, ca.vertcat(x, u))
     model = undisturbed(part.problem.model)
     own = range(len(model.states) if isinstance(model, StateSpace) else len(system.states))
-    equations = {
-        i: {name for k, name in enumerate(names) if ca.depends_on(slopes[i, k], p)}
-        for i in own
-        if ca.depends_on(derivative[i], ca.vertcat(u, p))
+    dynamic = [i for i in own if ca.depends_on(derivative[i], ca.vertcat(u, p))]
+
+    # With twenty states, the products of all pairs in all equations are thousands of terms, among
+    # which a true one is not found.
+    is_small, present = len(names) <= LARGE, slopes.sparsity()
+    return {
+        i: (
+            frozenset(n for k, n in enumerate(names) if is_small or present.has_nz(i, k)),
+            {n for k, n in enumerate(names) if ca.depends_on(slopes[i, k], p)},
+        )
+        for i in dynamic or own
     }
-    return equations or {i: set() for i in own}
 
 
 def _rate(record: DisturbedRecord, row: Array) -> Array:

@@ -20,9 +20,9 @@ from greybox.files.text_table import counted, listed, one_line
 from greybox.formulation.frequency_criteria import SquaredRelativeError
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import OutputError
+from greybox.modeling.linearization import jacobians
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
-from greybox.modeling.realization import dynamics
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.statistics.column_space import beside
 
@@ -321,19 +321,17 @@ def _of_trajectory(
 
 @one_thread_at_a_time
 def _times(
-    model: Model, values: Mapping[str, float], random: np.random.Generator
+    model: Any, values: Mapping[str, float], random: np.random.Generator
 ) -> tuple[Array, BoolArray]:
     """Return uniform times that suit the poles of the model, and the gaps among them."""
-    system = dynamics(model)
-    n = len(system.states)
+    n = len(model.states)
     step = 1.0
     length = SAMPLES // STRETCHES
     if n:
-        p = [values[name] for name in system.parameters]
+        p = [values[name] for name in model.parameters]
         # Not at zero itself, where the slope of a kink such as |v| v vanishes.
-        point = (0.1 * random.normal(size=n), np.zeros(len(system.inputs)), p)
-        slope, *_ = system.derivative.jacobian()(*point, 0)
-        poles = np.linalg.eigvals(np.nan_to_num(slope.full()))
+        A, *_ = jacobians(model)(p, 0.1 * random.normal(size=n), np.zeros(len(model.input_names)))
+        poles = np.linalg.eigvals(np.nan_to_num(A.full()))
         fastest = max(float(np.abs(poles).max()), 1e-3)
         step = FASTEST / fastest
         growing = float(poles.real.max(initial=0.0))
