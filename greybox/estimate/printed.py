@@ -129,15 +129,16 @@ def correlations(fit: Any) -> str:
 
 def closeness(fit: Any) -> list[tuple[str, str]]:
     """Return data, priors, inputs and how closely the model follows, as labels with texts."""
-    return [
-        ("data", data_text(fit)),
-        *(("prior", line) for line in _prior_texts(fit)),
-        *(("inputs", line) for line in _input_texts(fit.records)),
-        *(("output", line) for line in _output_texts(fit.records)),
-        *(("response", line) for line in _response_texts(fit.responses)),
-        *(("output", line) for line in _spectrum_texts(fit.spectra)),
-        *([("model", "not tested for missing terms")] if fit.misfit is None else []),
-    ]
+    texts = (
+        ("data", [data_text(fit)]),
+        ("prior", _prior_texts(fit)),
+        ("inputs", _input_texts(fit.records)),
+        ("output", _output_texts(fit.records)),
+        ("response", _response_texts(fit.responses)),
+        ("output", _spectrum_texts(fit.spectra)),
+        ("model", ["not tested for missing terms"] if fit.misfit is None else []),
+    )
+    return [(label, line) for label, lines in texts for line in lines]
 
 
 def parameter_table(fit: Any) -> Table:

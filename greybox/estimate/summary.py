@@ -49,9 +49,16 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
             for name, (mean, sigma) in result.priors.items()
         },
         "outputs": [
-            _output(part, name)
+            {
+                "part": part.name,
+                "output": name,
+                "unit": part.data.units.get(name, ""),
+                "fit_percent": part.fit_percent(name),
+                # The diagonal of the covariance of the residuals, given or estimated.
+                "noise": math.sqrt(part.noise[k, k]),
+            }
             for part in (*result.records, *result.spectra)
-            for name in part.outputs
+            for k, name in enumerate(part.outputs)
         ],
         "responses": [
             {"part": part.name, "magnitude_phase_cost": part.magnitude_phase_cost}
@@ -60,16 +67,3 @@ def summary(result: Any, level: float = 0.95) -> dict[str, Any]:
         "at_bound": [q.name for q in result.quantities if q.at_bound],
     }
     return plain(answer)
-
-
-def _output(part: Any, name: str) -> dict[str, Any]:
-    """Return how well an output of a record or a manoeuvre is fitted."""
-    # Diagonal of the covariance of the residuals, given or estimated.
-    noise = float(part.noise[part.outputs.index(name), part.outputs.index(name)])
-    return {
-        "part": part.name,
-        "output": name,
-        "unit": part.data.units.get(name, ""),
-        "fit_percent": part.fit_percent(name),
-        "noise": math.sqrt(noise),
-    }

@@ -57,22 +57,21 @@ def unfinished_runs(search: Multistart) -> Iterator[str]:
 
 def rival_minima(nlp: CompiledProblem, search: Multistart) -> Iterator[str]:
     """Warn of another minimum with a different response and nearly the same cost."""
-    best = search.minima[0]
-    is_likelihood = any(part.is_likelihood for part in nlp.parts)
-    for rival in search.minima[1:]:
-        if is_likelihood and rival.cost <= best.cost + RIVAL_LIKELIHOOD:
-            excess = rival.cost - best.cost
+    if len(search.minima) < 2:
+        return
+    best, rival = search.minima[:2]
+    excess = rival.cost - best.cost
+    if any(part.is_likelihood for part in nlp.parts):
+        if excess <= RIVAL_LIKELIHOOD:
             yield (
                 f"another minimum with a different response is only exp({excess:.2g}) times less "
                 "likely."
             )
-            return
-        # A sum of n relative errors is itself uncertain by 0.52 / √n of its size (they are Rayleigh
-        # distributed), which is 10 % for 24 points: a tenth of that ranks nothing.
-        if not is_likelihood and 0 < rival.cost <= best.cost * 1.01:
-            percent = 100 * (rival.cost / best.cost - 1)
-            yield f"another minimum costs only {percent:.2g} % more and has a different response."
-            return
+    # A sum of n relative errors is itself uncertain by 0.52 / √n of its size (they are Rayleigh
+    # distributed), which is 10 % for 24 points: a tenth of that ranks nothing.
+    elif 0 < rival.cost <= best.cost * 1.01:
+        percent = 100 * excess / best.cost
+        yield f"another minimum costs only {percent:.2g} % more and has a different response."
 
 
 def several_estimates_of_one_response(
