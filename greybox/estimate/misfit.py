@@ -145,11 +145,6 @@ class Misfit(Printed):
         return not self.explains and self.left > 10 * self.noise
 
     @property
-    def may_be_feedback(self) -> bool:
-        """Whether disturbances under feedback may look like the terms, which leave a part of it."""
-        return not self.is_large
-
-    @property
     def likely(self) -> tuple[Cause, ...]:
         """The causes that are named: up to three, where the model may not explain the data."""
         return tuple([cause for cause in self.causes if cause.p_value < FALSE_ALARMS][:NAMED])

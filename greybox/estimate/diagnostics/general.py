@@ -61,7 +61,8 @@ def warnings(
     # parameters or standard errors doubtful, then single points.
     best = search.minima[0]
     misfit = answer.misfit
-    feedback = misfit is None or misfit.may_be_feedback
+    # Disturbances under feedback may look like missing terms, which leave a part of the misfit.
+    feedback = misfit is None or not misfit.is_large
     # Residuals of a wrong model are not errors, so their correlation does not matter.
     errors = misfit is None or misfit.explains
     return (

@@ -41,7 +41,7 @@ ROUNDING = 1e-9
 TINY = 1e-300
 
 
-@dataclass(frozen=True, order=True)
+@dataclass(frozen=True)
 class Deviation:
     """The point of a response that deviates most.
 

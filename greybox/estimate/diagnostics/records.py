@@ -209,13 +209,10 @@ def biased_by_feedback(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iter
             residuals = _by_piece(fitted.data, fitted.residual(output))
             if not whiteness(residuals).p_value < FALSE_ALARMS / outputs:
                 continue
-            responses = {
-                name: cross_correlation(u, residuals).p_value for name, u in inputs.items()
-            }
             responding += [
                 f"{name} to {output}{place}"
-                for name, p_value in responses.items()
-                if p_value < FALSE_ALARMS / (outputs * len(inputs))
+                for name, u in inputs.items()
+                if cross_correlation(u, residuals).p_value < FALSE_ALARMS / outputs / len(inputs)
             ]
 
     if responding:
