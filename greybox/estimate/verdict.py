@@ -50,14 +50,12 @@ def verdict(fit: Any) -> Verdict:
         return Verdict("failed", (f"There is no estimate: {fit.status}.", *fit.warnings[:1]))
 
     # First whether this is the minimum, then how certain: the second needs the first.
-    minimum, found_again = _minimum(fit)
-    determined, well = _determined(fit)
-    grade: Grade = "good" if found_again and well and not fit.warnings else "doubt"
-    sentences = [(found_again, minimum), (well, determined)]
+    sentences = [_minimum(fit), _determined(fit)]
     misfit = fit.misfit
     if misfit is not None:
         sentences.insert(0, (misfit.explains, f"The model {misfit.verdict}."))
-        grade = grade if misfit.explains else "doubt"
+    is_good = all(is_good for is_good, _ in sentences) and not fit.warnings
+    grade: Grade = "good" if is_good else "doubt"
     # No start agrees on the minimum of a model that explains nothing, wherever they end.
     if fit.agreeing == 0 or (misfit is not None and misfit.is_large):
         grade = "poor"
@@ -65,32 +63,31 @@ def verdict(fit: Any) -> Verdict:
     return Verdict(grade, tuple(text for _, text in sorted(sentences, key=itemgetter(0))))
 
 
-def _minimum(fit: Any) -> tuple[str, bool]:
-    """Say how many starts agree on the best minimum, and tell whether more than one does."""
+def _minimum(fit: Any) -> tuple[bool, str]:
+    """Tell whether more than one start agrees on the best minimum, and say how many do."""
     # Screened starts were not run, and can neither agree nor disagree.
     brought = [run for run in fit.runs if run.stage != SCREENED]
     count = counted(len(brought), "start")
     if fit.agreeing == 1:
-        return (
+        return False, (
             f"Only 1 of {count} reached the best minimum, so another one may have a lower cost: "
-            "run more starts.",
-            False,
+            "run more starts."
         )
 
-    return f"{fit.agreeing} of {count} agree on the best minimum.", True
+    return True, f"{fit.agreeing} of {count} agree on the best minimum."
 
 
-def _determined(fit: Any) -> tuple[str, bool]:
-    """Say how well the free parameters are determined, and tell whether all are."""
+def _determined(fit: Any) -> tuple[bool, str]:
+    """Tell whether all free parameters are well determined, and say how well."""
     at_bound = [q.name for q in fit.quantities if q.at_bound]
     if not fit.free:
-        return "No parameter was free.", True
+        return True, "No parameter was free."
     try:
         judged = fit.identifiability
     except ValueError:
         return (
-            "The data give no standard errors, so the estimate cannot be judged by itself.",
             False,
+            "The data give no standard errors, so the estimate cannot be judged by itself.",
         )
 
     texts = []
@@ -105,15 +102,15 @@ def _determined(fit: Any) -> tuple[str, bool]:
     if texts:
         well = len(fit.free) - len({*at_bound, *judged.beyond})
         return (
-            f"Of {counted(len(fit.free), 'free parameter')}, {counted(well, 'is', 'are')} well "
-            f"determined: {'; '.join(texts)}. To determine more, fix a parameter or add data.",
             # Insensitivity is the error if all others were known: it limits no use of an estimate
             # whose error, which is larger, is within the guideline.
             not at_bound and bool(np.all(judged.error <= ERROR_GUIDELINE)),
+            f"Of {counted(len(fit.free), 'free parameter')}, {counted(well, 'is', 'are')} well "
+            f"determined: {'; '.join(texts)}. To determine more, fix a parameter or add data.",
         )
 
     # NaN belongs to parameters at a bound, which were named above.
     worst = int(np.nanargmax(judged.error))
     most = f"{percent(float(judged.error[worst]))} % ({judged.names[worst]})"
 
-    return f"The free parameters are well determined, with standard errors of at most {most}.", True
+    return True, f"The free parameters are well determined, with standard errors of at most {most}."
