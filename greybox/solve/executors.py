@@ -26,7 +26,9 @@ from contextlib import contextmanager, suppress
 from itertools import islice
 from types import MappingProxyType
 from typing import Any, NamedTuple
+from weakref import WeakKeyDictionary
 
+import casadi as ca
 import numpy as np
 
 from greybox.files.arrays import Array
@@ -118,10 +120,25 @@ def require_executor(executor: Any) -> None:
         )
 
 
+# Problems of the same formulas share functions, and to serialize them takes a millisecond.
+_serialized: WeakKeyDictionary[ca.Function, str] = WeakKeyDictionary()
+
+
+class _FingerprintPickler(pickle.Pickler):
+    """Serializes each function once."""
+
+    def reducer_override(self, value: Any) -> Any:
+        if not isinstance(value, ca.Function):
+            return NotImplemented
+        if value not in _serialized:
+            _serialized[value] = value.serialize()
+        return str, (_serialized[value],)
+
+
 def value_fingerprint(value: Any) -> str:
     """Return a key of a value, such as a runner, that is the same in every process."""
     text = io.BytesIO()
-    pickler = pickle.Pickler(text)
+    pickler = _FingerprintPickler(text)
     # References to earlier objects would distinguish equal strings from identical ones.
     pickler.fast = True
     pickler.dump(value)
