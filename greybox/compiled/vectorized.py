@@ -88,6 +88,8 @@ class Columns:
     def __call__(self, *inputs: Array) -> Sequence[Array]:
         """Return the outputs, (numel, m) each, for inputs (numel, m), shared ones (numel,)."""
         m = next(v.shape[1] for k, v in enumerate(inputs) if k not in self._shared)
+        if 0 < m <= CHUNK:
+            return [value.copy() for value in self._layout(m).run(inputs)]
         outputs = [np.empty((size, m)) for size in self._sizes]
         # Equal shares need only one layout of the registers.
         width = math.ceil(m / math.ceil(m / CHUNK)) if m else 1
@@ -160,7 +162,7 @@ class _Mapped:
             buffer.set_res(k, value.data)
         self._references = mapped, buffer  # CasADi does not keep them alive
 
-    def run(self, inputs: list[Array]) -> Sequence[Array]:
+    def run(self, inputs: Sequence[Array]) -> Sequence[Array]:
         """Return the outputs, (numel, m) each, in memory that the next call overwrites."""
         for memory, value in zip(self._inputs, inputs, strict=True):
             memory[...] = value.T
@@ -198,7 +200,7 @@ class _Registers:
                 self._calls.append((_OPERATIONS[operation], (*arguments, out)))
                 current[targets[0]] = out
 
-    def run(self, inputs: list[Array]) -> Sequence[Array]:
+    def run(self, inputs: Sequence[Array]) -> Sequence[Array]:
         """Return the outputs, (numel, m) each, in memory that the next call overwrites."""
         for source, row, register in self._reads:
             register[...] = inputs[source][row]
