@@ -8,7 +8,7 @@ from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.misfit import Misfit, assessed_misfit
 from greybox.estimate.missing_terms import Formula
 from greybox.estimate.result import Fit
-from greybox.solve.multistart import BATCHED, solver_for
+from greybox.solve.multistart import solver_for
 
 
 def misfit(
@@ -48,5 +48,5 @@ def misfit(
     fit.require_estimate()
     nlp = compiled_again(fit, problem)
     x = fit.minima[0].estimate
-    trajectories = solver_for(nlp, {}, BATCHED).profile(x, None).trajectories
+    trajectories = solver_for(nlp).profile(x).trajectories
     return assessed_misfit(nlp, x, trajectories, candidates)

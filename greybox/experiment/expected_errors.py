@@ -82,7 +82,7 @@ def expected_errors(problem: Problem | Sum, values: Mapping[str, float]) -> Expe
     nlp = compile_problem(problem)
     at = {name: float(values.get(name, nlp.problem.parameters[name].start)) for name in nlp.free}
     x = np.array(list(at.values()))
-    accuracy = assess(nlp, x, solver_for(nlp, {}).profile(x).trajectories)
+    accuracy = assess(nlp, x, solver_for(nlp).profile(x).trajectories)
     count = len(nlp.free)
     covariance = accuracy.covariance[:count, :count]
     scale = np.outer(accuracy.size[:count], accuracy.size[:count])
