@@ -59,6 +59,15 @@ class ResidualCovariance:
     full: bool
     predicted: Array | None = None
 
+    @property
+    def unknowns(self) -> int:
+        """Number of variances and covariances that are estimated."""
+        if self.known is not None:
+            return 0
+        # A covariance matrix is symmetric: half of its entries, with the diagonal.
+        k = self.spread.shape[-1]
+        return k * (k + 1) // 2 if self.full else k
+
     def covariance(self, products: Array) -> Array:
         """Return the covariance (k, k): given, predicted, or estimated from these products."""
         if self.predicted is not None:

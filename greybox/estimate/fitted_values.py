@@ -156,12 +156,8 @@ def _(
         driven=model.driven,
         gain=gain,
         gain_slope=gain_slope,
-        nuisances=part.unknown_initial_states
-        + covariance_unknowns(
-            count,
-            known=part.covariance.known is not None or bool(model.driven),
-            full=part.covariance.full,
-        ),
+        # With process noise the covariance follows from its variances.
+        nuisances=part.unknown_initial_states + (0 if model.driven else part.covariance.unknowns),
         is_static=part.is_static,
     )
 
@@ -191,15 +187,14 @@ def _(
     noise = np.full((count, count), np.nan)
     fitted = np.full((count, len(part.data)), np.nan, complex)
     ends = np.full(len(part.states), np.nan)
-    has_known_noise = False
-    full = part.problem.criterion.settings["noise"] == "full"
+    nuisances = len(part.states)
 
     if trajectory is not None:
         at: Along = trajectory.detail
         noise = at.covariance.covariance(trajectory.products)
         fitted = at.modelled
         ends = at.ends
-        has_known_noise = at.covariance.known is not None
+        nuisances += at.covariance.unknowns
 
     return FittedSpectrum(
         **_of_problem(part.problem),
@@ -209,16 +204,8 @@ def _(
         noise=noise,
         ends=dict(zip(part.states, ends.tolist(), strict=True)),
         at={name: float(value) for name, value in part.problem.at.items()},
-        nuisances=len(part.states) + covariance_unknowns(count, known=has_known_noise, full=full),
+        nuisances=nuisances,
     )
-
-
-def covariance_unknowns(outputs: int, *, known: bool, full: bool) -> int:
-    """Return how many numbers of the residual covariance are estimated."""
-    # A covariance matrix is symmetric: half of its entries, with the diagonal.
-    if known:
-        return 0
-    return outputs * (outputs + 1) // 2 if full else outputs
 
 
 def _of_problem(part: Problem) -> dict[str, Any]:

@@ -249,3 +249,8 @@ def test_outputs_are_dependent_where_single_precision_does_not_part_them(apart, 
     else:
         require_independent(("a", "b", "c", "d"), measured)
     require_independent(("a", "d"), np.array([[1.0, 2.0], [2.0, 4.0]]))  # of two samples, all are
+
+
+@pytest.mark.parametrize(("noise", "count"), [(SIGMA, 0), ("full", 6), ("diagonal", 3)])
+def test_a_covariance_of_three_outputs_has_six_numbers_or_three(noise, count):
+    assert made(noise)[0].unknowns == count

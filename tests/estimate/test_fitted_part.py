@@ -8,7 +8,6 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.estimate.fitted_part import FittedPart, FittedRecord, FittedSpectrum
-from greybox.estimate.fitted_values import covariance_unknowns
 
 STATED = {
     **dict.fromkeys((field.name for field in dataclasses.fields(FittedPart)), ""),
@@ -81,10 +80,3 @@ def test_spectra_are_reproduced_to_the_share_of_their_power_that_is_not_left():
     assert_allclose(part.residual("q"), [0, -5, 0])
     assert part.fit_percent("q") == pytest.approx(100 * (1 - 5 / 13))
     assert np.isnan(part.fit_percent("r"))
-
-
-@pytest.mark.parametrize(
-    ("known", "full", "count"), [(True, True, 0), (False, True, 6), (False, False, 3)]
-)
-def test_a_covariance_of_three_outputs_has_six_numbers_or_three(known, full, count):
-    assert covariance_unknowns(3, known=known, full=full) == count
