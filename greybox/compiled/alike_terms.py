@@ -61,10 +61,9 @@ class SecondOrder:
                 count = piece.stop - begin
                 # np.tile takes three times as long on few columns.
                 repeated = (np.concatenate([value] * count, axis=1) for value in _others(inputs))
-                numbers = [np.repeat(constants[:, piece], m, axis=1)]
-                if len(places):
-                    numbers.append(inputs[DATA][places[:, piece]].reshape(-1, count * m))
-                terms = function(*repeated, np.concatenate(numbers))
+                data = inputs[DATA][places[:, piece]].reshape(len(places), count * m)
+                numbers = np.concatenate([np.repeat(constants[:, piece], m, axis=1), data])
+                terms = function(*repeated, numbers)
                 for k, of_terms in enumerate(terms):
                     values[k] += of_terms.reshape(-1, count, m).sum(axis=1)
 
@@ -101,48 +100,37 @@ def grouped(inputs: Sequence[ca.SX], cost: ca.SX) -> tuple[list[_Group], ca.SX]:
     by_form = defaultdict(list)
     for factor, term in summands(cost):
         function = ca.Function("term", [*inputs], [term])
-        places = range(function.n_instructions())
-        operations = [function.instruction_id(k) for k in places]
-        sources = [tuple(function.instruction_input(k)) for k in places]
-        read = [
-            source[1]
-            for operation, source in zip(operations, sources, strict=True)
-            if operation == ca.OP_INPUT and source[0] == DATA
-        ]
         # Terms of one form differ only in their constants, and in the places of their data.
-        form = tuple(
-            (
-                operation,
-                *(source[:1] if operation == ca.OP_INPUT and source[0] == DATA else source),
-                *function.instruction_output(k),
-            )
-            for k, operation, source in zip(places, operations, sources, strict=True)
-        )
-        constants = [
-            function.instruction_constant(k) for k in places if operations[k] == ca.OP_CONST
-        ]
-        by_form[form].append((factor, term, function, constants, read))
+        form, constants, places = [], [factor], []
+        for k in range(function.n_instructions()):
+            operation, source = function.instruction_id(k), function.instruction_input(k)
+            if operation == ca.OP_CONST:
+                constants.append(function.instruction_constant(k))
+            elif operation == ca.OP_INPUT and source[0] == DATA:
+                places.append(source.pop())
+            form.append((operation, *source, *function.instruction_output(k)))
+        by_form[tuple(form)].append((factor, term, function, constants, places))
 
     groups, remainder = [], ca.SX(0)
     for members in by_form.values():
         if len(members) < 4:  # not worth a function
             remainder += sum(factor * term for factor, term, *_ in members)
             continue
-        table = np.array([[factor, *constants] for factor, _, _, constants, _ in members]).T
-        differs = np.ptp(table, axis=1) > 0
-        read = np.array([places for *_, places in members], dtype=int).T
-        symbols = ca.SX.sym("constant", int(differs.sum()) + len(read))
-        first = [*inputs]
-        if len(read):
-            first[DATA] = ca.SX(inputs[DATA])
-            first[DATA][read[:, 0].tolist()] = symbols[-len(read) :]
+        table = np.array([constants for *_, constants, _ in members]).T
+        places = np.array([places for *_, places in members], dtype=int).T
+        differs = np.flatnonzero(np.ptp(table, axis=1))
+        symbols = ca.SX.sym("constant", len(differs) + len(places))
         values = [ca.SX(value) for value in table[:, 0]]
-        for k, place in enumerate(np.flatnonzero(differs)):
+        for k, place in enumerate(differs):
             values[place] = symbols[k]
+        first = [*inputs]
+        first[DATA] = ca.SX(inputs[DATA])
+        for k, place in enumerate(places[:, 0].tolist(), len(differs)):
+            first[DATA][place] = symbols[k]
         # CasADi cannot substitute constants: the instructions are repeated with symbols instead.
         remaining = iter(values[1:])
         [term] = walk(members[0][2], first, lambda _, remaining=remaining: next(remaining))
-        groups.append(_Group(values[0] * term, symbols, table[differs], read))
+        groups.append(_Group(values[0] * term, symbols, table[differs], places))
 
     return groups, remainder
 

@@ -10,7 +10,7 @@ import numpy as np
 from greybox.compiled.part import Part
 from greybox.compiled.record_part import compile_records
 from greybox.compiled.response_part import ResponsePart
-from greybox.compiled.response_programs import CostProgram, compile_responses
+from greybox.compiled.response_programs import CostProgram, ResponseCompiler
 from greybox.compiled.scaling import Scaling, scaling_of
 from greybox.compiled.transcription.method import Transcription
 from greybox.compiled.transcription.multiple_shooting import MultipleShooting
@@ -164,7 +164,8 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
 
     point = ca.SX.sym("z", len(free))
     named = values_at(point, constant_values)
-    response_parts, functions = compile_responses(problem, names, constant_values, point, values_at)
+    responses = ResponseCompiler(problem, names, constant_values, point, values_at)
+    response_parts, functions = responses.compiled()
     parts: dict[Problem, Part] = {**response_parts}
     for part in problem.parts:
         if isinstance(part.data, TransientSpectrum):

@@ -92,8 +92,8 @@ class CostProgram:
 def fits_a_batch(program: ca.Function | None) -> bool:
     """Return whether the derivatives of a program are small enough, as expressions, for a batch.
 
-    The program (z, ...) -> cost, constraints needs an explicit cost (an SX function) and
-    no constraints but bounds. From 50 000 instructions of cost, gradient and Hessian on, these take
+    The program (z, ...) -> cost, constraints needs an explicit cost (an SX function) and no
+    constraints but bounds. From 50 000 instructions of cost, gradient and Hessian on, these take
     most of IPOPT's time, and from 20 unknowns on eigenvalues do: a batch gains little then.
     """
     if program is None or not program.is_a("SXFunction") or program.numel_out(1):
@@ -106,40 +106,12 @@ def instructions(program: ca.Function) -> int:
     return max(program.n_instructions() * 2 * program.numel_in(0), 1)
 
 
-def compile_responses(
-    problem: Problem | Sum[Problem],
-    names: Sequence[str],
-    constants: Array,
-    point: ca.SX,
-    values_at: Callable[[Any, Any], Named],
-) -> tuple[dict[Problem, ResponsePart], dict[str, Any]]:
-    """Compile all frequency responses: their parts, and what `CompiledProblem` has of them all.
+class ResponseCompiler:
+    """The frequency responses of a problem as expressions, and the functions that follow.
 
     `names` are those of all values; `values_at` turns symbols of the solver's variables, such as
     `point` (p,), and of the constants into these values by name.
     """
-    responses = _Responses(problem, names, constants, point, values_at)
-    parts, source = responses.parts, responses.source
-    structure = responses.structure()
-    if fits_a_batch(structure):
-        key = structure.serialize(), *responses.weights
-        functions, programs = _stored.result(key, responses.built)
-    else:
-        functions, programs = responses.built()
-    columns = zip(parts, functions, source.are_open, strict=True)
-    zero = [cost_of_zero(_locator(part), part.response) for part in parts]
-    return {
-        part: ResponsePart(part, each, source.numbers, is_open) for part, each, is_open in columns
-    }, {
-        **programs,
-        "limits": responses.limits,
-        "data": source.numbers,
-        "zero_costs": np.array(responses.weights) * zero,
-    }
-
-
-class _Responses:
-    """The responses of a problem as expressions in the user's parameters x, and what follows."""
 
     def __init__(
         self,
@@ -175,6 +147,21 @@ class _Responses:
         self.data = self.kind.sym("data", len(self.source.numbers))
         symbols, self.measured = self.source.at(self.data)
         self.named = values_at(self.z, symbols)
+
+    def compiled(self) -> tuple[dict[Problem, ResponsePart], dict[str, Any]]:
+        """Return the parts, and what `CompiledProblem` has of them all."""
+        structure = self.structure()
+        if fits_a_batch(structure):
+            key = structure.serialize(), *self.weights
+            functions, programs = _stored.result(key, self.built)
+        else:
+            functions, programs = self.built()
+        data = self.source.numbers
+        columns = zip(self.parts, functions, self.source.are_open, strict=True)
+        parts = {part: ResponsePart(part, each, data, is_open) for part, each, is_open in columns}
+        zero = [cost_of_zero(_locator(part), part.response) for part in parts]
+        zero_costs = np.array(self.weights) * zero
+        return parts, {**programs, "limits": self.limits, "data": data, "zero_costs": zero_costs}
 
     def responses_at(self, named: Named) -> list[Complex]:
         """Return the responses of all parts at values by name."""

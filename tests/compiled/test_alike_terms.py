@@ -11,6 +11,7 @@ from greybox.compiled.alike_terms import SecondOrder, grouped, summands
 OMEGA = np.array(
     [0.5, 1.0, 2.0, 3.0, 5.0, 8.0, 13.0]
 )  # at one a product is simplified: a term of another form
+NONE = ca.SX(0, 1)
 MEASURED = 0.03 * np.array([9, 8, -4, 3, 1, -2, 0.5])
 
 
@@ -35,7 +36,7 @@ def test_derivatives_are_those_of_the_sum(m, copies):
     )
     rng = np.random.default_rng(m)
     points, smooth = rng.uniform(0.1, 1, (3, m)), rng.uniform(1e-6, 1e-2, (1, m))
-    found = SecondOrder([z, smoothing], whole)(points, smooth)
+    found = SecondOrder([z, smoothing, NONE], whole)(points, smooth, np.zeros((0, m)))
     for k in {0, m // 2, m - 1}:
         for value, known in zip(found, expected(points[:, k], smooth[:, k]), strict=True):
             assert value.reshape(-1, m)[:, k] == pytest.approx(
@@ -45,7 +46,7 @@ def test_derivatives_are_those_of_the_sum(m, copies):
 
 def test_terms_of_one_form_differ_in_their_constants():
     z, smoothing = ca.SX.sym("z", 3), ca.SX.sym("smoothing")
-    [alike], rest = grouped([z, smoothing], cost(z, smoothing))
+    [alike], rest = grouped([z, smoothing, NONE], cost(z, smoothing))
     assert alike.constants.shape == (
         3,
         6,
@@ -60,11 +61,12 @@ def test_terms_of_one_form_differ_in_their_constants():
 
 def test_a_cost_without_alike_terms_and_a_constant_one():
     z = ca.SX.sym("z", 2)
-    point = np.array([[1.0], [2.0]])
-    value, gradient, hessian = SecondOrder([z], z[0] ** 2 * z[1])(point)
+    point, nothing = np.array([[1.0], [2.0]]), [np.zeros((0, 1))] * 2
+    value, gradient, hessian = SecondOrder([z, NONE, NONE], z[0] ** 2 * z[1])(point, *nothing)
     assert (*value, *gradient[:, 0]) == (2, 4, 1)
     assert hessian[:, 0].tolist() == [4, 2, 2, 0]
-    assert [v.tolist() for v in SecondOrder([z], ca.SX(3))(point)] == [[3], [[0], [0]], [[0]] * 4]
+    constant = SecondOrder([z, NONE, NONE], ca.SX(3))(point, *nothing)
+    assert [v.tolist() for v in constant] == [[3], [[0], [0]], [[0]] * 4]
 
 
 def test_terms_and_factors_of_sums_differences_multiples_and_shares():
@@ -76,3 +78,26 @@ def test_terms_and_factors_of_sums_differences_multiples_and_shares():
     s = np.sin(point)
     wanted = {s[0]: -1 / 5, s[1]: 1 / 20, s[2]: 2 / 5, s[3]: -6 / 5, s[4] / s[1]: 1.0}
     assert {float(term(point)): factor for factor, term in found} == pytest.approx(wanted)
+
+
+@pytest.mark.parametrize("m", [1, 8, 700])
+def test_terms_of_one_form_read_their_data_at_other_places(m):
+    """Data of each column; one term of another form reads some, too."""
+    z, smoothing, data = ca.SX.sym("z", 2), ca.SX.sym("smoothing"), ca.SX.sym("data", 15)
+    terms = [
+        data[k] ** 2 * ca.exp(-w * z[1]) * data[7 + k] + z[0] ** 2 * data[k] + smoothing
+        for k, w in enumerate(OMEGA)
+    ]
+    whole = sum(terms) + ca.sin(z[0] * data[14])
+    groups, _ = grouped([z, smoothing, data], whole)
+    assert sum(len(group.constants.T) for group in groups) > 10
+    hessian, gradient = ca.hessian(whole, z)
+    outputs = [whole, gradient, ca.vec(hessian)]
+    expected = ca.Function("expected", [z, smoothing, data], outputs)
+    rng = np.random.default_rng(m)
+    inputs = rng.uniform(size=(2, m)), rng.uniform(size=(1, m)), rng.uniform(1, 2, (15, m))
+    found = SecondOrder([z, smoothing, data], whole)(*inputs)
+    for k in {0, m // 2, m - 1}:
+        known = expected(*(value[:, k] for value in inputs))
+        for value, exact in zip(found, known, strict=True):
+            assert value.reshape(-1, m)[:, k] == pytest.approx(exact.full().ravel(), rel=1e-12)
