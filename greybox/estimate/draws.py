@@ -163,6 +163,8 @@ def drawn_values(fit: Fit, count: int, names: Sequence[str], seed: int = 0) -> A
     lines = [fit.by_name[name] for name in fit.names]
     variances, axes = np.linalg.eigh(known.covariance)
     root = axes * np.sqrt(np.maximum(variances, 0))
+    # Rounding gives a parameter at its bound, which has no variance, a share of the others.
+    root[np.diag(known.covariance) == 0] = 0
     dof = fit.fewest_degrees(names)
 
     # Sobol's points are balanced in powers of two.

@@ -154,7 +154,11 @@ def parameter_table(fit: Any) -> Table:
         return ["parameter", "value", *header[3:]], rows, (0, 2, 4, 5)
 
     # Biases and noise that every one of a hundred records has would fill pages.
-    rows = [_row(q) for q in fit.quantities if not _is_of_later_record(q.name, len(fit.records))]
+    rows = [
+        [q.name, *with_error(q.value, q.standard_error), q.unit, *_bounds_and_note(q), q.about]
+        for q in fit.quantities
+        if not _is_of_later_record(q.name, len(fit.records))
+    ]
     if len(rows) < len(fit.quantities):
         rows.append([f"... and {len(fit.quantities) - len(rows)} more", *[""] * 6])
 
@@ -336,10 +340,6 @@ def _spectrum_texts(spectra: Sequence[FittedSpectrum]) -> list[str]:
             texts.append(f"{output}{place}: {noise}, fit {part.fit_percent(output):.1f} %")
 
     return texts
-
-
-def _row(q: Any) -> list[str]:
-    return [q.name, *with_error(q.value, q.standard_error), q.unit, *_bounds_and_note(q), q.about]
 
 
 def _bounds_and_note(q: Any) -> tuple[str, str]:
