@@ -64,6 +64,19 @@ def colored_errors(
     shocks : function, optional
         Returns (k, s, n), dy of the longest stretch after unit jumps of s states.
     """
+    # Of outputs whose noise is almost dependent, as predicted from measured accelerations, a small
+    # error of the spectrum of each would be a large one of the combination without noise. So their
+    # spectra are those of uncorrelated combinations.
+    mixing = np.eye(len(weight))
+    if np.any(weight != np.diag(np.diag(weight))):
+        mixing = np.linalg.inv(weight).astype(float)
+        weighted = [np.tensordot(mixing.T, J, 1) for J in weighted]
+        residuals = [weight @ e for e in residuals]
+        initial = initial and [np.tensordot(mixing.T, X, 1) for X in initial]
+        jumps = shocks
+        shocks = jumps and (lambda: np.tensordot(weight, jumps(), 1))
+        weight = np.eye(len(weight))
+
     noise = np.asarray(np.linalg.inv(weight.T @ weight), dtype=float)
     effect = colored_information(weighted, residuals, inverse, noise, initial, shocks)
     numbers = sum(int(np.count_nonzero(e)) for e in residuals)
@@ -91,7 +104,9 @@ def colored_errors(
         correlation_times=effect.correlation_times * step,
         duration=longest * step,
         is_long_enough=longest / slowest >= FEWEST_TIMES,
-        spectrum=None if effect.spectrum is None else effect.spectrum.enlarged(larger),
+        spectrum=None
+        if effect.spectrum is None
+        else effect.spectrum.mixed(np.sqrt(larger) * mixing),
         process_noise=effect.process_noise,
     )
 

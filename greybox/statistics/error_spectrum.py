@@ -34,9 +34,13 @@ class ErrorSpectrum:
     density: ComplexArray
     deviation: Array
 
-    def enlarged(self, factor: float) -> "ErrorSpectrum":
-        """Return the spectrum of errors whose variance is larger by a factor."""
-        return ErrorSpectrum(self.omega, self.density, np.sqrt(factor) * self.deviation)
+    def mixed(self, mixing: Array) -> "ErrorSpectrum":
+        """Return the spectrum of combinations of the errors, `mixing` (k, k) times them."""
+        gains = mixing * self.deviation
+        deviation = np.linalg.norm(gains, axis=1)
+        gains = gains / deviation[:, None]
+        density = np.einsum("ij,jlb,ml->imb", gains, self.density, gains)
+        return ErrorSpectrum(self.omega, density, deviation)
 
     def whitened(self, residuals: Array) -> Array:
         """Return residuals (..., k, n) without their correlation; missing ones remain NaN."""

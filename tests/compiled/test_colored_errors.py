@@ -81,7 +81,7 @@ def test_white_errors_of_any_size_leave_no_fewer_degrees_of_freedom(size):
 
 @pytest.mark.parametrize("longest", [50_000, 100])
 def test_an_estimate_pays_for_what_it_takes_from_correlated_errors(longest, monkeypatch):
-    """Two stretches of two outputs whose covariance is not diagonal, with what other data tell of the parameters.
+    """Two stretches of two outputs, with what other data tell of the parameters.
 
     Parameters that take more of these errors than of white ones leave as many times fewer
     independent numbers; of a long record, whose spectrum does not allow for what the fit took, the
@@ -89,7 +89,7 @@ def test_an_estimate_pays_for_what_it_takes_from_correlated_errors(longest, monk
     """
     monkeypatch.setattr("greybox.statistics.residual_spectrum.LONGEST_CORRECTED", longest)
     random, initial_states = np.random.default_rng(4), 3
-    weight = np.array([[2.0, 0.0], [-0.7, 1.5]])
+    weight = np.diag([2.0, 1.5])
     residuals = [0.9 * lfilter([1], [1, -0.8], random.normal(size=(2, n))) for n in (150, 90)]
     residuals[0][1, 20:40] = 0.0
     J = [random.normal(size=(2, 3, n)).cumsum(axis=2) / np.sqrt(n) for n in (150, 90)]
@@ -116,6 +116,23 @@ def test_an_estimate_pays_for_what_it_takes_from_correlated_errors(longest, monk
     assert_allclose(found.correlation_times, 0.02 * told.correlation_times)
     assert found.duration == pytest.approx(150 * 0.02)
     assert_allclose(found.spectrum.deviation, np.sqrt(larger) * told.spectrum.deviation)
+
+
+def test_outputs_that_are_almost_dependent_have_the_errors_of_their_combinations():
+    """As an acceleration that is measured beside the states and inputs from which it follows."""
+    n, random = 300, np.random.default_rng(9)
+    e = lfilter([1], [1, -0.6], random.normal(size=(2, n)), axis=1)
+    J = random.normal(size=(2, 3, n))
+    inverse = np.linalg.inv(np.einsum("kpn,kqn->pq", J, J))
+    apart = colored_errors([J], [e], inverse, np.eye(2), 1, 0.1)
+
+    mixing = np.array([[1.0, 0.0], [1.0, 1e-5]])
+    weight = np.linalg.inv(mixing)
+    weighted = np.tensordot(weight.T, J, 1)
+    mixed = colored_errors([weighted], [mixing @ e], inverse, weight, 1, 0.1)
+    assert_allclose(mixed.meat, apart.meat, rtol=1e-6)
+    assert mixed.dof == pytest.approx(apart.dof, rel=1e-6)
+    assert_allclose(mixed.spectrum.deviation[1], mixed.spectrum.deviation[0], rtol=1e-9)
 
 
 def test_twelve_correlation_times_are_long_enough():

@@ -225,6 +225,30 @@ def test_gusts_that_do_not_blow_have_no_time_constant():
     assert not any("not determined" in text for text in found.warnings)
 
 
+class WithAcceleration(Spring):
+    outputs = ("x", "v", "a")
+
+    def output(self, x, u, p):
+        return (x.x, x.v, self.derivative(x, u, p)[1])
+
+
+@pytest.mark.parametrize("size", [1e-2, 1e-4])
+def test_accelerations_without_noise_leave_errors_of_the_size_of_the_spread(size):
+    """Almost all information is in the difference of outputs that the states and inputs give."""
+    sensors, deviations = {"x": size, "v": size, "a": size}, []
+    rule = gb.PredictionError(process_noise=("v",), inputs="held")
+    for seed in range(12):
+        force = doublets(1, 200, 1.0, seed)
+        record = disturbed(WithAcceleration(), TRUTH, force, STEP, {"v": 0.3}, sensors, seed)
+        answer = fit(gb.Problem(WithAcceleration(), record, rule))
+        deviations += [
+            (answer.estimate[name] - value) / answer.standard_error[name]
+            for name, value in TRUTH.items()
+        ]
+    # The rms of 36 normal deviations, less and more three of its standard deviations.
+    assert 0.65 < np.sqrt(np.mean(np.square(deviations))) < 1.35
+
+
 def test_disturbances_are_named_by_state_and_color():
     with pytest.raises(ValueError, match="'colored'"):
         gb.PredictionError(disturbance={"v": "pink"})

@@ -74,12 +74,15 @@ def test_draws_of_correlated_residuals_get_the_variances_of_the_spectrum():
     assert_allclose(found, np.sqrt(np.diag(wanted) / np.diag(mean)), rtol=1e-3)
 
 
-def test_a_variance_that_is_larger():
-    spectrum = spectrum_of(F, C)
-    larger = spectrum.enlarged(4.0)
-    assert_allclose(larger.deviation, 2 * spectrum.deviation)
-    white = np.random.default_rng(0).normal(size=(2, 30))
-    assert_allclose(larger.colored(white), 2 * spectrum.colored(white))
+def test_combinations_of_errors_have_the_covariance_of_combinations():
+    spectrum, mixing = spectrum_of(F, C), np.array([[2.0, 0.0], [-1.0, 3.0]])
+    mixed = spectrum.mixed(mixing)
+
+    def covariance(spectrum):
+        density = trapezoid(spectrum.density, OMEGA).real / np.pi
+        return density * np.outer(spectrum.deviation, spectrum.deviation)
+
+    assert_allclose(covariance(mixed), mixing @ covariance(spectrum) @ mixing.T)
 
 
 def test_what_is_whitened_is_colored_again():
