@@ -132,7 +132,9 @@ class Misfit(Printed):
         # offset is judged by the slow errors themselves.
         answered = self.is_unstable and self.noise > 0.5 * self.left
         chances = (c.p_correlated for c in self.causes if c.is_offset or not answered)
-        return min(self.p_common, *chances, 1.0)
+        # Of several responses two hypotheses are tested: common values, and missing terms.
+        tests = 2 if self.p_common < 1 else 1
+        return min(tests * min(self.p_common, *chances, 1.0), 1.0)
 
     @property
     def explains(self) -> bool:

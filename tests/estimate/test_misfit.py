@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 import greybox as gb
 from greybox.estimate.diagnostics.unexplained import unexplained
-from greybox.estimate.misfit import Misfit
+from greybox.estimate.misfit import Cause, Misfit
 from greybox.problems import pitch_5deg, pitch_hover
 
 SAMPLES, STEP = 500, 0.04
@@ -390,3 +390,10 @@ def test_only_offsets_are_misfit_where_an_unstable_loop_answers_errors(offset):
     else:
         assert misfit.explains
         assert "only if inputs answer" in misfit.verdict
+
+
+@pytest.mark.parametrize(("p_common", "p_value"), [(0.01, 0.02), (1.0, 0.04), (0.9, 0.08)])
+def test_both_tests_of_several_responses_are_allowed_for(p_common, p_value):
+    cause = Cause("a pole", "", 1.0, 0.1, 0.5, 0.04, p_correlated=0.04)
+    misfit = Misfit(0.1, 0.01, 3, (cause,), p_common, drift=0.0, is_unstable=False)
+    assert misfit.p_value == pytest.approx(p_value)
