@@ -381,9 +381,11 @@ def test_only_offsets_are_misfit_where_an_unstable_loop_answers_errors(offset):
 
     signals = {"u": u, "x": y[0], "v": y[1]}
     flight = gb.Record(STEP * np.arange(n), signals, hold={"u": np.inf})
-    misfit = gb.fit(gb.Problem(Fall(), flight), starts=1, progress=False).misfit
+    answer = gb.fit(gb.Problem(Fall(), flight), starts=1, progress=False)
+    misfit = answer.misfit
     assert misfit.is_unstable
     assert misfit.likely[0].p_value < 1e-3
+    assert any("is then biased, which its standard errors" in w for w in answer.warnings)
     if offset:
         assert not misfit.explains
         assert "an offset of x" in misfit.likely[0].text

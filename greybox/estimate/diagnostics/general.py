@@ -71,7 +71,13 @@ def warnings(
         *discretization_warnings(nlp, trajectories, error),
         *unexplained(misfit),
         *record_warnings(
-            nlp, answer.parts, trajectories, accuracy, feedback=feedback, explained=errors
+            nlp,
+            answer.parts,
+            trajectories,
+            accuracy,
+            feedback=feedback,
+            explained=errors,
+            unstable=misfit is not None and misfit.is_unstable,
         ),
         *gusts(nlp, trajectories, accuracy, noisy=feedback),
         *harmonic_warnings(nlp, best.estimate),

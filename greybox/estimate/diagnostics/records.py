@@ -50,6 +50,7 @@ def record_warnings(
     *,
     feedback: bool,
     explained: bool,
+    unstable: bool,
 ) -> tuple[str, ...]:
     """Return the warnings about the records of a fit.
 
@@ -66,7 +67,7 @@ def record_warnings(
     return (
         *once(_short(nlp, accuracy)),
         *once(finding for pair in pairs for finding in unexplained_outputs(*pair, alone=alone)),
-        *(biased_by_feedback(pairs) if feedback else ()),
+        *(biased_by_feedback(pairs, unstable=unstable) if feedback else ()),
         *colored_predictions(pairs, explained=explained),
         *once(_bounded(nlp, trajectories, alone=alone)),
         *(_resting([part for part, _ in pairs]) if len(pairs) == len(nlp.parts) else ()),
@@ -184,7 +185,9 @@ def _by_piece(record: Record, values: Array) -> list[Array]:
     return np.split(values, np.cumsum([len(piece) for piece in record.pieces])[:-1])
 
 
-def biased_by_feedback(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iterator[str]:
+def biased_by_feedback(
+    pairs: Sequence[tuple[RecordPart, FittedRecord]], *, unstable: bool = False
+) -> Iterator[str]:
     """Warn where feedback responds to errors correlated in time: output error is then biased.
 
     Output error needs errors that are independent of past inputs. Feedback makes later inputs
@@ -192,7 +195,9 @@ def biased_by_feedback(pairs: Sequence[tuple[RecordPart, FittedRecord]]) -> Iter
     earlier one, nor on the inputs that responded to it. So two tests must reject: residuals against
     past outputs (are they white?), and inputs against past residuals (is there feedback?). The
     level of each keeps the share of fits with a false alarm below `FALSE_ALARMS` for any number of
-    outputs and inputs, since without a bias one of the two hypotheses is true.
+    outputs and inputs, since without a bias one of the two hypotheses is true. The states of an
+    `unstable` model stay within the record only by feedback, which then needs no test: past errors
+    reach the inputs through many samples, and the second test misses them.
     """
     tested = [
         (part, fitted)
