@@ -192,7 +192,7 @@ def averaged_meat(
     spectrum = np.fft.fft(np.concatenate([mean, np.zeros(size - 2 * n + 1), mean[:0:-1]])).real
     transform = np.fft.fft(scores, size, axis=0)
     meat = (transform.conj().T @ (spectrum[:, None] * transform)).real / size
-    variance, dof = student_of_average(known.weight, np.maximum(variances, 0.0), dof)
+    variance, dof = student_of_average(known.weight, variances, dof)
     average = float(known.weight @ variances)
 
     if not average > 0:

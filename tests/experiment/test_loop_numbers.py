@@ -107,6 +107,32 @@ def test_the_criteria_of_ads_33_need_an_attitude():
     assert not any("ADS" in name for name in names)
 
 
+@pytest.mark.parametrize(("response", "angle"), [("theta", "deg"), ("q", "deg/s")])
+def test_the_criteria_of_ads_33_are_the_same_in_degrees_and_in_radians(response, angle):
+    class Attitude(gb.StateSpace):
+        states, inputs, outputs = ("q", "theta"), ("u",), (response,)
+
+        def derivative(self, x, u, p):
+            return (30 * u.u - 4 * x.q, x.q)
+
+        def output(self, x, u, p):
+            return (getattr(x, response),)
+
+    class Hold(gb.Controller):
+        inputs, outputs, rate = (response,), ("u",), RATE
+
+        def update(self, x, u, p):
+            return (), (0.5 * (u.reference - getattr(u, response)),)
+
+    def ads_33(unit):
+        plant = type("Attitude", (Attitude,), {"units": {response: unit}})()
+        answer = gb.margins(plant, Hold())
+        return {m.name: m.value for m in answer.margins if "ADS" in m.name}
+
+    assert len(ads_33(angle)) == 3
+    assert ads_33(angle) == pytest.approx(ads_33(angle.replace("deg", "rad")), rel=1e-12)
+
+
 def test_an_attitude_command_has_the_bandwidth_of_its_phase_and_a_distance_from_a_boundary():
     class Attitude(gb.StateSpace):
         states, inputs, outputs = ("q", "theta"), ("u",), ("theta",)

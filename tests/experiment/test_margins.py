@@ -276,6 +276,21 @@ def test_what_the_data_do_not_determine_matters_only_where_it_is_felt(fit):
     )
 
 
+def test_a_table_of_loops_has_their_main_margins_and_the_risk_of_instability():
+    stable, unstable = (
+        gb.margins(RateDynamics(), RateLoop(gains), TRUTH) for gains in ({}, {"K_P": 5.0})
+    )
+    header, _, first, second = gb.experiment.margin_table(
+        [("hover", stable), ("climb", unstable)]
+    ).splitlines()
+    names = ["phase margin, deg", "gain margin, dB", "delay margin, s", "crossover, rad/s"]
+    assert sorted(names, key=header.index) == names
+    assert all(name in header for name in names)
+    values = [stable[name.split(",")[0]].value for name in names]
+    assert [float(cell) for cell in first.split()[2:6]] == pytest.approx(values, rel=5e-3)
+    assert second.split() == ["climb", "u", "-", "-", "-", "-", "100"]
+
+
 def test_signals_that_are_not_in_the_loop_are_refused(fit):
     with pytest.raises(ValueError, match="the loop has no signal 'theta'; it has q"):
         gb.margins(fit, RateLoop(), broken_at="theta")

@@ -228,15 +228,32 @@ def test_a_clean_sweep_is_found_from_its_first_half_wave_to_its_last(law, low, h
     assert run.band[1] == pytest.approx(high, rel=0.06)
 
 
-@pytest.mark.parametrize(("pause", "kinds"), [(6.0, ["sweep"]), (9.0, ["sine", "sweep"])])
-def test_three_waves_within_twice_their_duration_of_a_sweep_belong_to_it(pause, kinds):
-    t, r, *_ = sweeping("linear", 1.0, 6.0, duration=40.0)
-    waves = 3 * 2 * np.pi / 5.0  # s
-    since = t - (20.0 - pause - waves)
-    runs = sines_and_sweeps(
-        t, r + np.where((since > 0) & (since < waves), 2 * np.sin(5 * since), 0)
-    )
-    assert [run.kind for run in runs] == kinds
+@pytest.mark.parametrize(
+    ("sweep", "omega", "waves", "pause", "kinds"),
+    [
+        # Three waves belong to a sweep within twice their duration of it, 7.5 s ...
+        ((1.0, 6.0, 40.0), 5.0, 3, 6.0, ["sweep"]),
+        ((1.0, 6.0, 40.0), 5.0, 3, 9.0, ["sine", "sweep"]),
+        # ... or, if they last less than 5 % of the sweep, within 30 % of its duration, 18 s.
+        ((1.0, 6.0, 60.0), 8.0, 3, 15.0, ["sweep"]),
+        ((1.0, 6.0, 60.0), 8.0, 3, 21.0, ["sine", "sweep"]),
+        ((1.0, 6.0, 40.0), 8.0, 3, 6.0, ["sine", "sweep"]),
+        ((1.0, 6.0, 60.0), 12.0, 3, 2.0, ["sweep"]),
+        # More waves belong to it if they last less than 15 % of it, 9 s, at one of its frequencies.
+        ((1.0, 6.0, 60.0), 8.0, 11, 2.0, ["sweep"]),
+        ((1.0, 6.0, 60.0), 8.0, 13, 2.0, ["sine", "sweep"]),
+        ((1.0, 6.0, 60.0), 10.0, 11, 2.0, ["sine", "sweep"]),
+        ((3.0, 12.0, 120.0), 2.4, 5, 2.0, ["sweep"]),
+        ((3.0, 12.0, 120.0), 1.7, 4.5, 2.0, ["sine", "sweep"]),
+    ],
+)
+def test_short_waves_next_to_a_sweep_belong_to_it(sweep, omega, waves, pause, kinds):
+    low, high, duration = sweep
+    t, r, *_ = sweeping("linear", low, high, duration=duration, rest=40.0)
+    length = waves * 2 * np.pi / omega  # s
+    since = t - (40.0 - pause - length)
+    r = r + np.where((since > 0) & (since < length), 2 * np.sin(omega * since), 0)
+    assert [run.kind for run in sines_and_sweeps(t, r)] == kinds
 
 
 @pytest.mark.parametrize(

@@ -78,6 +78,28 @@ def test_the_meat_of_one_correlation_is_that_of_dense_matrices():
     assert scale == pytest.approx(1.7)
 
 
+def test_the_meat_of_several_correlations_is_that_of_the_averaged_variances():
+    n = 11
+    scores = np.random.default_rng(2).standard_normal((n, 3, 2)) @ [1, 1j]
+    J = stacked(scores)
+    root = np.linalg.inv(np.linalg.cholesky(J.T @ J)).T
+    rho, weight, scale = np.array([0.0, 0.5, 0.8]), np.array([0.2, 0.5, 0.3]), np.array([1, 1.4, 3])
+    known = NeighborCorrelation(n, rho, weight, scale)
+
+    def dense(correlation):
+        return J.T @ np.kron(np.eye(2), toeplitz(correlation)) @ J
+
+    meats = scale[:, None, None] * np.array([dense(row) for row in known.powers])
+    variances = np.trace(root.T @ meats @ root, axis1=1, axis2=2)
+    variance, few = student_of_average(weight, variances, 18.0)
+    meat, dof, size = averaged_meat(scores, root, known, lambda c: c, 18.0)
+    mean = weight @ meats.reshape(3, -1)
+    assert_allclose(meat.ravel(), mean * variance / (weight @ variances), rtol=1e-9)
+    assert dof == pytest.approx(few, rel=1e-9)
+    alike = np.trace(root.T @ dense(known.mean ** np.arange(n)) @ root)
+    assert size == pytest.approx(variance / alike, rel=1e-9)
+
+
 def test_an_average_of_distributions_has_the_same_intervals_at_both_levels():
     weight, variance = np.array([0.5, 0.3, 0.2]), np.array([1.0, 2.0, 9.0])
     found, dof = student_of_average(weight, variance, 40.0)
