@@ -399,3 +399,36 @@ def test_both_tests_of_several_responses_are_allowed_for(p_common, p_value):
     cause = Cause("a pole", "", 1.0, 0.1, 0.5, 0.04, p_correlated=0.04)
     misfit = Misfit(0.1, 0.01, 3, (cause,), p_common, drift=0.0, is_unstable=False)
     assert misfit.p_value == pytest.approx(p_value)
+
+
+class Divergent(gb.StateSpace):
+    """x' = a x + u, unstable."""
+
+    states = outputs = ("x",)
+    inputs = ("u",)
+    a = gb.Parameter(0.7, bounds=(0, 3))
+
+    def derivative(self, x, u, p):
+        return (p.a * x.x + u.u,)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+@pytest.mark.parametrize("gusts", [0.0, 0.3])
+def test_output_error_of_an_unstable_model_in_gusts_is_said_to_be_biased(gusts):
+    said = []
+    for seed in range(4):
+        n, random, x, rows = 400, np.random.default_rng(seed), 0.0, []
+        wanted = np.repeat(random.uniform(-1, 1, n // 20), 20)
+        for command in wanted:
+            measured = x + 0.05 * random.normal()
+            u = command - 2.0 * measured
+            rows.append((measured, u))
+            growth = np.exp(0.7 * STEP)
+            x = growth * x + (growth - 1) / 0.7 * u + gusts * np.sqrt(STEP) * random.normal()
+        y, u = np.transpose(rows)
+        record = gb.Record(STEP * np.arange(n), {"u": u, "x": y}, hold={"u": np.inf})
+        answer = gb.fit(gb.Problem(Divergent(), record), starts=1, progress=False, profiles=False)
+        said.append(any("is then biased" in text for text in answer.warnings))
+    assert said == [gusts > 0] * 4
