@@ -217,7 +217,8 @@ def biased_by_feedback(
             responding += [
                 f"{name} to {output}{place}"
                 for name, u in inputs.items()
-                if cross_correlation(u, residuals).p_value < FALSE_ALARMS / outputs / len(inputs)
+                if unstable
+                or cross_correlation(u, residuals).p_value < FALSE_ALARMS / outputs / len(inputs)
             ]
 
     if responding:
