@@ -89,6 +89,7 @@ def refined_curve(
     grid = omega
     if omega.size > 1:
         grid = np.geomspace(omega.min(), omega.max(), 200)
+        grid[1:-1] = _rounded(grid[1:-1], 8)
     curve = response(grid)
     for _ in range(12):
         steps = np.abs(np.diff(curve.response))
@@ -99,7 +100,15 @@ def refined_curve(
         grid = np.sort(np.concatenate([grid, np.sqrt(grid[:-1] * grid[1:])[coarse]]))
         curve = response(grid)
 
-    return curve
+    # A figure shows four digits, and a curve of all digits is half of what a study stores. The
+    # frequencies keep more: beside a resonance their steps are small.
+    real, imaginary = curve.response.real, curve.response.imag
+    return replace(curve, response=_rounded(real, 6) + 1j * _rounded(imaginary, 6))
+
+
+def _rounded(values: Array, digits: int) -> Array:
+    """Return values (n,) with this number of significant digits."""
+    return np.array([float(f"{value:.{digits}g}") for value in values])
 
 
 @fitted_part.register
