@@ -66,15 +66,16 @@ def colored_errors(
     """
     # Of outputs whose noise is almost dependent, as predicted from measured accelerations, a small
     # error of the spectrum of each would be a large one of the combination without noise. So their
-    # spectra are those of uncorrelated combinations.
+    # spectra are those of uncorrelated combinations, if no sample lacks some of the outputs.
     mixing = np.eye(len(weight))
-    if np.any(weight != np.diag(np.diag(weight))):
-        mixing = np.linalg.inv(weight).astype(float)
+    is_whole = all(np.all(np.all(e, axis=0) | ~np.any(e, axis=0)) for e in residuals)
+    if is_whole and np.any(weight != np.diag(np.diag(weight))):
+        whitening, mixing = weight, np.linalg.inv(weight).astype(float)
         weighted = [np.tensordot(mixing.T, J, 1) for J in weighted]
-        residuals = [weight @ e for e in residuals]
+        residuals = [whitening @ e for e in residuals]
         initial = initial and [np.tensordot(mixing.T, X, 1) for X in initial]
         jumps = shocks
-        shocks = jumps and (lambda: np.tensordot(weight, jumps(), 1))
+        shocks = jumps and (lambda: np.tensordot(whitening, jumps(), 1))
         weight = np.eye(len(weight))
 
     noise = np.asarray(np.linalg.inv(weight.T @ weight), dtype=float)

@@ -81,7 +81,7 @@ def test_white_errors_of_any_size_leave_no_fewer_degrees_of_freedom(size):
 
 @pytest.mark.parametrize("longest", [50_000, 100])
 def test_an_estimate_pays_for_what_it_takes_from_correlated_errors(longest, monkeypatch):
-    """Two stretches of two outputs, with what other data tell of the parameters.
+    """Two stretches of two outputs whose covariance is not diagonal, with what other data tell of the parameters.
 
     Parameters that take more of these errors than of white ones leave as many times fewer
     independent numbers; of a long record, whose spectrum does not allow for what the fit took, the
@@ -89,7 +89,7 @@ def test_an_estimate_pays_for_what_it_takes_from_correlated_errors(longest, monk
     """
     monkeypatch.setattr("greybox.statistics.residual_spectrum.LONGEST_CORRECTED", longest)
     random, initial_states = np.random.default_rng(4), 3
-    weight = np.diag([2.0, 1.5])
+    weight = np.array([[2.0, 0.0], [-0.7, 1.5]])
     residuals = [0.9 * lfilter([1], [1, -0.8], random.normal(size=(2, n))) for n in (150, 90)]
     residuals[0][1, 20:40] = 0.0
     J = [random.normal(size=(2, 3, n)).cumsum(axis=2) / np.sqrt(n) for n in (150, 90)]
@@ -121,17 +121,28 @@ def test_an_estimate_pays_for_what_it_takes_from_correlated_errors(longest, monk
 def test_outputs_that_are_almost_dependent_have_the_errors_of_their_combinations():
     """As an acceleration that is measured beside the states and inputs from which it follows."""
     n, random = 300, np.random.default_rng(9)
-    e = lfilter([1], [1, -0.6], random.normal(size=(2, n)), axis=1)
-    J = random.normal(size=(2, 3, n))
+    jumps = np.stack([0.9 ** np.arange(n), 0.5 * 0.8 ** np.arange(n)])[:, None]
+    e = random.normal(size=(2, n)) + lfilter([1], [1, -0.9], random.normal(size=n))
+    J, X = random.normal(size=(2, 3, n)), random.normal(size=(2, 1, n))
     inverse = np.linalg.inv(np.einsum("kpn,kqn->pq", J, J))
-    apart = colored_errors([J], [e], inverse, np.eye(2), 1, 0.1)
+    X /= np.sqrt(np.sum(X**2))
+    apart = colored_errors([J], [e], inverse, np.eye(2), 1, 0.1, initial=[X], shocks=lambda: jumps)
 
     mixing = np.array([[1.0, 0.0], [1.0, 1e-5]])
     weight = np.linalg.inv(mixing)
-    weighted = np.tensordot(weight.T, J, 1)
-    mixed = colored_errors([weighted], [mixing @ e], inverse, weight, 1, 0.1)
+    mixed = colored_errors(
+        [np.tensordot(weight.T, J, 1)],
+        [mixing @ e],
+        inverse,
+        weight,
+        1,
+        0.1,
+        initial=[np.tensordot(weight.T, X, 1)],
+        shocks=lambda: np.tensordot(mixing, jumps, 1),
+    )
     assert_allclose(mixed.meat, apart.meat, rtol=1e-6)
     assert mixed.dof == pytest.approx(apart.dof, rel=1e-6)
+    assert mixed.process_noise == pytest.approx(apart.process_noise, rel=1e-6)
     assert_allclose(mixed.spectrum.deviation[1], mixed.spectrum.deviation[0], rtol=1e-9)
 
 
