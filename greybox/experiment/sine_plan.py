@@ -58,7 +58,7 @@ class SinePlan:
     ----------
     omega, amplitude, duration : (n,) arrays, rad/s, unit of the excitation, s
         Of every sine. The duration is a whole number of periods, without the time to settle.
-        limited_by : tuple of str
+    limited_by : tuple of str
         For every sine, the signal whose limit sets its amplitude.
     standard_error : mapping of name to float
         Expected of an efficient estimate: of a fit to the whole record by `OutputError`, or nearly
