@@ -12,7 +12,6 @@ test).
 | `drawn_loops` | that loop at an estimate and at draws from its distribution |
 | `loop_numbers` | margins and closed-loop numbers of such loops |
 | `margins` | these numbers with their errors, and those of measured loops |
-| `margin_slopes` | the derivatives of margins by the parameters of the plant |
 | `control_check` | whether a controller computes the control of a log |
 | `measured_loop` | broken loops from measured responses |
 | `safe_gains` | gains that meet requirements on them with a stated confidence |
@@ -33,7 +32,6 @@ from greybox.experiment.excitation import Excitation as Excitation
 from greybox.experiment.expected_errors import ExpectedErrors as ExpectedErrors
 from greybox.experiment.expected_errors import expected_errors as expected_errors
 from greybox.experiment.gain_file import write_gains as write_gains
-from greybox.experiment.margin_slopes import margin_slopes as margin_slopes
 from greybox.experiment.margins import Margins as Margins
 from greybox.experiment.margins import margin_table as margin_table
 from greybox.experiment.margins import margins as margins

@@ -257,7 +257,10 @@ def sampled_loop(
     )
     A, B, C, D, delay = _plants(model, system, sensors, values, at or {})
     period = 1 / (controllers[0].rate if controllers else float(rate or 0))
-    whole, part = _samples(delay, period, delay_has)
+    if delay_has == "hold":
+        delay = np.maximum(delay - period / 2, 0)
+    whole = np.floor(delay / period + 1e-9)
+    part = np.maximum(delay / period - whole, 0)
 
     # Before a control arrives the one before it acts: exp(A t) and its integral.
     transition, _ = held_response(A, B, period)
@@ -278,78 +281,6 @@ def sampled_loop(
         linear_controller(controllers, sensors, system.inputs),
         period,
     )
-
-
-def _samples(delay: Array, period: float, delay_has: str) -> tuple[Array, Array]:
-    """Return the whole samples in a delay, and the part of a sample that remains."""
-    if delay_has == "hold":
-        delay = np.maximum(delay - period / 2, 0)
-    whole = np.floor(delay / period + 1e-9)
-    return whole, np.maximum(delay / period - whole, 0)
-
-
-@one_thread_at_a_time
-def plant_slopes(
-    model: Model,
-    values: Array,
-    loop: SampledLoop,
-    omega: Array,
-    *,
-    at: Mapping[str, float] | None = None,
-    delay_has: Literal["hold", "nothing"] = "nothing",
-) -> ComplexArray:
-    """Return exact derivatives of a sampled plant's response by the parameters of its model.
-
-    They are (n, parameters, sensors, inputs), at `omega` (n,) and the `values` (parameters,) of the
-    first plant of the loop; at a delay of whole samples, they are those toward longer delays. `at`
-    and `delay_has` are those of `sampled_loop`. CasADi differentiates the equations, also through
-    their trim, and a matrix [[M, dM], [0, M]] carries the derivative through the exponential over a
-    sample.
-
-    Source: Van Loan (1978), as in `greybox.modeling.held_inputs`.
-    """
-    continuous = _continuous(model, dynamics(model), loop.sensors, at or {})
-    p = ca.MX.sym("p", values.size)
-    blocks = continuous.call([p])
-    slopes = ca.Function("slopes", [p], [ca.jacobian(ca.vec(block), p) for block in blocks])
-    A, B, C, D, delay = (np.asarray(block.full()) for block in continuous.call([ca.DM(values)]))
-    # Vectors of CasADi have the columns of a matrix one after another.
-    dA, dB, dC, dD, ddelay = (
-        np.moveaxis(slope.full().reshape((*block.shape, -1), order="F"), -1, 0)
-        for slope, block in zip(slopes.call([ca.DM(values)]), (A, B, C, D, delay), strict=True)
-    )
-    whole, part = _samples(delay[:, 0], loop.period, delay_has)
-    if delay_has == "hold":
-        ddelay = ddelay * (delay > loop.period / 2)
-
-    def over(time: float, slope: Array, b: Array, db: Array) -> tuple[Array, Array]:
-        """Return the transition over a time with a slope, and the effect of an input."""
-        slope = slope[:, None, None]
-        return held_response(
-            _dual(A * time, dA * time + A * slope), _dual(b * time, db * time + b * slope), 1.0
-        )
-
-    z = np.exp(1j * omega * loop.period)[:, None, None, None]
-    decay, _ = held_response(_dual(A, dA) * loop.period, _dual(B, dB), 1.0)
-    pencil = z * np.eye(decay.shape[-1]) - decay
-    answer = np.zeros((omega.size, values.size, *D.shape), dtype=complex)
-    for j in range(D.shape[1]):
-        column, slope = (B[:, [j]], dB[:, :, [j]]), ddelay[:, j, 0]
-        _, first = over(part[j] * loop.period, slope, *column)
-        remaining, second = over((1 - part[j]) * loop.period, -slope, *column)
-        newest = z ** -whole[j]
-        driven = second * newest + remaining @ first * newest / z
-        states = np.linalg.solve(pencil, driven)
-        both = _dual(C, dC) @ states + _dual(D[:, [j]], dD[:, :, [j]]) * newest / z
-        answer[..., j] = both[..., : len(D), 1]
-
-    return answer
-
-
-def _dual(value: Array, slope: Array) -> Array:
-    """Return [[M, dM], [0, M]] for every slope dM (parameters, m, n) of M (m, n)."""
-    value = np.broadcast_to(value, slope.shape)
-    return np.block([[value, slope], [np.zeros(slope.shape), value]])
 
 
 @one_thread_at_a_time
