@@ -33,7 +33,7 @@ NAMESPACES = {
     "RelativeError RelativeLikelihood SquaredRelativeError Starts Sum TimeCriterion several",
     "identification": "Identification ManoeuvreMeasurement MatrixMeasurement Measurement Selection Settings "
     "identify measure measure_manoeuvre measure_matrix select_orders",
-    "interop": "from_control from_scipy to_casadi to_control to_scipy write_c write_mat",
+    "interop": "from_control from_scipy to_casadi to_control to_scipy",
     "logs": "find_manoeuvres find_segments horizontal_velocity prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Radau RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response late_sensors linearize rational",

@@ -43,7 +43,7 @@ GROUPS = {
     "studies": {"batch": "fit many problems, and lose nothing when killed"},
     "hand on": {
         "report": "write a page about results that can be shared",
-        "export": "write a fit as a table, JSON, MATLAB file or C source",
+        "export": "write a fit as a table, JSON or C source",
         "margins": "compute stability margins of a fit in the loop of a controller",
         "tune": "compute which gains of a controller are safe, and the best",
     },

@@ -7,16 +7,12 @@ Begin with `python_control`.
 | `python_control`, `scipy_signal` | responses and linear systems of these libraries |
 | `linear_systems` | a model and its values as polynomials, matrices or an ODE |
 | `casadi_function` | a model at its estimate as a CasADi function |
-| `c_code` | a model at its estimate as C source |
-| `matlab_file` | files that MATLAB reads |
-| `source_names` | names that these languages accept |
+| `source_names` | names that C accepts |
 
 Records and responses have `to_pandas()`, fits `Fit.to_json`.
 """
 
-from greybox.interop.c_code import write_c as write_c
 from greybox.interop.casadi_function import to_casadi as to_casadi
-from greybox.interop.matlab_file import write_mat as write_mat
 from greybox.interop.python_control import from_control as from_control
 from greybox.interop.python_control import to_control as to_control
 from greybox.interop.scipy_signal import from_scipy as from_scipy

@@ -2,7 +2,7 @@
 
 import pytest
 
-from greybox.interop.source_names import identifier, identifiers
+from greybox.interop.source_names import identifier
 
 
 @pytest.mark.parametrize(
@@ -20,8 +20,3 @@ from greybox.interop.source_names import identifier, identifiers
 )
 def test_a_name_has_letters_digits_and_single_underscores(name, plain):
     assert identifier(name) == plain
-
-
-def test_names_that_would_be_the_same_are_numbered_from_two():
-    found = identifiers(["a b", "a-b", "a_b_2", "a.b", "c"])
-    assert found == {"a b": "a_b", "a-b": "a_b_2", "a_b_2": "a_b_2_2", "a.b": "a_b_3", "c": "c"}
