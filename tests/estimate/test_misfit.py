@@ -104,6 +104,30 @@ def test_a_missing_delay_has_its_size():
     assert float(delay.text.split()[-2]) == pytest.approx(0.12, rel=0.3)
 
 
+class Lag(gb.TransferFunction):
+    input, output = "u", "y"
+    K = gb.Parameter(1.0, bounds=(0, 10))
+    T = gb.Parameter(0.5, bounds=(0.01, 5), unit="s")
+
+    def response(self, s, p):
+        return p.K / (p.T * s + 1)
+
+
+@pytest.mark.parametrize(("late", "hold"), [(0, {}), (2, {}), (0, {"u": np.inf})])
+def test_an_input_that_is_held_without_a_word_is_named(late, hold):
+    random, step = np.random.default_rng(late), 0.02
+    u = np.repeat(random.normal(size=100), 10)
+    decay = np.exp(-step / 0.3)
+    y = lfilter([0, *np.zeros(late), 2 * (1 - decay)], [1, -decay], u)  # exact for a held input
+    y += 0.01 * random.normal(size=len(u))
+    record = gb.Record(step * np.arange(len(u)), {"u": u, "y": y}, hold=hold)
+    misfit = gb.fit(gb.Problem(Lag(), record), starts=1, progress=False, profiles=False).misfit
+    assert misfit.explains == bool(hold)
+    assert any("held between samples" in cause.text for cause in misfit.likely[:1]) == (
+        not late and not hold
+    )
+
+
 class Windy:
     """Gusts of 0.5 s that push the mass."""
 
