@@ -13,7 +13,7 @@ without wind, so that an angle has one speed and one thrust.
    of speed, angle or thrust: BIC, and the order at which a test finds no further term.
 3. The same for the two angles of the paper.
 4. Which flights determine all six terms of the moment, among sines about these angles and flights
-   that speed up and brake: `gb.experiment.choose_tests`.
+   that speed up and brake: all sets of up to three of them, flown equally often.
 """
 
 import argparse
@@ -217,14 +217,36 @@ def flights(truth: dict[str, float]) -> list[str]:
         "b_vq": 0.05,  # 1/m
         "b_thetaq": 5.0,  # 1/s
     }
+    errors = np.array([*wanted.values()])
+    information = {}
+    for name, (problem, _) in tests.items():
+        expected = gb.experiment.expected_errors(problem, values)
+        information[name] = expected.information
+        places = [[*expected.standard_error].index(parameter) for parameter in wanted]
+
     lines = []
-    for label, chosen in (
-        ("sines only", {name: test for name, test in tests.items() if name.startswith("sines")}),
-        ("all", tests),
-    ):
-        plan = gb.experiment.choose_tests(chosen, values, wanted=wanted)
-        lines += [f"{label}:", *str(plan).splitlines(), ""]
+    sines = [name for name in tests if name.startswith("sines")]
+    for label, names in (("sines only", sines), ("all", [*tests])):
+        plans = []
+        for count in (1, 2, 3):
+            for chosen in itertools.combinations(names, count):
+                together = sum(information[name] for name in chosen)
+                if np.linalg.cond(scaled(together)) > 1e10:
+                    continue
+                variances = np.diag(np.linalg.inv(together))[places]
+                repeats = math.ceil(np.max(variances / errors**2))
+                seconds = repeats * sum(tests[name][1] for name in chosen)
+                plans.append((seconds, f"{repeats} times each: {', '.join(chosen)}"))
+        lines.append(f"{label}:")
+        lines += [f"{seconds:8.0f} s  {text}" for seconds, text in sorted(plans)[:5]]
+        lines.append("")
     return lines
+
+
+def scaled(information: np.ndarray) -> np.ndarray:
+    """Return an information matrix with a unit diagonal, whatever the units of the parameters."""
+    size = np.sqrt(np.maximum(np.diag(information), 1e-300))
+    return information / np.outer(size, size)
 
 
 def study() -> list[str]:

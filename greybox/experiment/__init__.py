@@ -19,12 +19,9 @@ test).
 | `virtual_flight` | flights in simulation |
 | `expected_errors` | the standard errors that a planned test would give |
 | `sine_plan` | sines that reach the wanted errors in the shortest flight |
-| `optimal_design` | shares of time for frequencies and tests |
-| `chosen_tests` | which of several tests to fly, and how often |
+| `optimal_design` | shares of time for the frequencies of a plan |
 """
 
-from greybox.experiment.chosen_tests import ChosenTests as ChosenTests
-from greybox.experiment.chosen_tests import choose_tests as choose_tests
 from greybox.experiment.control_check import ControlCheck as ControlCheck
 from greybox.experiment.control_check import check_controller as check_controller
 from greybox.experiment.controller import Controller as Controller

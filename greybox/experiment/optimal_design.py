@@ -1,7 +1,6 @@
 """Optimal designs: the shares of the flight time that make an estimate most precise."""
 
 from collections.abc import Sequence
-from typing import Literal
 
 import numpy as np
 
@@ -9,8 +8,6 @@ from greybox.files.arrays import Array
 
 # A thousandth of the flight is less than the rounding of a sine to whole periods.
 SMALLEST_SHARE = 1e-3
-
-Optimality = Literal["A", "D"]
 
 
 def time_needed(information: Array, wanted: Array) -> float:
@@ -102,12 +99,3 @@ def shares(informations: Array, wanted: Array) -> Array:
     share = outcome.x / outcome.x.sum()
     share[share < SMALLEST_SHARE] = 0
     return share / share.sum()
-
-
-def size_of_errors(information: Array, optimal: Optimality) -> float:
-    """Return the sum of the variances, or the log of their determinant; infinite if singular."""
-    values = np.linalg.eigvalsh(information)
-    # Below this, the smallest eigenvalue is rounding.
-    if not values[0] > 1e-12 * values[-1]:
-        return np.inf
-    return float(np.sum(1 / values) if optimal == "A" else -np.sum(np.log(values)))

@@ -20,7 +20,6 @@ from greybox.experiment.controller import Controller
 from greybox.experiment.drawn_loops import drawn_loops
 from greybox.experiment.loop_numbers import loop_frequencies, margin_numbers
 from greybox.experiment.sampled_loop import SampledLoop, linear_controller
-from greybox.experiment.sines import sine_schedule
 from greybox.files.arrays import Array, BoolArray
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import listed, number, one_line, text_table
@@ -277,7 +276,7 @@ def _judged(
     omega = loop_frequencies(loops, FREQUENCIES)
     late = np.exp(-1j * omega * wanted["delay"])[:, None, None]
     plants = loops.plant_response(omega)
-    points, excess = _measured_points(fit.parts[part], loops)
+    points, is_good = _measured_points(fit.parts[part], loops)
 
     def judged(loop: SampledLoop) -> tuple[BoolArray, float, list[float]]:
         """Return which plants meet the requirements, bandwidth and crossovers of the first."""
@@ -309,32 +308,24 @@ def _judged(
             bandwidth[k] = rejection
             confidence[k] = np.mean(judged(replace(loops, controller=control))[0][1:])
             # A loop without a crossover has it below the lowest frequency, if at all.
-            bad = [w for w in places if not _is_between(points, excess <= 1, w)]
+            bad = [w for w in places if not _is_between(points, is_good, w)]
             confidence[k] = math.nan if bad else confidence[k]
             poor += [w for w in bad if w > 0]
 
-    return confidence, bandwidth, _cure(fit.name, poor, points, excess) if poor else ""
+    return confidence, bandwidth, _cure(fit.name, poor) if poor else ""
 
 
-def _cure(name: str, poor: Sequence[float], points: Array, excess: Array) -> str:
+def _cure(name: str, poor: Sequence[float]) -> str:
     """Return which flight would measure the response at these poor crossovers, in rad/s."""
-    factor = np.interp(poor, points, excess).max() if points.size else 0.0
-    larger = f" with {factor:.2g} times the amplitude" if factor > 1 else ""
-    ends = min(poor) / SPACING, max(poor) * SPACING
-    omega = np.geomspace(*ends, 2 + math.ceil(math.log(ends[1] / ends[0], SPACING)))
-    seconds = sine_schedule(omega.tolist(), 1.0, rate=2 * ends[1]).time[-1]
     return (
-        f"In the conditions of {name!r}, fly sines at {listed([f'{w:.2g}' for w in omega])} rad/s "
-        f"({seconds:.0f} s by sine_schedule), or a sweep over this band{larger}."
+        f"In the conditions of {name!r}, fly sines or a sweep from {min(poor) / SPACING:.2g} to "
+        f"{max(poor) * SPACING:.2g} rad/s, with a larger amplitude where the points were noisy."
     )
 
 
-def _measured_points(part: FittedPart, loops: SampledLoop) -> tuple[Array, Array]:
-    """Return the frequencies (n,) of a flight's response, and the amplitudes that it needs there.
-
-    These are multiples of those that flew; at most one where the response was measured well.
-    """
-    nothing = np.zeros(0), np.zeros(0)
+def _measured_points(part: FittedPart, loops: SampledLoop) -> tuple[Array, BoolArray]:
+    """Return the frequencies (n,) of a flight's response, and where it was measured well."""
+    nothing = np.zeros(0), np.zeros(0, dtype=bool)
     if isinstance(part, FittedResponse):
         data, fitted = part.data, part.response
     elif isinstance(part, FittedRecord):
@@ -347,15 +338,13 @@ def _measured_points(part: FittedPart, loops: SampledLoop) -> tuple[Array, Array
     else:
         return nothing
 
-    excess = np.abs(data.response / fitted - 1) / MISFIT
+    is_good = np.abs(data.response / fitted - 1) <= MISFIT
     if data.variance is not None:
-        excess = np.maximum(excess, data.relative_error / RANDOM_ERROR)
+        is_good &= data.relative_error <= RANDOM_ERROR
     if data.coherence is not None:
-        # The share of noise in the output falls with the square of the amplitude.
-        noise = 1 / np.maximum(data.coherence, 1e-9) - 1
-        excess = np.maximum(excess, np.sqrt(noise / (1 / COHERENCE - 1)))
+        is_good &= data.coherence >= COHERENCE
     order = np.argsort(data.omega)
-    return data.omega[order], excess[order]
+    return data.omega[order], is_good[order]
 
 
 def _is_between(points: Array, is_good: BoolArray, omega: float) -> bool:

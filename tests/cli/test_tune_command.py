@@ -32,7 +32,7 @@ def test_gains_whose_crossover_was_not_measured_are_refused(capsys, rate_loop, t
     status, text, _ = run(capsys, "tune", *rate_loop, *words)
     assert status == 1
     assert text.startswith("Refused")
-    assert "fly sines at 0.15" in text
+    assert "fly sines or a sweep from 0.15" in text
     assert not out.exists()
 
 

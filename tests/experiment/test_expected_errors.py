@@ -5,7 +5,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 import greybox as gb
-from greybox.experiment.chosen_tests import ChosenTests
 from greybox.experiment.expected_errors import ExpectedErrors, expected_errors
 
 OMEGA = np.geomspace(0.5, 8, 7)
@@ -72,14 +71,7 @@ def test_what_is_hardly_told_apart_is_said():
     assert str(made).endswith("\n\nThe test would hardly separate b, c.")
 
 
-def test_chosen_tests_print_how_often_each_is_flown():
-    flown, seconds, units = {"roll": 2, "yaw": 0}, {"roll": 20.0, "yaw": 7.0}, {"K": "", "T": "s"}
-    made = ChosenTests(flown, seconds, {"K": 0.1234, "T": 0.5}, {"K": 0.2}, units, 40.0)
-    said = [" ".join(line.split()) for line in str(made).splitlines()]
-    assert said[0] == "2 tests, 40 s of flight"
-    assert [line for line in said if line.startswith(("roll", "yaw", "K", "T"))] == [
-        "roll 2 40",
-        "yaw 0 0",
-        "K ± 0.12 ± 0.2",
-        "T ± 0.5 s",
-    ]
+def test_the_information_of_tests_adds_up():
+    once = expected_errors(problem(fixed={"c": 1.0}), {"K": 3.0})
+    both = expected_errors(sum([problem(fixed={"c": 1.0})], problem(fixed={"c": 1.0})), {"K": 3.0})
+    assert_allclose(both.information, 2 * once.information, rtol=1e-6)

@@ -6,7 +6,6 @@ import pytest
 from greybox.experiment.optimal_design import (
     require_determined,
     shares,
-    size_of_errors,
     time_needed,
     variances,
 )
@@ -64,20 +63,3 @@ def test_parameters_that_differ_by_rounding_are_not_told_apart(apart, told):
 def test_a_silent_parameter_is_named():
     with pytest.raises(ValueError, match=r"^no test has information on b: fix it, or add one\.$"):
         require_determined(np.diag([1.0, 0.0]), ["a", "b"], "no test", "add one")
-
-
-def test_the_size_of_errors_is_the_trace_or_the_determinant_of_the_covariance():
-    information = np.array([[4.0, 1.0], [1.0, 2.0]])
-    covariance = np.linalg.inv(information)
-    assert size_of_errors(information, "A") == pytest.approx(np.trace(covariance))
-    assert size_of_errors(information, "D") == pytest.approx(np.log(np.linalg.det(covariance)))
-    assert size_of_errors(np.diag([1.0, 2e-12]), "A") == pytest.approx(1 + 5e11)
-    assert size_of_errors(np.diag([1.0, 0.5e-12]), "A") == np.inf
-
-
-def test_three_parameters_are_determined_by_the_smallest_of_all_eigenvalues():
-    for unit in (1.0, 1e6, 1e-6):
-        assert size_of_errors(np.diag([0.5e-12, 1e-9, 1.0]) / unit, "D") == np.inf
-        assert size_of_errors(np.diag([2e-12, 1e-9, 1.0]) / unit, "A") == pytest.approx(
-            (5e11 + 1e9 + 1) * unit
-        )

@@ -129,21 +129,18 @@ def test_parts_of_a_fit_are_flights_and_the_operating_point_counts():
 
 
 @pytest.mark.parametrize(
-    ("data", "cure"),
+    "data",
     [
-        # A random error of 40 % instead of 20 % needs at least twice the amplitude.
-        ({"noise": 0.4}, " times the amplitude."),
-        ({"lowest": 0.2, "highest": 1.5}, " over this band."),
+        {"noise": 0.4},  # a random error of 40 %
+        {"lowest": 0.2, "highest": 1.5},
     ],
 )
-def test_a_response_that_was_measured_poorly_at_the_crossover_is_refused(data, cure):
+def test_a_response_that_was_measured_poorly_at_the_crossover_is_refused(data):
     answer = gb.safe_gains(fitted(0, **data), RateLoop(), {"K_P": (0.1, 0.2)})
     assert not answer.allowed.any()
     assert answer.best == {}
     assert answer.verdict.startswith("refused")
-    assert "In the conditions of 'flight 0', fly sines at " in answer.cure
-    assert "s by sine_schedule)" in answer.cure
-    assert answer.cure.endswith(cure)
+    assert "In the conditions of 'flight 0', fly sines or a sweep from " in answer.cure
 
 
 @pytest.mark.parametrize(
