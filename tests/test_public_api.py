@@ -31,10 +31,10 @@ NAMESPACES = {
     "expected_errors margin_table margins measured_margins multisine plan_sines safe_gains sine_schedule sweep systemid_parameters virtual_flight write_excitation write_gains",
     "formulation": "Criterion EquationError MagnitudePhase MaximumLikelihood OutputError PredictionError Problem "
     "RelativeError RelativeLikelihood SquaredRelativeError Starts Sum TimeCriterion several",
-    "identification": "Identification ManoeuvreMeasurement MatrixMeasurement Measurement Selection Settings "
-    "identify measure measure_manoeuvre measure_matrix select_orders",
+    "identification": "Identification MatrixMeasurement Measurement Selection Settings "
+    "identify measure measure_matrix select_orders",
     "interop": "from_control from_scipy to_casadi to_control to_scipy",
-    "logs": "find_manoeuvres find_segments horizontal_velocity prepare read",
+    "logs": "find_segments horizontal_velocity prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Radau RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response late_sensors linearize rational",
     "plotting": "bode contour ends estimates gains loop nyquist pairs plot profiles recording residuals "

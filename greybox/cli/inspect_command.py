@@ -12,7 +12,6 @@ from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
 from greybox.files.text_table import number, text_table
 from greybox.logs.flight_controllers import axis_of
-from greybox.logs.manoeuvre_detection import find_manoeuvres
 from greybox.logs.segment_detection import announcing, find_segments
 
 EXAMPLES = (
@@ -38,20 +37,15 @@ def run(options: argparse.Namespace) -> Answer:
     require_figure(options.plot, options.force)
     recording = read_log(options)
     segments = find_segments(recording, options.announced, options.fields or None, options.setpoint)
-    # A controller that flies tests moves its own setpoints, which are not manoeuvres of the pilot.
-    manoeuvres: Sequence[Segment] = ()
-    if options.setpoint or not segments:
-        manoeuvres = find_manoeuvres(recording, options.setpoint)
-
-    notes = save_figure(options.plot, "recording", recording, (*segments, *manoeuvres))
-    command = next_command(recording, segments, manoeuvres, options)
+    notes = save_figure(options.plot, "recording", recording, segments)
+    command = next_command(recording, segments, options)
     if command:
         notes.append(f"next: {command}")
     messages = [message(name, record) for name, record in recording.items()]
     parts = [
         about(recording),
         contents(messages),
-        _tests(recording, segments, manoeuvres),
+        _tests(recording, segments),
         "\n".join([*(f"  {finding}" for finding in recording.findings), *notes]),
     ]
     # The JSON always has these keys, None where the log does not have them.
@@ -62,41 +56,32 @@ def run(options: argparse.Namespace) -> Answer:
         **{name: recording.metadata.get(name) for name in metadata},
         "messages": messages,
         "segments": segments,
-        "manoeuvres": manoeuvres,
         "findings": recording.findings,
         "next": command,
     }
     return answer, "\n\n".join(filter(None, parts))
 
 
-def _tests(recording: Recording, segments: Sequence[Segment], manoeuvres: Sequence[Segment]) -> str:
-    text = "no test segments found: give --announced or --setpoint."
+def _tests(recording: Recording, segments: Sequence[Segment]) -> str:
     if segments:
-        text = segment_table(segments)
-    elif not any(record.has_time for record in recording.values()):
-        text = "no time column: rows in no order."
-    return f"{text}\n\nmanoeuvres\n{segment_table(manoeuvres)}" if manoeuvres else text
+        return segment_table(segments)
+    if not any(record.has_time for record in recording.values()):
+        return "no time column: rows in no order."
+    return "no test segments found: give --announced or --setpoint."
 
 
 def next_command(
     recording: Recording,
     segments: Sequence[Segment],
-    manoeuvres: Sequence[Segment],
     options: argparse.Namespace,
 ) -> str:
     """Return the command to type next, if there is something to identify."""
-    names = [f"{key}.{name}" for key, record in recording.items() for name in record.signals]
-    if any(segment.usable for segment in segments) or announcing(recording):
-        words = ["greybox", "identify", options.log]
-        if not any(map(axis_of, names)):  # the names of a table do not tell input from output
-            words = ["greybox", "response", options.log, "--input", "SIGNAL", "--output", "SIGNAL"]
-    elif manoeuvres:
-        # Stick inputs of any shape come last: a doublet or a 2-1-1 was flown for identification.
-        numbers = [k for k, test in enumerate(manoeuvres, 1) if test.kind != "stick input"] or [1]
-        words = ["greybox", "response", options.log, "--manoeuvre", str(numbers[0])]
-        words += ["--input", manoeuvres[numbers[0] - 1].axis, "--output", "SIGNAL"]
-    else:
+    if not any(segment.usable for segment in segments) and not announcing(recording):
         return ""
+    names = [f"{key}.{name}" for key, record in recording.items() for name in record.signals]
+    words = ["greybox", "identify", options.log]
+    if not any(map(axis_of, names)):  # the names of a table do not tell input from output
+        words = ["greybox", "response", options.log, "--input", "SIGNAL", "--output", "SIGNAL"]
 
     reading = attributes(options, "announced", "setpoint", "fields", "columns")
     return shlex.join([*words, *option_words(reading)])

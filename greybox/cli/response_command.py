@@ -1,4 +1,4 @@
-"""The command `greybox response`: a response, a matrix of responses, or a manoeuvre's spectrum."""
+"""The command `greybox response`: a response, or a matrix of responses."""
 
 import argparse
 from collections.abc import Callable, Sequence
@@ -12,8 +12,6 @@ from greybox.cli.output import Answer, attributes, require_figure, require_writa
 from greybox.cli.read_log import read_log
 from greybox.data.record import Recording
 from greybox.data.response_file import write_response, write_responses
-from greybox.data.transient_file import write_spectrum
-from greybox.identification.manoeuvre import measure_manoeuvre
 from greybox.identification.matrix import measure_matrix
 from greybox.identification.measurement import INSTRUMENT, Measurement, Settings, measure
 
@@ -21,7 +19,6 @@ EXAMPLES = (
     "flight.BIN --input u=RATE.POut --output theta=ATT.Pitch --out pitch.csv --plot bode.png",
     "flight.csv --input u --output theta --whole --band 1 40",
     "flight.csv --input da dr --output p r --period 20 --instrument e_a e_r --out matrix.csv",
-    "flight.csv --manoeuvre 2-1-1 --input da dr --output p r --out manoeuvre.csv",
 )
 OPTIONS = f"""
 log LOG
@@ -30,12 +27,7 @@ log LOG
     the control, e.g. u=RATE.POut (required)
 --output [NAME=]SIGNAL...
     the output, e.g. theta=ATT.Pitch (required)
---manoeuvre NUMBER|KIND
-    measure the spectrum of a doublet, 2-1-1, step or the like instead, given by its number in
-    `greybox inspect` or its kind, with any number of inputs and outputs
 {MEASUREMENT_OPTIONS}
---held NAME...
-    with --manoeuvre: inputs that are held between samples
 --drop-warned
     omit the frequencies about which the check of the response warns, as identify does
 --refined
@@ -55,17 +47,15 @@ def run(options: argparse.Namespace) -> Answer:
     # A long log takes minutes to read: check the files to be written before.
     require_figure(options.plot, options.force)
     require_writable(options.out, options.force, (".csv",), "table")
-    if options.held and not options.manoeuvre:
-        raise UsageError(f"--held {options.held[0]} is for --manoeuvre: give it too.")
     is_matrix = len(options.input) > 1 or len(options.output) > 1
-    if is_matrix and not (options.manoeuvre or options.period):
+    if is_matrix and not options.period:
         raise UsageError(
             "--input or --output has several signals: give one of each, or the --period of the "
-            "multisines that excite all inputs at once, or a --manoeuvre."
+            "multisines that excite all inputs at once."
         )
 
     recording = read_log(options)
-    kind = _manoeuvre if options.manoeuvre else _matrix if is_matrix else _response
+    kind = _matrix if is_matrix else _response
     measured, answer, write, items = kind(options, recording)
     # What the reader of the log has left out concerns every measurement.
     lines = [str(measured), *(["", *recording.findings] if recording.findings else [])]
@@ -73,8 +63,7 @@ def run(options: argparse.Namespace) -> Answer:
         if options.out is not None:
             write(options.out)
             lines.append(f"saved {options.out}")
-        diagram = "spectrum" if options.manoeuvre else "bode"
-        lines += save_figure(options.plot, diagram, *items, hz=options.hz)
+        lines += save_figure(options.plot, "bode", *items, hz=options.hz)
         if options.out is not None and len(items) > 1:
             pair = f"--input {items[0].input} --output {items[0].output}"
             lines.append(f"  fit one: greybox fit --model MODEL --data {options.out} {pair}")
@@ -93,29 +82,6 @@ def _response(options: argparse.Namespace, recording: Recording) -> Kind:
         answer["error"] = " ".join(measured.quality.refusals)
         return measured, answer, None, ()
     return measured, answer, partial(write_response, response), [response]
-
-
-def _manoeuvre(options: argparse.Namespace, recording: Recording) -> Kind:
-    measured = measure_manoeuvre(
-        recording,
-        options.input,
-        options.output,
-        options.manoeuvre,
-        band=stated_band(options.band),
-        **attributes(options, "setpoint", "rate", "held"),
-    )
-    spectrum = measured.spectrum
-    answer = {
-        **_origin(recording, measured),
-        **attributes(measured, "manoeuvre", "manoeuvres"),
-        **attributes(spectrum, "omega", "duration", "step", "units"),
-    }
-    for kind in ("inputs", "outputs"):
-        answer[kind] = {
-            name: {"alpha": values.real, "beta": values.imag}
-            for name, values in getattr(spectrum, kind).items()
-        }
-    return measured, answer, partial(write_spectrum, spectrum), [spectrum]
 
 
 def _matrix(options: argparse.Namespace, recording: Recording) -> Kind:

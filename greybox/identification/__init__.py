@@ -11,7 +11,6 @@ Begin with `identify`.
 | `structure_fit` | the fit of one structure, within bounds that do not decide |
 | `selection` | the structures side by side, the chosen one, the verdict |
 | `measurement` | tests to a frequency response, in open or closed loop |
-| `manoeuvre` | one manoeuvre, such as a 2-1-1, to a spectrum |
 | `matrix` | multisines on several inputs to a matrix of responses |
 | `loop` | whether a log was flown in closed loop, and the error of a direct estimate |
 | `systematic_errors` | errors that the scatter does not show |
@@ -19,8 +18,6 @@ Begin with `identify`.
 
 from greybox.identification.identify import Identification as Identification
 from greybox.identification.identify import identify as identify
-from greybox.identification.manoeuvre import ManoeuvreMeasurement as ManoeuvreMeasurement
-from greybox.identification.manoeuvre import measure_manoeuvre as measure_manoeuvre
 from greybox.identification.matrix import MatrixMeasurement as MatrixMeasurement
 from greybox.identification.matrix import measure_matrix as measure_matrix
 from greybox.identification.measurement import Measurement as Measurement

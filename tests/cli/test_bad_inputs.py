@@ -48,7 +48,7 @@ def tables(tmp_path, monkeypatch):
         (("identify", "sine.csv", "--input", "w", *PAIR[2:]), ("'w'", "it has u and y")),
         (("identify", "sine.csv"), ("--input NAME=SIGNAL", "it has u and y")),
         (("identify", "."), ("is a folder",)),
-        (("response", "sine.csv", *PAIR, "--held", "u"), ("--manoeuvre",)),
+        (("response", "sine.csv", *PAIR, "--input", "u", "y"), ("--period",)),
     ],
 )
 def test_it_is_refused_with_the_cure(capsys, tables, words, fragments):

@@ -127,14 +127,6 @@ def test_what_a_log_holds_is_a_table_of_its_messages():
         ),
         ("T.u", ["sine"], {}, "greybox response my.BIN --input SIGNAL --output SIGNAL"),
         ("T.u", [], {}, ""),
-        (
-            "T.u", ["stick input", "2-1-1", "step"], {},
-            "greybox response my.BIN --manoeuvre 2 --input T.u --output SIGNAL",
-        ),
-        (
-            "T.u", ["stick input"], {"setpoint": "T.u"},
-            "greybox response my.BIN --manoeuvre 1 --input T.u --output SIGNAL --setpoint T.u",
-        ),
     ],
 )  # fmt: skip
 def test_the_next_command_follows_from_what_was_found(message, found, stated, following):
@@ -148,9 +140,7 @@ def test_the_next_command_follows_from_what_was_found(message, found, stated, fo
         "fields": {},
         "columns": {},
     } | stated
-    is_sine = found[:1] == ["sine"]
-    parts = (tests, []) if is_sine else ([], tests)
-    assert next_command(log, *parts, Namespace(**options)) == following
+    assert next_command(log, tests, Namespace(**options)) == following
 
 
 def test_bursts_are_gaps_before_more_than_a_twentieth_of_the_samples():

@@ -7,7 +7,6 @@ from importlib.resources import files
 
 import numpy as np
 import pytest
-from benchmark_module import benchmark
 from command_line import refused, run
 
 import greybox as gb
@@ -258,46 +257,6 @@ def test_what_was_chosen_and_dropped_is_said(capsys, tmp_path):
     assert about["signals"].startswith("u = RATE.POut, theta = ATT.Pitch")
     assert about["excitation"].startswith("10 sines of ATT.DesPitch, amplitude 2.9")
     assert gb.read_response(out).units["theta"] == "rad"
-
-
-def test_a_manoeuvre_from_the_log_to_its_model(capsys, tmp_path):
-    """`inspect` names it and the command to type next, `response` writes its spectrum, `fit` finds
-    the truth."""
-    study = benchmark("transient_coverage")
-    p = study.SHORT_PERIOD
-    a, b = np.array([[0.0, 1.0], [-(p["w"] ** 2), -2 * p["z"] * p["w"]]]), np.array([[0.0], [1.0]])
-    edges = np.array([5.0, 6.4, 7.1, 7.8])
-
-    def flown(t):
-        return np.array([0.0, 0.1, -0.1, 0.1, 0.0])[np.searchsorted(edges, t + 1e-9)]
-
-    t, u, q = study.simulated(
-        a, b, np.array([[p["K"], p["K"] * p["T_z"]]]), [flown], p["T"], 14.0, [0.0, 0.0]
-    )
-    log, spectrum = tmp_path / "flight.csv", tmp_path / "manoeuvre.csv"
-    rows = np.column_stack(
-        [t, u[0], q[0] + 0.005 * np.random.default_rng(2).standard_normal(t.size)]
-    )
-    np.savetxt(log, rows, delimiter=",", header="time (s),u,q", comments="")
-    status, out, _ = run(capsys, "inspect", log, "--json")
-    answer = json.loads(out)
-    assert [found["kind"] for found in answer["manoeuvres"]] == ["2-1-1"]
-    assert "--manoeuvre 1 --input u --output SIGNAL" in answer["next"]
-    command = ["response", log, "--manoeuvre", "2-1-1", "--input", "u", "--output", "q"]
-    status, out, _ = run(capsys, *command, "--held", "u", "--out", spectrum, "--band", "0.5", "15")
-    assert status == 0
-    assert "2-1-1" in out
-    fit = gb.fit(
-        gb.Problem(study.ShortPeriod(), gb.data.read_spectrum(spectrum)), starts=1, progress=False
-    )
-    for name, value in p.items():
-        assert abs(fit.estimate[name] - value) < 4 * fit.standard_error[name], name
-    _, out, _ = run(capsys, *command, "--json")
-    assert "half a sample" in out or "linear between samples" in out
-    assert "there is no manoeuvre 5" in refused(capsys, *command[:3], "5", *command[4:])
-    assert "or a --manoeuvre" in refused(
-        capsys, "response", log, "--input", "u", "q", "--output", "q"
-    )
 
 
 def test_a_matrix_of_responses_from_the_log_to_a_model(capsys, tmp_path):
