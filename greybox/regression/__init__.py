@@ -11,7 +11,6 @@ Begin with `equation_error` for records and `levy` for frequency responses.
 | `smoothing` | smoothed signals and their derivatives |
 | `regressors` | the regressions of a record |
 | `least_squares` | the solution with bounds, and its covariance |
-| `variable_projection` | the search over the unknowns that are not linear |
 """
 
 from greybox.regression.equation_error import EquationErrorEstimate as EquationErrorEstimate

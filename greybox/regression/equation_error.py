@@ -1,21 +1,19 @@
 """Equation error: derivatives from smoothed data, then least squares; no start is needed.
 
-Every equation of an ODE whose states are known in time is a regression, linear in most parameters.
-Variable projection (Golub and Pereyra, SIAM J. Numer. Anal. 10 (1973) 413-432) finds the few others
-(delays, the time constant of a simulated state).
+Every equation of an ODE whose states are known in time is a regression on the parameters that enter
+it linearly. Others (delays, the time constant of a simulated state) are held at their starts.
 
 Source: Morelli and Klein, Aircraft System Identification, 2nd ed., chapters 5 and 11.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.compiled.record_model import longest_delay
 from greybox.data.record import Record, require_time
+from greybox.files.arrays import Array
 from greybox.files.text_table import number, one_line, text_table
 from greybox.formulation.input_assumptions import (
     Inputs,
@@ -28,10 +26,25 @@ from greybox.modeling.model import Model
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.realization import dynamics
 from greybox.modeling.transfer_function import TransferFunction
+from greybox.regression.least_squares import undetermined
 from greybox.regression.linear_in_parameters import Equations, regressions
-from greybox.regression.regressors import Regressors, memory, regressors
-from greybox.regression.variable_projection import Projection, UsedEquation, project
+from greybox.regression.regressors import Regressors, regressors
 from greybox.spectral.uniform_stretches import check_uniform
+
+
+@dataclass(frozen=True)
+class UsedEquation:
+    """One regression: left side, R², number of rows, band of its terms (Hz), and residual (rms).
+
+    It has 0 rows if no stretch was long enough.
+    """
+
+    left: str
+    parameters: tuple[str, ...]
+    r_squared: float
+    rows: int
+    band: float
+    residual: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,13 +59,11 @@ class EquationErrorEstimate:
         Names of model and record.
     estimate : mapping of name to float
         The free parameters that could be estimated, within their bounds.
-    bias : mapping of name to float
-        Bias due to the remaining noise in the regressors, to first order; not subtracted.
     equations : tuple of UsedEquation
     left_out : tuple of str
         Equations that could not be used, and why.
     missing : mapping of name to str
-        Free parameters that could not be estimated, and why.
+        Free parameters that were not estimated, and why.
     at_bound : tuple of str
     states : tuple of str
         Where each state comes from.
@@ -64,7 +75,6 @@ class EquationErrorEstimate:
 
     name: str
     estimate: Mapping[str, float]
-    bias: Mapping[str, float]
     equations: tuple[UsedEquation, ...]
     left_out: tuple[str, ...]
     missing: Mapping[str, str]
@@ -82,9 +92,9 @@ class EquationErrorEstimate:
         for name, value in self.estimate.items():
             p = self.parameters[name]
             note = "AT BOUND" if name in self.at_bound else ""
-            rows.append([name, number(value), number(self.bias[name], 2), p.unit, note, p.about])
-        header = ["parameter", "estimate", "bias by noise", "unit", "", "meaning"]
-        lines = text_table(header, rows, left=(0, 3, 4, 5)).splitlines()
+            rows.append([name, number(value), p.unit, note, p.about])
+        header = ["parameter", "estimate", "unit", "", "meaning"]
+        lines = text_table(header, rows, left=(0, 2, 3, 4)).splitlines()
         lines += [f"not estimated: {name}, {why}" for name, why in self.missing.items()]
 
         rows = []
@@ -99,8 +109,8 @@ class EquationErrorEstimate:
         lines += [f"input {name} {text}" for name, text in self.inputs.items()]
         lines += ["", *(f"warning: {text}" for text in self.warnings)]
         lines += [
-            "Noise in the regressors biases the estimate by about 'bias by noise', which is not",
-            "subtracted. Use the estimate as a start for gb.fit, which gives standard errors.",
+            "Noise in the regressors biases the estimate. Use it as a start for gb.fit, which",
+            "gives standard errors.",
         ]
         indented = ("  " + line if line else line for line in lines)
         return "\n".join([f"{self.name}: equation error", "", *indented])
@@ -123,10 +133,11 @@ def equation_error(
     smoothing affects both sides alike. Inputs that are not held are interpolated between samples by
     cubic splines. A transfer function can be used only if it has one pole.
 
-    Noise in the states biases the estimate. `EquationErrorEstimate.bias` estimates this bias, but
-    not the part that arises if a controller feeds the noise back to an input. An equation with a
-    state that is simulated from its own target (`nu` from `r` in `greybox.models.yaw.YawStates`)
-    may at high noise explain the target by itself: its parameters then run to their bounds.
+    Parameters that do not enter linearly, such as delays and time constants of simulated states,
+    are held at their starts: give them with `fixed`, or leave them to `gb.fit`. Noise in the states
+    biases the estimate. An equation with a state that is simulated from its own target (`nu` from
+    `r` in `greybox.models.yaw.YawStates`) may at high noise explain the target by itself: its
+    parameters then run to their bounds.
 
     Parameters
     ----------
@@ -164,28 +175,40 @@ def equation_error(
     start = np.array([p.start for p in unknown.values()])
     equations = regressions(system, record.signals, constants, start)
     _require_equations(model, equations, record)
-    longest_delays = longest_delay(problem, system)
     between = dict(zip(system.inputs, between_samples(inputs, system.inputs, record), strict=True))
+    data = regressors(equations, record, start, between)
+    low, high = np.reshape([unknown[n].bounds for n in equations.linear], (-1, 2)).T
+    values, residuals = _solved(data, low, high)
+    groups = [tuple(equations.linear[k] for k in group) for group in undetermined(data.rows.slopes)]
+    lost = {name for group in groups for name in group}
+    limits = zip(equations.linear, values.tolist(), low, high, strict=True)
+    estimates = {name: (value, *bounds) for name, value, *bounds in limits if name not in lost}
+    if not estimates:
+        names = ", ".join(equations.linear) or "the parameters linearly"
+        raise ValueError(
+            f"the record determines none of {names}: the signals that they multiply are constant, "
+            "or only a combination of them is determined; fix some."
+        )
 
-    # The smoothing does not depend on the parameters, so it is done once.
-    data = regressors(equations, record, start, longest_delays, between)
-    projection = project(data, unknown, start)
-    # Lags that turn out slower than at their start need more rows to forget their initial values.
-    # With a memory 10 % longer than assumed, they hold 1.5 % of these instead of 1 %.
-    slower = projection.vector
-    if memory(equations, slower) > 1.1 * memory(equations, start):
-        cutoffs = data.cutoffs
-        shorter = regressors(equations, record, slower, longest_delays, between, cutoffs=cutoffs)
-        if shorter.rows(slower).target.size:  # else the record is too short for that
-            data = shorter
-            start = slower
-            projection = project(data, unknown, start)
-
-    again = partial(regressors, equations, p=start, latest=longest_delays, cutoffs=data.cutoffs)
-    bias = _bias(data, projection, record, again)
-    name = f"{model.label}, {record.name or 'record'}"
-    texts = described_inputs(inputs, system.inputs, record)
-    return _result(name, data, projection, bias, parameters, texts)
+    at_bound = tuple(name for name, (value, a, b) in estimates.items() if not a < value < b)
+    used = list(_used_equations(equations, data, values, residuals))
+    return EquationErrorEstimate(
+        name=f"{model.label}, {record.name or 'record'}",
+        estimate={name: value for name, (value, *_) in estimates.items()},
+        equations=tuple(e for e in used if e.rows),
+        left_out=(
+            *equations.left_out,
+            *(f"{e.left} (no stretch is long enough)" for e in used if not e.rows),
+        ),
+        missing={
+            n: _why(n, equations, groups, p) for n, p in unknown.items() if n not in estimates
+        },
+        at_bound=at_bound,
+        states=tuple(str(state) for state in equations.states),
+        parameters=dict(parameters),
+        warnings=tuple(_warnings(used, at_bound)),
+        inputs=described_inputs(inputs, system.inputs, record),
+    )
 
 
 class _NoOutputs(OutputError):  # noqa: N818  (no exception)
@@ -215,70 +238,52 @@ def _require_equations(model: Model, equations: Equations, record: Record) -> No
     )
 
 
-def _bias(
-    data: Regressors, projection: Projection, record: Record, again: Callable[..., Regressors]
-) -> dict[str, float]:
-    """Return how far noise like that of the signals moves the estimate, by adding it once more.
-
-    Source: simulation and extrapolation, Cook and Stefanski, J. Amer. Statist. Assoc. 89 (1994)
-    1314-1328, here with linear extrapolation and one Gauss-Newton step.
-    """
-    if not data.noise:
-        return dict.fromkeys(projection.names, 0.0)
-    # The same noise for every call: an estimate must not change from run to run.
-    random = np.random.default_rng(0)
-    steps = []
-    # One pair averages well enough over a long record.
-    for _ in range(2 if len(record) < 20000 else 1):
-        noise = {n: s * random.normal(size=len(record)) for n, s in data.noise.items()}
-        # With both signs, effects that are odd in the noise cancel.
-        for sign in (1, -1):
-            added = {n: record[n] + sign * e for n, e in noise.items()}
-            noisy = replace(record, signals={**record.signals, **added})
-            steps.append(projection.step(again(record=noisy, between=data.between)))
-    return dict(zip(projection.names, np.mean(steps, axis=0), strict=True))
+def _solved(data: Regressors, low: Array, high: Array) -> tuple[Array, Array]:
+    """Return the unknowns (k,) within their bounds, and the rms residual of every equation."""
+    rows, count = data.rows, len(data.bands)
+    # The equations are weighted by the sizes of their residuals, known only after a solution.
+    # Weights and estimate determine one another; each pass changes the weights less.
+    sizes = rows.spread(rows.target, count)
+    values = rows.solution(1 / sizes, low, high)
+    for _ in range(4 if count > 1 else 1):
+        sizes = rows.spread(rows.errors(values), count)
+        values = rows.solution(1 / sizes, low, high)
+    return values, rows.spread(rows.errors(values), count)
 
 
-def _result(
-    name: str,
-    data: Regressors,
-    projection: Projection,
-    bias: Mapping[str, float],
-    parameters: Mapping[str, Parameter],
-    inputs: Mapping[str, str],
-) -> EquationErrorEstimate:
-    unknown = [n for n, p in parameters.items() if not p.fixed]
-    missing = {n: _why(n, projection) for n in unknown if n not in projection.names}
-    used = projection.equations
-    return EquationErrorEstimate(
-        name=name,
-        estimate=dict(zip(projection.names, projection.values.tolist(), strict=True)),
-        bias={n: float(b) for n, b in bias.items()},
-        equations=tuple(e for e in used if e.rows),
-        left_out=(
-            *data.equations.left_out,
-            *(f"{e.left} (no stretch is long enough)" for e in used if not e.rows),
-        ),
-        missing=missing,
-        at_bound=projection.at_bound,
-        states=tuple(str(state) for state in data.equations.states),
-        parameters=dict(parameters),
-        warnings=tuple(_warnings(used, projection)),
-        inputs=inputs,
-    )
+def _used_equations(
+    equations: Equations, data: Regressors, values: Array, residuals: Array
+) -> Iterator[UsedEquation]:
+    errors = data.rows.errors(values)
+    for k, (equation, band) in enumerate(zip(equations.equations, data.bands, strict=True)):
+        of = data.rows.equation == k
+        share, count = explained(data.rows.target[of], errors[of]), int(of.sum())
+        band_hz = band / (2 * math.pi)
+        left, names = equation.left, equation.parameters
+        yield UsedEquation(left, names, share, count, band_hz, float(residuals[k]))
 
 
-def _why(name: str, projection: Projection) -> str:
-    partners = next((group for group in projection.undetermined if name in group), ())
+def explained(target: Array, errors: Array) -> float:
+    """Return the explained share of the variance of an equation; NaN if it is constant."""
+    variance = float(np.sum((target - np.mean(target)) ** 2)) if target.size else 0.0
+    return 1 - float(errors @ errors) / variance if variance > 0 else math.nan
+
+
+def _why(
+    name: str, equations: Equations, groups: Sequence[tuple[str, ...]], parameter: Parameter
+) -> str:
+    partners = next((group for group in groups if name in group), ())
     if len(partners) > 1:
         return f"only a combination of {', '.join(partners)} is determined: fix one of them"
     if partners:
         return "it has no effect in these data"
+    if name in equations.nonlinear:
+        return f"it does not enter linearly: held at its start {parameter.start:g}"
     return "it is in no equation that can be used"
 
 
-def _warnings(used: Sequence[UsedEquation], projection: Projection) -> list[str]:
-    bounded = [f"{n} ended at its bound." for n in projection.at_bound]
+def _warnings(used: Sequence[UsedEquation], at_bound: Sequence[str]) -> list[str]:
+    bounded = [f"{n} ended at its bound." for n in at_bound]
     unexplained = [
         f"only {100 * max(e.r_squared, 0):.0f} % of the variance of {e.left} is explained: there "
         "is noise, or the model is incomplete."

@@ -64,7 +64,8 @@ class Equations:
     state_names, input_names : tuple of str
         Names of the model, in the order of x and u.
     linear, nonlinear : tuple of str
-        Free parameters that enter the equations linearly (given the others), and the other ones.
+        Free parameters that enter the equations linearly (given the others), and the other ones,
+        which are held at their starts.
     rows : casadi.Function
         (x, u, p) -> the right sides at zero `linear` (k,) and their slopes (k, linear).
     simulated : casadi.Function
@@ -86,11 +87,6 @@ class Equations:
     simulated: ca.Function
     delay: ca.Function
     left_out: tuple[str, ...]
-
-    @property
-    def simulated_names(self) -> tuple[str, ...]:
-        """The states that follow from their own equation."""
-        return tuple(state.name for state in self.states if state.how == "simulated")
 
 
 def regressions(
@@ -327,8 +323,8 @@ class _Analysis:
             slope = ca.simplify(ca.jacobian(right_sides, self.parameter[name]))
             return sum(n in names for n in _needed(slope, self.parameter))
 
-        # If parameters multiply one another, the search is over the one with the most partners: the
-        # others are then linear.
+        # If parameters multiply one another, the one with the most partners is held: the others are
+        # then linear.
         for name in sorted(names, key=partners):
             if self._affine(right_sides, _column([self.parameter[n] for n in (*linear, name)])):
                 linear.append(name)

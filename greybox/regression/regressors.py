@@ -1,8 +1,8 @@
 """The regressions of a record: smoothed states, delayed inputs, and one filter for all terms."""
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -33,137 +33,47 @@ FEWEST = 4  # remaining rows of a stretch: fewer add nothing to the thousands of
 
 @dataclass(frozen=True, eq=False)
 class Regressors:
-    """The signals of a record as the equations need them; `rows` makes the regressions.
+    """The regressions of a record.
 
     Attributes
     ----------
-    time : (n,) array, s
-        Uniform but for gaps.
-    states : (k, n) array
-        The states of the model that are known without simulation; NaN where unknown.
-    targets : tuple of (n,) arrays
-        Left sides of the equations: derivatives and outputs.
-    between : mapping of name to Intersample
-    cutoffs, noise : mapping of signal name to float
-        Cutoffs of the smoothed signals, rad/s, and standard deviations of the removed noise.
+    rows : Rows
+        Every equation over every stretch.
     bands : tuple of float
         Cutoff of the filter that all terms of an equation pass, rad/s; infinite if no signal was
         smoothed.
-    lateness : float, s
-        Time at the beginning of a stretch for which delayed inputs or simulated states are unknown.
-    splines : mapping of name to list of (slice, function)
-        The inputs as they act without their delay, for every stretch: a held input acts half a
-        sample late, see `acting`.
     """
 
-    equations: Equations
-    time: Array
-    states: Array
-    targets: tuple[Array, ...]
-    between: Mapping[str, Intersample]
-    cutoffs: Mapping[str, float]
-    noise: Mapping[str, float]
+    rows: Rows
     bands: tuple[float, ...]
-    lateness: float
-    splines: Mapping[str, list[tuple[slice, Callable[[Array], Array]]]] = field(repr=False)
-
-    @property
-    def step(self) -> float:
-        """Sampling interval, s."""
-        return median_step(self.time)
-
-    def rows(self, p: Array) -> Rows:
-        """Return every equation over every stretch, at the values `p` of the free parameters.
-
-        There are no rows where a simulated state grows without bound.
-        """
-        u = self.delayed_inputs(np.asarray(self.equations.delay(p)).ravel())
-        x = self.states.copy()
-        # An unstable state would grow beyond all numbers within a record: it stays unknown.
-        self.simulate(x, u, p)
-        base, slopes = (np.asarray(value) for value in self.equations.rows(x, u, p))
-        slopes = slopes.reshape(len(base), self.time.size, -1)
-        filtered = [self._filtered(k, base[k], slopes[k]) for k in range(len(base))]
-        equation = np.repeat(np.arange(len(base)), [len(columns) for columns in filtered])
-        columns = np.vstack(filtered)
-        return Rows(equation, columns[:, 0], columns[:, 1], columns[:, 2:])
-
-    def _filtered(self, k: int, base: Array, slopes: Array) -> Array:
-        """Return target, base and slopes of an equation (rows, 2 + parameters), filtered."""
-        band = self.bands[k]
-        columns = np.column_stack([self.targets[k], base, slopes])
-
-        # The filter is less accurate near the ends of a stretch, and simulated states have not
-        # settled at its beginning.
-        edge = math.ceil(reach(band) / self.step)
-        late = math.ceil(self.lateness / self.step)
-        result = [columns[:0]]
-        for rows in stretches(self.time, columns.sum(axis=1)):
-            if rows.stop - rows.start < 2 * edge + late + FEWEST:
-                continue
-            part = columns[rows]
-            if math.isfinite(band):
-                part = low_pass(part, self.step, band)
-            result.append(part[edge + late : len(part) - edge])
-        return np.vstack(result)
-
-    def delayed_inputs(self, delays: Array) -> Array:
-        """Return the inputs (m, n) after their delays."""
-        rows = np.full((len(delays), self.time.size), np.nan)
-        for row, name, delay in zip(rows, self.equations.input_names, delays, strict=True):
-            late = delay + self.between[name].late
-            for part, spline in self.splines[name]:
-                time = self.time[part]
-                row[part] = spline(np.clip(time - late, time[0], time[-1]))
-        return rows
-
-    def simulate(self, x: Array, u: Array, p: Array) -> None:
-        """Fill in the simulated states if they are stable."""
-        names = self.equations.simulated_names
-        if not names:
-            return
-        drive, matrix = (np.asarray(value) for value in self.equations.simulated(x, u, p))
-        matrix = matrix[:, : len(names)]
-        if not np.all(np.isfinite(matrix)) or np.max(np.linalg.eigvals(matrix).real) >= 0:
-            return
-        places = [self.equations.state_names.index(name) for name in names]
-        for rows in stretches(self.time, *drive):
-            if rows.stop - rows.start > 1:
-                x[places, rows] = _linear_response(matrix, drive[:, rows], self.step)
 
 
 def regressors(
-    equations: Equations,
-    record: Record,
-    p: Array,
-    latest: Array,
-    between: Mapping[str, Intersample],
-    *,
-    cutoffs: Mapping[str, float] | None = None,
+    equations: Equations, record: Record, p: Array, between: Mapping[str, Intersample]
 ) -> Regressors:
-    """Smooth the signals of a regular record.
+    """Smooth the signals of a regular record, and make the regressions.
 
     Parameters
     ----------
     p : (number of free parameters,) array
-        Start values, at which the memory of simulated states is computed.
-    latest : (number of inputs,) array, s
-        The largest possible delays.
+        Their starts: those that enter linearly have no effect here.
     between : mapping of input name to Intersample
         How the inputs run between samples.
-    cutoffs : mapping of signal name to rad/s, optional
-        By default each signal chooses its own.
+
+    Raises
+    ------
+    ValueError
+        If no stretch is long enough.
     """
     time = record.time
+    step = median_step(time)
     x = np.full((len(equations.state_names), time.size), np.nan)
     derivatives: dict[str, Array] = {}
-    used = dict(cutoffs or {})
-    noise: dict[str, float] = {}
+    cutoffs: dict[str, float] = {}
     for state in equations.states:
         if state.how == "signal":
-            smoothed = smooth(time, record[state.source], used.get(state.source))
-            used[state.source] = smoothed.cutoff
-            noise[state.source] = smoothed.noise
+            smoothed = smooth(time, record[state.source])
+            cutoffs[state.source] = smoothed.cutoff
             signal = smoothed.values
         elif state.how == "derivative":
             signal = derivatives[state.source]
@@ -176,32 +86,60 @@ def regressors(
         x[equations.state_names.index(state.name)] = signal
         derivatives[state.name] = differentiate(time, signal)
 
-    longest = [
-        delay + (record.step if between[n].held else between[n].late)
-        for n, delay in zip(equations.input_names, latest, strict=True)
-    ]
-    return Regressors(
-        equations=equations,
-        time=time,
-        states=x,
-        targets=tuple(
-            derivatives[e.target]
-            if e.kind == "derivative"
-            else without_holes(time, record[e.target])
-            for e in equations.equations
-        ),
-        between=between,
-        cutoffs=used,
-        noise=noise,
-        bands=tuple(
-            SHARE * min((used[s] for s in e.signals), default=math.inf) for e in equations.equations
-        ),
-        lateness=max(longest, default=0.0) + memory(equations, p),
-        splines={
-            name: _splines(time, without_holes(time, record[name]), between[name].held)
-            for name in equations.input_names
-        },
+    u = np.full((len(equations.input_names), time.size), np.nan)
+    lateness = 0.0
+    delays = np.asarray(equations.delay(p)).ravel().tolist()
+    for row, name, delay in zip(u, equations.input_names, delays, strict=True):
+        course = between[name]
+        row[:] = _delayed(time, without_holes(time, record[name]), delay + course.late, course.held)
+        lateness = max(lateness, delay + (step if course.held else course.late))
+    lateness += _simulate(equations, time, x, u, p)
+
+    base, slopes = (np.asarray(value) for value in equations.rows(x, u, p))
+    slopes = slopes.reshape(len(base), time.size, -1)
+    bands = tuple(
+        SHARE * min((cutoffs[s] for s in e.signals), default=math.inf) for e in equations.equations
     )
+    filtered = []
+    for k, (equation, band) in enumerate(zip(equations.equations, bands, strict=True)):
+        is_derivative = equation.kind == "derivative"
+        target = (
+            derivatives[equation.target]
+            if is_derivative
+            else without_holes(time, record[equation.target])
+        )
+        columns = np.column_stack([target, base[k], slopes[k]])
+        filtered.append(_filtered(time, columns, band, lateness))
+
+    columns = np.vstack(filtered)
+    if not len(columns):
+        longest = max(rows.stop - rows.start for rows in stretches(time, time))
+        lost = 2 * reach(min(bands)) + lateness
+        raise ValueError(
+            "no stretch without a gap is long enough: the longest piece of the record has "
+            f"{longest * step:.3g} s, of which smoothing, delays and simulated states need "
+            f"{lost:.3g} s at its ends; give a longer or less noisy record."
+        )
+    equation = np.repeat(np.arange(len(base)), [len(rows) for rows in filtered])
+    return Regressors(Rows(equation, columns[:, 0], columns[:, 1], columns[:, 2:]), bands)
+
+
+def _filtered(time: Array, columns: Array, band: float, lateness: float) -> Array:
+    """Return columns (n, k) of an equation, filtered, without the ends of every stretch."""
+    step = median_step(time)
+    # The filter is less accurate near the ends of a stretch. Delayed inputs are not known at its
+    # beginning, where simulated states have not settled.
+    edge = math.ceil(reach(band) / step)
+    late = math.ceil(lateness / step)
+    result = [columns[:0]]
+    for rows in stretches(time, columns.sum(axis=1)):
+        if rows.stop - rows.start < 2 * edge + late + FEWEST:
+            continue
+        part = columns[rows]
+        if math.isfinite(band):
+            part = low_pass(part, step, band)
+        result.append(part[edge + late : len(part) - edge])
+    return np.vstack(result)
 
 
 def acting(time: Array, values: Array) -> Array:
@@ -221,31 +159,35 @@ def acting(time: Array, values: Array) -> Array:
     return spline(middle) - step**2 / 24 * spline(middle, 2)
 
 
-def _splines(
-    time: Array, values: Array, held: bool
-) -> list[tuple[slice, Callable[[Array], Array]]]:
-    """Return an interpolating spline for every stretch of an input.
+def _delayed(time: Array, values: Array, late: float, held: bool) -> Array:
+    """Return an input (n,) `late` seconds later, by an interpolating spline for every stretch.
 
     It is cubic, but linear for a held input: if the delay is a fraction of a step, the driven state
     sees two neighboring values, each for its share of the step.
     """
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415  (takes a quarter of a second)
 
-    splines = []
+    result = np.full(time.size, np.nan)
     for rows in stretches(time, values):
         t, u = time[rows], values[rows]
         if t.size > 3:
             course, order = (acting(t, u), 1) if held else (u, 3)
-            splines.append((rows, make_interp_spline(t, course, k=order)))
-    return splines
+            spline = make_interp_spline(t, course, k=order)
+            result[rows] = spline(np.clip(t - late, t[0], t[-1]))
+    return result
 
 
-def memory(equations: Equations, p: Array) -> float:
-    """Return how long simulated states remember where they began, s."""
-    if not equations.simulated_names:
+def _simulate(equations: Equations, time: Array, x: Array, u: Array, p: Array) -> float:
+    """Fill in the simulated states, and return how long they remember where they began, s."""
+    names = [state.name for state in equations.states if state.how == "simulated"]
+    if not names:
         return 0.0
-    rest = (np.zeros(len(equations.state_names)), np.zeros(len(equations.input_names)))
-    matrix = np.asarray(equations.simulated(*rest, p)[1])
+    drive, matrix = (np.asarray(value) for value in equations.simulated(x, u, p))
+    matrix = matrix[:, : len(names)]
+    places = [equations.state_names.index(name) for name in names]
+    for rows in stretches(time, *drive):
+        if rows.stop - rows.start > 1:
+            x[places, rows] = _linear_response(matrix, drive[:, rows], median_step(time))
     return math.log(1 / REMEMBERED) / float(np.min(-np.linalg.eigvals(matrix).real))
 
 

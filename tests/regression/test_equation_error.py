@@ -156,12 +156,6 @@ def test_a_virtual_flight_under_a_sampled_controller():
     assert_near(
         gb.regression.equation_error(LinearTilt(), record, fixed={"T_delay": 0.0042}), TILT, 0.04
     )
-    free = gb.regression.equation_error(LinearTilt(), record, free="T_delay")
-    assert free.estimate["T_delay"] == pytest.approx(0.0042, abs=0.0005)
-    linear = gb.regression.equation_error(LinearTilt(), record, free="T_delay", inputs="linear")
-    assert linear.estimate["T_delay"] - free.estimate["T_delay"] == pytest.approx(
-        0.5 * record.step, rel=0.1
-    )
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.031])
@@ -175,14 +169,15 @@ def test_a_held_control_on_slow_samples(delay):
         rate=20.0,
         noise={"v": 0.0},
     )
-    found = gb.regression.equation_error(Slider(), flown, fixed={"mu": 0.0}, free="d")
+    known = {"mu": 0.0, "d": delay}
+    found = gb.regression.equation_error(Slider(), flown, fixed=known)
     assert_near(found, {"k": 9.0, "c": 1.2, "b": 4.0}, 0.01)
-    assert found.estimate["d"] == pytest.approx(delay, abs=0.001)
     assert found.inputs == {"F": "held until its next sample, as the record says"}
-    interpolated = gb.regression.equation_error(
-        Slider(), flown, fixed={"mu": 0.0}, free="d", inputs="linear"
+    interpolated = gb.regression.equation_error(Slider(), flown, fixed=known, inputs="linear")
+    later = gb.regression.equation_error(
+        Slider(), flown, fixed=known | {"d": delay + 0.025}, inputs="linear"
     )
-    assert interpolated.estimate["d"] - found.estimate["d"] == pytest.approx(0.025, abs=0.004)
+    assert later.equations[0].residual < 0.5 * interpolated.equations[0].residual
 
 
 def test_what_the_record_does_not_say_is_printed_as_an_assumption():
@@ -198,8 +193,12 @@ def test_a_log_of_every_fourth_control_acts_half_a_loop_later():
     )
     rows = np.arange(0, len(flown), 4)
     thinned = replace(flown.rows(rows), hold={**flown.hold, "F": 1 / 200})
-    found = gb.regression.equation_error(Slider(), thinned, fixed={"mu": 0.0}, free="d")
-    assert found.estimate["d"] == pytest.approx(0.03, abs=0.0005)
+    known = {"mu": 0.0, "d": 0.03}
+    found = gb.regression.equation_error(Slider(), thinned, fixed=known)
+    assert_near(found, {"k": 9.0, "c": 1.2, "b": 4.0}, 2e-3)
+    early = replace(thinned, hold={"F": 0.0})
+    at_once = gb.regression.equation_error(Slider(), early, fixed=known)
+    assert found.equations[0].residual < 0.5 * at_once.equations[0].residual
 
 
 def test_nonlinear_tilt():
@@ -208,12 +207,17 @@ def test_nonlinear_tilt():
     assert_near(result, {**TILT, "C_x": 0.08}, 0.02)
 
 
-def test_a_rotor_that_is_not_measured_gives_its_time_constant(flown):
+def test_a_parameter_that_does_not_enter_linearly_is_held_at_its_start_and_named(flown):
     record = measured(flown, ("u", "v", "theta"), 1e-3)
     result = gb.regression.equation_error(
         LinearTilt(), record, fixed={"T_delay": 0.0}, free=["a5", "T_rotor"]
     )
-    assert_near(result, {**TILT, "T_rotor": 0.048}, 0.01)
+    start = LinearTilt.parameters["T_rotor"].start
+    fixed = gb.regression.equation_error(
+        LinearTilt(), record, fixed={"T_delay": 0.0, "T_rotor": start}, free=["a5"]
+    )
+    assert result.missing == {"T_rotor": f"it does not enter linearly: held at its start {start:g}"}
+    assert result.estimate == fixed.estimate
 
 
 @pytest.mark.parametrize(("noise", "rel"), [(0.0, 0.02), (0.01, 0.06)])
@@ -225,40 +229,18 @@ def test_coulomb_friction(sliding, noise, rel):
     )
 
 
-def test_a_free_delay():
+def test_a_known_delay():
     record = measured(slider(delay=0.083), ("F", "x", "v"), 1e-3)
-    result = gb.regression.equation_error(Slider(), record, free="d")
-    assert result.estimate["d"] == pytest.approx(0.083, abs=0.002)
-    assert_near(result, SLIDER, 0.02)
-    fixed = gb.regression.equation_error(Slider(), record, fixed={"d": 0.083})
-    assert_near(fixed, SLIDER, 0.02)
+    assert_near(gb.regression.equation_error(Slider(), record, fixed={"d": 0.083}), SLIDER, 0.02)
 
 
-def test_several_equations_share_nonlinear_parameters():
-    truth = {"J_x": 0.012, "J_y": 0.016, "J_z": 0.025}
-    body, time = RigidBody(), np.arange(600) * 0.01
-    f, p = dynamics(body).derivative, list(truth.values())
-    shift = np.array([0.0, 1.3, 2.6])
-
-    def torque(t):
-        return 0.04 * np.array([float(force(np.array(t + 7 * s))) for s in shift])
-
-    def derivative(t, y):
-        return np.asarray(f(y, torque(t) - 0.02 * y[3:] - 0.05 * np.sin(y[:3]), p)).ravel()
-
-    y = solved(derivative, np.zeros(6), time)
-    u = np.array([torque(t) for t in time]).T - 0.02 * y[3:] - 0.05 * np.sin(y[:3])
-    record = gb.Record(time, dict(zip((*body.inputs, *body.states), [*u, *y], strict=True)))
-    record = measured(record, (*body.inputs, *body.states), 1e-3, exact=body.inputs)
-    assert_near(gb.regression.equation_error(body, record), truth, 5e-3)
-
-
-def test_a_transfer_function_with_one_pole_and_a_hidden_state():
+def test_a_transfer_function_with_one_pole_and_a_delay():
     time = np.arange(4000) * 0.005
     (speed,) = solved(lambda t, y: (900 * force(max(t - 0.02, 0.0)) - y) / 0.08, [0.0], time)
     record = gb.Record(time, {"u": force(time), "Omega": speed})
-    truth = {"K_Omega": 900.0, "T_rotor": 0.08, "T_delay": 0.02}
-    assert_near(gb.regression.equation_error(Rotor(), record), truth, 0.01)
+    known = {"T_rotor": 0.08, "T_delay": 0.02}
+    found = gb.regression.equation_error(Rotor(), record, fixed=known)
+    assert_near(found, {"K_Omega": 900.0}, 0.01)
 
 
 def test_a_static_model():
@@ -275,22 +257,6 @@ def test_a_static_model():
     assert_near(result, {"K_tau": 3e-6, "K_psi": 4e-7}, 0.02)
     assert [e.left for e in result.equations] == ["tau_phi", "tau_psi"]
     assert "all" in str(result)
-
-
-# --- how far to believe it
-
-
-def test_the_bias_by_noise_has_the_right_size_and_sign(flown):
-    """At three times the noise-free scatter: the mean error over repetitions, of which the scatter leaves 15 %."""
-    results = [
-        gb.regression.equation_error(
-            LinearTilt(), measured(flown, ("u", "v", "theta"), 0.3, seed), fixed={"T_delay": 0.0}
-        )
-        for seed in range(4)
-    ]
-    for name in ("a1", "a2", "a3", "a4"):
-        error = np.mean([r.estimate[name] - TILT[name] for r in results])
-        assert np.mean([r.bias[name] for r in results]) == pytest.approx(error, rel=0.35), name
 
 
 # --- what the record lacks
@@ -335,7 +301,7 @@ def test_equations_with_unknown_states_are_left_out(flown):
     assert "v simulated from theta" in angle_only.states
 
 
-def test_a_hidden_state_with_a_free_parameter_is_solved_for_it():
+def test_a_hidden_state_is_simulated_from_the_target():
     truth = {"a1": -60.0, "a2": 20.0, "a3": 300.0, "a4": 3.0}
     values = YawStates().values({**truth, "T_delay": 0.0})
     f, time = dynamics(YawStates()).derivative, np.arange(1200) * 0.01
@@ -345,22 +311,8 @@ def test_a_hidden_state_with_a_free_parameter_is_solved_for_it():
         time,
     )
     record = gb.Record(time, {"u": 0.1 * force(time) - 0.02 * y[1], "r": y[1]})
-    assert_near(
-        gb.regression.equation_error(YawStates(), record, fixed={"T_delay": 0.0}), truth, 0.05
-    )
-
-
-def test_a_hidden_state_that_remembers_longer_than_its_start_says(flown):
-    class Slow(LinearTilt):
-        T_rotor = gb.Parameter(0.002, bounds=(0.001, 1), unit="s")
-
-    late = measured(flown, ("u", "v", "theta"), 1e-3).between(10.0, 25.0)
-    slow = gb.regression.equation_error(Slow(), late, fixed={"T_delay": 0.0})
-    known = gb.regression.equation_error(
-        LinearTilt(), late, fixed={"T_delay": 0.0}, free=["T_rotor"]
-    )
-    assert slow.estimate["T_rotor"] == pytest.approx(known.estimate["T_rotor"], rel=1e-3)
-    assert abs(slow.equations[0].rows - known.equations[0].rows) <= 2
+    known = {"T_delay": 0.0, "a4": truth.pop("a4")}
+    assert_near(gb.regression.equation_error(YawStates(), record, fixed=known), truth, 0.05)
 
 
 def test_an_unstable_hidden_state_is_not_solved(flown):
@@ -612,7 +564,6 @@ def test_every_row_of_what_is_printed():
     found = EquationErrorEstimate(
         name="Slider, ground",
         estimate={"k": 12.345678, "c": 10.0},
-        bias={"k": -0.01234, "c": 0.0},
         equations=(
             UsedEquation("v'", ("k", "c"), 0.98765, 1234, 3.21098, 0.045678),
             UsedEquation("az", ("k",), 0.5, 7, np.inf, 1.5),
@@ -627,7 +578,7 @@ def test_every_row_of_what_is_printed():
     )
     lines = str(found).splitlines()
     (row,) = [line.split() for line in lines if line.split()[:1] == ["c"]]
-    assert row == ["c", "10", "0", "1/s", "AT", "BOUND", "viscous", "friction"]
+    assert row == ["c", "10", "1/s", "AT", "BOUND", "viscous", "friction"]
     assert "  not estimated: m, it has no effect in these data" in lines
     assert "  v'        k c  0.9877  1234      3.21    0.0457" in lines
     assert "  az        k    0.5000     7       all       1.5" in lines
@@ -654,7 +605,6 @@ def test_what_is_fixed_may_lie_at_its_bound(value):
     if abs(gain) < 10:
         assert found.estimate == pytest.approx({"a": gain, "c": offset})
     assert found.equations[0].band == np.inf  # nothing was smoothed
-    assert found.bias["c"] == 0.0
 
 
 @pytest.mark.parametrize(
