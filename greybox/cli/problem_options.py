@@ -9,8 +9,8 @@ problem [PROBLEM]
     instead of PROBLEM: tilt:Tilt, 'polynomial:Polynomial(4, 1)' or my.py:Class
 --data FILE...
     with --model: a frequency response (columns omega_rad_s, alpha, beta [, coherence, variance,
-    dof]), the spectrum of a manoeuvre (gb.data.write_spectrum), or a record (columns time
-    and, in SI units, the inputs and outputs of the model; without a time, rows for a static model);
+    dof]), or a record (columns time and, in SI units, the inputs and outputs of the model; without
+    a time, rows for a static model);
     several are fitted together; for a flight log write a problem file
 --through FILTER...
     with --model: filters between the output and its log: 'filters:LowPass(20, 0.71)', or by their

@@ -14,7 +14,6 @@ Begin with `record` and `frequency_response`.
 | `magnitude_phase` | complex responses from decibels and degrees |
 | `checked_array` | read-only arrays of numbers within the range of arithmetic |
 | `response_file` | frequency responses in CSV |
-| `transient_file` | spectra of manoeuvres in CSV |
 | `response_columns` | the columns of a table that are a frequency response |
 | `pandas_frames` | pandas data frames from and to records and responses |
 """
@@ -29,6 +28,4 @@ from greybox.data.response_file import write_response as write_response
 from greybox.data.response_file import write_responses as write_responses
 from greybox.data.test_segment import Segment as Segment
 from greybox.data.test_segment import segment_table as segment_table
-from greybox.data.transient_file import read_spectrum as read_spectrum
-from greybox.data.transient_file import write_spectrum as write_spectrum
 from greybox.data.transient_spectrum import TransientSpectrum as TransientSpectrum

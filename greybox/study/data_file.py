@@ -1,4 +1,4 @@
-"""A data file: a frequency response, the spectrum of a manoeuvre, or a record."""
+"""A data file: a frequency response, or a record."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -10,8 +10,6 @@ from greybox.data.record import Record, Recording
 from greybox.data.response_columns import OMEGA, RECTANGULAR
 from greybox.data.response_file import read_response, read_responses
 from greybox.data.time_column import seconds
-from greybox.data.transient_file import claims_spectrum, read_spectrum
-from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.delimited_text import read_delimited
 from greybox.files.heading import heading
 from greybox.files.safe_files import require_file
@@ -32,8 +30,8 @@ def read_data(
     columns: Mapping[str, str] | None = None,
     rate: float | None = None,
     prepare: Mapping[str, Any] | None = None,
-) -> FrequencyResponse | tuple[FrequencyResponse, ...] | Record | TransientSpectrum:
-    """Return a response, the spectrum of a manoeuvre, or the only record with the model's signals.
+) -> FrequencyResponse | tuple[FrequencyResponse, ...] | Record:
+    """Return a response, or the only record with the model's signals.
 
     A table of several responses, as `write_responses` writes it, gives all of them.
 
@@ -50,10 +48,8 @@ def read_data(
     require_file(path)
     if prepare:
         return prepared(read(path, columns=columns or None, rate=rate), **prepare)
-    # A spectrum states its kind in the file. Names of columns alone may mean several things.
-    is_spectrum = not columns and claims_spectrum(path)
-    is_response = not is_spectrum and _is_response(path, columns or {})
-    if rate and (is_spectrum or is_response):
+    is_response = _is_response(path, columns or {})
+    if rate and is_response:
         raise ValueError(f"rate={rate:g} is for a table of signals, and {path} is something else.")
     name, value = ("input", input) if input else ("output", output)
     if value and not is_response:
@@ -61,8 +57,6 @@ def read_data(
             f"{name}={value} is for a frequency response, and {path} is something else: leave it "
             "out."
         )
-    if is_spectrum:
-        return read_spectrum(path)
     if is_response:
         names = _header(path) or ()
         has_pairs = len(model.input_names) * len(model.output_names) > 1

@@ -2,11 +2,9 @@
 
 import json
 from importlib.resources import files
-from pathlib import Path
 
 import numpy as np
 import pytest
-from benchmark_module import benchmark
 from command_line import refused, run
 
 import greybox as gb
@@ -185,33 +183,6 @@ def test_a_table_without_a_time_is_fitted_by_a_static_model(capsys, tmp_path):
     assert "no time column: rows in no order" in text
     message = json.loads(run(capsys, "inspect", table, "--json")[1])["messages"][0]
     assert (message["samples"], message["rate"], message["start"]) == (6, None, None)
-
-
-def test_manoeuvres_are_fitted_together(capsys, tmp_path):
-    """Two files of one model; by equation error where asked to."""
-    study = benchmark("transient_coverage")
-    random = np.random.default_rng(1)
-    paths = []
-    for k, flown in enumerate(
-        [(8.0, (1.0, 2.0, 2.5, 3.0), [0.0, 0.0]), (6.0, (0.5, 1.2, 1.9), [0.0, 0.0])]
-    ):
-        record = study.measured(study.short_period_record(*flown), {"q": 0.02}, random)
-        spectrum = gb.spectral.transient_spectrum(record, "u", "q", study.BAND)
-        paths.append(tmp_path / f"manoeuvre_{k}.csv")
-        gb.data.write_spectrum(spectrum, paths[-1])
-    model = f"{Path(study.__file__)}:ShortPeriod"
-    command = ["fit", "--model", model, "--starts", "1", "--json", "--data"]
-    status, out, _ = run(capsys, *command, *paths)
-    answer = json.loads(out)
-    assert status == 0
-    assert len(answer["outputs"]) == 2
-    assert answer["estimate"]["w"] == pytest.approx(study.SHORT_PERIOD["w"], rel=0.1)
-    status, out, _ = run(capsys, *command, paths[0], "--criterion", "equation-error")
-    assert json.loads(out)["criterion"] == "equation-error"
-    other = [word for word in command if word != "--json"]
-    assert "is for frequency responses and" in refused(
-        capsys, *other, paths[0], "--criterion", "relative-error"
-    )
 
 
 def test_a_file_that_is_neither_response_nor_record_is_said(tmp_path):
