@@ -33,7 +33,7 @@ NAMESPACES = {
     "RelativeError RelativeLikelihood SquaredRelativeError Starts Sum TimeCriterion several",
     "identification": "Identification MatrixMeasurement Measurement Selection Settings "
     "identify measure measure_matrix select_orders",
-    "interop": "from_control from_scipy to_casadi to_control to_scipy",
+    "interop": "from_control to_casadi to_control",
     "logs": "find_segments horizontal_velocity prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Radau RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response late_sensors linearize rational",

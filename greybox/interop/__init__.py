@@ -4,7 +4,7 @@ Begin with `python_control`.
 
 | file | contents |
 | --- | --- |
-| `python_control`, `scipy_signal` | responses and linear systems of these libraries |
+| `python_control` | responses and linear systems of python-control |
 | `linear_systems` | a model and its values as polynomials, matrices or an ODE |
 | `casadi_function` | a model at its estimate as a CasADi function |
 | `source_names` | names that C accepts |
@@ -15,5 +15,3 @@ Records and responses have `to_pandas()`, fits `Fit.to_json`.
 from greybox.interop.casadi_function import to_casadi as to_casadi
 from greybox.interop.python_control import from_control as from_control
 from greybox.interop.python_control import to_control as to_control
-from greybox.interop.scipy_signal import from_scipy as from_scipy
-from greybox.interop.scipy_signal import to_scipy as to_scipy

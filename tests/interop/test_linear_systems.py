@@ -1,11 +1,10 @@
-"""To and from python-control and scipy.signal: their frequency responses and simulations are ours."""
+"""To and from python-control: its frequency responses and simulations are ours."""
 
 import sys
 
 import numpy as np
 import pytest
 from declared_models import TILT, TILT_OMEGA, Lag, measured
-from scipy import signal
 
 import greybox as gb
 from greybox.interop.linear_systems import given_model
@@ -44,25 +43,18 @@ def test_models_go_there_with_their_delay_approximated(control, model, output, r
     np.testing.assert_allclose(found, expected(model, output, delay=f"pade:{pade}"), rtol=1e-8)
     assert there.input_labels == ["u"]
 
-    there = gb.interop.to_scipy(model, VALUES, kind=kind, pade=pade, output=output)
-    if kind == "transfer-function":
-        np.testing.assert_allclose(
-            there.freqresp(TILT_OMEGA)[1], expected(model, output, delay=f"pade:{pade}"), rtol=1e-8
-        )
-
 
 def test_a_delay_is_not_lost_without_a_word(control):
-    for convert in (gb.interop.to_control, gb.interop.to_scipy):
-        for model in (Tilt(), LinearTilt()):
-            with pytest.raises(
-                ValueError, match=r"delays u by 0\.02 s, which .* cannot hold: give pade=3"
-            ):
-                convert(model, VALUES)
-        there = convert(Tilt(), VALUES, pade=0)
-        assert len(np.atleast_1d(np.squeeze(there.den))) == 5
-    plain = gb.interop.to_scipy(Tilt(), {**VALUES, "T_delay": 0.0})
+    for model in (Tilt(), LinearTilt()):
+        with pytest.raises(
+            ValueError, match=r"delays u by 0\.02 s, which .* cannot hold: give pade=3"
+        ):
+            gb.interop.to_control(model, VALUES)
+    there = gb.interop.to_control(Tilt(), VALUES, pade=0)
+    assert len(np.atleast_1d(np.squeeze(there.den))) == 5
+    plain = gb.interop.to_control(Tilt(), {**VALUES, "T_delay": 0.0})
     np.testing.assert_allclose(
-        plain.freqresp(TILT_OMEGA)[1], expected(Tilt(), values={**VALUES, "T_delay": 0.0})
+        plain(1j * TILT_OMEGA), expected(Tilt(), values={**VALUES, "T_delay": 0.0})
     )
 
 
@@ -87,18 +79,6 @@ def test_responses_there_and_back(control):
 
 
 def test_linear_systems_there_and_back(control):
-    truth = signal.ZerosPolesGain([-2], [-1 + 4j, -1 - 4j, -10], 20)
-    response = truth.freqresp(TILT_OMEGA)[1]
-    systems = [truth, truth.to_tf(), truth.to_ss()]
-    for model in [gb.interop.from_scipy(system, output="theta") for system in systems]:
-        found = gb.frequency_response(model, {}, TILT_OMEGA)
-        np.testing.assert_allclose(found.response, response, rtol=1e-9)
-        assert found.output == "theta"
-        there = gb.interop.to_scipy(model, kind="state-space")
-        resolvent = [np.linalg.solve(1j * w * np.eye(3) - there.A, there.B) for w in TILT_OMEGA]
-        np.testing.assert_allclose(
-            [(there.C @ x + there.D)[0, 0] for x in resolvent], response, rtol=1e-9
-        )
     theirs = control.tf([20, 40], [1, 12, 37, 170])
     for system in (theirs, control.ss(-2, 1, 3, 0)):
         model = gb.interop.from_control(system, inputs=["u"], outputs=["rate"])
@@ -128,26 +108,23 @@ def test_linear_systems_there_and_back(control):
             "2 inputs and 1 outputs",
         ),
         (
-            lambda c: gb.interop.from_scipy(signal.dlti([1], [1, 1], dt=0.1)),
-            ValueError,
-            r"sampling time of 0\.1 s",
-        ),
-        (lambda c: gb.interop.from_scipy([1, 2]), TypeError, r"give a scipy\.signal\.lti"),
-        (
-            lambda c: gb.interop.from_scipy(signal.lti([[1], [2]], [1, 1])),
-            ValueError,
-            "the system has 2 outputs",
-        ),
-        (
             lambda c: gb.interop.to_control(Tilt(), VALUES, kind="lpv"),
             ValueError,
             "kind is 'lpv': give 'transfer",
         ),
-        (lambda c: gb.interop.to_scipy(3), TypeError, "3 cannot be converted: give a Fit, a model"),
-        (lambda c: gb.interop.to_scipy(FIT, {"K": 1}), TypeError, "values were given with a Fit"),
-        (lambda c: gb.interop.to_scipy(Tilt(), {"b": 1}), ValueError, "Tilt has no parameter 'b'"),
         (
-            lambda c: gb.interop.to_scipy(LinearTilt(), VALUES, kind="transfer-function", pade=1),
+            lambda c: gb.interop.to_control(3),
+            TypeError,
+            "3 cannot be converted: give a Fit, a model",
+        ),
+        (lambda c: gb.interop.to_control(FIT, {"K": 1}), TypeError, "values were given with a Fit"),
+        (
+            lambda c: gb.interop.to_control(Tilt(), {"b": 1}),
+            ValueError,
+            "Tilt has no parameter 'b'",
+        ),
+        (
+            lambda c: gb.interop.to_control(LinearTilt(), VALUES, kind="transfer-function", pade=1),
             ValueError,
             "several out",
         ),
@@ -178,25 +155,6 @@ def test_names_of_signals_go_there_and_back(control):
     assert (model.inputs, model.outputs) == (("u1", "u2"), ("y1", "y2"))
     one = gb.interop.from_control(control.ss([[-1.0]], [[1.0]], [[1.0]], [[0.0]], states=["v z"]))
     assert (one.inputs, one.outputs) == (("u",), ("y",))
-
-
-def test_scipys_system_is_of_a_kind_that_it_has():
-    model = KnownModel()
-    assert isinstance(gb.interop.to_scipy(model), signal.TransferFunction)
-    assert isinstance(gb.interop.to_scipy(model, kind="state-space"), signal.StateSpace)
-    with pytest.raises(
-        ValueError, match="kind is 'zpk': give 'transfer-function' or 'state-space'"
-    ):
-        gb.interop.to_scipy(model, kind="zpk")
-
-
-class KnownModel(gb.TransferFunction):
-    """A lag."""
-
-    T = gb.Parameter(0.5)
-
-    def response(self, s, p):
-        return 1 / (p.T * s + 1)
 
 
 class TwoInputs(gb.StateSpace):
@@ -246,8 +204,8 @@ class SquareLag(gb.StateSpace):
 
 
 @pytest.mark.parametrize("pade", [1, 2])
-def test_a_delayed_input_rests_at_the_operating_point(pade):
+def test_a_delayed_input_rests_at_the_operating_point(control, pade):
     at = {"u": 2.0}
-    there = gb.interop.to_scipy(SquareLag(), {}, kind="state-space", pade=pade, at=at)
+    there = gb.interop.to_control(SquareLag(), {}, kind="state-space", pade=pade, at=at)
     wanted = gb.frequency_response(SquareLag(), {}, [0.5, 4.0], at=at, delay=f"pade:{pade}")
-    np.testing.assert_allclose(there.freqresp([0.5, 4.0])[1], wanted.response, rtol=1e-9)
+    np.testing.assert_allclose(there(1j * np.array([0.5, 4.0])), wanted.response, rtol=1e-9)
