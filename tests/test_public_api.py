@@ -36,7 +36,7 @@ NAMESPACES = {
     "interop": "from_control to_casadi to_control",
     "logs": "find_segments horizontal_velocity prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Radau RungeKutta Sine StateSpace "
-    "TransferFunction feedback frequency_response harmonic_response late_sensors linearize rational",
+    "TransferFunction feedback frequency_response harmonic_response linearize rational",
     "plotting": "bode contour ends estimates gains loop nyquist pairs plot profiles recording residuals "
     "spectrum starts structures time_history traces trend",
     "regression": "EquationErrorEstimate equation_error levy order_path",

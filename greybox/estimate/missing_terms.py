@@ -59,7 +59,7 @@ TEXTS = {
     "sensor": (
         "a sensor of {b} that is late by {size} s",
         "a sensor of {b} that is early by {size} s",
-        "gb.modeling.late_sensors(model, delays={{'{b}': (0.001, 1.0)}})",
+        "a state {b}_late with the derivative (h - x.{b}_late) / p.T_late for the output h of {b}",
     ),
     "equation": (
         "{a} in the equation of {b}",

@@ -20,8 +20,6 @@ Begin with `model`.
 | `integrators`, `implicit_integrators`, `step_size` | explicit and implicit steps, and how many |
 | `held_inputs` | the exact step of a linear system with held inputs |
 | `known_systems` | linear models with known numbers, such as a filter |
-| `extended_model` | an ODE with the states of another one and more |
-| `late_sensors` | an ODE whose outputs are measured with a delay or a lag |
 | `colored_disturbance` | an ODE with gusts on its derivatives |
 | `model_reference`, `model_file` | a model by name in a stored result, or in a file of your own |
 """
@@ -30,7 +28,6 @@ from greybox.modeling.implicit_integrators import ImplicitIntegrator as Implicit
 from greybox.modeling.implicit_integrators import Radau as Radau
 from greybox.modeling.integrators import Integrator as Integrator
 from greybox.modeling.integrators import RungeKutta as RungeKutta
-from greybox.modeling.late_sensors import late_sensors as late_sensors
 from greybox.modeling.linear_response import frequency_response as frequency_response
 from greybox.modeling.linearization import LinearSystem as LinearSystem
 from greybox.modeling.linearization import linearize as linearize

@@ -1,17 +1,16 @@
 """An ODE with disturbances of first-order color on its derivatives, such as gusts."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from greybox.modeling.extended_model import ExtendedModel
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import as_list
 
 
-class ColoredDisturbance(ExtendedModel):
+class ColoredDisturbance(StateSpace):
     """An ODE whose derivatives have disturbances with states of their own.
 
     The disturbance ``gust_<state>`` adds to the derivative of the state, and follows
@@ -36,7 +35,20 @@ class ColoredDisturbance(ExtendedModel):
             f"T_{gust_on(state)}": gust_time(bounds, f"derivative of {state}")
             for state, bounds in disturbed
         }
-        super().__init__(model, self.gusts, times)
+        self.model = model
+        self.inputs, self.outputs = tuple(model.inputs), tuple(model.outputs)
+        self.delays, self.units = model.delays, model.units
+        self.states = (*model.states, *self.gusts)
+        self.parameters = {**model.parameters, **times}
+        # A name of the model would be overwritten silently.
+        for name in (*self.gusts, *times):
+            if name in (*model.parameters, *model.states, *model.inputs):
+                raise ValueError(f"{model.label} already has {name!r}: rename it there.")
+
+    @property
+    def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
+        """Derived quantities of the model."""
+        return self.model.derived
 
     @property
     def label(self) -> str:

@@ -9,7 +9,6 @@ from typing import Any
 from greybox.files.text_table import printable
 from greybox.modeling.colored_disturbance import ColoredDisturbance
 from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
-from greybox.modeling.late_sensors import LateSensors
 from greybox.modeling.model import Model
 from greybox.modeling.model_file import models_of
 from greybox.modeling.transfer_function import FeedbackLoop, RenamedParameters, SeriesConnection
@@ -91,7 +90,6 @@ def included_model(module_name: str, class_name: str) -> type[Model] | None:
         FeedbackLoop,
         KnownTransferFunction,
         KnownStateSpace,
-        LateSensors,
         ColoredDisturbance,
     )
     for kind in kinds:
