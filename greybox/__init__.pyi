@@ -25,9 +25,7 @@ from greybox.estimate.draws import Draws as Draws
 from greybox.estimate.draws import draws as draws
 from greybox.estimate.fit import fit as fit
 from greybox.estimate.misfit_test import misfit as misfit
-from greybox.estimate.profile import contour as contour
 from greybox.estimate.profile import profile as profile
-from greybox.estimate.profiles import Contour as Contour
 from greybox.estimate.profiles import Profiles as Profiles
 from greybox.estimate.result import Fit as Fit
 from greybox.estimate.storage import load as load

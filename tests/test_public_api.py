@@ -12,10 +12,10 @@ import pytest
 import greybox as gb
 
 NAMES = """
-Bootstrap Collocation Contour Controller Criterion Draws EquationError Fit FrequencyResponse Integrator MagnitudePhase
+Bootstrap Collocation Controller Criterion Draws EquationError Fit FrequencyResponse Integrator MagnitudePhase
 MaximumLikelihood MultipleShooting OutputError Parameter PredictionError Problem Profiles Record RelativeError
 Radau RelativeLikelihood RungeKutta SingleShooting SquaredRelativeError Starts StateSpace TimeCriterion
-Transcription TransferFunction batch bootstrap compare contour cost draws feedback fit frequency_response identify load margins misfit
+Transcription TransferFunction batch bootstrap compare cost draws feedback fit frequency_response identify load margins misfit
 plot predict prepare profile read read_response report safe_gains save several simulate stepwise
 structural_identifiability virtual_flight
 """.split()
@@ -37,7 +37,7 @@ NAMESPACES = {
     "logs": "find_segments horizontal_velocity prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Radau RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response linearize rational",
-    "plotting": "bode contour ends estimates gains loop nyquist pairs plot profiles recording residuals "
+    "plotting": "bode ends estimates gains loop nyquist pairs plot profiles recording residuals "
     "spectrum starts structures time_history traces trend",
     "regression": "EquationErrorEstimate equation_error levy order_path",
     "simulation": "Prediction predict simulate",

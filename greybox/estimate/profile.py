@@ -12,7 +12,6 @@ One solver is used for all parameters, and one program for each other quantity.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -24,9 +23,9 @@ from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.covariance import Accuracy, assess
 from greybox.estimate.fitted_problem import compiled_again
-from greybox.estimate.profiles import Contour, End, ProfileOf, Profiles
+from greybox.estimate.profiles import End, ProfileOf, Profiles
 from greybox.estimate.quantities import quantity_function
-from greybox.estimate.response_band import radius, require_level, t_quantile
+from greybox.estimate.response_band import require_level, t_quantile
 from greybox.estimate.result import Fit, Quantity
 from greybox.files.arrays import Array
 from greybox.files.progress import bar
@@ -170,8 +169,8 @@ class NoProfileError(ValueError):
     """There is no likelihood, or the solver does not return to the minimum of the fit."""
 
 
-Held = list[int] | ca.Function
-"""What is held: the parameters at these places, or a quantity (z) -> value."""
+Held = int | ca.Function
+"""What is held: the parameter at this place, or a quantity (z) -> value."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -258,22 +257,19 @@ class HeldMinima:
             return None
         return BatchedNewton.of(self.nlp, self.nlp.programs[-1])
 
-    def lowest(self, held: Held, starts: Sequence[Point], value: float | Array) -> Point:
-        """Return the lowest minimum from these starts with a quantity held at a value.
-
-        Several parameters have an array of values.
-        """
+    def lowest(self, held: Held, starts: Sequence[Point], value: float) -> Point:
+        """Return the lowest minimum from these starts with a quantity held at a value."""
         lower, upper = self.nlp.lower.copy(), self.nlp.upper.copy()
-        if isinstance(held, list):
+        if isinstance(held, int):
             lower[held] = upper[held] = value
         lower, upper = map(self.nlp.scaling.to_solver, (lower, upper))
 
-        if self._newton is None or not isinstance(held, list):
+        if self._newton is None or not isinstance(held, int):
             minima = []
             for start in starts:
                 equation = None
-                if not isinstance(held, list):
-                    equation = steep_equation(held, start.z, float(value))
+                if not isinstance(held, int):
+                    equation = steep_equation(held, start.z, value)
                 minima.append(self._solved(self._solver.within(lower, upper, equation), start))
         else:
             low, high = (np.tile(bound[:, None], len(starts)) for bound in (lower, upper))
@@ -379,7 +375,7 @@ def likelihood_factor(accuracy: Accuracy, gradient: Array) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """What the points of one profile, or of one ray of a contour, share.
+    """What the points of one profile share.
 
     Attributes
     ----------
@@ -396,8 +392,6 @@ class _Search:
         The first step.
     starts : sequence of Point
         Further starts of every point.
-    ray : pair of (2,) arrays, optional
-        Where the values are distances along a ray of two parameters: its origin and direction.
     """
 
     minima: HeldMinima
@@ -408,7 +402,6 @@ class _Search:
     size: float
     first: float
     starts: Sequence[Point] = ()
-    ray: tuple[Any, Any] = (0.0, 1.0)
 
     def root(self, point: Point) -> float:
         """Return r, negative below the estimate."""
@@ -423,9 +416,7 @@ class _Search:
 
     def point(self, value: float, *starts: Point) -> Point:
         """Return the lowest minimum from these starts with the quantity at a value."""
-        origin, direction = self.ray
-        lowest = self.minima.lowest(self.held, starts, origin + value * direction)
-        return replace(lowest, value=value)
+        return replace(self.minima.lowest(self.held, starts, value), value=value)
 
     def side(self, direction: int, limit: float) -> tuple[list[Point], End]:
         """Walk from the estimate until |r| crosses a limit; the points, and how the walk ended."""
@@ -535,7 +526,7 @@ def _search(minima: HeldMinima, line: Quantity, limit: float, starts: Sequence[P
     slope_of_x = nlp.scaling.slope(x)
     if line.name in nlp.free:
         place = nlp.free.index(line.name)
-        held: Held = [place]
+        held: Held = place
         slope = np.eye(len(x))[place]
         value = float(x[place])
     else:
@@ -603,122 +594,3 @@ def _profile_of(search: _Search, line: Quantity, limit: float) -> ProfileOf:
         at_bound=(at_bound[0], at_bound[1]),
         connected=len(inside) == last - first + 1,
     )
-
-
-# --- contours
-
-
-def contour(
-    fit: Fit,
-    first: str,
-    second: str,
-    *,
-    problem: AnyProblem | None = None,
-    level: float = 0.95,
-    directions: int = 36,
-) -> Contour:
-    """Return the confidence region of two parameters by the likelihood ratio.
-
-    At every point all other parameters are fitted again. Rays from the estimate, even in the metric
-    of the covariance, are followed to where the root of the ratio crosses √(2 F), or to the bounds
-    of the two parameters. F is the quantile of Fisher's distribution with 2 and the fit's degrees
-    of freedom. Source: Bates and Watts (1988), section 6.1.
-
-    Parameters
-    ----------
-    fit : Fit
-    first, second : str
-        Free parameters.
-    problem, level
-        As for `profile`, which admits the same criteria.
-    directions : int
-        Number of rays, at least 8.
-
-    Raises
-    ------
-    ValueError
-        As for `profile`; and for names that are not two free parameters within their bounds.
-
-    Examples
-    --------
-    >>> from greybox.problems import pitch_hover
-    >>> fit = gb.fit(pitch_hover.problem(), starts=20)
-    >>> gb.contour(fit, "a1", "a2", directions=8).level
-    0.95
-    """
-    nlp = _compiled(fit, problem, level)
-    lines = {q.name: q for q in fit.quantities if q.kind == "free" and not q.at_bound}
-    require_known(
-        (first, second), lines, "free parameter within its bounds", f"the fit {fit.name!r}"
-    )
-    if first == second:
-        raise ValueError(
-            f"a contour of {first!r} needs another parameter: there are {', '.join(lines)}."
-        )
-    if directions < 8:
-        raise ValueError(f"directions is {directions}: give at least 8; fewer show no shape.")
-    return _contour(nlp, fit, (lines[first], lines[second]), level, directions)
-
-
-def _contour(
-    nlp: CompiledProblem, fit: Fit, lines: tuple[Quantity, Quantity], level: float, directions: int
-) -> Contour:
-    minima = _minima(nlp, fit)
-    accuracy = minima.accuracy
-    places = [nlp.free.index(line.name) for line in lines]
-    limit = radius(level, min(line.dof for line in lines))
-    block = accuracy.covariance[np.ix_(places, places)]
-    axes = np.diag(accuracy.size[places])
-    if np.linalg.det(block) > 0:
-        axes = np.linalg.cholesky(block)
-    factors = [likelihood_factor(accuracy, row) for row in np.eye(len(nlp.free))[places]]
-    search = _Search(
-        minima=minima,
-        held=places,
-        best=minima.best,
-        factor=float(np.mean(factors)),
-        bounds=(0.0, math.inf),
-        size=limit,
-        first=limit / 2,
-    )
-    origin = minima.x[places]
-    bounds = np.array([line.bounds for line in lines])
-    bias = np.linalg.solve(axes, [line.bias for line in lines])
-    # The rays begin at the estimate, which must lie within the contour: a larger bias is cut.
-    bias *= min(1.0, 0.9 * limit / max(float(np.linalg.norm(bias)), 1e-300))
-
-    points = []
-    ends = []
-    # In the metric of the covariance the region is nearly a circle, so even angles describe it
-    # well.
-    for angle in 2 * math.pi * np.arange(directions) / directions:
-        direction = np.array([math.cos(angle), math.sin(angle)])
-        ray = axes @ direction
-        along = float(direction @ bias)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            room = np.max((bounds - origin[:, None]) / ray[:, None], axis=1)
-        reach, end = _reach(
-            replace(search, bounds=(0.0, float(np.nanmin(room))), ray=(origin, ray)),
-            math.sqrt(limit**2 - bias @ bias + along**2) - along,
-        )
-        points.append(origin + reach * ray)
-        ends.append(end)
-    return Contour(
-        names=(lines[0].name, lines[1].name),
-        units=(lines[0].unit, lines[1].unit),
-        level=level,
-        estimate=origin,
-        covariance=block,
-        limit=limit,
-        points=np.array(points),
-        ends=tuple(ends),
-    )
-
-
-def _reach(search: _Search, limit: float) -> tuple[float, End]:
-    """Return how far along a ray a limit is crossed, or where else the walk ended."""
-    points, end = search.side(1, limit)
-    for inner, outer in pairwise(points):
-        if search.root(outer) > limit:
-            return search.crossing(inner, outer, limit), "crossed"
-    return {"bound": search.bounds[1], "flat": math.inf}.get(end, math.nan), end

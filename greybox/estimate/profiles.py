@@ -1,10 +1,8 @@
-"""Profiles and contours of a fit as values that print themselves; `profile` computes them."""
+"""Profiles of a fit as values that print themselves; `profile` computes them."""
 
 import math
 from dataclasses import dataclass
 from typing import Any, Literal
-
-import numpy as np
 
 from greybox.files.arrays import Array
 from greybox.files.html_text import Printed
@@ -172,61 +170,3 @@ class Profiles(Printed):
             "warnings": self.warnings,
         }
         return plain(answer)
-
-
-@dataclass(frozen=True, eq=False)
-class Contour:
-    """The confidence region of two parameters by the likelihood ratio.
-
-    Attributes
-    ----------
-    names, units : (str, str)
-    level : float
-    estimate : (2,) array
-    covariance : (2, 2) array
-        Covariance of the two, for the ellipse of the standard errors.
-    limit : float
-        Limit of the root of the likelihood ratio.
-    points : (n, 2) array
-        Where rays from the estimate leave the region, in the order of their directions; NaN where a
-        solve failed.
-    ends : tuple of End
-        How every ray ended: it "crossed" the limit, reached the "bound" of one of the parameters
-        first, is "flat", or "failed".
-    """
-
-    names: tuple[str, str]
-    units: tuple[str, str]
-    level: float
-    estimate: Array
-    covariance: Array
-    limit: float
-    points: Array
-    ends: tuple[End, ...]
-
-    def __repr__(self) -> str:
-        return one_line(self, " and ".join(self.names), str(self))
-
-    def __str__(self) -> str:
-        open_ends = len(self.ends) - self.ends.count("crossed")
-        shape = f"open in {open_ends} of {len(self.ends)} directions" if open_ends else "closed"
-        ranges = [
-            f"{name} {number(low, 4)} to {number(high, 4)}{f' {unit}' if unit else ''}"
-            for name, unit, low, high in zip(
-                self.names,
-                self.units,
-                np.nanmin(self.points, axis=0),
-                np.nanmax(self.points, axis=0),
-                strict=True,
-            )
-        ]
-        return (
-            f"{100 * self.level:g} % region of {' and '.join(self.names)}, {shape}: "
-            f"{', '.join(ranges)}"
-        )
-
-    def ellipse(self) -> Array:
-        """Return the region by the standard errors, (200, 2)."""
-        angle = np.linspace(0, 2 * math.pi, 200)
-        axes = np.linalg.cholesky(self.covariance)
-        return self.estimate + self.limit * (axes @ [np.cos(angle), np.sin(angle)]).T

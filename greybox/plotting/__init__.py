@@ -36,7 +36,6 @@ from greybox.plotting.loops import loop as loop
 from greybox.plotting.nyquist import nyquist as nyquist
 from greybox.plotting.overview import plot as plot
 from greybox.plotting.pairs import pairs as pairs
-from greybox.plotting.profile import contour as contour
 from greybox.plotting.profile import profiles as profiles
 from greybox.plotting.residuals import residuals as residuals
 from greybox.plotting.spectrum import spectrum as spectrum

@@ -1,10 +1,9 @@
 """Profiles of the likelihood: the mismatch as one quantity moves away from its estimate."""
 
 import numpy as np
-from matplotlib.axes import Axes
 
-from greybox.estimate.profiles import Contour, ProfileOf, Profiles
-from greybox.plotting.figure import GRAY, INK, Figure, Panel, Series, band
+from greybox.estimate.profiles import ProfileOf, Profiles
+from greybox.plotting.figure import GRAY, Figure, Panel, Series, band
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.signals import with_unit
 
@@ -33,45 +32,6 @@ def profile_figures(profiles: Profiles) -> list[Figure]:
     """Return one figure for every profiled quantity."""
     interval = f"{100 * profiles.level:g} % interval"
     return [_figure(p, profiles.limit[p.name], interval) for p in profiles.profiles]
-
-
-def contour(contour: Contour, axes: Axes | None = None) -> Axes:
-    """Draw the confidence region of two parameters, and the ellipse of the standard errors.
-
-    Open ends are hollow.
-
-    Parameters
-    ----------
-    contour : Contour
-    axes : Axes, optional
-        By default a new figure is made.
-    """
-    x, y = np.vstack([contour.points, contour.points[:1]]).T
-    is_closed = np.array([end == "crossed" for end in contour.ends])
-    closed = contour.points[is_closed].T
-    hollow = contour.points[~is_closed].T
-    if is_closed.all():
-        from scipy.interpolate import CubicSpline  # noqa: PLC0415  (imports slowly)
-
-        rays = np.arange(len(x))
-        x, y = CubicSpline(rays, [x, y], 1, "periodic")(np.linspace(0, rays[-1], 360))
-    series = [
-        Series("", "regions", x, y),
-        Series("region", "line", x, y),
-        Series("", "points", *closed),
-    ]
-    if hollow.size:
-        series.append(Series("open end", "points", *hollow, is_hollow=True))
-    # Regions leave the limits to the other series: the ellipse may be many times as long.
-    if np.all(np.isfinite(contour.covariance)):
-        look = {"color": INK, "style": 1, "is_hollow": True}
-        series.append(Series("standard errors", "regions", *contour.ellipse().T, **look))
-
-    estimate = contour.estimate[:, None]
-    series.append(Series("estimate", "points", *estimate, color=INK))
-    across, upward = map(with_unit, contour.names, contour.units)
-    figure = Figure("Region", across, [Panel(upward, series)], "Region")
-    return draw([figure], axes, size=(5.0, 2.9))[0]
 
 
 def _figure(profile: ProfileOf, limit: float, interval_name: str) -> Figure:

@@ -12,8 +12,6 @@ import numpy as np
 import pytest
 from command_line import OWN, refused, run
 from declared_models import measured
-from scipy.stats import f as fisher
-from scipy.stats import t as student
 
 import greybox as gb
 from greybox.data.response_file import write_response
@@ -38,26 +36,6 @@ def answer(capsys, *arguments):
     status, out, _ = run(capsys, *arguments, "--json")
     assert status == 0
     return json.loads(out, parse_constant=lambda word: pytest.fail(f"{word} in JSON"))
-
-
-def test_the_region_of_two_parameters(capsys, tmp_path):
-    """It is wider than each interval alone by √(2 F) over Student's t."""
-    saved, figure = tmp_path / "lag.h5", tmp_path / "region.png"
-    data = measured(
-        Polynomial(1, 0), np.geomspace(0.3, 30, 8), {"b0": 6.0, "a0": 3.0}, noise=0.05, seed=3
-    )
-    gb.save(gb.fit(gb.Problem(Polynomial(1, 0), data, gb.SquaredRelativeError()), starts=1), saved)
-    command = ("profile", saved, "--contour", "b0", "a0")
-    found = answer(capsys, *command, "--plot", figure)
-    assert set(found["ends"]) == {"crossed"}
-    points = np.array(found["points"])
-    alone = answer(capsys, "profile", saved)["profiles"]
-    for k, name in enumerate(("b0", "a0")):
-        wider = np.ptp(points[:, k]) / (alone[name]["high"] - alone[name]["low"])
-        assert wider == pytest.approx(
-            np.sqrt(2 * fisher.ppf(0.95, 2, 14)) / student.ppf(0.975, 14), rel=0.02
-        )
-    assert figure.stat().st_size > 1000
 
 
 def test_what_a_structure_could_tell_and_what_a_fit_has_told(capsys, own, yaw):

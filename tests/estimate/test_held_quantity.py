@@ -86,7 +86,7 @@ def test_costs_with_a_parameter_or_a_quantity_held_rise_as_those_of_least_square
 
     low, high = best[1] - 0.1, best[1] + 0.2
     for start, at in ((point, low), (Point(point.z), high)):
-        end = minima.lowest([1], [start], at)
+        end = minima.lowest(1, [start], at)
         assert end.cost - cost == pytest.approx(rise([0, 1], at), rel=1e-4)
         assert nlp.scaling.to_parameters(end.z)[1] == pytest.approx(at)
     z = ca.SX.sym("z", 2)

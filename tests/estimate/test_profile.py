@@ -8,13 +8,12 @@ import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 from numpy.testing import assert_allclose
 from scipy.optimize import brentq, least_squares
-from scipy.stats import f as fisher
 from scipy.stats import t as student
 
 import greybox as gb
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.profile import likelihood_factor
-from greybox.estimate.profiles import Contour, ProfileOf, Profiles
+from greybox.estimate.profiles import ProfileOf, Profiles
 from greybox.files.text_table import number
 from greybox.models.tilt import PAPER_G
 from greybox.problems import pitch_hover, yaw_hover
@@ -213,41 +212,6 @@ def test_the_figure_has_a_panel_for_each(yaw):
     assert [ax.get_xlabel()[:2] for ax in axes] == ["a1", "a2", "a3"]
 
 
-def test_a_contour_is_where_the_costs_of_a_dense_grid_cross_the_limit():
-    data = noisy(Lag(), {"K": 2.0, "T": 0.3}, 0.1, 4, TWO_LAGS_OMEGA[::4])
-    fit = fitted(Lag(), data, gb.SquaredRelativeError())
-    found = gb.contour(fit, "K", "T", directions=12)
-    assert {*found.ends} == {"crossed"}
-    # Of a model of two parameters nothing is fitted again: the cost gives the root on the contour
-    # itself, and with the bias of the estimate, in the metric of the covariance, it is √(2 F) from
-    # the truth.
-    dof = 2 * len(data) - 2
-    error = found.points[:, :1] / (1j * data.omega * found.points[:, 1:] + 1) / data.response - 1
-    factor = np.mean(np.diag(fit.white) / np.diag(fit.covariance_of(["K", "T"])))
-    roots = np.sqrt(2 * factor * ((np.abs(error) ** 2).sum(axis=1) - fit.cost))
-    angle = 2 * np.pi * np.arange(12) / 12
-    axes = np.linalg.cholesky(fit.covariance_of(["K", "T"]))
-    bias = np.linalg.solve(axes, [q.bias for q in fit.quantities if q.kind == "free"])
-    assert np.linalg.norm(bias) > 0.3
-    distance = np.linalg.norm(
-        roots[:, None] * np.array([np.cos(angle), np.sin(angle)]).T + bias, axis=1
-    )
-    assert_allclose(distance, np.sqrt(2 * fisher.ppf(0.95, 2, dof)), rtol=1e-3)
-
-
-def test_a_contour_of_a_ratio_that_is_known_is_open_along_it():
-    data = noisy(OneSided(), {"b": 10000.0, "a": 5000.0}, 0.05, 1)
-    fit = fitted(OneSided(), data, gb.SquaredRelativeError())
-    found = gb.contour(fit, "b", "a", directions=12)
-    assert "open in" in str(found)
-    ratio = found.points[:, 0] / found.points[:, 1]
-    assert np.nanmax(np.abs(ratio / 2 - 1)) < 0.3
-    axes = gb.plotting.contour(found)
-    assert (axes.get_xlabel()[0], axes.get_ylabel()[0]) == ("b", "a")
-    with pytest.raises(ValueError, match="no free parameter within its bounds 'ratio'"):
-        gb.contour(fit, "b", "ratio")
-
-
 @pytest.mark.parametrize("level", [0.0, 1.0, 95.0])
 def test_a_level_is_a_share(level):
     fit = fitted(OneSided(), noisy(OneSided(), {"b": 100.0, "a": 100.0}, 0.02, 0))
@@ -360,41 +324,6 @@ def test_the_factor_of_the_cost_is_that_of_both_variances_along_the_gradient():
 @pytest.fixture(scope="module")
 def lag():
     return fitted(Lag(), noisy(Lag(), {"K": 2.0, "T": 0.3}, 0.02, 0), gb.SquaredRelativeError())
-
-
-def test_a_region_needs_two_parameters_and_eight_directions(lag):
-    with pytest.raises(ValueError, match="needs another parameter: there are K, T"):
-        gb.contour(lag, "K", "K")
-    with pytest.raises(ValueError, match="directions is 7"):
-        gb.contour(lag, "K", "T", directions=7)
-    found = gb.contour(lag, "T", "K", directions=8, level=0.5)
-    assert found.names == ("T", "K")
-    assert found.limit == pytest.approx(np.sqrt(2 * fisher.ppf(0.5, 2, lag.dof)))
-    assert_allclose(found.estimate, [lag.estimate["T"], lag.estimate["K"]])
-    assert_allclose(found.covariance, lag.covariance_of(["T", "K"]))
-    assert str(found).startswith("50 % region of T and K, closed: T ")
-
-
-def test_an_ellipse_is_where_the_quadratic_form_is_the_square_of_the_limit():
-    covariance = np.array([[4.0, -1.5], [-1.5, 1.0]])
-    region = Contour(
-        ("a", "b"),
-        ("s", ""),
-        0.9,
-        np.array([3.0, -7.0]),
-        covariance,
-        2.5,
-        np.array([[1.0, -9.0], [5.0, np.nan]]),
-        ("crossed", "flat"),
-    )
-    away = region.ellipse() - [3.0, -7.0]
-    assert away.shape == (200, 2)
-    assert_allclose(np.einsum("ni,ij,nj->n", away, np.linalg.inv(covariance), away), 2.5**2)
-    assert_allclose(away[0], away[-1])
-    assert np.ptp(away[:, 0]) == pytest.approx(2 * 2.5 * 2, rel=0.01)
-    assert (
-        str(region) == "90 % region of a and b, open in 1 of 2 directions: a 1 to 5 s, b -9 to -9"
-    )
 
 
 def test_a_fit_without_an_estimate_and_one_with_a_prior_have_no_profile(lag):

@@ -8,7 +8,6 @@ from lateral_aircraft import disturbed, doublets
 from nist import FORMULAS, certified
 from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
-from scipy.stats import f as fisher
 from scipy.stats import t as student
 from spring_lag_tilt import SPRING, Spring, fit
 
@@ -99,24 +98,6 @@ def test_refits_with_the_parameter_fixed_cost_as_much_at_both_ends(windy):
     assert 1 < ratio < 1.5
     for end in (low, high):
         assert rise(end) == pytest.approx(limit * ratio, rel=0.03)
-
-
-def test_regions_of_two_parameters_are_those_of_refits():
-    record = disturbed(Spring(), TRUTH, doublets(1, 150, 1.0, 1), 0.05, {}, {"x": 0.2, "v": 0.5}, 1)
-    rule = gb.OutputError(noise={"x": 0.2, "v": 0.5}, inputs="held")
-    found = fit(gb.Problem(Spring(), record, rule))
-    region = gb.contour(found, "k", "c", directions=8)
-    assert set(region.ends) == {"crossed"}
-    k, c = region.points[1]
-    held = fit(gb.Problem(Spring(), record, rule, fixed={"k": k, "c": c}))
-    ratio = 2 * (held.cost - found.cost)
-    # By the standard errors, which follow from the correlation of the residuals.
-    free = [found.free.index(name) for name in ("k", "c")]
-    moved = region.points[1] - region.estimate
-    scale = (
-        moved @ np.linalg.solve(found.covariance_of(found.free)[np.ix_(free, free)], moved) / ratio
-    )
-    assert scale * ratio == pytest.approx(2 * fisher.ppf(0.95, 2, found.dof), rel=0.15)
 
 
 def test_a_constant_has_no_profile(windy):

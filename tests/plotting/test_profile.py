@@ -1,4 +1,4 @@
-"""Profiles and contours show the numbers that they hold."""
+"""Profiles show the numbers that they hold."""
 
 from types import SimpleNamespace
 
@@ -8,7 +8,6 @@ from drawn_lines import named
 from matplotlib.figure import Figure
 
 import greybox as gb
-from greybox.estimate.profiles import Contour
 from greybox.plotting.profile import profile_figures
 
 VALUES = np.array([0.7, 1.0, 1.4])
@@ -57,40 +56,3 @@ def test_profiles_stand_in_a_grid_or_in_axes_of_a_user():
     assert axes[0].get_xlim() == (0.7, 1.4)
     with pytest.raises(ValueError, match="has 4 panels"):
         gb.plotting.profiles(four, Figure().subplots(3))
-
-
-def test_a_contour_is_closed_with_hollow_open_ends():
-    points = np.array([[1.5, 2.0], [1.0, 3.0], [0.5, 2.0], [1.0, 1.0]])
-    ends = ("crossed", "bound", "crossed", "flat")
-    covariance = np.array([[0.04, 0.01], [0.01, 0.09]])
-    found = Contour(
-        ("a", "b"), ("s", ""), 0.95, np.array([1.0, 2.0]), covariance, 2.0, points, ends
-    )
-    ax = gb.plotting.contour(found)
-    lines = {line.get_label(): line.get_xydata() for line in ax.get_lines()}
-    np.testing.assert_array_equal(lines["region"], [*points, points[0]])
-    np.testing.assert_array_equal(lines["_"], points[[0, 2]])
-    np.testing.assert_array_equal(lines["open end"], points[[1, 3]])
-    np.testing.assert_array_equal(lines["estimate"], [[1.0, 2.0]])
-    _, ellipse = (areas.get_paths()[0].vertices for areas in ax.collections)
-    # The Mahalanobis distance of the ellipse is the limit everywhere.
-    off = ellipse - [1.0, 2.0]
-    np.testing.assert_allclose(np.einsum("ni,ij,nj->n", off, np.linalg.inv(covariance), off), 4.0)
-    assert (ax.get_xlabel(), ax.get_ylabel()) == ("a, s", "b")
-    unknown = Contour(
-        ("a", "b"), ("s", ""), 0.95, np.array([1.0, 2.0]), np.nan * covariance, 2.0, points, ends
-    )
-    assert len(gb.plotting.contour(unknown, Figure().subplots()).collections) == 1
-
-
-def test_a_closed_contour_is_smooth_and_passes_through_its_points():
-    angle = np.linspace(0, 2 * np.pi, 36, endpoint=False)
-    points = np.column_stack([1 + 0.3 * np.cos(angle), 2 + 0.5 * np.sin(angle)])
-    found = Contour(
-        *(("a", "b"), ("s", ""), 0.95, np.array([1.0, 2.0])),
-        *(np.eye(2), 2.0, points, ("crossed",) * 36),
-    )
-    lines = {line.get_label(): line.get_xydata() for line in gb.plotting.contour(found).get_lines()}
-    x, y = (lines["region"] - [1.0, 2.0]).T
-    assert x.size == 360
-    np.testing.assert_allclose((x / 0.3) ** 2 + (y / 0.5) ** 2, 1.0, atol=1e-4)
