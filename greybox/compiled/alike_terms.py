@@ -6,7 +6,6 @@ of the sum, and all terms of a few searches are enough columns for numpy. `respo
 for responses as formulas, which IPOPT evaluates; here the terms are found in any cost.
 """
 
-import math
 from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -14,7 +13,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.vectorized import CHUNK, Columns
+from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array, IntArray
 from greybox.modeling.formula_structure import walk
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -22,6 +21,9 @@ from greybox.modeling.one_thread import one_thread_at_a_time
 # Number of columns from which registers of numpy save time within a few calls: their layout takes
 # 1.5 µs for every operation.
 FEWEST_COLUMNS = 512
+# Searches up to which CasADi sums the terms. For eight, with the 20 terms of a lag, it takes 90 µs,
+# and numpy 100 µs; for one 10 and 40 µs.
+NARROW = 8
 DATA = 2  # the input with the data
 
 
@@ -41,31 +43,29 @@ class SecondOrder:
             (Columns(_derivatives([*_others(inputs), group.symbols], group.term)), group)
             for group in groups
         ]
-        self._remainder = None
+        self._remainder, sizes = None, [value.numel() for value in inputs]
         if not (groups and remainder.is_zero()):
             self._remainder = Columns(_derivatives(inputs, remainder), fewest=FEWEST_COLUMNS)
+        # One call for few searches: to arrange their terms takes as long as to evaluate them.
+        self._narrow = Columns(_summed(sizes, self._groups, self._remainder))
 
     def __call__(self, *inputs: Array) -> tuple[Array, Array, Array]:
         """Return cost (m,), gradient (p, m) and Hessian (p * p, m) for inputs (numel, m)."""
         p, m = inputs[0].shape
+        if m <= NARROW:
+            cost, gradient, hessian = self._narrow(*inputs)
+            return cost[0], gradient, hessian
         if self._remainder is None:
             values = [np.zeros((size, m)) for size in (1, p, p * p)]
         else:
             values = [*self._remainder(*inputs)]
         for function, (_, _, constants, places) in self._groups:
-            # All terms at once would not fit into the cache.
-            total = constants.shape[1]
-            width = math.ceil(total / math.ceil(total / max(CHUNK // m, 1)))
-            for begin in range(0, total, width):
-                piece = slice(begin, min(begin + width, total))
-                count = piece.stop - begin
-                # np.tile takes three times as long on few columns.
-                repeated = (np.concatenate([value] * count, axis=1) for value in _others(inputs))
-                data = inputs[DATA][places[:, piece]].reshape(len(places), count * m)
-                numbers = np.concatenate([np.repeat(constants[:, piece], m, axis=1), data])
-                terms = function(*repeated, numbers)
-                for k, of_terms in enumerate(terms):
-                    values[k] += of_terms.reshape(-1, count, m).sum(axis=1)
+            count = constants.shape[1]
+            repeated = (np.tile(value, count) for value in _others(inputs))
+            data = inputs[DATA][places].reshape(len(places), count * m)
+            numbers = np.concatenate([np.repeat(constants, m, axis=1), data])
+            for k, terms in enumerate(function(*repeated, numbers)):
+                values[k] += terms.reshape(-1, count, m).sum(axis=1)
 
         cost, gradient, hessian = values
         return cost[0], gradient, hessian
@@ -93,6 +93,22 @@ def _derivatives(inputs: Sequence[ca.SX], cost: ca.SX) -> ca.Function:
     hessian, gradient = ca.hessian(cost, inputs[0])
     outputs = [ca.densify(value) for value in (cost, gradient, ca.vec(hessian))]
     return ca.Function("derivatives", [*inputs], outputs, {"cse": True})
+
+
+def _summed(
+    sizes: Sequence[int], groups: Sequence[tuple[Columns, _Group]], remainder: Columns | None
+) -> ca.Function:
+    """Return the sum of all terms and its derivatives as a function of the inputs."""
+    inputs = [ca.MX.sym("v", size) for size in sizes]
+    pieces = [] if remainder is None else [remainder.function(*inputs)]
+    others = _others(inputs)
+    for columns, (_, _, constants, places) in groups:
+        data = ca.reshape(inputs[DATA][places.T.ravel().tolist()], *places.shape)
+        terms = columns.function.map(
+            "terms", "serial", constants.shape[1], [*range(len(others))], [0, 1, 2]
+        )
+        pieces.append(terms(*others, ca.vertcat(ca.DM(constants), data)))
+    return ca.Function("summed", inputs, [sum(piece) for piece in zip(*pieces, strict=True)])
 
 
 def grouped(inputs: Sequence[ca.SX], cost: ca.SX) -> tuple[list[_Group], ca.SX]:

@@ -99,7 +99,7 @@ class ResponsePart(Part):
         self.data = problem.response
         self.numbers = 2 * len(self.data)
         self.functions, self.inputs, self.is_open = functions, inputs, is_open
-        self._latest: Any = None, None
+        self._results: dict[str, tuple[Array, ComplexArray]] = {}
         size = np.abs(self.data.response)
         # Points that are nearly zero must not dominate the signature of a run.
         self.magnitude = np.maximum(size, 1e-12 * size.max() + 1e-150)
@@ -118,8 +118,7 @@ class ResponsePart(Part):
 
     def response(self, values: Array) -> ComplexArray:
         """Return the model's response (n,) at all values x (k,)."""
-        parts = np.asarray(self.functions.response(values)).reshape(2, -1)
-        return complex_array(*parts)
+        return self._latest(self.functions.response, values).copy()
 
     def scaled_response(self, z: Any) -> Any:
         """Return real and imaginary parts of the model's response at z (p,), stacked (2 n,)."""
@@ -135,13 +134,17 @@ class ResponsePart(Part):
 
     def sensitivity(self, values: Array) -> ComplexArray:
         """Return the derivatives of the response by all values x (k,): (n, k)."""
+        return self._latest(self.functions.slope, values).reshape(-1, len(values))
+
+    def _latest(self, function: ca.Function, values: Array) -> ComplexArray:
+        """Return real and imaginary parts as complex numbers."""
         # Covariance, outliers and misfit ask at one point.
-        point, slope = self._latest
+        point, result = self._results.get(function.name(), (None, None))
         if not np.array_equal(values, point):
-            parts = np.asarray(ca.DM(self.functions.slope(values))).reshape(2, -1, len(values))
-            slope = complex_array(*parts)
-            self._latest = values.copy(), slope
-        return slope
+            parts = np.asarray(ca.DM(function(values)))
+            result = complex_array(*parts.reshape(2, -1))
+            self._results[function.name()] = values.copy(), result
+        return result
 
     def noise_ratio(self, trajectory: Trajectory) -> float:
         """Return the squared residuals over the given variances, or else their mean."""

@@ -128,7 +128,7 @@ class SharedResponses:
         self._places = [slice(a, b) for a, b in pairwise(ends)]
         second, first = ca.hessian(cost, symbols[0])
         pattern = second.sparsity()
-        self._second = np.array(pattern.row()), np.array(pattern.colind())
+        self._second = np.array(pattern.get_triplet())
         outputs = [cost, first, second.nz[:]]
         self._criterion = Columns(ca.Function("criterion", [*symbols], outputs))
 
@@ -150,8 +150,6 @@ class SharedResponses:
 
         The columns of `data` (g, k) are those of `CompiledProblem`.
         """
-        from scipy.sparse import csc_array  # noqa: PLC0415  (imports slowly)
-
         values, slopes = self.stacked(z)
         numbers = np.concatenate([values.real, values.imag], axis=1).T
         cost, first, second = self._criterion(numbers, smoothing, data)
@@ -159,9 +157,9 @@ class SharedResponses:
         gradient, hessian = np.empty((p, k)), np.empty((p * p, k))
         for c in range(k):
             jacobian = np.concatenate([slopes[c].real, slopes[c].imag])
-            weight = csc_array((second[:, c], *self._second), shape=(len(jacobian),) * 2)
             gradient[:, c] = first[:, c] @ jacobian
-            hessian[:, c] = (jacobian.T @ (weight @ jacobian)).ravel()
+            left, right = jacobian[self._second]
+            hessian[:, c] = ((left * second[:, [c]]).T @ right).ravel()
         return cost[0], gradient, hessian
 
 

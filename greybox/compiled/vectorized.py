@@ -71,19 +71,24 @@ class Columns:
     CasADi evaluates fewer columns than `fewest`, because the layout of registers for another number
     of columns takes some milliseconds. It also evaluates functions that are not SX or contain an
     operation without a ufunc.
+
+    Attributes
+    ----------
+    function : casadi.Function
+        It, with dense inputs and outputs.
     """
 
     def __init__(
         self, function: ca.Function, shared: tuple[int, ...] = (), fewest: int = 1
     ) -> None:
         function = _dense(function)
-        self._function, self._shared, self._fewest = function, shared, fewest
+        self.function, self._shared, self._fewest = function, shared, fewest
         self._sizes = [function.numel_out(k) for k in range(function.n_out())]
         self._layouts: dict[int, _Mapped | _Registers] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return a recipe for the same evaluation: memory for CasADi cannot be pickled."""
-        return Columns, (self._function, self._shared, self._fewest)
+        return Columns, (self.function, self._shared, self._fewest)
 
     def __call__(self, *inputs: Array) -> Sequence[Array]:
         """Return the outputs, (numel, m) each, for inputs (numel, m), shared ones (numel,)."""
@@ -113,17 +118,17 @@ class Columns:
             fewest = max(self._fewest, LARGE_FEWEST if self._is_large else FEWEST)
             use_casadi = m < fewest or not self._has_ufuncs
             kind = _Mapped if use_casadi else _Registers
-            self._layouts[m] = kind(self._function, self._shared, m)
+            self._layouts[m] = kind(self.function, self._shared, m)
         return self._layouts[m]
 
     @property
     def _is_large(self) -> bool:
-        return self._function.is_a("SXFunction") and self._function.n_instructions() > LARGE
+        return self.function.is_a("SXFunction") and self.function.n_instructions() > LARGE
 
     @cached_property
     def _has_ufuncs(self) -> bool:
         """Whether numpy can do every operation."""
-        f = self._function
+        f = self.function
         return f.is_a("SXFunction") and all(
             f.instruction_id(k) in _OPERATIONS or f.instruction_id(k) in _READING
             for k in range(f.n_instructions())

@@ -108,7 +108,7 @@ def refined_curve(
 
 def _rounded(values: Array, digits: int) -> Array:
     """Return values (n,) with this number of significant digits."""
-    return np.array([float(f"{value:.{digits}g}") for value in values])
+    return np.array([float(f"{value:.{digits}g}") for value in values.tolist()])
 
 
 @fitted_part.register

@@ -38,6 +38,8 @@ def fields_of(kind: type) -> dict[str, Any]:
 
 def write(value: Any) -> Any:
     """Return a value for JSON."""
+    if value is None or isinstance(value, str | float | int):  # most values
+        return value
     if isinstance(value, np.ndarray) and value.dtype != object:
         parts = np.array([value.real, value.imag]) if np.iscomplexobj(value) else value
         return {"shape": parts.shape, "numbers": parts.ravel().tolist()}

@@ -65,12 +65,12 @@ def relative_score(
     error = size * radius[:, None] * np.exp(1j * angles)
     factor = 1 / (1 + error) if normalized == "measured" else 1 + error
 
-    gain = 1.0
+    gain, real, square = 1.0, factor.real, np.abs(factor) ** 2
     # Reweighted least squares: each iteration halves the remaining error.
     for _ in range(30):
         weight = share * np.abs(gain * factor - 1) ** (power - 2)
         previous = gain
-        gain = float(np.sum(weight * factor.real) / np.sum(weight * np.abs(factor) ** 2))
+        gain = float(np.vdot(weight, real) / np.vdot(weight, square))
         if abs(gain - previous) < 1e-3 * size**2:
             break
 

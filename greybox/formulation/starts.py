@@ -4,6 +4,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from itertools import chain
 from typing import Any
 
@@ -82,11 +83,18 @@ class Sobol(RandomStarts):
 
     def unit_points(self, dimensions: int) -> Array:
         """Return the first points of the sequence."""
-        from scipy.stats import qmc  # noqa: PLC0415  (imports slowly)
-
-        sequence = qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(self.seed))
         # A sequence is balanced at powers of two; scipy warns otherwise.
-        return sequence.random(2 ** math.ceil(math.log2(self.number)))[: self.number]
+        power = math.ceil(math.log2(self.number))
+        return _sobol_points(dimensions, power, self.seed)[: self.number].copy()
+
+
+@lru_cache(maxsize=4)  # the members of a study begin at the same points
+def _sobol_points(dimensions: int, power: int, seed: int) -> Array:
+    """Return the first 2^`power` points of a scrambled sequence."""
+    from scipy.stats import qmc  # noqa: PLC0415  (imports slowly)
+
+    sequence = qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(seed))
+    return sequence.random_base2(power)
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.alike_terms import FEWEST_COLUMNS
+from greybox.compiled.alike_terms import FEWEST_COLUMNS, NARROW
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.response_programs import CostProgram
@@ -73,15 +73,16 @@ class Ends:
 
 @dataclass(eq=False)
 class _Searches:
-    """The searches in progress, a column for each, padded with copies to a width.
+    """The searches in progress, and some that have ended, a column for each.
 
     Attributes
     ----------
     owner : (w,) array
-        The search of each live column.
+        The search of each column.
     numbers : (size, w) array
         See `newton_iteration`.
     live : (w,) array of bool
+        Whether it has not ended.
     data : (g, w) array
         The data of each search.
     """
@@ -92,13 +93,11 @@ class _Searches:
     data: Array
 
     def narrowed_to(self, columns: IntArray) -> "_Searches":
-        """Return the searches in these columns, filled up to a width."""
-        live = np.arange(_width(len(columns))) < len(columns)
-        columns = _filled(columns)
+        """Return the searches in these columns."""
         return _Searches(
             self.owner[columns],
             self.numbers[:, columns],
-            live,
+            self.live[columns],
             self.data[:, columns],
         )
 
@@ -197,8 +196,7 @@ class BatchedNewton:
         numbers[SWITCHED] = 1
         numbers[ITERATIONS] = -1
         numbers[RADIUS] = 1.0  # the size of the start box in the solver's variables
-        owner = np.arange(m)
-        return _Searches(owner, numbers, np.ones(m, bool), data).narrowed_to(owner)
+        return _Searches(np.arange(m), numbers, np.ones(m, bool), data)
 
     def _end(self, searches: _Searches, which: BoolArray, ends: Ends) -> None:
         """Move searches to the ends."""
@@ -229,34 +227,24 @@ class BatchedNewton:
 
         # Where there is no Newton step, or it is too long, eigenvalues give the step within the
         # radius.
-        outside = np.flatnonzero(searches.live & (numbers[IS_NEWTON] == 0))
-        if outside.size:
-            eigenvalues, eigenvectors = np.linalg.eigh(hessian_of_free.T[outside].reshape(-1, p, p))
-            columns = _filled(np.arange(outside.size))
-            [trials] = within_radius(
-                numbers.take(outside[columns], axis=1),
-                eigenvalues[columns].T,
-                eigenvectors.reshape(-1, p**2)[columns].T,
-            )
-            numbers[rows.trial, outside] = trials[:, : outside.size]
-
-
-def _filled(columns: IntArray) -> IntArray:
-    """Return the columns, the first one repeated up to a width."""
-    return np.concatenate([columns, np.full(_width(len(columns)) - len(columns), columns[0])])
-
-
-def _width(m: int) -> int:
-    """Return how many columns are evaluated for m points: a power of two, to build few layouts."""
-    return 1 << (m - 1).bit_length()
+        outside = searches.live & (numbers[IS_NEWTON] == 0)
+        if outside.any():
+            eigenvalues, eigenvectors = np.ones((p, len(levels))), np.zeros((p**2, len(levels)))
+            pairs = np.linalg.eigh(hessian_of_free.T[outside].reshape(-1, p, p))
+            eigenvalues[:, outside] = pairs[0].T
+            eigenvectors[:, outside] = pairs[1].reshape(-1, p**2).T
+            # For all searches, since another number of them would need another layout.
+            [trials] = within_radius(numbers, eigenvalues, eigenvectors)
+            numbers[rows.trial] = np.where(outside, trials, numbers[rows.trial])
 
 
 def _narrowed(searches: _Searches) -> _Searches:
-    """Return the searches without those that ended, if the width then shrinks enough.
+    """Return the searches without those that ended, if these are many.
 
-    To a quarter, so that few layouts of registers are built; to a half where none are built.
+    Three of four, so that few layouts of registers are built; half where none are built, and any
+    among few, since every column takes its time there.
     """
-    live = np.flatnonzero(searches.live)
-    width = _width(len(live))
+    live, width = np.flatnonzero(searches.live), len(searches.live)
     narrower = 4 if width >= FEWEST_COLUMNS else 2
-    return searches if narrower * width > len(searches.live) else searches.narrowed_to(live)
+    most = width - 1 if width <= NARROW else width // narrower
+    return searches.narrowed_to(live) if len(live) <= most else searches

@@ -302,13 +302,16 @@ class ResponseSolver(LocalSolver):
         """Return a minimum solved again with less smoothing, as long as the cost does not grow."""
         problem = self.problem
         is_served = self.serves(problem)
-        # In steps: at the kink of a zero residual a search stalls when the smoothing falls at once.
-        for smoothing in FINER:
+        # At once where a few steps then arrive. At the kink of a zero residual a search stalls:
+        # there the smoothing falls in steps.
+        for smoothing, most in [(FINER[-1], 10), *((s, 100) for s in FINER)][not is_served :]:
             if is_served:
                 z = problem.scaling.to_solver(best.estimate)[:, None]
                 ends = self.batches[-1].minimize(
-                    z, max_iterations=100, tolerance=1e-13, from_near=True, smoothing=smoothing
+                    z, max_iterations=most, tolerance=1e-13, from_near=True, smoothing=smoothing
                 )
+                if most == ends.iterations[0] == 10:
+                    continue
                 estimate = self._estimates(ends.z)[0]
             else:
                 estimate = self._solved(best.estimate, smoothing, AT_A_KINK).estimate
@@ -318,6 +321,8 @@ class ResponseSolver(LocalSolver):
             if not cost <= best.cost + 1e-13 * abs(best.cost):
                 break
             best = replace(best, cost=cost, estimate=estimate)
+            if most == 10:
+                break
         return best
 
     def _estimates(self, z: Array) -> Array:
