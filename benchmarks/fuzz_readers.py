@@ -40,6 +40,7 @@ LIMIT = 20  # s for one input
 QUICK = [
     ".bin",
     ".csv",
+    ".log",
     ".tlog",
 ]  # read in this process, thousands a minute; the others start one of their own
 NUMBERS = [

@@ -1,4 +1,4 @@
-"""Logs made for the tests: DataFlash, MAVLink telemetry.
+"""Logs made for the tests: DataFlash as bytes and as text, MAVLink telemetry.
 
 Written by the formats' definitions.
 """
@@ -31,10 +31,10 @@ MULTIPLIERS = {"-": 0.0, "?": 1.0, "0": 1.0, "B": 1e-2, "F": 1e-6}
 
 
 class Log:
-    """A DataFlash log in the making."""
+    """A DataFlash log in the making: the same messages as bytes (.BIN) and as lines (.log)."""
 
     def __init__(self, units=True):
-        self.parts, self.kinds = [], {}
+        self.parts, self.lines, self.kinds = [], [], {}
         self.fmt("FMT", *FMT_FORMAT, kind=0x80)
         if units:
             self._tables()
@@ -62,7 +62,7 @@ class Log:
     def add(self, name, *values):
         """Log a message; values of the letters c, C, e, E, L are in their unit, not hundredths."""
         kind, letters, body = self.kinds[name]
-        raw = []
+        raw, said = [], []
         for letter, value in zip(letters, values, strict=True):
             multiplier = FORMAT_TO_STRUCT[letter][1]
             raw.append(
@@ -72,12 +72,18 @@ class Log:
                 if not multiplier
                 else round(value / multiplier)
             )
+            said.append(f"{value:.7f}" if multiplier else str(value))
         self.parts.append(struct.pack("<BBB", 0xA3, 0x95, kind) + struct.pack(body, *raw))
+        self.lines.append(", ".join((name, *said)))
         return self
 
     @property
     def binary(self):
         return b"".join(self.parts)
+
+    @property
+    def text(self):
+        return "\n".join(self.lines) + "\n"
 
 
 def flight(seconds=4.0, rate=100.0, start=10.0, lanes=2, seed=0):
@@ -330,6 +336,7 @@ def samples():
             cut.read_bytes(),
             flight(seconds=0.2).binary,
         ],
+        ".log": [log.text.encode()],
         ".tlog": [tlog(packets), tlog(packets, first=True)],
         ".csv": [table(), table(separator=";", comma=True)],
         ".h5": [hdf5(), hdf5(libver="latest"), hdf5(packed=True), hdf5(userblock_size=512)],

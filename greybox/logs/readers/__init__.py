@@ -8,6 +8,7 @@ loads neither pymavlink nor h5py nor scipy.
 | --- | --- |
 | `dataflash` | ArduPilot logs, binary |
 | `dataflash_index` | positions of the messages in a binary ArduPilot log |
+| `dataflash_text` | ArduPilot logs, text |
 | `dataflash_units` | unit tables of ArduPilot logs |
 | `ardupilot_metadata` | vehicle, firmware, parameters and modes of ArduPilot logs |
 | `telemetry` | MAVLink telemetry logs |
@@ -83,6 +84,12 @@ FORMATS = (
     ),
     Format("telemetry", "MAVLink telemetry", (".tlog",), _is_telemetry),
     Format(
+        "dataflash_text",
+        "ArduPilot DataFlash, text",
+        (".log",),
+        lambda h: b"FMT," in h and b"\0" not in h,
+    ),
+    Format(
         "csv_table", "a table with a header line", (".csv", ".txt", ".tsv", ".dat", ".asc"), _is_csv
     ),
 )
@@ -99,7 +106,7 @@ def read(
     Parameters
     ----------
     path : str or Path
-        ArduPilot DataFlash (.BIN), MAVLink telemetry (.tlog), PX4 (.ulg), CSV, HDF5 or
+        ArduPilot DataFlash (.BIN, text .log), MAVLink telemetry (.tlog), PX4 (.ulg), CSV, HDF5 or
         MATLAB (.mat). The contents decide; the suffix only where they are ambiguous.
     messages : collection of str, optional
         Read only these, e.g. ``("ATT", "RATE")``; all by default.
@@ -166,12 +173,6 @@ def _format(path: Path) -> Format:
             f"{path} is empty: logging never started, or the copy failed; copy it again."
         )
 
-    # Its lines would make a table of one kind of message.
-    if b"FMT," in head and b"\0" not in head:
-        raise ValueError(
-            f"{path} is an ArduPilot log as text, which greybox does not read: give the .BIN file "
-            "from which it was made."
-        )
     # The contents decide: logs are renamed and sent around.
     suited = [format_ for format_ in FORMATS if format_.recognizes(head)]
     suited += [format_ for format_ in FORMATS if path.suffix.lower() in format_.suffixes]

@@ -6,7 +6,7 @@ the last bit.
 """
 
 import mmap
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +54,16 @@ def read(path: Path, messages: Collection[str] | None = None) -> Recording:
     with open(path, "rb") as file:
         data = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
     groups, damage = _contents(data, messages)
+    return recording(groups, path, messages, damage)
+
+
+def recording(
+    groups: list[Messages],
+    path: Path,
+    messages: Collection[str] | None,
+    findings: Sequence[str],
+) -> Recording:
+    """Make a recording of the messages of an ArduPilot log, binary or text."""
     checksum = checksum_of(path)
     groups, restarts = on_one_clock(groups)
     # Before the messages are chosen: any unit in the log shows that it has tables of units.
@@ -67,7 +77,7 @@ def read(path: Path, messages: Collection[str] | None = None) -> Recording:
         raise ValueError(
             f"{path} holds no ArduPilot message that can be read; copy it from the vehicle again."
         )
-    findings = (*damage, *restarts, *missing, *problems, *assumed)
+    findings = (*findings, *restarts, *missing, *problems, *assumed)
 
     return Recording(by_name, path.name, checksum, metadata, findings)
 

@@ -158,9 +158,12 @@ def _is_followed(data: Bytes, end: int) -> bool:
 
 
 def sound_layout(
-    kind: int, name: str, length: int, letters: str, columns: tuple[str, ...]
+    kind: int, name: str, length: int | None, letters: str, columns: tuple[str, ...]
 ) -> Layout | None:
-    """Return the layout, or None if its letters, columns and length do not fit together."""
+    """Return the layout, or None if its letters, columns and length do not fit together.
+
+    The length is None in logs of text.
+    """
     # Bytes of other messages may look like a description.
     if not (
         name.isascii()
@@ -168,9 +171,9 @@ def sound_layout(
         and all(c in FORMAT_TO_STRUCT for c in letters)
     ):
         return None
-    layout = Layout(kind, name, length, letters, columns)
+    layout = Layout(kind, name, length or 0, letters, columns)
     fits = len(columns) == len(letters) == len(set(columns))
-    return layout if fits and length == layout.dtype.itemsize + 3 else None
+    return layout if fits and length in (None, layout.dtype.itemsize + 3) else None
 
 
 def _layout(body: bytes) -> Layout | None:

@@ -59,10 +59,11 @@ def test_where_neither_the_log_nor_its_rate_tells_the_pass_it_is_not_known():
     assert holds("RATE", "POut P", 10.0, IMU_GYRO_RATEMAX=0.0) == {"P": 0.0}
 
 
-def test_a_dataflash_log(tmp_path):
+@pytest.mark.parametrize("text", [False, True])
+def test_a_dataflash_log(tmp_path, text):
     log = flight(seconds=1.0)
-    path = tmp_path / "made.bin"
-    path.write_bytes(log.binary)
+    path = tmp_path / ("made.log" if text else "made.bin")
+    path.write_bytes(log.text.encode() if text else log.binary)
     read = gb.read(path)
     assert read["RATE"].hold == dict.fromkeys(("PDes", "POut", "RDes", "ROut"), np.inf) | {
         "P": 0.0,
@@ -70,7 +71,7 @@ def test_a_dataflash_log(tmp_path):
     }
     assert read["IMU"].hold == dict.fromkeys(("GyrX", "GyrY", "GyrZ"), 0.0)
     log.add("PARM", 10**7, "SCHED_LOOP_RATE", 400.0, 400.0)
-    path.write_bytes(log.binary)
+    path.write_bytes(log.text.encode() if text else log.binary)
     record = gb.prepare(gb.read(path), {"u": "RATE.POut", "theta": "ATT.Pitch"})
     assert record.hold == {"u": 1 / 400, "theta": 0.0}
 

@@ -37,7 +37,11 @@ def by_pymavlink(path):
     """Return pymavlink's messages by name and instance."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        log = DFReader.DFReader_binary(str(path))
+        log = (
+            DFReader.DFReader_text(str(path))
+            if path.suffix == ".log"
+            else DFReader.DFReader_binary(str(path))
+        )
         messages = {}
         while (message := log.recv_msg()) is not None:
             name, instance = message.get_type(), message.fmt.instance_field
@@ -81,9 +85,11 @@ def test_the_metadata_of_a_real_log():
     assert (63.865277, "SystemID Starting: axis=11") in about["texts"]
 
 
-def test_a_made_log_reads_as_pymavlink_reads_it(saved, tmp_path):
-    recording = saved(flight().binary)
-    assert_same(recording, tmp_path / "log.bin")
+@pytest.mark.parametrize("suffix", [".bin", ".log"])
+def test_a_made_log_reads_as_pymavlink_reads_it(saved, tmp_path, suffix):
+    log = flight()
+    recording = saved(log.binary if suffix == ".bin" else log.text, suffix)
+    assert_same(recording, tmp_path / f"log{suffix}")
     assert recording.findings == ()
     assert recording.metadata["parameters"] == {
         "INS_GYRO_FILTER": 20,
@@ -176,16 +182,17 @@ def test_an_old_log(saved):
             90.0,
             5000 + 20 * i,
         )
-    recording = saved(log.binary)
-    assert list(recording) == ["ATT", "GPS2"]
-    assert recording["ATT"].time[0] == 5.0
-    assert recording["ATT"].rate == pytest.approx(50)
-    np.testing.assert_array_equal(recording["ATT"]["Pitch"], -2.25)
-    np.testing.assert_array_equal(recording["GPS2"]["Lat"], -35.36)
-    assert recording["GPS2"].time[0] == 5.0
-    assert "RATE" in recording.findings[0]
-    assert "LOG_BITMASK" in recording.findings[0]
-    assert "CTUN: its 30 messages have no time and were left out." in recording.findings
+    for data, suffix in ((log.binary, ".bin"), (log.text, ".log")):
+        recording = saved(data, suffix)
+        assert list(recording) == ["ATT", "GPS2"]
+        assert recording["ATT"].time[0] == 5.0
+        assert recording["ATT"].rate == pytest.approx(50)
+        np.testing.assert_array_equal(recording["ATT"]["Pitch"], -2.25)
+        np.testing.assert_array_equal(recording["GPS2"]["Lat"], -35.36)
+        assert recording["GPS2"].time[0] == 5.0
+        assert "RATE" in recording.findings[0]
+        assert "LOG_BITMASK" in recording.findings[0]
+        assert "CTUN: its 30 messages have no time and were left out." in recording.findings
 
 
 def test_instances_without_unit_tables(saved):
@@ -331,6 +338,18 @@ def test_a_type_described_twice_differently_keeps_the_larger_lot(saved):
 def test_a_file_without_messages_is_refused(saved):
     with pytest.raises(ValueError, match=r"log\.bin holds no ArduPilot message that can be read"):
         saved(b"\xa3\x95" + bytes(range(200)))
+
+
+def test_a_text_log_of_an_old_tool(saved):
+    lines = "ArduCopter V3.1.5 (3c57e771)\r\nFree RAM: 1331\r\nFMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format\r\n"
+    lines += "FMT, 3, 20, MODE, Mh, Mode,ThrCrs\r\nFMT, 1, 17, ATT, Icc, TimeMS,Roll,Pitch\r\nMODE, Stabilize, 500\r\n"
+    lines += "ATT, 100, 0.51, -1.25\r\nATT, 120, 0.52\r\nATT, oops, 0.52, 1\r\nATT, 140, 0.53, -1.23\r\n%$!, 5\r\n"
+    recording = saved(lines, ".log")
+    np.testing.assert_array_equal(recording["ATT"].time, [0.1, 0.14])
+    np.testing.assert_array_equal(recording["ATT"]["Pitch"], [-1.25, -1.23])
+    assert "ATT: 1 damaged lines were skipped." in recording.findings
+    assert "ATT: 1 of 3 samples dropped: 1 with implausible times." in recording.findings
+    assert any(finding.startswith("1 lines are damaged") for finding in recording.findings)
 
 
 def test_nothing_is_printed(saved, capfd):

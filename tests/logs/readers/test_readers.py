@@ -86,7 +86,9 @@ def test_every_format_has_its_reader():
         assert (ROOT / "greybox" / "logs" / "readers" / f"{known.module}.py").exists()
 
 
-@pytest.mark.parametrize(("count", "kinds"), [(30, ["bin", "tlog", "csv"]), (6, ["h5", "mat"])])
+@pytest.mark.parametrize(
+    ("count", "kinds"), [(30, ["bin", "log", "tlog", "csv"]), (6, ["h5", "mat"])]
+)
 def test_damaged_files_never_hang_crash_or_print(count, kinds):
     counts, failures, _ = fuzzer().fuzz(read, range(count), seed=2, limit=15, kinds=kinds)
     assert failures == []
@@ -128,6 +130,7 @@ STAMP = 1_700_000_000_000_000  # µs since 1970
         ((946_684_800_000_000).to_bytes(8, "big") + b"\xfd", ""),
         ((4_102_444_799_999_999).to_bytes(8, "big") + b"\xfd", "telemetry"),  # 2100-01-01
         ((4_102_444_800_000_000).to_bytes(8, "big") + b"\xfd", ""),
+        (b"FMT, 128, 89, FMT\n", "dataflash_text"),
         (b"FMT, 128,\x00 89, FMT\n", ""),
         (b"ULog\x01\x12\x35\x01", "ulog"),
         (b"MATLAB 5.0 MAT-file, Platform: GLNXA64", "named_arrays"),
@@ -144,12 +147,3 @@ def test_files_of_other_programs_are_named(tmp_path, head):
         ValueError, match=r"looks like a (zip archive|gzip archive|PDF|PNG image), which"
     ):
         read(tmp_path / "x")
-
-
-def test_an_ardupilot_log_as_text_is_refused(tmp_path):
-    path = tmp_path / "flight.log"
-    path.write_text("FMT, 128, 89, FMT, BBnNZ, Type,Length,Name,Format,Columns\nATT, 1, 2\n")
-    with pytest.raises(
-        ValueError, match=r"flight\.log is an ArduPilot log as text.*give the \.BIN"
-    ):
-        gb.read(path)
