@@ -17,6 +17,7 @@ Begin with `compiled_problem`.
 | `sampled_data` | a record as gapless stretches of samples, cut into segments |
 | `sample_step` | one sample as a CasADi function |
 | `segments` | all segments simulated and linearized at once |
+| `substep_derivatives` | the linearization of models with many states |
 | `step_size` | substeps of a sample and samples of a segment |
 | `initial_states` | initial states at the nodes |
 | `record_linearization` | steady filters and known initial states in the linearization |

@@ -138,5 +138,5 @@ class DisturbedRecord:
             )
             # Known initial states cannot compensate for a term.
             nodes[known] = 0
-            J = np.einsum("slkn,snc->slkc", J[..., :n], nodes) + J[..., n:]
+            J = J[..., :n] @ nodes[:, None] + J[..., n:]
         return -J.transpose(2, 3, 0, 1).reshape(*J.shape[2:], -1)

@@ -19,7 +19,7 @@ from greybox.compiled.riccati import NoiseModel, noise_model
 from greybox.compiled.sampled_data import SampledData, joined, sampled_data
 from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Segments
-from greybox.compiled.step_size import drawn_parameters, substeps_and_segment
+from greybox.compiled.step_size import drawn_parameters, pole_samples, substeps_and_segment
 from greybox.compiled.transcription.method import Transcription
 from greybox.files.arrays import Array
 from greybox.formulation.problem import Problem
@@ -52,7 +52,6 @@ class RecordPart(SegmentedPart):
         self.gains = model.gains
         # Outputs depend only on the inputs of the same sample.
         self.is_static = not self.states and not self.system.delayed
-        self.unknown_initial_states = int((~self.known_states[data.begins_stretch]).sum())
 
     # --- parts made of this one
 
@@ -319,9 +318,8 @@ def compile_records(
     parts: dict[int, RecordPart] = {}
     for lot in lots.values():
         model, every = models[lot[0]], joined([data[k] for k in lot])
-        # The poles at a hundred samples: at twenty, the shortest time constant of an igniting
-        # reactor is missed, and two of three runs stall.
-        looks = at_samples(every, max(every.segments // 100, 1), spread=True)
+        count = pole_samples(len(model.system.states))
+        looks = at_samples(every, max(every.segments // count, 1), spread=True)
 
         # Drawn vectors do not contain the gains of process noise, on which no initial state
         # depends.

@@ -15,7 +15,7 @@ import numpy as np
 from greybox.compiled.sampled_data import input_over_step
 from greybox.files.arrays import Array
 from greybox.formulation.time_criteria import TimeCriterion
-from greybox.modeling.integrators import Integrator, step_function
+from greybox.modeling.integrators import Integrator, step_function, substep_function
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
 from greybox.modeling.symbolic_reading import input_symbols
@@ -36,6 +36,10 @@ class SampleStep:
     measurement : casadi.Function
         (x, q, d) -> x corrected by the innovations, mean of the delayed inputs over the step and
         their change, residuals, simulated outputs.
+    substep : casadi.Function
+        (x, u, slope, p, h) -> x one substep later.
+    substeps : int
+        Substeps of a sample.
     system : Dynamics
     width : int
         Length of d: whole samples of delay (m), windows of the inputs (3 m), outputs (k), present
@@ -44,8 +48,15 @@ class SampleStep:
 
     function: ca.Function
     measurement: ca.Function
+    substep: ca.Function
+    substeps: int
     system: Dynamics
     width: int
+
+    @property
+    def repeats(self) -> bool:
+        """Whether the function calls one explicit substep repeatedly instead of copying it."""
+        return self.substep.is_a("SXFunction") and not self.function.is_a("SXFunction")
 
     def symbols(self) -> list[Any]:
         """Return x, q and d as symbols of the kind that the function takes."""
@@ -118,14 +129,15 @@ def sample_step(
     interpolated.
     """
     measurement = _measurement(system, held, criterion, outputs, names)
-    step = step_function(system, integrator, substeps)
-    symbols: Any = measurement.mx_in() if integrator.implicit else measurement.sx_in()
+    substep = substep_function(system, integrator)
+    step = step_function(system, integrator, substeps, substep)
+    symbols: Any = measurement.sx_in() if step.is_a("SXFunction") else measurement.mx_in()
     x, q, d = symbols
     corrected, mean, change, residual, simulated = measurement(x, q, d)
     end = step(corrected, mean, change, q[: len(system.parameters)], d[d.numel() - 1])
     # Outputs and derivatives of many models have terms in common.
     function = ca.Function("sample", [x, q, d], [end, residual, simulated], {"cse": True})
-    return SampleStep(function, measurement, system, d.numel())
+    return SampleStep(function, measurement, substep, substeps, system, d.numel())
 
 
 def _measurement(

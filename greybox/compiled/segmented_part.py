@@ -90,6 +90,7 @@ class SegmentedPart(Part):
         self.substeps = substeps
         self.samples = data.samples  # padding of segments included
         self.numbers = int(covariance.counts.sum())
+        self.unknown_initial_states = int((~self.known_states[data.begins_stretch]).sum())
         self._placed_data: tuple[Array, Array] | None = None
 
     @property

@@ -10,13 +10,14 @@ Columns run over segments, sample by sample: column i · s + j is sample i of se
 
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
 from greybox.compiled.sample_step import SampleStep
+from greybox.compiled.substep_derivatives import SubstepDerivatives
 from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array, IntArray
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
@@ -24,6 +25,9 @@ from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 # Samples whose derivatives are in memory at once: 20 000 with five states and ten parameters take
 # 25 MB, and a longer batch is no faster.
 BATCH = 20_000
+# States from which on products of the matrices of every segment take less time than sums over
+# them, segments last.
+LARGE = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +86,7 @@ class Segments:
     # --- compiled functions
 
     @one_thread_at_a_time
-    def _columns(self, name: str) -> Columns:
+    def _columns(self, name: str) -> Callable[..., Sequence[Array]]:
         """Return a function of x, q and data, the same for all segments with this step.
 
         "advance" gives the next state, "output" residual and simulated output, "derivatives" those
@@ -92,11 +96,18 @@ class Segments:
         # Excerpts and refits share the step, and so the functions that take longest to build.
         key = (name, tuple(self.active.tolist()), self._own)
         built = self._step.built
+        shared = () if self._own else (1,)
+        if key not in built and self._step.repeats and name not in ("advance", "output"):
+            built[key] = SubstepDerivatives(
+                self._step, self.active.tolist(), simulated=name != "derivatives", shared=shared
+            )
         if key not in built:
             x, q, d = self._step.symbols()
-            if name in ("advance", "output"):
-                end, e, y = self._step.function(x, q, d)
-                results = [end] if name == "advance" else [e, y]
+            if name == "output":
+                x, q, d = self._step.measurement.sx_in()
+                results = self._step.measurement(x, q, d)[3:]
+            elif name == "advance":
+                results = [self._step.function(x, q, d)[0]]
             else:
                 # One vector of all free variables: an integrator repeats its steps for every
                 # Jacobian, not for every column.
@@ -111,10 +122,12 @@ class Segments:
                 at_free = ca.Function("at_free", [free, q, d], [*derivatives, of_free[1]])
                 results = at_free(ca.vertcat(x, *(q[i] for i in places)), q, d)
             function = ca.Function(name, [x, q, d], results, {"cse": True})
-            built[key] = Columns(function, shared=() if self._own else (1,))
+            built[key] = Columns(function, shared=shared)
         return built[key]
 
-    def _evaluate(self, columns: Columns, states: Array, q: Array, data: Array) -> Sequence[Array]:
+    def _evaluate(
+        self, columns: Callable[..., Sequence[Array]], states: Array, q: Array, data: Array
+    ) -> Sequence[Array]:
         """Evaluate for columns of the segments that q is given for."""
         q = np.tile(q, data.shape[1] // q.shape[1]) if self._own else q
         return columns(states, q, data)
@@ -359,6 +372,8 @@ class Segments:
         n, k, length = self.n, self.k, self.length
         v = len(C) // k
         transitions, rows = A.reshape(v, n, length, count), C.reshape(v, k, length, count)
+        if n > LARGE:
+            return self._propagated_by_segment(transitions, rows)
         J = np.empty((length, k, v, count))
         S = np.zeros((n, v, count))
         S[range(n), range(n)] = 1
@@ -371,6 +386,21 @@ class Segments:
             S[:, n:] += transitions[n:, :, i].swapaxes(0, 1)
 
         return S, J
+
+    def _propagated_by_segment(self, transitions: Array, rows: Array) -> tuple[Array, Array]:
+        """Do the same for many states, by products of matrices for each segment."""
+        n, (v, k, length, count) = self.n, rows.shape
+        A, C = (
+            np.ascontiguousarray(values.transpose(2, 3, 1, 0)) for values in (transitions, rows)
+        )
+        J, S = np.empty((length, count, k, v)), np.zeros((count, n, v))
+        S[:, range(n), range(n)] = 1
+        for i in range(length):
+            J[i], S = C[i, :, :, :n] @ S, A[i, :, :, :n] @ S
+            J[i, :, :, n:] += C[i, :, :, n:]
+            S[:, :, n:] += A[i, :, :, n:]
+
+        return S.transpose(1, 2, 0), J.transpose(0, 2, 3, 1)
 
     def mean_transition(self, states: Array, q: Array, data: Array) -> tuple[Array, Array]:
         """Return the mean derivatives of next state (n, n) and outputs (k, n) by the state."""

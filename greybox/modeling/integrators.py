@@ -14,6 +14,10 @@ import casadi as ca
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
 
+# Operations of a sample up to which its substeps are copies in one function. A rod of 20 cells has
+# 7000 in nine substeps: half a second to compile and to differentiate.
+MOST_COPIED = 5000
+
 
 @dataclass(frozen=True)
 class Integrator(ABC):
@@ -80,28 +84,51 @@ class RungeKutta(Integrator):
 
 
 @one_thread_at_a_time
-def step_function(system: Dynamics, integrator: Integrator, substeps: int) -> ca.Function:
-    """Return (x, mean, change, p, step) -> x one sample later.
+def substep_function(system: Dynamics, integrator: Integrator) -> ca.Function:
+    """Return (x, u, slope, p, h) -> x one step h later, from u (m,) at its beginning.
 
-    `mean` and `change` (m,) are those of the inputs over the step. Explicit schemes see inputs that
-    are delayed by states as lines, too, see `pade_step`; implicit ones integrate these states.
+    Explicit schemes see inputs that are delayed by states as lines, too, see `pade_step`; implicit
+    ones integrate these states.
     """
     kind: Any = ca.MX if integrator.implicit else ca.SX
+    x, u = kind.sym("x", len(system.states)), kind.sym("u", len(system.inputs))
+    slope, h = kind.sym("slope", len(system.inputs)), kind.sym("h")
+    p = kind.sym("p", len(system.parameters))
+
+    undelayed = None if integrator.implicit else system.undelayed
+    driven = undelayed or system
+    result, late = ca.vertsplit(x, [0, len(driven.states), len(system.states)])
+    acting, ramp = u, slope
+    if undelayed:
+        late, acting, ramp = system.delay_step(late, u, slope, p, h)
+    result = integrator.advance(driven, result, acting, ramp, p, h)
+    options = {"always_inline": True} if integrator.implicit else {}
+    return ca.Function("substep", [x, u, slope, p, h], [ca.vertcat(result, late)], options)
+
+
+@one_thread_at_a_time
+def step_function(
+    system: Dynamics, integrator: Integrator, substeps: int, substep: ca.Function | None = None
+) -> ca.Function:
+    """Return (x, mean, change, p, step) -> x one sample later.
+
+    `mean` and `change` (m,) are those of the inputs over the step. The `substep` of the integrator
+    is made here if it is not given.
+    """
+    substep = substep or substep_function(system, integrator)
+    # Copies of many operations take longer to compile than calls of one function to evaluate.
+    repeated = not integrator.implicit and substep.n_instructions() * substeps > MOST_COPIED
+    kind: Any = ca.MX if integrator.implicit or repeated else ca.SX
     x = kind.sym("x", len(system.states))
     p = kind.sym("p", len(system.parameters))
     h = kind.sym("h")
     mean = kind.sym("mean", len(system.inputs))
     change = kind.sym("change", len(system.inputs))
 
-    undelayed = None if integrator.implicit else system.undelayed
-    driven = undelayed or system
-    result, late = ca.vertsplit(x, [0, len(driven.states), len(system.states)])
+    end = x
     for k in range(substeps if system.states else 0):
         # The input at the beginning of the substep; `change` is that over the whole step.
-        u, slope = mean + change * (k / substeps - 0.5), change / h
-        if undelayed:
-            late, u, slope = system.delay_step(late, u, slope, p, h / substeps)
-        result = integrator.advance(driven, result, u, slope, p, h / substeps)
+        u = mean + change * (k / substeps - 0.5)
+        end = substep(end, u, change / h, p, h / substeps)
 
-    end = ca.vertcat(result, late)
     return ca.Function("step", [x, mean, change, p, h], [end], {"cse": True})

@@ -105,8 +105,10 @@ def _iterated(
             return End(iterate, CONVERGED, count, hessian)
         # Most runs take fewer iterations in all than pass between two of these looks.
         looks = not nodes_alone and (count + 1) % 50 == 0
-        if looks and _is_within_noise(parts, iterate, step, progress):
-            return End(iterate, CONVERGED, count, hessian)
+        # Steps along states that no output shows leave gaps beyond rounding.
+        closed = parts.made_continuous(iterate, step) if looks and progress.is_exact else iterate
+        if looks and _is_within_noise(parts, closed, step, progress):
+            return End(closed, CONVERGED, count, hessian)
 
         # Line search.
         trial, length = line_search(parts, iterate, step, merit, start)
@@ -164,9 +166,10 @@ def _is_within_noise(parts: AllParts, iterate: Iterate, step: Step, progress: Pr
     # A step that is not stopped by a bound decreases the cost by its `distance`, and continues to
     # converge.
     stopped = undamped.decrease > 2 * undamped.distance
-    # Noise moves the minimum by half a unit of log-likelihood per parameter in the mean. At a tenth
+    # Noise moves the minimum by half a unit of log-likelihood per unknown in the mean. At a tenth
     # of a standard error, a hundredth of it is left; half of the square is used here.
-    return stopped and undamped.distance <= 5e-3 and undamped.decrease <= 0.01 * len(iterate.z) / 2
+    unknowns = len(iterate.z) + sum(part.unknown_initial_states for part in parts.parts)
+    return stopped and undamped.distance <= 5e-3 and undamped.decrease <= 0.01 * unknowns / 2
 
 
 def _undamped(
