@@ -20,8 +20,8 @@ from greybox.files.text_table import counted
 from greybox.solve.interruption import (
     Interrupted,
     Response,
-    TimeLimits,
     building,
+    end_after,
     is_search_over,
     limited,
     responding,
@@ -74,11 +74,11 @@ def run(options: argparse.Namespace) -> Answer:
     continues = options.out is not None and folder_beside(options.out).is_dir()
     require_fit_file(options.out, options.force or continues)
     require_figure(options.plot, options.force or continues)
-    limits = TimeLimits.from_now(options.seconds, None)
-    with limited(limits), building():
+    end = end_after(options.seconds)
+    with limited(end), building():
         make = _stated_fit(options)
     store = nullcontext() if options.out is None else runs_beside(options.out)
-    with store as stored, stated_executor(options) as executor, limited(limits):
+    with store as stored, stated_executor(options) as executor, limited(end):
         return _answer(options, stored, *_fitted(partial(make, executor=executor), stored, options))
 
 

@@ -50,9 +50,8 @@ from greybox.solve.executors import require_executor, value_fingerprint
 from greybox.solve.interruption import (
     Interrupted,
     Response,
-    TimeLimits,
     building,
-    current_limits,
+    end_after,
     is_search_over,
     limited,
     listening,
@@ -65,7 +64,7 @@ from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart, agreeing_runs
 from greybox.solve.multistart import BATCHED, SEARCHES, multistart, solver_for
 from greybox.solve.robust_errors import with_robust_errors
-from greybox.solve.runs import RUN_OVER, SEARCH_OVER
+from greybox.solve.runs import SEARCH_OVER
 
 _version = cache(version)  # reading it takes 2 ms
 
@@ -80,7 +79,6 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     solver_options: Mapping[str, Any] = MappingProxyType({}),
     executor: Executor | None = None,
     seconds: float | None = None,
-    start_seconds: float | None = None,
     profiles: bool = True,
     progress: bool | Callable[[int, int], None] = True,
 ) -> Fit:
@@ -119,8 +117,6 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     seconds : float, optional
         Time limit of the whole search, in s. The best runs until then are judged; the answer
         depends on the speed of the machine, and says so.
-    start_seconds : float, optional
-        Time limit of the runs from each start, in s.
     profiles : bool
         Profile the likelihood of responses, as `greybox.profile` does, along parameters whose
         interval by the standard error leaves the bounds, or whose error exceeds half the value:
@@ -156,7 +152,7 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     (-13.58, 1.3)
     """
     by = SolverChoice(method, search, solver_options)
-    with limited(TimeLimits.from_now(seconds, start_seconds)):
+    with limited(end_after(seconds)):
         return fit_keeping(
             None,
             problem,
@@ -320,20 +316,13 @@ def fingerprint(problem: AnyProblem, by: SolverChoice) -> str:
 
 
 def _cut_short(search: Multistart, count: int, *, interrupted: bool) -> Iterator[str]:
-    """Return which starts of `count` were not run, or cut short, by Ctrl-C and time limits."""
+    """Return how many of `count` starts were run before Ctrl-C or the time limit."""
     done, total = len(search.brought), counted(count, "start")
     is_over = bool(np.any(search.runs.status == SEARCH_OVER))
     if (interrupted and done < count) or is_over:
         cause = "the time limit ended the search" if is_search_over() else "interrupted"
         machine = ", and a faster machine may answer otherwise" if is_search_over() else ""
         yield f"{cause} after {done} of {total}: another start may end at a lower cost{machine}."
-
-    cut = int(np.count_nonzero(search.runs.status == RUN_OVER))
-    if cut:
-        yield (
-            f"{cut} of {total} {'was' if cut == 1 else 'were'} cut at {current_limits().start:g} "
-            "s, the time limit of a start: on a faster machine it may end at a lower cost."
-        )
 
 
 @one_thread_at_a_time

@@ -20,12 +20,11 @@ import signal
 import threading
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
-from concurrent.futures import CancelledError, Executor, Future
-from concurrent.futures import TimeoutError as StillRunning
-from contextlib import contextmanager, suppress
+from concurrent.futures import CancelledError, Executor, Future, wait
+from contextlib import suppress
 from itertools import islice
 from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import casadi as ca
@@ -33,20 +32,15 @@ import numpy as np
 
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import PerThread
-from greybox.solve.interruption import (
-    TimeLimits,
-    current_limits,
-    interrupt_noted,
-    limited,
-    one_run,
-    stop_requested,
-)
+from greybox.solve.interruption import interrupt_noted, limited, search_end, stop_requested
 from greybox.solve.kept_runs import Memory
 from greybox.solve.local_solver import Runner
-from greybox.solve.runs import INTERRUPTED, SEARCH_OVER, WORKER_LOST, Outcome
-from greybox.solve.worker_pool import NoWorkerError, WorkerLostError
+from greybox.solve.runs import CUT_SHORT, WORKER_LOST, Outcome
+from greybox.solve.worker_pool import ExecutorLostError, WorkerLostError
 
 Batch = list[tuple[int, Array]]
+Made = Iterator[tuple[int, Array, Outcome]]
+"""Number, start and outcome of runs."""
 
 # Work of one task, s: two hundred times the overhead of a distributed scheduler, and short enough
 # to show progress and to obey Ctrl-C.
@@ -56,11 +50,9 @@ TASK_SECONDS = 0.3
 MOST_WAITING = 128
 MOST_BYTES = 1 << 28
 
+LOOK = 0.1  # s between looks at tasks, at a lost scheduler and at Ctrl-C
+
 LOST = "the executor gave up its tasks: its workers or its scheduler are gone."
-
-
-class ExecutorLostError(RuntimeError):
-    """An executor has lost its workers, or they cannot do its tasks."""
 
 
 def run_all(
@@ -70,7 +62,7 @@ def run_all(
     executor: Executor | None,
     memory: Memory | None = None,
     begins: Mapping[int, Array] = MappingProxyType({}),
-) -> Iterator[tuple[int, Array, Outcome]]:
+) -> Made:
     """Yield (number, start, outcome) for every run, until a stop is requested.
 
     The runs come in the order of the `count` starts (s,) in `numbered`. As many are made at once as
@@ -94,12 +86,11 @@ def run_all(
         remaining -= len(batch)
 
         recalled = _recalled(memory, batch)
-        outcomes = recalled or _run(solver, _begins(batch, begins))
-        finished = [outcome.status not in (INTERRUPTED, SEARCH_OVER) for outcome in outcomes]
-        for (number, start), outcome, is_finished in zip(batch, outcomes, finished, strict=True):
-            memory.keep(number, start, outcome)
+        outcomes = recalled or solver.run_together(_begins(batch, begins))
+        finished = [outcome.status not in CUT_SHORT for outcome in outcomes]
+        for run, is_finished in zip(_stored(memory, batch, outcomes), finished, strict=True):
             if is_finished or not any(finished):
-                yield number, start, outcome
+                yield run
 
         if recalled is None and executor is not None:
             # Measured on the first batch: only so much work in a task shows progress in time.
@@ -107,8 +98,8 @@ def run_all(
             seconds = sum(outcome.seconds for outcome in outcomes)
             size = int(TASK_SECONDS * len(batch) / max(seconds, 1e-6))
             size = max(min(size, math.ceil(remaining / 16)), 1)
-            tasks = _Tasks(solver, executor, memory, begins)
-            yield from _on_workers(tasks, _tasks(batches, memory, size))
+            tasks = _tasks(batches, memory, size)
+            yield from _on_workers(solver, executor, memory, begins, tasks)
             return
 
 
@@ -171,12 +162,6 @@ def _recalled(memory: Memory, batch: Batch) -> list[Outcome] | None:
     return complete if len(complete) == len(batch) else None
 
 
-def _run(solver: Runner, starts: Array) -> list[Outcome]:
-    """Run a batch within the time limit of all of its starts."""
-    with one_run(starts=len(starts)):
-        return solver.run_together(starts)
-
-
 def _begins(batch: Batch, begins: Mapping[int, Array]) -> Array:
     """Return where the runs of a batch begin, (r, s)."""
     return np.array([begins.get(number, start) for number, start in batch])
@@ -201,109 +186,77 @@ def _tasks(
         yield starts, None
 
 
+def _stored(memory: Memory, batch: Batch, outcomes: list[Outcome]) -> Made:
+    """Store the outcomes of a batch, and yield its runs."""
+    for (number, start), outcome in zip(batch, outcomes, strict=True):
+        memory.keep(number, start, outcome)
+        yield number, start, outcome
+
+
 def _on_workers(
-    tasks: "_Tasks", remaining: Iterator[tuple[Batch, list[Outcome] | None]]
-) -> Iterator[tuple[int, Array, Outcome]]:
-    """Yield the runs of all tasks in order; at most this many are handed out and not yet done."""
-    waiting = tasks.waiting
+    solver: Runner,
+    executor: Executor,
+    memory: Memory,
+    begins: Mapping[int, Array],
+    tasks: Iterator[tuple[Batch, list[Outcome] | None]],
+) -> Made:
+    """Yield the runs of all tasks in order; some tasks at a time are handed out."""
+    payload = pickle.dumps(solver)
+    most = min(max(MOST_BYTES // len(payload), 2), MOST_WAITING)
+    waiting: deque[tuple[Batch, Future[list[Outcome]]]] = deque()
+
+    def submitted(batch: Batch) -> tuple[Batch, Future[list[Outcome]]]:
+        # The time limit belongs to this thread, which the worker does not share.
+        arguments = payload, _begins(batch, begins), os.getpid(), search_end()
+        return batch, executor.submit(run_starts, *arguments)
+
     try:
-        while not stop_requested():
-            for batch, recalled in islice(remaining, max(tasks.most - len(waiting), 0)):
-                waiting.append(tasks.submitted(batch, recalled))
-            if not waiting:
+        while True:
+            if stop_requested():  # the tasks that have begun are finished
+                _cancel(waiting)
+            else:
+                for batch, recalled in islice(tasks, max(most - len(waiting), 0)):
+                    task = submitted(batch) if recalled is None else (batch, Future())
+                    if recalled is not None:
+                        task[1].set_result(recalled)
+                    waiting.append(task)
+            if not waiting or (stop_requested() and waiting[0][1].cancelled()):
                 return
-            if tasks.is_next_done():
-                yield from tasks.next()
-
-        # After Ctrl-C the tasks that have begun are finished.
-        tasks.cancel()
-        while waiting and not waiting[0].future.cancelled():
-            yield from tasks.next()
-    finally:
-        tasks.cancel()
-
-
-class _Task(NamedTuple):
-    """A batch of starts, and the future of their outcomes."""
-
-    batch: Batch
-    future: Future[list[Outcome]]
-
-
-class _Tasks:
-    """The tasks of one search that are handed out, in the order of the starts."""
-
-    def __init__(
-        self, solver: Runner, executor: Executor, memory: Memory, begins: Mapping[int, Array]
-    ) -> None:
-        self.waiting: deque[_Task] = deque()
-        self._payload = pickle.dumps(solver)
-        self._executor, self._memory, self._begins = executor, memory, begins
-        self.most = min(max(MOST_BYTES // len(self._payload), 2), MOST_WAITING)
-
-    def submitted(self, batch: Batch, recalled: list[Outcome] | None = None) -> _Task:
-        """Return the task of a batch, done if its outcomes are `recalled`."""
-        if recalled is not None:
-            task = _Task(batch, Future())
-            task.future.set_result(recalled)
-            return task
-        # Limits are of this thread, and the worker does not share it.
-        begins, limits = _begins(batch, self._begins), current_limits()
-        arguments = self._payload, begins, os.getpid(), limits
-        return _Task(batch, self._executor.submit(run_starts, *arguments))
-
-    def is_next_done(self) -> bool:
-        """Wait for the first of the waiting tasks; False if a stop was requested before."""
-        while not stop_requested():
-            try:
-                self.waiting[0].future.exception(timeout=0.1)
-            except StillRunning:
-                self._store_finished()
+            if not waiting[0][1].done():
+                wait([waiting[0][1]], LOOK)
+                _look(executor, memory, waiting)
                 continue
-            except CancelledError:  # it is done, and its result says why
-                pass
-            return True
-        return False
 
-    def next(self) -> Iterator[tuple[int, Array, Outcome]]:
-        """Yield the runs of the first waiting task.
+            batch, future = waiting.popleft()
+            outcomes = _result(future)
+            if outcomes is None and len(batch) > 1:
+                # Each start becomes a task, and only the start that ends workers is given up.
+                waiting.extendleft([submitted([start]) for start in reversed(batch)])
+                continue
+            if outcomes is None:
+                start = batch[0][1]
+                outcomes = [Outcome(start, WORKER_LOST, 0, 0.0, converged=False, cost=math.inf)]
+            yield from _stored(memory, batch, outcomes)
+    finally:
+        _cancel(waiting)
 
-        If its worker was lost, each of its starts becomes a task, so that only the start that ends
-        workers is given up.
-        """
-        task = self.waiting.popleft()
-        outcomes = self._stored(task)
-        if outcomes is None and len(task.batch) > 1:
-            self.waiting.extendleft([self.submitted([start]) for start in reversed(task.batch)])
-            return
-        if outcomes is None:
-            [(number, start)] = task.batch
-            outcomes = [Outcome(start, WORKER_LOST, 0, 0.0, converged=False, cost=math.inf)]
-            self._memory.keep(number, start, outcomes[0])
-        for (number, start), outcome in zip(task.batch, outcomes, strict=True):
-            yield number, start, outcome
 
-    def cancel(self) -> None:
-        """Cancel the tasks that have not begun."""
-        for task in self.waiting:
-            task.future.cancel()
+def _cancel(waiting: Iterable[tuple[Batch, Future[Any]]]) -> None:
+    """Cancel the tasks that have not begun."""
+    for _, future in waiting:
+        future.cancel()
 
-    def _store_finished(self) -> None:
-        """Store the runs of all finished tasks, whichever task is waited for."""
-        for task in self.waiting:
-            future = task.future
-            if future.done() and not future.cancelled() and future.exception() is None:
-                self._stored(task)
-        self._memory.look()
-        if _has_lost_scheduler(self._executor):
-            raise ExecutorLostError(LOST)
 
-    def _stored(self, task: _Task) -> list[Outcome] | None:
-        """Return the outcomes of a finished task, stored; None if its worker was lost."""
-        outcomes = _result(task.future)
-        for (number, start), outcome in zip(task.batch, outcomes or (), strict=False):
-            self._memory.keep(number, start, outcome)
-        return outcomes
+def _look(
+    executor: Executor, memory: Memory, waiting: Iterable[tuple[Batch, Future[list[Outcome]]]]
+) -> None:
+    """Store the runs of all finished tasks, whichever task is waited for."""
+    for batch, future in waiting:
+        if future.done() and not future.cancelled() and future.exception() is None:
+            deque(_stored(memory, batch, future.result()), 0)
+    memory.look()
+    if _has_lost_scheduler(executor):
+        raise ExecutorLostError(LOST)
 
 
 def _has_lost_scheduler(executor: Executor) -> bool:
@@ -320,8 +273,8 @@ def _result(future: Future[list[Outcome]]) -> list[Outcome] | None:
         return future.result()
     except WorkerLostError:
         return None
-    except NoWorkerError as error:
-        raise ExecutorLostError(str(error)) from error
+    except ExecutorLostError:
+        raise
     except CancelledError as error:
         raise ExecutorLostError(LOST) from error
     except Exception as error:
@@ -339,29 +292,17 @@ def _result(future: Future[list[Outcome]]) -> list[Outcome] | None:
 _solvers = PerThread(pickle.loads, 4)
 
 
-def run_starts(
-    payload: bytes, starts: Array, coordinator: int, limits: TimeLimits
-) -> list[Outcome]:
+def run_starts(payload: bytes, starts: Array, coordinator: int, end: float) -> list[Outcome]:
     """Run the pickled solver `payload` from every row of `starts` (r, p).
 
-    `coordinator` is the process that decides about Ctrl-C, `limits` are the time limits of its
-    search.
+    `coordinator` is the process that decides about Ctrl-C, `end` the time of day at which its
+    search ends.
     """
-    with _without_interrupts(os.getpid() != coordinator), limited(limits):
+    if os.getpid() != coordinator and threading.current_thread() is threading.main_thread():
+        # A terminal sends Ctrl-C to the workers as well.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with limited(end):
         solver = _solvers.result(payload)
         size = solver.together
         batches = (starts[k : k + size] for k in range(0, len(starts), size))
-        return [outcome for batch in batches for outcome in _run(solver, batch)]
-
-
-@contextmanager
-def _without_interrupts(applies: bool) -> Iterator[None]:
-    """Ignore Ctrl-C within, which a terminal sends to the workers as well."""
-    if not applies or threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, handler)
+        return [outcome for batch in batches for outcome in solver.run_together(batch)]

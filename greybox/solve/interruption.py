@@ -2,7 +2,7 @@
 
 SIGTERM, which batch systems, containers and systemd send before they kill, is obeyed like Ctrl-C.
 
-The clock of the limits is the time of day, not that of the process: workers are told when a search
+The clock of the limit is the time of day, not that of the process: workers are told when a search
 ends.
 
 An exception that a signal handler raises is swallowed by CasADi while IPOPT evaluates a function:
@@ -19,12 +19,11 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from enum import Enum, auto
 from types import FrameType
 from typing import Any
 
-from greybox.solve.runs import INTERRUPTED, RUN_OVER, SEARCH_OVER
+from greybox.solve.runs import INTERRUPTED, SEARCH_OVER
 
 
 class Response(Enum):
@@ -65,41 +64,23 @@ BUILDING = 10.0
 ECHO = 0.5
 
 
-@dataclass(frozen=True)
-class TimeLimits:
-    """The limits of one search.
+def end_after(seconds: float | None) -> float:
+    """Return the time of day at which a search that begins now ends, s since 1970.
 
-    Attributes
-    ----------
-    start : float
-        Limit for the runs from one start, s.
-    end : float
-        Time of day at which the search ends, s since 1970.
+    None is no limit.
+
+    Raises
+    ------
+    ValueError
+        If the limit is not a number above 0.
     """
-
-    start: float = math.inf
-    end: float = math.inf
-
-    @classmethod
-    def from_now(cls, seconds: float | None, start_seconds: float | None) -> "TimeLimits":
-        """Return the limits of a search that begins now; None is no limit.
-
-        Raises
-        ------
-        ValueError
-            If a limit is not a number above 0.
-        """
-        for name, value in (("seconds", seconds), ("start_seconds", start_seconds)):
-            if value is not None and not (isinstance(value, int | float) and value > 0):
-                raise ValueError(
-                    f"{name}={value!r:.40} must be a number of seconds above 0, or None."
-                )
-        return cls(start_seconds or math.inf, time.time() + (seconds or math.inf))
+    if seconds is not None and not (isinstance(seconds, int | float) and seconds > 0):
+        raise ValueError(f"seconds={seconds!r:.40} must be a number of seconds above 0, or None.")
+    return time.time() + (seconds or math.inf)
 
 
 class _State(threading.local):
-    limits = TimeLimits()
-    run_ends = math.inf  # s since 1970
+    search_end = math.inf  # s since 1970
     listening = False
     noted = False
     noted_at = 0.0  # s, on the monotonic clock
@@ -110,32 +91,20 @@ class _State(threading.local):
 _state = _State()
 
 
-def current_limits() -> TimeLimits:
-    """Return the limits of the current search."""
-    return _state.limits
+def search_end() -> float:
+    """Return the time of day at which the current search ends, s since 1970."""
+    return _state.search_end
 
 
 @contextmanager
-def limited(limits: TimeLimits) -> Iterator[None]:
-    """Apply these limits within, in addition to those around them."""
-    previous = _state.limits
-    _state.limits = TimeLimits(min(previous.start, limits.start), min(previous.end, limits.end))
+def limited(end: float) -> Iterator[None]:
+    """End searches within at this time of day, s since 1970, or earlier if that is the limit."""
+    previous = _state.search_end
+    _state.search_end = min(previous, end)
     try:
         yield
     finally:
-        _state.limits = previous
-
-
-@contextmanager
-def one_run(spent: float = 0.0, starts: int = 1) -> Iterator[None]:
-    """Apply the time limit of this many starts; `spent` seconds have passed already."""
-    # Within a run that has a limit, a longer one must not extend it.
-    previous = _state.run_ends
-    _state.run_ends = min(previous, time.time() + starts * _state.limits.start - spent)
-    try:
-        yield
-    finally:
-        _state.run_ends = previous
+        _state.search_end = previous
 
 
 @contextmanager
@@ -145,7 +114,7 @@ def building() -> Iterator[None]:
     A user's formulas do not ask for the time. Only the main thread of a process can be interrupted
     in them, and not on Windows.
     """
-    left = _state.limits.end - time.time()
+    left = _state.search_end - time.time()
     is_main = threading.current_thread() is threading.main_thread()
     if math.isinf(left) or not is_main or not hasattr(signal, "setitimer"):
         yield
@@ -167,12 +136,7 @@ def _stop_building(*_: object) -> None:
 
 def is_search_over() -> bool:
     """Return whether the time of the search is up."""
-    return time.time() >= _state.limits.end
-
-
-def is_run_over() -> bool:
-    """Return whether the time of the current run is up."""
-    return time.time() >= _state.run_ends
+    return time.time() >= _state.search_end
 
 
 def stop_requested() -> bool:
@@ -189,9 +153,7 @@ def reason_to_end() -> str:
     """Return the status with which the current run must end; empty if it may continue."""
     if interrupt_noted():
         return INTERRUPTED
-    if _state.response is Response.FINISH:
-        return ""
-    return SEARCH_OVER if is_search_over() else RUN_OVER if is_run_over() else ""
+    return SEARCH_OVER if stop_requested() else ""
 
 
 def take_interrupt() -> bool:

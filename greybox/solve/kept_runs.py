@@ -6,8 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from greybox.files.arrays import Array
-from greybox.solve.interruption import current_limits
-from greybox.solve.runs import INTERRUPTED, RUN_OVER, SEARCH_OVER, Outcome
+from greybox.solve.runs import CUT_SHORT, Outcome
 
 
 class KeptRunsError(ValueError):
@@ -47,23 +46,16 @@ class Memory:
         self._added: set[int] = set()
 
     def recall(self, number: int, start: Array) -> Outcome | None:
-        """Return the stored outcome of a run; None without one, or if a shorter time limit cut it.
+        """Return the stored outcome of a run; None without one.
 
         Raises
         ------
         KeptRunsError
             If the run of this number began at another start.
         """
-        if number not in self._known:
-            return None
-        stored_start, outcome = self._known[number]
-
-        # With a longer limit the run may now finish.
-        if outcome.status == RUN_OVER and outcome.seconds < current_limits().start:
-            return None
+        stored_start, outcome = self._known.get(number, (start, None))
         if np.array_equal(stored_start, start):
             return outcome
-
         # Neighbors of an end begin elsewhere if an option has changed: they are made again.
         if number < 0:
             return None
@@ -76,7 +68,7 @@ class Memory:
         """Store a run, unless it is stored already, or was cut short and has to be made again."""
         # A task may be looked at twice: when it is finished, and when its turn comes.
         is_new = number not in self._added and self.recall(number, start) is None
-        if self._kept is not None and is_new and outcome.status not in (INTERRUPTED, SEARCH_OVER):
+        if self._kept is not None and is_new and outcome.status not in CUT_SHORT:
             self._added.add(number)
             self._kept.add(number, start, outcome)
 

@@ -16,7 +16,7 @@ from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.executors import run_all, value_fingerprint
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.shared_runs import SharedRuns
-from greybox.solve.interruption import one_run, stop_requested
+from greybox.solve.interruption import stop_requested
 from greybox.solve.kept_runs import KeptRuns, Memory
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Minimum, Multistart, agreeing_runs, find_minima
@@ -147,8 +147,7 @@ def _continued(
     # Runs that do not begin at a start have negative numbers.
     later = memory.recall(-1 - number, outcome.estimate)
     if later is None:
-        with one_run(outcome.seconds):
-            later = solver.continued(outcome)
+        later = solver.continued(outcome)
         memory.keep(-1 - number, outcome.estimate, later)
     return later
 

@@ -23,7 +23,7 @@ from greybox.compiled.response_programs import fits_a_batch, instructions
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BatchedNewton, Ends
-from greybox.solve.interruption import Response, one_run, reason_to_end, responding, stop_requested
+from greybox.solve.interruption import Response, reason_to_end, responding, stop_requested
 from greybox.solve.ipopt import CONVERGED, ROUNDED, WARM, WITHOUT_BARRIER, Ipopt
 from greybox.solve.local_solver import LocalSolver, Profile, Screened
 from greybox.solve.minima import AT_ONCE, Minimum, Multistart, explains_nothing, same_cost
@@ -219,8 +219,7 @@ class ResponseSolver(LocalSolver):
         self, x: Array, earlier: Outcome | Run, options: Mapping[str, Any] = NO_OPTIONS
     ) -> Outcome:
         """Run IPOPT from x (p,), and add the iterations and seconds of the earlier run."""
-        with one_run():
-            return spent(self._solved(x, SMOOTHING, options), earlier)
+        return spent(self._solved(x, SMOOTHING, options), earlier)
 
     # --- the certificate
 

@@ -21,8 +21,7 @@ NOT_FINITE = "not finite at the start"
 TOO_COARSE = "integration too coarse"
 INTERRUPTED = "interrupted"
 SEARCH_OVER = "time limit of the fit"
-RUN_OVER = "time limit of a start"
-CUT_SHORT = (INTERRUPTED, SEARCH_OVER, RUN_OVER)
+CUT_SHORT = (INTERRUPTED, SEARCH_OVER)
 STAGNATED = "stagnated"
 WORKER_LOST = "worker lost"
 

@@ -23,8 +23,8 @@ class WorkerLostError(RuntimeError):
     """The worker of a task was killed each time that the task was tried."""
 
 
-class NoWorkerError(RuntimeError):
-    """No worker could begin."""
+class ExecutorLostError(RuntimeError):
+    """An executor has lost its workers, or they cannot do its tasks."""
 
 
 class WorkerPool(Executor):
@@ -52,7 +52,7 @@ class WorkerPool(Executor):
         import multiprocessing  # noqa: PLC0415  (only those who use it wait for it)
 
         # A worker that imports an unguarded script gets here. It ends without a traceback, and
-        # `NoWorkerError` says what to change.
+        # `ExecutorLostError` says what to change.
         if getattr(multiprocessing.current_process(), "_inheriting", False):
             raise SystemExit(1)
         self.num_workers = workers
@@ -104,7 +104,7 @@ class WorkerPool(Executor):
 
         if thread in self._worked:
             raise WorkerLostError("the worker was killed.")
-        raise NoWorkerError(
+        raise ExecutorLostError(
             "no worker process could begin: in a script, put what it runs under "
             "if __name__ == '__main__':, since the workers import the script."
         )

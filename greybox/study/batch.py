@@ -28,7 +28,6 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Starts, as_starts
 from greybox.formulation.sum import Sum
 from greybox.solve.executors import (
-    ExecutorLostError,
     pickled,
     require_executor,
     run_all,
@@ -38,7 +37,7 @@ from greybox.solve.executors import (
 from greybox.solve.interruption import (
     Interrupted,
     Response,
-    TimeLimits,
+    end_after,
     is_search_over,
     limited,
     listening,
@@ -49,6 +48,7 @@ from greybox.solve.local_solver import LocalSolver, Runner
 from greybox.solve.multistart import BATCHED
 from greybox.solve.response_solver import ResponseSolver
 from greybox.solve.runs import Outcome
+from greybox.solve.worker_pool import ExecutorLostError
 from greybox.study.ranking import held_out_error
 from greybox.study.store import UNWRITTEN, StoredRuns, StudyMember, add_members, locked
 from greybox.study.study import Study, read_study
@@ -118,7 +118,6 @@ def batch(
     *,
     executor: Executor | None = None,
     seconds: float | None = None,
-    start_seconds: float | None = None,
     progress: bool = True,
 ) -> Study:
     """Fit many problems, one after the other, and store every run in a folder.
@@ -139,9 +138,6 @@ def batch(
     seconds : float, optional
         Time limit of the batch. The current member and those that follow are then unfinished, and
         the same call resumes with them.
-    start_seconds : float, optional
-        Time limit of the runs from each start. A run that was cut counts with the values that it
-        reached. It is made again when the member is fitted with a longer limit.
     progress : bool
         Show a progress bar in a terminal or notebook after two seconds.
 
@@ -174,9 +170,9 @@ def batch(
     require_distinct(listed)
     require_executor(executor)
     models = [*{type(part.model) for member in listed for part in member.problem.parts}]
-    limits = TimeLimits.from_now(seconds, start_seconds)
+    end = end_after(seconds)
     folder = Path(folder)
-    with locked(folder), limited(limits):
+    with locked(folder), limited(end):
         # Members are added before the first fit: a reader sees the whole study from the start.
         stored = add_members(folder, [member.name for member in listed])
         runs = StoredRuns(folder)
@@ -184,10 +180,8 @@ def batch(
             shown = bar(is_shown=progress, total=len(listed), unit="fit")
             with listening(), shown, ExitStack() as ending:
                 ending.callback(runs.write)
-                # The time limit of a start would apply to a whole member.
-                by_workers = executor if start_seconds is None else None
-                new = {m: None for m in listed if by_workers and not stored[m.name].runs}
-                made = _by_workers([*new], by_workers)
+                new = {m: None for m in listed if executor and not stored[m.name].runs}
+                made = _by_workers([*new], executor)
                 compiled: set[str] = set()
                 for member in listed:
                     if is_search_over():
@@ -238,7 +232,7 @@ class _WholeMembers(Runner):
         began, runs = time.perf_counter(), _Unwritten(Path())
         changes: Any = []
         # A member that cannot be pickled, or whose classes a worker lacks, is fitted here later.
-        with suppress(Exception), limited(TimeLimits.from_now(UNWRITTEN, None)):
+        with suppress(Exception), limited(end_after(UNWRITTEN)):
             member, key = unpickled(start[0])
             _fit_member(member, runs, StudyMember(Path(), 0, member.name, {}, 0), set(), key=key)
             changes = [] if is_search_over() else runs.changes

@@ -11,7 +11,7 @@ from contextlib import closing
 import pytest
 
 from greybox.cli.main import main
-from greybox.solve.executors import ExecutorLostError
+from greybox.solve.worker_pool import ExecutorLostError
 from greybox.study.store import StoredRuns
 
 STUDY = """

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from greybox.compiled.alike_terms import SecondOrder
 from greybox.solve.batched_newton import SMOOTHINGS, BatchedNewton
-from greybox.solve.interruption import TimeLimits, limited
+from greybox.solve.interruption import limited
 
 FAR = np.full(2, 9.0)
 
@@ -146,7 +146,7 @@ def test_a_search_passes_through_the_levels_one_after_the_other():
 
 def test_when_time_is_up_searches_stay_where_they_are():
     begin = LOWEST[:, None] + np.array([[0.2], [0.2]])
-    with limited(TimeLimits(end=0.0)):
+    with limited(0.0):
         ends = newton(bowl).minimize(begin, max_iterations=50, tolerance=1e-9, from_near=True)
     assert_array_equal(ends.z, begin)
     assert (ends.at_minimum.tolist(), ends.iterations.tolist()) == ([False], [0])

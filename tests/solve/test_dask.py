@@ -90,6 +90,8 @@ def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(
 
         def noted(self, number, start, outcome):
             add(self, number, start, outcome)
+            if type(self) is not StoredRuns:  # of the whole member, which took too long
+                return
             made.append(number)
             if len(made) == 20:
                 head.kill()
@@ -102,14 +104,7 @@ def test_the_answer_of_a_cluster_and_what_becomes_of_it_when_parts_are_lost(
             RuntimeError,
             match="the executor gave up its tasks: its workers or its scheduler are gone",
         ):
-            # With a time limit of starts, workers share the starts of small members too.
-            gb.batch(
-                [member],
-                tmp_path / "study",
-                executor=client.get_executor(),
-                start_seconds=100,
-                progress=False,
-            )
+            gb.batch([member], tmp_path / "study", executor=client.get_executor(), progress=False)
         assert gb.study.read_study(tmp_path / "study")["response"].status == "unfinished"
         kept = len(made)
         assert 20 <= kept < 80

@@ -111,7 +111,7 @@ def test_what_arrives_half_a_second_later_is_pressed_again(monkeypatch, press_ct
 
 def test_a_model_that_takes_longer_to_build_than_the_time_limit_is_given_up(monkeypatch):
     monkeypatch.setattr(interruption, "BUILDING", 0.01)
-    limits = interruption.TimeLimits.from_now(0.02, None)
+    limits = interruption.end_after(0.02)
     with (
         pytest.raises(TimeoutError, match="while the model was being built"),
         interruption.limited(limits),

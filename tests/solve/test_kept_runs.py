@@ -1,14 +1,12 @@
 """What a search remembers of an earlier one, and what it hands on."""
 
-from contextlib import nullcontext
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from greybox.solve.interruption import TimeLimits, limited
 from greybox.solve.kept_runs import KeptRuns, KeptRunsError, Memory
-from greybox.solve.runs import INTERRUPTED, RUN_OVER, SEARCH_OVER, Outcome
+from greybox.solve.runs import INTERRUPTED, SEARCH_OVER, Outcome
 
 START = np.array([1.0, 2.0])
 DONE = Outcome(START + 1, "done", 3, 10.0, converged=True)
@@ -50,15 +48,6 @@ def test_a_run_is_recalled_by_its_number_and_start():
     assert kept.looked == 1
 
 
-@pytest.mark.parametrize(
-    ("limit", "again"), [(9.0, False), (10.0, False), (11.0, True), (None, True)]
-)
-def test_what_a_shorter_time_limit_cut_is_made_again(limit, again):
-    memory = Memory(Listed({4: (START, replace(DONE, status=RUN_OVER, converged=False))}))
-    with nullcontext() if limit is None else limited(TimeLimits(start=limit)):
-        assert (memory.recall(4, START) is None) is again
-
-
 def test_what_is_new_and_finished_is_kept():
     kept = Listed({4: (START, DONE)})
     memory = Memory(kept)
@@ -67,7 +56,7 @@ def test_what_is_new_and_finished_is_kept():
         (5, "done"),
         (6, INTERRUPTED),
         (7, SEARCH_OVER),
-        (8, RUN_OVER),
+        (8, "stagnated"),
     ):
         memory.keep(number, START, replace(DONE, status=status))
     assert [number for number, _, _ in kept.added] == [5, 8]

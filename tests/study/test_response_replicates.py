@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import assess
-from greybox.solve.interruption import TimeLimits, limited
+from greybox.solve.interruption import limited
 from greybox.solve.runs import SEARCH_OVER
 from greybox.study.replicates import Draws
 from greybox.study.response_replicates import DrawnResponse, ResponseReplicates, response_draws
@@ -222,7 +222,7 @@ def runner_of(sets):
 def test_when_time_is_up_what_newtons_method_left_has_no_estimate(monkeypatch):
     monkeypatch.setattr("greybox.study.response_replicates.fits_a_batch", lambda program: False)
     runner, _, _ = runner_of(two_parts())
-    with limited(TimeLimits(end=0.0)):
+    with limited(0.0):
         (outcome,) = runner.run_together(np.array([[5.0]]))
     assert (outcome.status, outcome.converged, outcome.iterations) == (SEARCH_OVER, False, 0)
     assert np.isnan(outcome.estimate).all()

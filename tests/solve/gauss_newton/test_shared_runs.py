@@ -17,7 +17,7 @@ from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.shared_runs import SharedRuns, rounded
 from greybox.solve.kept_runs import KeptRuns
 from greybox.solve.multistart import multistart
-from greybox.solve.runs import RUN_OVER
+from greybox.solve.runs import SEARCH_OVER
 
 SHORT = 100
 
@@ -117,11 +117,11 @@ def test_what_time_cuts_short_is_no_end_of_others_and_has_no_cost_of_excerpts(
 
     def cut(z):
         outcome, hessian = run_from(z)
-        return replace(outcome, status=RUN_OVER, converged=False), hessian
+        return replace(outcome, status=SEARCH_OVER, converged=False), hessian
 
     monkeypatch.setattr(excerpts, "run_from", cut)
     outcome = shared.run(starts[1])
-    assert (outcome.status, outcome.cost, outcome.nodes) == (RUN_OVER, np.inf, None)
+    assert (outcome.status, outcome.cost, outcome.nodes) == (SEARCH_OVER, np.inf, None)
     monkeypatch.undo()
     assert shared.run(starts[1]).converged
 
