@@ -10,7 +10,6 @@ import numpy as np
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.verdict import verdict
-from greybox.files.html_text import html_list, html_table, html_text
 from greybox.files.text_table import counted, number, percent, some, text_table, with_error
 from greybox.formulation.spectrum_criteria import EquationError
 from greybox.solve.minima import Multistart
@@ -49,24 +48,6 @@ def details(fit: Any) -> str:
 
 def _labeled(pairs: Sequence[tuple[str, str]]) -> str:
     return "\n".join(f"  {label:<10} {fact}" for label, fact in pairs)
-
-
-def html(fit: Any) -> str:
-    """Return a `Fit` as HTML for a notebook, with details that open at a click."""
-    remarks = html_list(_remarks(fit))
-    heading = html_text(title(fit), "b")
-    if not fit.converged:
-        return heading + html_text(f"FAILED: {fit.status}.") + remarks
-    level, *sentences = _judged(fit)
-    statement = html_text(error_statement(fit)) if fit.dof > 0 else ""
-    listed, more = (
-        html_list([f"{label}: {fact}" for label, fact in pairs])
-        for pairs in (closeness(fit), facts(fit))
-    )
-    return (
-        f"{heading}{html_text(level)}{html_list(sentences)}{html_table(*parameter_table(fit))}"
-        f"{statement}{remarks}{listed}<details><summary>details</summary>{more}</details>"
-    )
 
 
 def _judged(fit: Any) -> list[str]:

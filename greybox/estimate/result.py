@@ -22,7 +22,7 @@ from greybox.estimate.identifiability import (
     identifiability,
 )
 from greybox.estimate.misfit import Misfit
-from greybox.estimate.printed import details, html, text
+from greybox.estimate.printed import details, text
 from greybox.estimate.profiles import Profiles
 from greybox.estimate.response_band import (
     ResponseBand,
@@ -33,6 +33,7 @@ from greybox.estimate.response_band import (
 )
 from greybox.estimate.summary import summary
 from greybox.files.arrays import Array
+from greybox.files.html_text import Printed
 from greybox.files.text_table import counted, one_line, with_error
 from greybox.formulation.input_assumptions import Inputs
 from greybox.modeling.model import Model, require_known
@@ -84,7 +85,7 @@ class Quantity:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class Fit(Printed):
     """The answer to a problem: estimates with their errors, all runs, warnings. It prints itself.
 
     `fit` and `load` return it.
@@ -460,9 +461,6 @@ class Fit:
         about = {"name": self.name, "criterion": self.criterion, "cost": self.cost, "level": level}
 
         return frame_of(columns, [q.name for q in self.quantities], "name", about)
-
-    def _repr_html_(self) -> str:
-        return html(self)
 
     def _response_part(
         self, part: int, model: Model | None

@@ -12,8 +12,8 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.html_text import html_table, html_text
-from greybox.files.text_table import counted, number, one_line
+from greybox.files.html_text import preformatted
+from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.formulation.frequency_criteria import RelativeLikelihood
 from greybox.formulation.held_estimate import HeldEstimate
 from greybox.modeling.model import merged_parameters
@@ -47,7 +47,7 @@ class Addable:
             for lo, hi in [p.bounds]
         ]
         header = ["parameter", "start", "unit", "bounds", "meaning"]
-        return html_text(repr(self)) + html_table(header, rows, (0, 2, 4))
+        return preformatted(f"{self!r}\n\n{text_table(header, rows, (0, 2, 4))}")
 
 
 @dataclass(frozen=True, eq=False)
