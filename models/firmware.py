@@ -508,7 +508,7 @@ def loop_of_log(
     """Return the `LoopOfLog` of a fit and the tests of an axis in a log.
 
     The loop is broken at the control, where it is measured, and where `broken_at` says; `signals`
-    are as in `flown_controllers`, `tracking`, `at` and `boundary` as in `gb.margins`.
+    are as in `flown_controllers`, `tracking` and `at` as in `gb.margins`.
     """
     flown, check = flown_controllers(recording, fit, axis, signals=signals)
     of_model, *others = (

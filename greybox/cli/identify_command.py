@@ -8,15 +8,15 @@ from pathlib import Path
 from typing import Any
 
 from greybox.cli.measurement_options import MEASUREMENT_OPTIONS, stated_choices
-from greybox.cli.options import UsageError, option_words
+from greybox.cli.options import option_words
 from greybox.cli.orders_command import selection_json
 from greybox.cli.output import Answer, attributes, require_figure, require_writable, save_figure
 from greybox.cli.response_command import response_json
 from greybox.data.response_file import write_response
 from greybox.estimate.storage import save
-from greybox.identification.families import FAMILIES, Structure
 from greybox.identification.identify import STARTS, Identification, identify
 from greybox.identification.measurement import Settings
+from greybox.identification.structure_fit import Structure
 from greybox.logs.flight_controllers import axis_of
 from greybox.logs.readers import read
 from greybox.study.catalog import find_model
@@ -24,7 +24,7 @@ from greybox.study.catalog import find_model
 EXAMPLES = (
     "flight.BIN",
     "flight.BIN --axis pitch --band 0.5 12 Hz --out pitch",
-    "first.BIN second.BIN --vehicle multirotor --fix T_rotor=0.048",
+    "first.BIN second.BIN --fix T_delay=0.004",
     "flight.BIN --structures rate:DampedAngle tilt:Tilt+T_delay my.py:Mine",
 )
 OPTIONS = f"""
@@ -41,17 +41,15 @@ logs LOG...
     filters between the output and its log, by their names in the log: gyro-filter, gyro-notch,
     d-term-filter, target-filter; without a name, no filter (default: the filters that the log
     names for this output)
---vehicle FAMILY
-    fit the structures of {" or ".join(FAMILIES)} (default: rational transfer functions of rising
-    order, for any vehicle)
 --structures MODEL[+NAME]...
-    models to fit and compare instead, as in greybox fit --model, each with the parameters to free
+    models to fit and compare, as in greybox fit --model, each with the parameters to free (default:
+    rational transfer functions of rising order, for any vehicle)
 --fix
 --free
 --bounds
 --start
 --starts N
-    number of starts of every fit of --vehicle and --structures (default: {STARTS})
+    number of starts of every fit of --structures (default: {STARTS})
 --seed K
     seed of the starts (default: 0)
 --out PREFIX
@@ -71,15 +69,13 @@ def run(options: argparse.Namespace) -> Answer:
     for path in (*responses, result):
         require_writable(path, options.force)
     require_figure(figure, options.force)
-    if options.vehicle and options.structures:
-        raise UsageError("--vehicle and --structures exclude each other: give one of them.")
 
     recordings = [read(log, columns=options.columns or None) for log in options.logs]
     identification = identify(
         recordings,
         structures=[_structure(word) for word in options.structures],
         fixed=options.fix,
-        **attributes(options, "vehicle", "through", "free", "bounds", "start"),
+        **attributes(options, "through", "free", "bounds", "start"),
         **attributes(options, "all_points", "starts", "seed"),
         **stated_choices(options),
     )
@@ -124,7 +120,7 @@ def _response_files(prefix: str, count: int) -> list[Path]:
 
 def _structure(word: str) -> Structure:
     name, *free = word.split("+")
-    return Structure(find_model(name), name, "stated", free)
+    return Structure(find_model(name), name, free)
 
 
 def commands(result: Identification, options: argparse.Namespace, prefix: str) -> list[str]:
@@ -160,7 +156,7 @@ def _fitting(
     assert result.selection.chosen is not None
     through = {"through": result.through}
     stated = attributes(options, "fix", "bounds", "start")
-    if not (options.vehicle or options.structures):
+    if not options.structures:
         return ["orders", *files, *option_words({**through, **stated})]
 
     # Only what differs from the declaration of the model has to be on the command line.

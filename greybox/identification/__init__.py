@@ -7,7 +7,6 @@ Begin with `identify`.
 | `identify` | the whole chain, from logs to a fitted model |
 | `choices` | tests, axis and signals of a log |
 | `orders` | rational transfer functions of rising order |
-| `families` | the structures of a kind of vehicle |
 | `structure_fit` | the fit of one structure, within bounds that do not decide |
 | `selection` | the structures side by side, the chosen one, the verdict |
 | `measurement` | tests to a frequency response, in open or closed loop |

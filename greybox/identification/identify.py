@@ -17,15 +17,10 @@ from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit
 from greybox.files.text_table import one_line
 from greybox.identification.choices import Choice, choose
-from greybox.identification.families import Structure, family, gains
 from greybox.identification.measurement import Measurement, measure
 from greybox.identification.orders import select_orders
 from greybox.identification.selection import Candidate, Selection, held_by_bounds, select
-from greybox.identification.structure_fit import (
-    fit_within_far_bounds,
-    problem_of_structure,
-    stated_for,
-)
+from greybox.identification.structure_fit import Structure, problem_of_structure, stated_for
 from greybox.logs.known_filters import KnownFilter
 from greybox.logs.readers import read
 from greybox.modeling.model import Model, require_known
@@ -94,7 +89,6 @@ class Identification:
 def identify(  # noqa: PLR0913 - every choice that an analyst makes
     log: str | Path | Recording | Sequence[str | Path | Recording],
     *,
-    vehicle: str = "",
     structures: Sequence[Model | Structure] = (),
     through: Sequence[str] | None = None,
     fixed: Mapping[str, float] | None = None,
@@ -117,11 +111,8 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     ----------
     log : str, Path or Recording, or a sequence of them
         Several logs with tests of one axis are fitted together.
-    vehicle : "multirotor" or "fixed-wing", optional
-        Fit the structures of this kind of vehicle for the name of the output instead, with all of
-        their parameters free.
     structures : sequence of Model or Structure, optional
-        Fit these instead, as they are declared.
+        Fit these instead, within their declared bounds.
     through : sequence of str, optional
         Filters between the output and its log, by their names in the log, such as
         ``("gyro-filter",)``; ``()`` for none. By default those that the output is known to have
@@ -131,7 +122,7 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     all_points : bool
         Fit also the frequencies of which the check of the response warns.
     starts, seed : int
-        Starts of every fit of `vehicle` and `structures`.
+        Starts of every fit of `structures`.
     **stated
         Fields of `greybox.identification.Settings`, such as ``axis="pitch"`` or
         ``output="theta=ATT.Pitch"``.
@@ -171,15 +162,11 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     given = {"fixed": fixed, "free": free, "bounds": bounds, "start": start}
     of_parameters = {name: values for name, values in given.items() if values}
     listed = [s if isinstance(s, Structure) else Structure(s, s.label) for s in structures]
-    listed = listed or (family(vehicle, settings.names[1][0]) if vehicle else [])
     if listed:
         names = dict.fromkeys(name for structure in listed for name in structure.model.parameters)
         stated_names = chain.from_iterable(of_parameters.values())
         require_known(stated_names, names, "parameter", "the list of structures")
-        candidates = [
-            _candidate(s, responses, series, of_parameters, starts, seed, not structures)
-            for s in listed
-        ]
+        candidates = [_candidate(s, responses, series, of_parameters, starts, seed) for s in listed]
         selection = select(candidates)
     else:
         # The structures of the first response serve all, unless a filter is taken out of it.
@@ -234,21 +221,13 @@ def _candidate(
     stated: Mapping[str, Any],
     starts: int,
     seed: int,
-    is_family: bool,
 ) -> Candidate:
-    """Fit a structure; the bounds of a family were not stated by the user."""
+    """Fit a structure behind filters in series."""
     model: Any = structure.model
     options = stated_for(model, stated)
     free = {*structure.free, *options.pop("free", ())} - {*options.get("fixed", {})}
-    # The boxes of gains come from the response ahead of the filters in series, which change them
-    # little in their pass band.
-    of_gains = gains(model, responses[0]) if is_family else {}
     for known in series:
         model = model.through(known)
-    options["free"] = sorted(free)
-    if is_family:
-        result = fit_within_far_bounds(model, responses, starts, seed, stated=options, **of_gains)
-    else:
-        problem = problem_of_structure(model, responses, **options)
-        result = fit(problem, starts, seed, profiles=False, progress=False)
-    return Candidate(structure.name, result, structure.about, held_by_bounds(result))
+    problem = problem_of_structure(model, responses, free=sorted(free), **options)
+    result = fit(problem, starts, seed, profiles=False, progress=False)
+    return Candidate(structure.name, result, "stated", held_by_bounds(result))

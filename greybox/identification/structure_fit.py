@@ -1,6 +1,7 @@
 """The fit of one structure to measured responses, within bounds that do not limit it."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from greybox.data.frequency_response import FrequencyResponse
@@ -9,7 +10,6 @@ from greybox.estimate.result import Fit, Quantity
 from greybox.formulation.frequency_criteria import MaximumLikelihood, RelativeLikelihood
 from greybox.formulation.problem import Problem
 from greybox.formulation.signal_units import as_the_only_pair
-from greybox.formulation.starts import Starts
 from greybox.formulation.sum import Sum
 from greybox.modeling.model import Model
 
@@ -22,6 +22,15 @@ WIDENINGS = 3
 NEAR_MINIMUM = {"mu_init": 1e-5, "bound_push": 1e-8, "bound_frac": 1e-8}
 
 STATED = ("fixed", "free", "bounds", "start")
+
+
+@dataclass(frozen=True)
+class Structure:
+    """A model to fit, its name on the command line, and parameters to free."""
+
+    model: Model
+    name: str
+    free: Sequence[str] = ()
 
 
 def problem_of_structure(
@@ -55,8 +64,7 @@ def stated_for(model: Model, stated: Mapping[str, Any]) -> dict[str, Any]:
 def fit_within_far_bounds(
     model: Model,
     responses: Sequence[FrequencyResponse],
-    points: int | Sequence[Mapping[str, float] | Starts],
-    seed: int | None = None,
+    points: Sequence[Mapping[str, float]],
     *,
     bounds: Mapping[str, tuple[float, float]] | None = None,
     stated: Mapping[str, Any] | None = None,
@@ -70,22 +78,17 @@ def fit_within_far_bounds(
     stated = stated or {}
     bounds = {**(bounds or {}), **stated.get("bounds", {})}
     options |= {name: value for name, value in stated.items() if name != "bounds"}
-    boxes = options.pop("starts", {})
     widenings = 0
     # One widening is not enough for gains in µs or degrees, which are decades off.
     while True:
-        problem = problem_of_structure(model, responses, bounds=bounds, starts=boxes, **options)
-        result = fit(
-            problem, points, seed, solver_options=NEAR_MINIMUM, profiles=False, progress=False
-        )
+        problem = problem_of_structure(model, responses, bounds=bounds, **options)
+        result = fit(problem, points, solver_options=NEAR_MINIMUM, profiles=False, progress=False)
         held = [
             q for q in result.quantities if q.at_bound and q.name not in stated.get("bounds", {})
         ]
         wider = {q.name: moved for q in held if (moved := _wider(q)) != q.bounds}
         if not wider or widenings == WIDENINGS:
             return result
-        # Starts are drawn where they were: a box of six decades would hold few good ones.
-        boxes = {q.name: q.box for q in held} | boxes
         bounds |= wider
         widenings += 1
 

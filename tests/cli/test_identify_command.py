@@ -23,6 +23,12 @@ class Own(gb.TransferFunction):
     def response(self, s, p):
         return p.K / (s * (s + p.a))
 """
+STRUCTURES = (
+    "--structures",
+    "rate:LaggedAngle",
+    "rate:DampedAngle+T_rotor+T_delay",
+    "tilt:Tilt+T_rotor+T_delay+a5",
+)
 LOG = str(files("greybox.problems") / "data" / "sitl_pitch.BIN")
 
 
@@ -99,9 +105,7 @@ def test_a_log_of_px4_from_response_to_model(capsys, tmp_path, monkeypatch):
     pytest.importorskip("pyulog")
     monkeypatch.chdir(tmp_path)
     (tmp_path / "flight.ulg").write_bytes(px4_flight())
-    status, out, _ = run(
-        capsys, "identify", "flight.ulg", "--vehicle", "multirotor", "--starts", "2", "--json"
-    )
+    status, out, _ = run(capsys, "identify", "flight.ulg", *STRUCTURES, "--starts", "2", "--json")
     answer = json.loads(out)
     assert status == 0
     assert (answer["measurements"][0]["input"], answer["measurements"][0]["output"]) == (
@@ -117,9 +121,9 @@ def test_a_log_of_px4_from_response_to_model(capsys, tmp_path, monkeypatch):
         assert abs(fit["estimate"][name] - truth) < 3 * fit["standard_error"][name]
 
 
-def test_the_single_commands_of_a_family_give_the_same(capsys, tmp_path, monkeypatch):
+def test_the_single_commands_of_structures_give_the_same(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    family = ("--vehicle", "multirotor", "--fix", "T_rotor=0.05", "--starts", "2")
+    family = (*STRUCTURES, "--fix", "T_rotor=0.05", "--starts", "2")
     answer = json.loads(run(capsys, "identify", LOG, *family, "--json")[1])
     fitting = shlex.split(answer["commands"][-1])[1:]
     assert fitting[0] == "fit"

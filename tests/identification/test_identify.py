@@ -11,8 +11,9 @@ import greybox as gb
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment
 from greybox.identification.choices import choose, motion
-from greybox.models.rate import DampedAngle, DampedRotation, YawRateLag
-from greybox.models.tilt import LinearTilt
+from greybox.identification.structure_fit import Structure
+from greybox.models.rate import DampedAngle, DampedRotation, LaggedAngle, YawRateLag
+from greybox.models.tilt import LinearTilt, Tilt
 from greybox.problems import sitl_pitch
 
 
@@ -37,8 +38,14 @@ def test_the_default_finds_the_simulators_structure_and_values(flown):
         assert abs(fit.estimate[name] - value) < 3 * fit.standard_error[name], name
 
 
-def test_the_structures_of_a_multirotor_are_fitted_on_request():
-    found = gb.identify(sitl_pitch.LOG, vehicle="multirotor", starts=8)
+def test_structures_are_fitted_on_request():
+    free = ("T_rotor", "T_delay")
+    listed = [
+        Structure(LaggedAngle(), "rate:LaggedAngle"),
+        Structure(DampedAngle(), "rate:DampedAngle", free),
+        Structure(Tilt(), "tilt:Tilt", (*free, "a5")),
+    ]
+    found = gb.identify(sitl_pitch.LOG, structures=listed, starts=8)
     assert found.selection.chosen.label == "rate:DampedAngle"
     for name, truth in sitl_pitch.published["values"].items():
         if name == "T_delay":  # the published one contains half of the hold of the control
@@ -48,7 +55,7 @@ def test_the_structures_of_a_multirotor_are_fitted_on_request():
     assert set(found.selection.candidates[-1].fit.free) >= {"T_rotor", "T_delay", "a5"}
     held = gb.identify(
         sitl_pitch.LOG,
-        vehicle="multirotor",
+        structures=listed[1:2],
         starts=4,
         fixed={"T_rotor": 0.05},
         bounds={"a": (0, 2)},
@@ -59,10 +66,6 @@ def test_the_structures_of_a_multirotor_are_fitted_on_request():
 
 
 def test_what_no_structure_has_is_refused():
-    with pytest.raises(ValueError, match="it has multirotor"):
-        gb.identify(sitl_pitch.LOG, vehicle="multirotr")
-    with pytest.raises(ValueError, match="no structures for the output 'q2'"):
-        gb.identify(sitl_pitch.LOG, vehicle="fixed-wing", output="q2=ATT.Pitch")
     with pytest.raises(ValueError, match="has no parameter 'K_psi'"):
         gb.identify(sitl_pitch.LOG, structures=[DampedAngle()], fixed={"K_psi": 1.0})
 
