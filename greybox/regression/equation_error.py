@@ -1,7 +1,7 @@
 """Equation error: derivatives from smoothed data, then least squares; no start is needed.
 
 Every equation of an ODE whose states are known in time is a regression on the parameters that enter
-it linearly. Others (delays, the time constant of a simulated state) are held at their starts.
+it linearly. Others, such as delays, are held at their starts.
 
 Source: Morelli and Klein, Aircraft System Identification, 2nd ed., chapters 5 and 11.
 """
@@ -127,17 +127,15 @@ def equation_error(
     """Estimate the parameters of an ODE from measured states, by least squares per equation.
 
     A state is known if the record has a signal of its name or an output that equals it (up to
-    constants), if it is the derivative of a known state (``theta' = q``), or if it follows from a
-    stable linear equation driven by known signals (a rotor lag), which is then simulated. Equations
-    with other states are left out. All terms of an equation pass the same low-pass filter, so that
-    smoothing affects both sides alike. Inputs that are not held are interpolated between samples by
-    cubic splines. A transfer function can be used only if it has one pole.
+    constants), or if it is the derivative of a known state (``theta' = q``). Equations with other
+    states are left out: where known signals drive such a state, as a rotor lag, simulate it with
+    `gb.simulate` and add it to the record, ``record.with_signals(rotor=...)``. All terms of an
+    equation pass the same low-pass filter, so that smoothing affects both sides alike. Inputs that
+    are not held are interpolated between samples by cubic splines. A transfer function can be used
+    only if it has one pole.
 
-    Parameters that do not enter linearly, such as delays and time constants of simulated states,
-    are held at their starts: give them with `fixed`, or leave them to `gb.fit`. Noise in the states
-    biases the estimate. An equation with a state that is simulated from its own target (`nu` from
-    `r` in `greybox.models.yaw.YawStates`) may at high noise explain the target by itself: its
-    parameters then run to their bounds.
+    Parameters that do not enter linearly, such as delays, are held at their starts: give them with
+    `fixed`, or leave them to `gb.fit`. Noise in the states biases the estimate.
 
     Parameters
     ----------
@@ -173,7 +171,7 @@ def equation_error(
     for piece in record.pieces:
         check_uniform(piece.time, record)
     start = np.array([p.start for p in unknown.values()])
-    equations = regressions(system, record.signals, constants, start)
+    equations = regressions(system, record.signals, constants)
     _require_equations(model, equations, record)
     between = dict(zip(system.inputs, between_samples(inputs, system.inputs, record), strict=True))
     data = regressors(equations, record, start, between)

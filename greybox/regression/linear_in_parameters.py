@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import casadi as ca
-import numpy as np
 
 from greybox.modeling.formula_structure import has_switches
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -21,18 +20,15 @@ class KnownState:
     """How the time history of a state is obtained.
 
     ``value(x, s)`` gives it from the states known before it and from `s`: the signal `source` of
-    the record, or the derivative of the state `source`. None if the state is the signal itself, or
-    simulated.
+    the record, or the derivative of the state `source`. None if the state is the signal itself.
     """
 
     name: str
-    how: Literal["signal", "derivative", "simulated"]
+    how: Literal["signal", "derivative"]
     source: str
     value: ca.Function | None
 
     def __str__(self) -> str:
-        if self.how == "simulated":
-            return f"{self.name} simulated from {self.source}"
         kind = "signal" if self.how == "signal" else "derivative of"
         return f"{self.name} from the {kind} {self.source}"
 
@@ -59,7 +55,7 @@ class Equations:
     Attributes
     ----------
     states : tuple of KnownState
-        Each needs only those before it; the simulated ones come last.
+        Each needs only those before it.
     equations : tuple of Equation
     state_names, input_names : tuple of str
         Names of the model, in the order of x and u.
@@ -68,10 +64,8 @@ class Equations:
         which are held at their starts.
     rows : casadi.Function
         (x, u, p) -> the right sides at zero `linear` (k,) and their slopes (k, linear).
-    simulated : casadi.Function
-        (x, u, p) -> the derivative of the simulated states at zero (s,) and their matrix (s, s).
     delay : casadi.Function
-        (p) -> delay of every input, s. In all three functions, `p` are the free parameters.
+        (p) -> delay of every input, s. In both functions, `p` are the free parameters.
     left_out : tuple of str
         What was left out, and why.
     """
@@ -84,7 +78,6 @@ class Equations:
     linear: tuple[str, ...]
     nonlinear: tuple[str, ...]
     rows: ca.Function
-    simulated: ca.Function
     delay: ca.Function
     left_out: tuple[str, ...]
 
@@ -93,7 +86,6 @@ def regressions(
     model: Dynamics,
     signals: Iterable[str],
     fixed: Mapping[str, float],
-    start: np.ndarray,
 ) -> Equations:
     """Return the equations of a model that contain only known signals and parameters.
 
@@ -103,11 +95,8 @@ def regressions(
     signals : names of the signals in the record
     fixed : mapping of name to value
         Values of the parameters that are not estimated.
-    start : (number of free parameters,) array
-        Values at which simulated states must be stable, so that they forget their unknown initial
-        values.
     """
-    return _Analysis(model, set(signals), fixed, start).result()
+    return _Analysis(model, set(signals), fixed).result()
 
 
 def _column(entries: Sequence[Any]) -> ca.SX:
@@ -123,11 +112,9 @@ class _Analysis:
         model: Dynamics,
         signals: set[str],
         fixed: Mapping[str, float],
-        start: np.ndarray,
     ) -> None:
         self.model = model
         self.signals = signals
-        self.start = start
         self.x = ca.SX.sym("x", len(model.states))
         self.u = ca.SX.sym("u", len(model.inputs))
         self.free = tuple(name for name in model.parameters if name not in fixed)
@@ -145,8 +132,6 @@ class _Analysis:
         self.states: dict[str, KnownState] = {}
         # The signal behind each state that is a signal or a derivative.
         self.measured: dict[str, str] = {}
-        # The derivatives of the simulated states.
-        self.simulated: dict[str, ca.SX] = {}
         self.left_out: list[str] = []
 
     @one_thread_at_a_time
@@ -155,20 +140,16 @@ class _Analysis:
         # Each step needs the previous one: only known states make equations, and only the equations
         # show which parameters are linear.
         self._know_measured_states()
-        self._know_simulated_states()
         candidates = list(self._candidates())
         equations = tuple(equation for _, equation in candidates)
         rows = [row for row, _ in candidates]
-        needed = set().union(*(self._behind(row) for row in rows))
-        simulated = {n: row for n, row in self.simulated.items() if n in needed}
-        states = [s for n, s in self.states.items() if n in simulated or n not in self.simulated]
         linear = self._linear(rows)
         nonlinear = tuple(
             n for n in self.free if n not in linear and any(n in e.parameters for e in equations)
         )
 
         return Equations(
-            states=tuple(states),  # the simulated ones come last
+            states=tuple(self.states.values()),
             equations=equations,
             state_names=self.model.states,
             input_names=self.model.inputs,
@@ -176,10 +157,6 @@ class _Analysis:
             linear=linear,
             nonlinear=nonlinear,
             rows=self._affine_function(_column(rows), _column([self.parameter[n] for n in linear])),
-            # x' = matrix x + drive for the simulated states
-            simulated=self._affine_function(
-                _column([*simulated.values()]), self._states([*simulated])
-            ),
             delay=ca.Function("delay", [self.p], [ca.densify(self.delays)]),
             left_out=tuple(self.left_out),
         )
@@ -219,36 +196,6 @@ class _Analysis:
                 return True
         return False
 
-    def _know_simulated_states(self) -> None:
-        """Take states of stable linear equations that known signals drive."""
-        names = [n for n in self.model.states if n not in self.states]
-        while names:
-            x = self._states(names)
-            matrix = ca.jacobian(ca.vertcat(*[self.f[n] for n in names]), x)
-            excluded = [
-                n
-                for k, n in enumerate(names)
-                if ca.depends_on(matrix[k, :], ca.vertcat(self.x, self.u))
-                or self._unknown(self.f[n]) - {*names}
-                or not self._affine(self.f[n], x)
-            ]
-            # An unstable or integrating state would remember its unknown initial value.
-            if not excluded:
-                values = np.asarray(ca.Function("A", [self.p], [ca.densify(matrix)])(self.start))
-                excluded = _unstable(values, names)
-            if not excluded:
-                break
-            names = [n for n in names if n not in excluded]
-
-        for name in names:
-            used = [n for n in _needed(self.f[name], {**self.state, **self.input}) if n != name]
-            source = " and ".join(used) or "rest"
-            self.states[name] = KnownState(name, "simulated", source, None)
-            self.simulated[name] = self.f[name]
-
-    def _states(self, names: Sequence[str]) -> ca.SX:
-        return _column([self.state[n] for n in names])
-
     def _affine(self, rows: ca.SX, symbols: ca.SX) -> bool:
         """Return whether rows are affine in the symbols."""
         others = [s for s in ca.symvar(rows) if not ca.depends_on(symbols, s)]
@@ -260,9 +207,9 @@ class _Analysis:
         """Yield the right side and the description of every equation that can be used."""
         rows: list[tuple[str, Kind, ca.SX]] = []
         for name, row in self.f.items():
-            if name in self.states.keys() - self.simulated.keys():
+            if name in self.states:
                 rows.append((name, "derivative", row))
-            elif name not in self.states and self._parameters(row):
+            elif self._parameters(row):
                 self.left_out.append(f"{name}' (the state {name} is not known)")
         for name, row in self.h.items():
             if name in self.signals:
@@ -282,37 +229,20 @@ class _Analysis:
     def _unknown(self, row: ca.SX) -> set[str]:
         return {*_needed(row, self.state)} - self.states.keys()
 
-    def _behind(self, row: ca.SX) -> set[str]:
-        """Return the states that a row needs, directly or through simulated states."""
-        needed: set[str] = set()
-        new = {*_needed(row, self.state)}
-        while new:
-            needed |= new
-            rows = [self.simulated[n] for n in new & self.simulated.keys()]
-            new = {*_needed(_column(rows), self.state)} - needed
-        return needed
-
-    def _rows_behind(self, row: ca.SX) -> list[ca.SX]:
-        """Return the row with the equations of the simulated states that it needs."""
-        behind = self._behind(row)
-        return [row, *(f for name, f in self.simulated.items() if name in behind)]
-
     def _parameters(self, row: ca.SX) -> tuple[str, ...]:
-        """Return the free parameters of a row, of its simulated states and its delays."""
-        column = ca.vertcat(*self._rows_behind(row))
-        late = [self.delays[self.model.inputs.index(n)] for n in _needed(column, self.input)]
-        return tuple(_needed(ca.vertcat(column, *late), self.parameter))
+        """Return the free parameters of a row and of its delays."""
+        late = [self.delays[self.model.inputs.index(n)] for n in _needed(row, self.input)]
+        return tuple(_needed(ca.vertcat(row, *late), self.parameter))
 
     def _sources(self, row: ca.SX, target: str) -> tuple[str, ...]:
         """Return the measured states behind a row and its target."""
-        names = self._behind(row) | {target}
+        names = {*_needed(row, self.state), target}
         return tuple(sorted({self.measured[n] for n in names & self.measured.keys()}))
 
     def _linear(self, rows: list[ca.SX]) -> tuple[str, ...]:
         """Return the parameters in which all rows are jointly affine."""
-        # A parameter of a delay or of a simulated state changes the regressors themselves.
-        inside = [r for row in rows for r in self._rows_behind(row)[1:]]
-        excluded = _needed(_column([*inside, self.delays]), self.parameter)
+        # A parameter of a delay changes the regressors themselves.
+        excluded = _needed(self.delays, self.parameter)
         names = [n for n in _needed(_column(rows), self.parameter) if n not in excluded]
 
         right_sides = _column(rows)
@@ -334,13 +264,3 @@ class _Analysis:
 def _needed(rows: ca.SX, symbols: Mapping[str, ca.SX]) -> list[str]:
     """Return the names of the symbols on which rows depend."""
     return [name for name, symbol in symbols.items() if ca.depends_on(rows, symbol)]
-
-
-def _unstable(matrix: np.ndarray, names: list[str]) -> list[str]:
-    """Return the state with the largest part in a mode that does not decay."""
-    # Without that state, the others may be stable.
-    if not np.all(np.isfinite(matrix)):
-        return names
-    values, vectors = np.linalg.eig(matrix)
-    growing = np.flatnonzero(~(np.real(values) < 0))
-    return [names[int(np.argmax(np.abs(vectors[:, growing[0]])))]] if growing.size else []

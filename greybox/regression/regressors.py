@@ -9,7 +9,6 @@ import numpy as np
 from greybox.data.intersample import Intersample
 from greybox.data.record import Record, median_step
 from greybox.files.arrays import Array
-from greybox.modeling.held_inputs import held_response
 from greybox.regression.least_squares import Rows
 from greybox.regression.linear_in_parameters import Equations
 from greybox.regression.smoothing import (
@@ -25,9 +24,6 @@ from greybox.regression.smoothing import (
 # from the signals biases the tilt model by many standard errors; with 0.7 and 0.5, the intervals
 # cover; with 0.35, precision is lost.
 SHARE = 0.5
-# Share of its unknown initial value that a simulated state may still have where its rows begin. An
-# error of 1 % that decays within a few rows is far below the effect of noise in the regressors.
-REMEMBERED = 0.01
 FEWEST = 4  # remaining rows of a stretch: fewer add nothing to the thousands of a record
 
 
@@ -75,10 +71,8 @@ def regressors(
             smoothed = smooth(time, record[state.source])
             cutoffs[state.source] = smoothed.cutoff
             signal = smoothed.values
-        elif state.how == "derivative":
-            signal = derivatives[state.source]
         else:
-            continue
+            signal = derivatives[state.source]
         # The formula may use the states before this one; others stay NaN, and it has no use of
         # them.
         if state.value is not None:
@@ -93,7 +87,6 @@ def regressors(
         course = between[name]
         row[:] = _delayed(time, without_holes(time, record[name]), delay + course.late, course.held)
         lateness = max(lateness, delay + (step if course.held else course.late))
-    lateness += _simulate(equations, time, x, u, p)
 
     base, slopes = (np.asarray(value) for value in equations.rows(x, u, p))
     slopes = slopes.reshape(len(base), time.size, -1)
@@ -117,8 +110,8 @@ def regressors(
         lost = 2 * reach(min(bands)) + lateness
         raise ValueError(
             "no stretch without a gap is long enough: the longest piece of the record has "
-            f"{longest * step:.3g} s, of which smoothing, delays and simulated states need "
-            f"{lost:.3g} s at its ends; give a longer or less noisy record."
+            f"{longest * step:.3g} s, of which smoothing and delays need {lost:.3g} "
+            "s at its ends; give a longer or less noisy record."
         )
     equation = np.repeat(np.arange(len(base)), [len(rows) for rows in filtered])
     return Regressors(Rows(equation, columns[:, 0], columns[:, 1], columns[:, 2:]), bands)
@@ -127,8 +120,8 @@ def regressors(
 def _filtered(time: Array, columns: Array, band: float, lateness: float) -> Array:
     """Return columns (n, k) of an equation, filtered, without the ends of every stretch."""
     step = median_step(time)
-    # The filter is less accurate near the ends of a stretch. Delayed inputs are not known at its
-    # beginning, where simulated states have not settled.
+    # The filter is less accurate near the ends of a stretch, and at its beginning delayed inputs
+    # are not known.
     edge = math.ceil(reach(band) / step)
     late = math.ceil(lateness / step)
     result = [columns[:0]]
@@ -175,50 +168,3 @@ def _delayed(time: Array, values: Array, late: float, held: bool) -> Array:
             spline = make_interp_spline(t, course, k=order)
             result[rows] = spline(np.clip(t - late, t[0], t[-1]))
     return result
-
-
-def _simulate(equations: Equations, time: Array, x: Array, u: Array, p: Array) -> float:
-    """Fill in the simulated states, and return how long they remember where they began, s."""
-    names = [state.name for state in equations.states if state.how == "simulated"]
-    if not names:
-        return 0.0
-    drive, matrix = (np.asarray(value) for value in equations.simulated(x, u, p))
-    matrix = matrix[:, : len(names)]
-    places = [equations.state_names.index(name) for name in names]
-    for rows in stretches(time, *drive):
-        if rows.stop - rows.start > 1:
-            x[places, rows] = _linear_response(matrix, drive[:, rows], median_step(time))
-    return math.log(1 / REMEMBERED) / float(np.min(-np.linalg.eigvals(matrix).real))
-
-
-def _linear_response(matrix: Array, drive: Array, step: float) -> Array:
-    """Solve ``x' = matrix x + drive`` (s, n) from the equilibrium at the first sample.
-
-    Source: first-order hold, Franklin, Powell and Workman, Digital Control of Dynamic Systems; the
-    recursion runs in the Schur basis.
-    """
-    from scipy.linalg import schur  # noqa: PLC0415  (imports slowly)
-    from scipy.signal import lfilter  # noqa: PLC0415  (takes a third of a second to import)
-
-    s = len(matrix)
-    unit = np.eye(s)
-    triangle, basis, *_ = schur(matrix, output="complex")
-    # The drive is a state whose derivative, its change over the step, is held.
-    with_drive = np.block([[triangle, unit], [np.zeros((s, 2 * s))]])
-    transition, effect = held_response(with_drive, np.vstack([0 * unit, unit / step]), step)
-    exponential, hold = transition[:s, :s], transition[:s, s:]
-    ramp = effect[:s]
-
-    # In the Schur basis, each state is driven by those after it only: one scalar recursion after
-    # another.
-    drive = basis.conj().T @ drive
-    # The mean of straight lines over a step then equals that of the smooth curve to fourth order.
-    drive[:, 1:-1] -= np.diff(drive, 2) / 12
-    added = (hold - ramp) @ drive[:, :-1] + ramp @ drive[:, 1:]
-    z = np.zeros(drive.shape, complex)
-    # The initial state is unknown: the equilibrium with the first input is the best guess.
-    start = np.linalg.solve(triangle, -drive[:, 0])
-    for k in reversed(range(s)):
-        right = added[k] + exponential[k, k + 1 : s] @ z[k + 1 :, :-1]
-        z[k] = lfilter([1.0], [1.0, -exponential[k, k]], np.concatenate([[start[k]], right]))
-    return (basis @ z).real

@@ -1,4 +1,4 @@
-"""A plant behind a lag that no signal shows, and a record of it without noise."""
+"""A plant behind a lag, and a record of it without noise."""
 
 from functools import cache
 
@@ -12,7 +12,7 @@ TIME = STEP * np.arange(3000)
 
 
 class Lagged(gb.StateSpace):
-    """v' = a v + b w, behind a lag w' = (u - w) / tau that no signal shows, with a delay."""
+    """v' = a v + b w, behind a lag w' = (u - w) / tau, with a delay."""
 
     states, inputs, outputs = ("v", "w"), ("u",), ("v",)
     delays = {"u": "T"}
@@ -47,4 +47,4 @@ def flown(count=TIME.size):
         rtol=1e-10,
         atol=1e-12,
     ).y
-    return gb.Record(time, {"u": force(time), "v": states[0]})
+    return gb.Record(time, {"u": force(time), "v": states[0], "w": states[1]})
