@@ -1,6 +1,6 @@
 """Fine Steering Mirror, three actuators and three sensors: what linear models can reach.
 
-python benchmarks/boards/fine_steering_mirror.py FOLDER [--output FILE]
+python benchmarks/boards/fine_steering_mirror.py FOLDER [--output FILE] [--excerpt FOLDER]
 
 FOLDER has the `.npy` files of `data` of https://github.com/merijnfloren/fsm-benchmark-data
 (CC BY 4.0, Floren et al. 2024). Each has 8192 samples at 6400 Hz, three signals, realizations of
@@ -8,7 +8,8 @@ orthogonal multisines, and two periods in steady state.
 
 The error is that of the benchmark: the rms error over the standard deviation of each output, mean
 over outputs, realizations and periods. No initial samples are left out, since all rows are in
-steady state. Nothing is chosen, so the test data are used once.
+steady state. Nothing is chosen, so the test data are used once. `--excerpt` only writes the
+responses of `problems/data`.
 
 The row "response" is no parametric model: a matrix for each of the 3839 excited frequencies, from
 the mean of the periods of the training data at that level. It shows what a linear model is able to
@@ -35,6 +36,8 @@ MODES = (636, 805.8, 921.6, 945, 990, 1315, 1430, 1683, 2124.5, 2272.6, 2314.6, 
 FREQUENCY = 6400 / 8192 * np.arange(4097)  # Hz
 THINNED = slice(1, 3840, 8)
 LEVELS = (100, 200, 300)  # mV
+BLOCK = 8  # lines
+SOURCE = "https://github.com/merijnfloren/fsm-benchmark-data, CC BY 4.0, Floren et al. 2024"
 EXCITED = slice(1, 3840)  # below 3000 Hz
 PUBLISHED = {
     "published: linear, order 28, a model a level": (8.38, 7.95, 5.63),
@@ -135,6 +138,46 @@ def modes(matrices: np.ndarray) -> tuple[np.ndarray, gb.Fit]:
     return fitted, fit
 
 
+def write_excerpt(folder: Path, level: int, path: Path) -> None:
+    """Write every eighth line of the response with its variance, in µm/V, for `read_responses`.
+
+    The variance of a line has (realizations - inputs) degrees of freedom, 3, and neighbors differ
+    little: eight lines are averaged.
+    """
+    u, y = signals(folder, level, "train")
+    U, Y = (np.fft.rfft(s.mean(axis=3), axis=0)[EXCITED] for s in (u, 1e6 * y))
+    matrices = Y @ np.linalg.pinv(U)
+    spare = U.shape[2] - U.shape[1]
+    power = np.sum(np.abs(Y - matrices @ U) ** 2, axis=2) / spare
+    gain = np.linalg.inv(U @ U.conj().transpose(0, 2, 1)).real.diagonal(axis1=1, axis2=2)
+    blocks = (len(U) // BLOCK, BLOCK, *matrices.shape[1:])
+    variance = (power[:, :, None] * gain[:, None, :])[: blocks[0] * BLOCK].reshape(blocks)
+    middle = BLOCK // 2 + BLOCK * np.arange(blocks[0])
+    responses = []
+    for i, j in np.ndindex(*blocks[2:]):
+        values = rounded(matrices[middle, i, j].real, 6) + 1j * rounded(
+            matrices[middle, i, j].imag, 6
+        )
+        responses.append(
+            gb.FrequencyResponse(
+                2 * np.pi * FREQUENCY[EXCITED][middle],
+                values,
+                variance=rounded(variance[:, :, i, j].mean(axis=1), 3),
+                dof=np.full(len(values), float(BLOCK * spare)),
+                input=f"u{j + 1}",
+                output=f"y{i + 1}",
+                units={f"u{j + 1}": "V", f"y{i + 1}": "µm"},
+            )
+        )
+    gb.data.write_responses(responses, path)
+    path.write_text(f"# source: {SOURCE}\n{path.read_text(encoding='utf-8')}", encoding="utf-8")
+
+
+def rounded(values: np.ndarray, digits: int) -> np.ndarray:
+    """Return values with a number of significant digits."""
+    return np.array([float(f"{value:.{digits}g}") for value in values])
+
+
 def static(u: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Return the matrix of gains (outputs, inputs) by least squares on samples."""
     inputs, outputs = (np.moveaxis(signal, 1, 0).reshape(signal.shape[1], -1) for signal in (u, y))
@@ -202,5 +245,18 @@ def board(folder: Path) -> list[str]:
     return lines
 
 
+def main() -> None:
+    """Print the table, or write the responses."""
+    arguments = parser(__doc__)
+    arguments.add_argument("--excerpt", type=Path)
+    options = arguments.parse_args()
+    if options.excerpt:
+        for level in LEVELS:
+            path = options.excerpt / f"fine_steering_mirror_{level}mV.csv"
+            write_excerpt(options.folder, level, path)
+        return
+    show(board, options)
+
+
 if __name__ == "__main__":
-    show(board, parser(__doc__).parse_args())
+    main()

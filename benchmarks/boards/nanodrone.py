@@ -2,14 +2,17 @@
 
 python benchmarks/boards/nanodrone.py FOLDER [--output FILE]
 
-FOLDER has `train` and `test` of `data` of
-https://github.com/idsia-robotics/nanodrone-sysid-benchmark (arXiv 2512.14450), CSV files at 100 Hz.
-That repository states no license, so nothing of it is here. Its newest files are in a store of
-large files; those used here are of its commit d0cf4ab of 2025-11-13: 8 random flights, 4 multisines
-and the three melons of its test. Two multisines have rotor speeds that do not belong to the motion,
-and are left out by their correlation with the climb. Squares are left out, too: their rates are
-five times those of the others. The published errors are of a later processing of the same test
-flights: holding the rates scores 29.7 here and 29.1 there.
+The data are those of https://github.com/idsia-robotics/nanodrone-sysid-benchmark (arXiv
+2512.14450), Parquet files at 100 Hz, which pandas reads with pyarrow. That repository states no
+license, so nothing of it is here. Its newest files are in a store of large files; those used here
+are of its commit d0cf4ab of 2025-11-13. FOLDER has `train` with the 8 random flights and the 4
+multisines of `data/real/raw/parquets`, and `test` with the three melons of
+`data/real/processed/test`. CSV files of the same columns serve, too.
+
+Two multisines have rotor speeds that do not belong to the motion, and are left out by their
+correlation with the climb. Squares are left out, too: their rates are five times those of the
+others. The published errors are of a later processing of the same test flights: holding the rates
+scores 29.7 here and 29.1 there.
 
 The errors are those of the benchmark: from each sample of the test flights, the next 50 are
 predicted from that state and the rotor speeds, without later measurements. The norm of the error is
@@ -29,12 +32,15 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from command import estimates, heading, parser, show
 
 import greybox as gb
 
 STEP, HORIZON, GAP = 0.01, 50, 10.0  # s, samples, s between stretches
 STARTS = 3
+POLE_PAIRS = 6  # of a motor: electrical over mechanical revolutions
+AIRBORNE = 0.3  # m, of height
 EVERY = 300  # samples between the stretches that are fitted or cross-validated
 NAMES = {"v": ("v_x", "v_y", "v_z"), "R": ("q_x", "q_y", "q_z", "q_w"), "w": ("p", "q", "r")}
 NOISE = {"p": 0.4, "q": 0.4, "r": 0.15, "p_0": 1e-3, "q_0": 1e-3, "r_0": 1e-3}  # rad/s
@@ -142,11 +148,32 @@ def body_velocity(rows, velocity):
     return (sum(row[k] * v for row, v in zip(rows, velocity, strict=True)) for k in (0, 1))
 
 
+def columns_of(path: Path) -> dict[str, np.ndarray]:
+    """Return the columns of a flight, with the rotor speeds in rad/s."""
+    if path.suffix == ".parquet":
+        table = pd.read_parquet(path)
+        columns = {str(name): table[name].to_numpy() for name in table.columns}
+    else:
+        rows = np.genfromtxt(path, delimiter=",", names=True)
+        columns = {name: rows[name] for name in rows.dtype.names}
+    for k in (1, 2, 3, 4):
+        if f"m{k}_rads" not in columns:
+            columns[f"m{k}_rads"] = columns[f"m{k}_erpm"] / POLE_PAIRS * 2 * np.pi / 60
+        speed = columns[f"m{k}_rads"]
+        present = np.isfinite(speed)  # at most 13 samples of a flight are missing
+        columns[f"m{k}_rads"] = np.interp(
+            np.arange(len(speed)), np.flatnonzero(present), speed[present]
+        )
+    airborne = np.flatnonzero(columns["z"] > AIRBORNE)
+    flown = slice(airborne[0], airborne[-1] + 1)
+    return {name: column[flown] for name, column in columns.items()}
+
+
 def flights(folder: Path) -> list[dict[str, np.ndarray]]:
     """Return the signals of the flights whose rotor speeds belong to their motion."""
     result = []
-    for path in sorted(folder.glob("[!s]*.csv")):
-        table = np.genfromtxt(path, delimiter=",", names=True)
+    for path in sorted(folder.glob("[!s]*.*")):
+        table = columns_of(path)
         columns = [f"v{a}" for a in "xyz"] + [f"q{a}" for a in "xyzw"] + [f"w{a}" for a in "xyz"]
         signals = {n: table[c] for n, c in zip(Nanodrone.outputs, columns, strict=True)}
         size = np.sqrt(sum(signals[name] ** 2 for name in NAMES["R"]))  # 1.013 in the test flights

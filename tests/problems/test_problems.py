@@ -40,6 +40,7 @@ FEW = {
     "sitl_drag": gb.solve.Sobol(4, seed=0),
     "nanobench_thrust": gb.solve.Sobol(3, seed=0),
     "nanobench_drag": gb.solve.Sobol(3, seed=0),
+    "fine_steering_mirror": gb.solve.Sobol(3, seed=0),
 }
 CASES = [(name, RULES[0]) for name in MODULES]
 CASES += list(zip(("rotors", "yaw_hover", "pitch_hover"), RULES[1:], strict=True))
