@@ -31,27 +31,9 @@ class DisturbedRecord:
         self.outputs = part.simulated_outputs(trajectory)
         # The future of a predictor contains its errors of today.
         self.is_predicted = bool(part.gains)
-        if self.is_predicted:
-            self._without_corrections()
         self.inputs = segments.in_order(data[m : 4 * m])[1::3]
         self.present = segments.in_order(data[-1 - k : -1]) > 0
         self.parameters = self._placed.q
-
-    def _without_corrections(self) -> None:
-        """Replace predicted states by those that the inputs alone cause, if these are not larger.
-
-        Colored gusts correlate prediction errors with the states that earlier ones corrected.
-        """
-        part, placed, segments = self.part, self._placed, self.part.segments
-        gains = [f"K_{state}_{output}" for state, output in part.gains]
-        q = np.where(np.isin(part.model.parameters, gains), 0.0, placed.q)
-        counts, nodes = part.data.segment_counts, self._trajectory.nodes
-        _, states, _, _ = segments.simulate_stretches(counts, nodes, q, placed.data)
-        # An unstable model diverges without corrections.
-        calm = segments.in_order(states)
-        if np.all(np.abs(calm).max(axis=1) < 10 * np.abs(self.states).max(axis=1)):
-            self.states = calm
-            self.outputs = segments.in_order(segments.outputs(states, q, placed.data))
 
     @property
     def is_unstable(self) -> bool:
@@ -59,6 +41,15 @@ class DisturbedRecord:
         A = self._slopes[0][: self.part.states].mean(axis=2)
         growth = np.abs(np.linalg.eigvals(A)).max(initial=1.0)
         return bool(self.part.samples * np.log(growth) > np.log(100))
+
+    @property
+    def states_along_data(self) -> Array:
+        """The states, corrected by the residuals of the outputs of the same name."""
+        errors = np.where(self.present, self.part.residuals(self._trajectory), 0.0)
+        return self.states + sum(
+            np.outer([name == state for state in self.part.system.states], row)
+            for name, row in zip(self.part.outputs, errors, strict=True)
+        )
 
     def by_stretch(self, function: Callable[..., Array], row: Array, *arguments: float) -> Array:
         """Return a function of the samples and the step of every stretch, segments filled up."""

@@ -1,7 +1,6 @@
 """Whether a model explains its data, and if not, what it may lack."""
 
-from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -72,11 +71,10 @@ class Cause:
         Probability of such a share if the model explains the data, times the number of terms that
         were tried for records, or for responses.
     p_correlated : float
-        The same if errors of neighboring points of a response may be correlated.
+        The same if errors of neighboring points of a response may be correlated, and inputs of an
+        unstable model may answer to errors.
     alike : tuple of str
         Terms that have nearly the same effect, so that the data cannot tell them apart.
-    is_offset : bool
-        Whether it is an offset of an output.
     """
 
     text: str
@@ -87,7 +85,6 @@ class Cause:
     p_value: float
     p_correlated: float
     alike: tuple[str, ...] = ()
-    is_offset: bool = False
 
     @property
     def explained(self) -> str:
@@ -103,8 +100,8 @@ class Misfit(Printed):
     ----------
     left, noise : float
         Share of the squares of the outputs about straight lines that the model leaves, and that
-        noise would leave; of responses, relative to the sizes of their errors. Of records or
-        responses, where both differ more.
+        noise would leave; of responses, relative to the sizes of their errors. They are those of
+        the output of a record, or of the responses, where both differ most.
     tried : int
         Number of terms.
     causes : tuple of Cause
@@ -128,13 +125,11 @@ class Misfit(Printed):
     @property
     def p_value(self) -> float:
         """Probability of such residuals if the model explains the data."""
-        # The outputs of an unstable model follow from later inputs, which contain the errors. An
-        # offset is judged by the slow errors themselves.
-        answered = self.is_unstable and self.noise > 0.5 * self.left
-        chances = (c.p_correlated for c in self.causes if c.is_offset or not answered)
         # Of several responses two hypotheses are tested: common values, and missing terms.
         tests = 2 if self.p_common < 1 else 1
-        return min(tests * min(self.p_common, *chances, 1.0), 1.0)
+        return min(
+            tests * min([self.p_common, *(cause.p_correlated for cause in self.causes)]), 1.0
+        )
 
     @property
     def explains(self) -> bool:
@@ -239,15 +234,21 @@ def assessed_misfit(
             records.append((part, trajectory))
 
     most = max(MOST // max(len(records), 1), FEWEST)
-    records = [_of_record(*record, candidates, most) for record in records]
 
-    groups = [
-        _of_group(group, in_time=group is records)
-        for group in (responses, records)
-        if any(part.terms for part in group)
-    ]
+    apart = [_of_group(responses, in_time=False)] if any(part.terms for part in responses) else []
+    groups = apart
+    # Terms along the measured states contain noise, which must not decide whether the model is
+    # wrong; but far from the data, terms along its own states are wrong, too.
+    for along_data in (False, True) if records else ():
+        group = _of_group(
+            [_of_record(*record, candidates, most, along_data) for record in records], in_time=True
+        )
+        groups = [*apart, group]
+        if group.explains or group.left < 2 * group.noise:
+            break
     if not groups:
         return None
+
     # What explains most comes first, among what is significant; the best stands for equal texts.
     best = {cause.text: cause for group in groups for cause in reversed(group.causes)}
     causes = sorted(best.values(), key=lambda cause: (cause.p_value >= FALSE_ALARMS, -cause.share))
@@ -279,14 +280,13 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
 
     white_residuals, white_fitted = white(residuals), white(fitted)
     tried, ranked = _ranked(parts, [*terms], white, white_residuals[:, 0], white_fitted)
-    ranked = ranked[:FAMILIES]
     best_columns = np.hstack([residuals[:, :0], *(column for *_, column in ranked)])
     together = np.hstack([fitted, best_columns[:, :TOGETHER]])
-    without, left = (
+    without, remainder = (
         float(np.sum(beside(white_residuals, white(columns)) ** 2))
         for columns in (fitted, together)
     )
-    total = len(white_residuals) * (1 - left / (without + TINY)) + TINY
+    explained = len(white_residuals) * (1 - remainder / (without + TINY)) + TINY
     p_values = [p_value for (_, p_value, *_), *_ in ranked]
     if in_time and ranked:
         p_values = autoregressive_p_values(residuals[:, 0], fitted, best_columns, outputs).tolist()
@@ -303,13 +303,26 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
         p_common = p_value_of_scores(score, apart, len(residuals))
     is_common = p_common >= FALSE_ALARMS
 
+    measured = np.vstack([part.measured for part in parts])
+    both = residuals, beside(residuals, together)
+    # A record has several outputs, of which one may be the only one that follows a missing term.
+    shares = [
+        [float(np.sum(e[rows] ** 2) / (np.sum(measured[rows] ** 2) + TINY)) for e in both]
+        for rows in [np.concatenate(stretches) for stretches in outputs] or [...]
+    ]
+    left, noise = max(shares, key=lambda pair: pair[0] - pair[1])
+    # The outputs of an unstable model follow from later inputs, which contain the errors. An offset
+    # is judged by the slow errors themselves.
+    is_unstable = any(part.is_unstable for part in parts)
+    least = 1.0 if is_unstable and left < 2 * noise else 0.0
+
     texts = [terms[key].described(test[2], test[3]) for test, key, _ in ranked]
     alike = _alike(beside(white(best_columns), white_fitted), texts) if ranked else []
     causes = []
     for k, ((decrease, _, value, error), key, column) in enumerate(ranked):
         p_value = p_values[k]
-        chances = p_value, p_value
-        if terms[key].kind == "own" and not is_common:
+        chances = p_value, max(p_value, least)
+        if terms[key].kind in ("own", "schedule") and not is_common:
             # Residuals that other values could explain, too, are not noise.
             share_apart = noise_apart / (noise_apart + decrease * without / len(residuals))
             chances = (float(chance(share_apart, len(residuals) - apart[1])),) * 2
@@ -318,29 +331,20 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
             beside_it = correlated_score([(residuals, columns, lengths)])
             p_beside = p_value_of_scores(score, beside_it, len(residuals))
             chances = p_value, max(p_value, p_beside)
-        share = min(decrease / total, 1.0)
-        p_values_of_all = np.minimum(tried * np.array(chances), 1.0).tolist()
-        causes.append(Cause(*texts[k], value, error, share, *p_values_of_all, alike=alike[k]))
+        chances = np.minimum([decrease / explained, *(tried * np.array(chances))], 1.0).tolist()
+        causes.append(Cause(*texts[k], value, error, *chances, alike=alike[k]))
 
     causes += [cause for part in parts for cause in part.causes]
-    measured, squares, noise = (
-        float(np.sum(rows**2)) + TINY
-        for rows in (
-            np.vstack([part.measured for part in parts]),
-            residuals,
-            beside(residuals, together),
-        )
-    )
+    squares = float(np.sum(residuals**2)) + TINY
     white_squares = [len(residuals) / float(row[0]) ** 2 for row in filters]
-    drift = 1 - min(white_squares, default=squares) / squares
     return Misfit(
-        squares / measured,
-        noise / measured,
+        left,
+        noise,
         tried,
         tuple(causes),
         p_common,
-        drift,
-        any(part.is_unstable for part in parts),
+        1 - min(white_squares, default=squares) / squares,
+        is_unstable,
     )
 
 
@@ -373,7 +377,7 @@ def _ranked(
             family = chosen[k][0]
             if family not in best or numbers[k] > best[family][0]:
                 best[family] = numbers[k], chosen[k], columns[:, [k]]
-    return tried, sorted(best.values(), key=lambda test: test[0], reverse=True)
+    return tried, sorted(best.values(), key=lambda test: test[0], reverse=True)[:FAMILIES]
 
 
 def _stacked_outputs(parts: Sequence[_Regression]) -> Outputs:
@@ -386,13 +390,11 @@ def _stacked_outputs(parts: Sequence[_Regression]) -> Outputs:
     ]
 
 
-def _numbered(terms: Any) -> dict[Key, Term]:
+def _numbered(terms: Iterable[Term]) -> dict[Key, Term]:
     """Return terms by their family and their number in it, the same in all parts."""
     numbered: dict[Key, Term] = {}
-    counts: Counter[tuple[str, str, str]] = Counter()
     for term in terms:
-        numbered[term.family, counts[term.family]] = term
-        counts[term.family] += 1
+        numbered[term.family, sum(family == term.family for family, _ in numbered)] = term
     return numbered
 
 
@@ -401,6 +403,7 @@ def _of_record(
     trajectory: Trajectory,
     candidates: Mapping[str, Formula],
     most: int,
+    along_data: bool,
 ) -> _Regression:
     if part.samples > most:
         part, trajectory = _on_excerpts(part, trajectory, most)
@@ -440,7 +443,7 @@ def _of_record(
         rows(np.nan_to_num(data.measured)[:, None]),
         rows(residuals[:, None]),
         rows(np.einsum("ab,bpn->apn", noise, slopes.weighted)),
-        _numbered(terms_of_record(record, candidates)),
+        _numbered(terms_of_record(record, candidates, along_data)),
         lambda terms: rows(record.followed_by([term.effect() for term in terms])),
         outputs=outputs,
         causes=tuple(_offsets(part, residuals, record.present)),
@@ -462,7 +465,7 @@ def _offsets(part: RecordPart, residuals: Array, present: BoolArray) -> Iterator
         p_value = float(chance(1 / (1 + (value / error) ** 2 / PIECES), PIECES - 1))
         share = value**2 / float(np.mean(row[measured] ** 2) + TINY)
         text, code = f"an offset of {name} by {number(value, 2)}", f"the output {name} + p.offset"
-        yield Cause(text, code, value, error, share, p_value, p_value, is_offset=True)
+        yield Cause(text, code, value, error, share, p_value, p_value)
 
 
 def _lines(measured: BoolArray) -> Array:
@@ -527,8 +530,12 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
 
     at_fit, slope = values[: len(free)], part.sensitivity(values)
     own = [
-        Term("own", lambda k=k: slope[:, k] / response, name, part.name)
+        Term(kind, lambda k=k, size=size: slope[:, k] / response * size, name, b)
         for k, name in enumerate(free)
+        for kind, b, size in (
+            ("own", part.name, 1.0),
+            *(("schedule", signal, size) for signal, size in part.problem.at.items()),
+        )
     ]
     # The relative errors of a zero are infinite, so that no test is needed.
     signals = f"{part.data.output or 'the output'} to {part.data.input or 'the input'}"

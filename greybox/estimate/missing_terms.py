@@ -82,6 +82,11 @@ TEXTS = {
         "a value of {a} that is smaller by {size} ± {error} in '{b}' than elsewhere",
         "rename={{'{a}': '{a}_own'}} in the problem '{b}'",
     ),
+    "schedule": (
+        "{a} grows with {b}, by {size} ± {error} per unit",
+        "{a} falls with {b}, by {size} ± {error} per unit",
+        "{b} as an input, and p.{a} + p.{a}_by_{b} * u.{b} in place of p.{a}",
+    ),
     "delay": (
         "a delay of {size} s",
         "a lead of {size} s",
@@ -167,41 +172,66 @@ class Term:
         return text.format(**values), code.format(**values)
 
 
-def terms_of_record(record: DisturbedRecord, candidates: Mapping[str, Formula]) -> Iterator[Term]:
-    """Yield the terms that the model of a record may lack; `candidates` are the user's."""
+def terms_of_record(
+    record: DisturbedRecord, candidates: Mapping[str, Formula], along_data: bool
+) -> Iterator[Term]:
+    """Yield the terms that the model of a record may lack; `candidates` are the user's.
+
+    Those in equations are functions of the simulated states, and also of the measured ones if they
+    are to follow the data: a wrong model's states are not those that the term acts on.
+    """
     part = record.part
-    samples = np.linspace(-0.5, 0.5, part.samples)
     for j, (u, a) in enumerate(zip(record.inputs, part.system.inputs, strict=True)):
         if np.ptp(u) > 0:
             yield from _of_input(record, j, u, a)
 
     for k, (y, b) in enumerate(zip(record.outputs, part.outputs, strict=True)):
         if len(part.outputs) > 1:
-            row = -_rate(record, y)
-            yield Term("sensor", lambda k=k, row=row: record.by_output(k, row), b=b)
+            for row, T in _delays(record, y):
+                yield Term("sensor", lambda k=k, row=row: record.by_output(k, row), b=b, scale=T)
         for u, a in zip(record.inputs, part.system.inputs, strict=True):
             # A controller responds at once: the noise of a sample is in the input at the same time.
             past = record.by_stretch(_delayed, u, part.data.stretches[0].step)
             yield Term("direct", lambda k=k, past=past: record.by_output(k, past), a, b)
 
     is_state_space = isinstance(part.problem.model, StateSpace)
-    yield from _of_equations(record, candidates) if is_state_space else _of_feedback(record)
+    if is_state_space:
+        for states in (record.states, record.states_along_data)[: 1 + along_data]:
+            yield from _of_equations(record, states, candidates)
+    else:
+        yield from _of_feedback(record)
+    yield from _of_parameters(record)
+
+
+def _of_parameters(record: DisturbedRecord) -> Iterator[Term]:
+    part, log = record.part, record.part.model.record
+    samples = np.linspace(-0.5, 0.5, part.samples)
+    # Among several records, one may need different values.
+    changes = [("change", samples, ""), ("own", np.ones_like(samples), part.name)]
+    # A signal that the model does not use, such as an airspeed, may order the flights.
+    for b in sorted(log.signals.keys() - {*part.system.inputs, *part.system.outputs}):
+        if np.ptp(log[b]) > 0:
+            pieces = [log[b][None, stretch.rows] for stretch in part.data.stretches]
+            changes.append(("schedule", part.data.padded(pieces, None)[0], b))
     gains = {f"K_{state}_{output}" for state, output in part.gains}
     for place, k in enumerate(part.model.active):
         # Gains correct what the model misses: they are not what it misses.
         if part.model.parameters[k] in gains:
             continue
-        name = part.model.outside_names[k]
-        # Among several records, one may need different values.
-        for kind, row, b in (("change", samples, ""), ("own", np.ones_like(samples), part.name)):
+        for kind, row, b in changes:
             effect = partial(record.by_parameter, place, row)
-            yield Term(kind, effect, name, b)
+            yield Term(kind, effect, part.model.outside_names[k], b)
+
+
+def _delays(record: DisturbedRecord, row: Array) -> Iterator[tuple[Array, float]]:
+    """Yield what delays of a signal change, per second for a short one, and their sizes."""
+    rate = record.by_stretch(_backward, row)
+    yield -rate, 1.0
+    for T in float(np.std(row) / max(np.std(rate), 1e-300)) * np.array(TIMES):
+        yield record.by_stretch(_delayed, row, T) - row, T
 
 
 def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Term]:
-    rate = record.by_stretch(_backward, u)
-    change = float(np.std(u) / max(np.std(rate), 1e-300))
-    about = u - np.median(u)
     # Where a gain is nearly zero, only a term longer than the record would explain anything.
     step = record.part.data.stretches[0].step
     longest = len(u) * step
@@ -213,12 +243,13 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
     def term(kind: str, row: Array, level: float = 0.0, scale: float = 1.0) -> Term:
         return Term(kind, lambda: record.by_input(j, row), a, "", level, scale, longest, half_step)
 
-    yield term("timing", -rate)
-    for T in change * np.array(TIMES):
-        yield term("timing", record.by_stretch(_delayed, u, T) - u, scale=T)
-        yield term("lag", record.by_stretch(_lagged, u, T) - u, scale=T)
+    for row, T in _delays(record, u):
+        yield term("timing", row, scale=T)
+        if T != 1:
+            yield term("lag", record.by_stretch(_lagged, u, T) - u, scale=T)
+    about = u - np.median(u)
     for level in float(np.abs(about).max()) * np.array(LEVELS):
-        yield term("curve", np.clip(about, -level, level), level, change)
+        yield term("curve", np.clip(about, -level, level), level)
 
 
 def _of_feedback(record: DisturbedRecord) -> Iterator[Term]:
@@ -229,9 +260,11 @@ def _of_feedback(record: DisturbedRecord) -> Iterator[Term]:
             yield Term("feedback", lambda row=row: record.by_input(0, row), a, name)
 
 
-def _of_equations(record: DisturbedRecord, candidates: Mapping[str, Formula]) -> Iterator[Term]:
+def _of_equations(
+    record: DisturbedRecord, states: Array, candidates: Mapping[str, Formula]
+) -> Iterator[Term]:
     system = record.part.system
-    x = dict(zip(system.states, record.states, strict=True))
+    x = dict(zip(system.states, states, strict=True))
     u = dict(zip(system.inputs, record.inputs, strict=True))
     p = dict(zip(record.part.model.parameters, record.parameters, strict=True))
     own = {}
@@ -244,7 +277,7 @@ def _of_equations(record: DisturbedRecord, candidates: Mapping[str, Formula]) ->
     def shapes_of(names: frozenset[str]) -> dict[str, Array]:
         near = {name: row for name, row in (x | u).items() if name in names}
         pairs = itertools.combinations(near.items(), 2)
-        shapes = {a: row for a, row in near.items() if a in u}
+        shapes = {**x, **u}
         shapes |= {f"{a} * {b}": row * other for (a, row), (b, other) in pairs if a in x}
         for name, row in near.items():
             shapes |= _shapes(name, row) if name in x else {}
@@ -254,8 +287,8 @@ def _of_equations(record: DisturbedRecord, candidates: Mapping[str, Formula]) ->
         for a, row in shapes_of(names).items():
             if a not in present:
                 yield Term("equation", partial(record.by_state, i, row), a, [*x][i])
-        states = {name: row for name, row in x.items() if name in names}
-        for (a, row), share in itertools.product(states.items(), STOPS):
+        near = {name: row for name, row in x.items() if name in names}
+        for (a, row), share in itertools.product(near.items(), STOPS):
             level = float(np.quantile(row, share))
             over = (np.maximum if share > 0.5 else np.minimum)(row - level, 0.0)
             yield Term("limit", partial(record.by_state, i, over), a, [*x][i], level=level)

@@ -9,7 +9,6 @@ Begin with `general`.
 | `global_minimum` | Is this the global minimum, and the only one? |
 | `noise_level` | Is the noise as large as stated, and does the criterion use that? |
 | `prior_conflict` | Do the data contradict the a-priori knowledge? |
-| `unexplained` | Does the model explain the data, and what may it lack? |
 | `frequency_correlation` | Are the errors of neighboring frequencies independent? |
 | `outlying_points` | Which points of a response or samples of a record are outliers? |
 | `records` | Do the residuals in time look like noise, and were all samples compared? |

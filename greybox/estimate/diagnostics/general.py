@@ -30,11 +30,15 @@ from greybox.estimate.diagnostics.outlying_points import outlying_points, outlyi
 from greybox.estimate.diagnostics.prior_conflict import prior_conflicts
 from greybox.estimate.diagnostics.records import finding_warnings, record_warnings
 from greybox.estimate.diagnostics.repeated import once
-from greybox.estimate.diagnostics.unexplained import unexplained
 from greybox.estimate.result import Fit
 from greybox.solve.discretization_error import DiscretizationError
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart
+
+UNEXPLAINED = (
+    "the model does not explain the data, so its estimates may be biased, and the standard errors "
+    "are valid only if it did."
+)
 
 
 def warnings_of_failure(
@@ -69,7 +73,7 @@ def warnings(
         *not_finite_warnings(nlp, search),
         *finding_warnings(nlp),
         *discretization_warnings(nlp, trajectories, error),
-        *unexplained(misfit),
+        *(() if errors else (UNEXPLAINED,)),
         *record_warnings(
             nlp,
             answer.parts,
