@@ -366,41 +366,23 @@ class Segments:
         Returns those of ends (n, v, count) and rows (length, k, v, count).
 
         A and C are the derivatives by the state at a sample and the parameters, as CasADi stacks
-        matrices, column by column. Segments come last: products of small matrices one after the
-        other cost more than their arithmetic.
+        matrices, column by column.
         """
         n, k, length = self.n, self.k, self.length
         v = len(C) // k
         transitions, rows = A.reshape(v, n, length, count), C.reshape(v, k, length, count)
-        if n > LARGE:
-            return self._propagated_by_segment(transitions, rows)
         J = np.empty((length, k, v, count))
         S = np.zeros((n, v, count))
         S[range(n), range(n)] = 1
 
         for i in range(length):
-            np.einsum("jac,jvc->avc", rows[:n, :, i], S, out=J[i])
-            S = np.einsum("jac,jvc->avc", transitions[:n, :, i], S)
+            J[i] = _product(rows[:n, :, i], S)
+            S = _product(transitions[:n, :, i], S)
             # The parameters also act at this very sample, besides through the state.
             J[i, :, n:] += rows[n:, :, i].swapaxes(0, 1)
             S[:, n:] += transitions[n:, :, i].swapaxes(0, 1)
 
         return S, J
-
-    def _propagated_by_segment(self, transitions: Array, rows: Array) -> tuple[Array, Array]:
-        """Do the same for many states, by products of matrices for each segment."""
-        n, (v, k, length, count) = self.n, rows.shape
-        A, C = (
-            np.ascontiguousarray(values.transpose(2, 3, 1, 0)) for values in (transitions, rows)
-        )
-        J, S = np.empty((length, count, k, v)), np.zeros((count, n, v))
-        S[:, range(n), range(n)] = 1
-        for i in range(length):
-            J[i], S = C[i, :, :, :n] @ S, A[i, :, :, :n] @ S
-            J[i, :, :, n:] += C[i, :, :, n:]
-            S[:, :, n:] += A[i, :, :, n:]
-
-        return S.transpose(1, 2, 0), J.transpose(0, 2, 3, 1)
 
     def mean_transition(self, states: Array, q: Array, data: Array) -> tuple[Array, Array]:
         """Return the mean derivatives of next state (n, n) and outputs (k, n) by the state."""
@@ -413,6 +395,14 @@ class Segments:
         """Return slices of segments whose derivatives fit into memory together."""
         size = max(BATCH // self.length, 1)
         return [slice(first, first + size) for first in range(0, self.count, size)]
+
+
+def _product(slopes: Array, S: Array) -> Array:
+    """Return the products (a, v, c) of slopes (n, a, c) with sensitivities (n, v, c)."""
+    if len(slopes) <= LARGE:
+        return np.asarray(np.einsum("jac,jvc->avc", slopes, S))
+    matrices = np.ascontiguousarray(slopes.transpose(2, 1, 0))
+    return (matrices @ S.transpose(2, 0, 1)).transpose(1, 2, 0)
 
 
 def _finite(values: Sequence[Array]) -> list[Array]:
