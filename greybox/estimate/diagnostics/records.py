@@ -27,6 +27,9 @@ FALSE_ALARMS = 0.01
 # Correlation of prediction errors below which no gust is worth another criterion: it biases the
 # estimates by a fraction of a standard error.
 NOTICEABLE = 0.1
+# Share of an input's power that lines between its samples lose, above which a warning names it. A
+# multisine up to 0.2 of the sampling rate loses 9 %, a sweep up to a tenth of it 2 %.
+FLATTENED = 0.04
 
 
 def finding_warnings(nlp: CompiledProblem) -> Iterator[str]:
@@ -70,8 +73,37 @@ def record_warnings(
         *(biased_by_feedback(pairs, unstable=unstable) if feedback else ()),
         *colored_predictions(pairs, explained=explained),
         *once(_bounded(nlp, trajectories, alone=alone)),
+        *once(_flattened_inputs([part for part, _ in pairs])),
         *(_resting([part for part, _ in pairs]) if len(pairs) == len(nlp.parts) else ()),
     )
+
+
+def _flattened_inputs(parts: Sequence[RecordPart]) -> Iterator[Finding]:
+    """Name inputs of a limited band of which lines between samples lose a part."""
+    for part in parts:
+        stretch, record = max(part.data.stretches, key=len), part.model.record
+        is_uniform = record.has_time and stretch.times is None
+        if not is_uniform or part.model.criterion.inputs == "linear":
+            continue
+        inputs = zip(part.system.inputs, part.model.between, stretch.inputs, strict=True)
+        for name, between, values in inputs:
+            power = np.abs(np.fft.rfft(np.hanning(values.size) * (values - values.mean()))) ** 2
+            rate = np.arange(power.size) / values.size
+            # Steps and corners have power at all frequencies: they are lines, or held.
+            if between.held or power[rate > 0.3].sum() >= 1e-3 * power.sum():
+                continue
+            # Lines through samples are these samples, each a triangle: its spectrum is sinc².
+            lost = float(power @ (1 - np.sinc(rate) ** 4) / power.sum())
+            if lost > FLATTENED:
+                yield (
+                    f"{name} flattened",
+                    record.name or part.problem.name,
+                    f"{name} moves fast for its sampling rate: lines between its samples lose "
+                    f"{100 * lost:.1f} % of its power, which shifts the estimates. Give it at a "
+                    "higher rate (interpolated by its band, as by scipy.signal.resample), with "
+                    "outputs NaN in between, or state its hold; inputs='linear' says that it runs "
+                    "in lines.",
+                )
 
 
 def _short(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[Finding]:
