@@ -37,20 +37,17 @@ class Smoothed:
         first and last ``reach(cutoff)`` seconds of a stretch are less accurate.
     cutoff : float, rad/s
         Frequency at which half of the amplitude passes.
-    noise : float
-        Standard deviation of the noise, assuming that it is white.
     """
 
     values: Array
     cutoff: float
-    noise: float
 
 
-def smooth(time: Array, values: Array, cutoff: float | None = None) -> Smoothed:
+def smooth(time: Array, values: Array) -> Smoothed:
     """Smooth a signal, stretch by stretch, never across a gap.
 
     A single missing sample is interpolated; two or more in a row are a gap, as in `Record`. One
-    cutoff serves all.
+    cutoff serves all: generalized cross-validation takes everything but white noise for signal.
 
     Parameters
     ----------
@@ -58,9 +55,6 @@ def smooth(time: Array, values: Array, cutoff: float | None = None) -> Smoothed:
         Uniform but for gaps.
     values : (n,) array
         NaN marks missing samples.
-    cutoff : float, rad/s, optional
-        By default chosen by generalized cross-validation, which takes everything but white noise
-        for signal: give a cutoff to remove a vibration.
 
     Raises
     ------
@@ -78,19 +72,14 @@ def smooth(time: Array, values: Array, cutoff: float | None = None) -> Smoothed:
         )
     sines = [_sines(values[rows], step) for rows in parts]
     amplitude, omega = (np.concatenate(columns) for columns in zip(*sines, strict=True))
-    if cutoff is None:
-        # A straight line leaves nothing but rounding errors.
-        is_line = float(np.sum(amplitude**2)) <= 1e-24 * float(np.nansum(values**2))
-        cutoff = float(omega.max()) if is_line else _cross_validated(amplitude, omega)
+    # A straight line leaves nothing but rounding errors.
+    is_line = float(np.sum(amplitude**2)) <= 1e-24 * float(np.nansum(values**2))
+    cutoff = float(omega.max()) if is_line else _cross_validated(amplitude, omega)
 
     smooth_values = np.full(values.size, np.nan)
     for rows in parts:
         smooth_values[rows] = low_pass(values[rows], step, cutoff)
-
-    # The noise is white, so its power in what was removed gives its power everywhere.
-    removed = 1 - _weight(omega, cutoff)
-    noise = math.sqrt(float(np.sum((removed * amplitude) ** 2)) / max(float(np.sum(removed)), 1e-9))
-    return Smoothed(smooth_values, cutoff, noise)
+    return Smoothed(smooth_values, cutoff)
 
 
 def low_pass(values: Array, step: float, cutoff: float) -> Array:

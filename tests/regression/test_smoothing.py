@@ -1,4 +1,4 @@
-"""Smoothing: derivatives of known truths, noise found again, gaps and missing samples, uneven sampling refused."""
+"""Smoothing: derivatives of known truths, gaps and missing samples, uneven sampling refused."""
 
 import numpy as np
 import pytest
@@ -60,9 +60,8 @@ def test_no_window_of_savitzky_and_golay_does_better(size):
 
 
 @pytest.mark.parametrize("size", [1e-3, 0.01, 0.1])
-def test_the_noise_is_found_again(size):
+def test_the_cutoff_has_the_least_score_of_cross_validation(size):
     found = smooth(TIME, noisy(size))
-    assert found.noise == pytest.approx(size, rel=0.1)
     # Generalized cross-validation: of what a cutoff removes, the square over that of the degrees of
     # freedom removed.
     values = noisy(size)
@@ -80,24 +79,13 @@ def test_the_noise_is_found_again(size):
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-6, 1e6])
-def test_a_straight_line_has_no_noise_and_its_own_slope(unit):
+def test_a_straight_line_passes_with_its_own_slope(unit):
     known = smooth(TIME, unit * (3 - 0.5 * TIME))
     assert known.cutoff == pytest.approx(np.pi * 1498 / TIME[-1])  # all passes
-    assert known.noise < 1e-12 * unit
     assert_allclose(differentiate(TIME, known.values), -0.5 * unit, rtol=1e-9)
     assert smooth(TIME, unit * noisy(0.01)).cutoff == pytest.approx(
         smooth(TIME, noisy(0.01)).cutoff
     )
-
-
-def test_all_that_passes_leaves_no_noise():
-    assert smooth(TIME, noisy(0.01), cutoff=1e6).noise < 1e-12
-
-
-def test_a_lower_cutoff_passes_less():
-    known = smooth(TIME, noisy(0.01), cutoff=3.0)
-    assert known.cutoff == 3.0
-    assert np.std(differentiate(TIME, known.values)) < 0.8 * np.std(truth(1))
 
 
 def test_the_filter_halves_its_cutoff_and_passes_a_line():
@@ -152,25 +140,23 @@ def test_a_cubic_through_four_samples_fills_a_hole(count, is_filled):
 
 
 @pytest.mark.parametrize(
-    ("time", "values", "cutoff", "sentence"),
+    ("time", "values", "sentence"),
     [
         (
             TIME[:8],
             TIME[:8],
-            None,
             "no stretch of 12 samples without a gap among its 8, of which 8 are finite",
         ),
         (
             TIME,
             np.where(np.arange(1500) % 10, np.nan, 1.0),
-            None,
             "of which 150 are finite: put it on the time base",
         ),
     ],
 )
-def test_bad_input(time, values, cutoff, sentence):
+def test_bad_input(time, values, sentence):
     with pytest.raises(ValueError, match=sentence):
-        smooth(time, values, cutoff)
+        smooth(time, values)
 
 
 def test_the_last_samples_of_a_stretch_are_filled_as_the_first_are():
@@ -220,8 +206,6 @@ def test_a_cutoff_serves_all_stretches_and_is_weighed_by_both():
         scores[0]
         < removed(1.03 * both.cutoff) ** 2 @ power / removed(1.03 * both.cutoff).sum() ** 2
     )
-    gone = removed(both.cutoff)
-    assert both.noise == pytest.approx(np.sqrt(gone**2 @ power / gone.sum()))
 
 
 def test_white_noise_alone_is_all_removed():
