@@ -16,7 +16,7 @@ from greybox.estimate.diagnostics.outlying_points import SIZE, largest_deviation
 from greybox.estimate.missing_terms import Formula, Term, terms_of_record, terms_of_response
 from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.files.html_text import Printed
-from greybox.files.text_table import number, percent, text_table, with_error
+from greybox.files.text_table import number, percent, some, text_table, with_error
 from greybox.statistics.autoregressive_test import (
     Outputs,
     autoregressive_p_values,
@@ -91,6 +91,12 @@ class Cause:
         """What the term is, with the share of the misfit that it explains, and its test."""
         return f"{self.text} ({percent(self.share)} % of the misfit, {_chance(self.p_value)})"
 
+    @property
+    def remedy(self) -> str:
+        """The term, how the model gets it, and what it cannot be told apart from."""
+        also = f"; hardly distinct from {some(self.alike)}" if self.alike else ""
+        return f"to add: {self.explained}: {self.code}{also}"
+
 
 @dataclass(frozen=True)
 class Misfit(Printed):
@@ -149,28 +155,27 @@ class Misfit(Printed):
     @property
     def verdict(self) -> str:
         """Whether the model explains the data, in a few words."""
+        left = f"{percent(self.left)} % of their variance is left and follows"
+        noise = f"noise alone would leave about {percent(self.noise)} %"
         if self.explains and self.likely:
             excuse = "errors of neighboring points are correlated, or larger at one end"
             if self.is_unstable:
                 excuse = "inputs answer to the errors, as those of a controller do"
             return (
-                f"explains the data only if {excuse}: otherwise, {percent(self.left)} % of their "
-                "variance is left and follows what drove the test; noise alone would leave about "
-                f"{percent(self.noise)} %"
+                f"explains the data only if {excuse}: otherwise, {left} what drove the test; "
+                f"{noise}"
             )
         if self.explains and self.drift > DRIFTING and self.left > NOTICED:
             return (
-                f"explains the data only if errors drift: {percent(self.left)} % of their variance "
-                f"is left and follows from earlier samples, but from none of {self.tried} missing "
-                "terms"
+                f"explains the data only if errors drift: {left} from earlier samples, but from "
+                f"none of {self.tried} missing terms"
             )
         if self.explains:
             return f"explains the data: the residuals follow none of {self.tried} missing terms"
         common = self.p_common < FALSE_ALARMS
         return (
-            f"does not explain the data: {percent(self.left)} % of their variance is left and "
-            f"follows what drove the test ({_chance(self.p_value)}); noise alone would leave about "
-            f"{percent(self.noise)} %{'; one set of values does not serve all parts' * common}"
+            f"does not explain the data: {left} what drove the test ({_chance(self.p_value)}); "
+            f"{noise}{'; one set of values does not serve all parts' * common}"
         )
 
     def __str__(self) -> str:
@@ -234,7 +239,6 @@ def assessed_misfit(
             records.append((part, trajectory))
 
     most = max(MOST // max(len(records), 1), FEWEST)
-
     apart = [_of_group(responses, in_time=False)] if any(part.terms for part in responses) else []
     groups = apart
     # Terms along the measured states contain noise, which must not decide whether the model is
@@ -272,7 +276,12 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
     }
     residuals = np.vstack([part.residuals for part in parts])
     fitted = np.vstack([part.fitted for part in parts])
-    outputs = _stacked_outputs(parts)
+    firsts = np.cumsum([0, *(len(part.residuals) for part in parts)]).tolist()
+    outputs = [
+        [first + rows for rows in stretches]
+        for first, part in zip(firsts, parts, strict=False)
+        for stretches in part.outputs
+    ]
     filters = whitening_filters(residuals[:, 0], outputs)
 
     def white(values: Array) -> Array:
@@ -320,19 +329,17 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
     alike = _alike(beside(white(best_columns), white_fitted), texts) if ranked else []
     causes = []
     for k, ((decrease, _, value, error), key, column) in enumerate(ranked):
-        p_value = p_values[k]
-        chances = p_value, max(p_value, least)
+        p_value, p_correlated = p_values[k], max(p_values[k], least)
         if terms[key].kind in ("own", "schedule") and not is_common:
             # Residuals that other values could explain, too, are not noise.
             share_apart = noise_apart / (noise_apart + decrease * without / len(residuals))
-            chances = (float(chance(share_apart, len(residuals) - apart[1])),) * 2
+            p_value = p_correlated = float(chance(share_apart, len(residuals) - apart[1]))
         elif score is not None and p_value < FALSE_ALARMS:
             columns = np.hstack([fitted, column])
             beside_it = correlated_score([(residuals, columns, lengths)])
-            p_beside = p_value_of_scores(score, beside_it, len(residuals))
-            chances = p_value, max(p_value, p_beside)
-        chances = np.minimum([decrease / explained, *(tried * np.array(chances))], 1.0).tolist()
-        causes.append(Cause(*texts[k], value, error, *chances, alike=alike[k]))
+            p_correlated = max(p_value, p_value_of_scores(score, beside_it, len(residuals)))
+        shares = np.minimum([decrease / explained, tried * p_value, tried * p_correlated], 1.0)
+        causes.append(Cause(*texts[k], value, error, *shares.tolist(), alike=alike[k]))
 
     causes += [cause for part in parts for cause in part.causes]
     squares = float(np.sum(residuals**2)) + TINY
@@ -378,16 +385,6 @@ def _ranked(
             if family not in best or numbers[k] > best[family][0]:
                 best[family] = numbers[k], chosen[k], columns[:, [k]]
     return tried, sorted(best.values(), key=lambda test: test[0], reverse=True)[:FAMILIES]
-
-
-def _stacked_outputs(parts: Sequence[_Regression]) -> Outputs:
-    """Return the rows of the outputs of all parts, whose rows follow one another."""
-    firsts = np.cumsum([0, *(len(part.residuals) for part in parts[:-1])])
-    return [
-        [first + rows for rows in stretches]
-        for first, part in zip(firsts, parts, strict=True)
-        for stretches in part.outputs
-    ]
 
 
 def _numbered(terms: Iterable[Term]) -> dict[Key, Term]:

@@ -208,12 +208,8 @@ def _bias_text(fit: Any) -> str:
 
 
 def _remarks(fit: Any) -> list[str]:
-    causes = () if fit.misfit is None else fit.misfit.likely
-    alike = (
-        f"; hardly distinct from {some(cause.alike)}" if cause.alike else "" for cause in causes
-    )
     return [
-        *(f"to add: {c.explained}: {c.code}{also}" for c, also in zip(causes, alike, strict=True)),
+        *(cause.remedy for cause in (() if fit.misfit is None else fit.misfit.likely)),
         *(f"warning: {line}" for line in fit.warnings),
         *(f"note: {line}" for line in fit.notes),
     ]
