@@ -205,7 +205,13 @@ def _on_workers(
     most = min(max(MOST_BYTES // len(payload), 2), MOST_WAITING)
     waiting: deque[tuple[Batch, Future[list[Outcome]]]] = deque()
 
-    def submitted(batch: Batch) -> tuple[Batch, Future[list[Outcome]]]:
+    def submitted(
+        batch: Batch, recalled: list[Outcome] | None = None
+    ) -> tuple[Batch, Future[list[Outcome]]]:
+        if recalled is not None:
+            future: Future[list[Outcome]] = Future()
+            future.set_result(recalled)
+            return batch, future
         # The time limit belongs to this thread, which the worker does not share.
         arguments = payload, _begins(batch, begins), os.getpid(), search_end()
         return batch, executor.submit(run_starts, *arguments)
@@ -215,19 +221,19 @@ def _on_workers(
             if stop_requested():  # the tasks that have begun are finished
                 _cancel(waiting)
             else:
-                for batch, recalled in islice(tasks, max(most - len(waiting), 0)):
-                    task = submitted(batch) if recalled is None else (batch, Future())
-                    if recalled is not None:
-                        task[1].set_result(recalled)
-                    waiting.append(task)
-            if not waiting or (stop_requested() and waiting[0][1].cancelled()):
+                free = max(most - len(waiting), 0)
+                waiting.extend(submitted(*task) for task in islice(tasks, free))
+            if not waiting:
                 return
-            if not waiting[0][1].done():
-                wait([waiting[0][1]], LOOK)
+            batch, future = waiting[0]
+            if stop_requested() and future.cancelled():
+                return
+            if not future.done():
+                wait([future], LOOK)
                 _look(executor, memory, waiting)
                 continue
 
-            batch, future = waiting.popleft()
+            waiting.popleft()
             outcomes = _result(future)
             if outcomes is None and len(batch) > 1:
                 # Each start becomes a task, and only the start that ends workers is given up.

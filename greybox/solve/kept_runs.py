@@ -1,6 +1,5 @@
 """Storage for the runs of a search as they finish, so that a killed search can resume."""
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping
 
 import numpy as np
@@ -13,10 +12,12 @@ class KeptRunsError(ValueError):
     """Stored runs belong to another search, or cannot be read."""
 
 
-class KeptRuns(ABC):
-    """The stored runs of one problem by number of the start, negative if they began elsewhere."""
+class KeptRuns:
+    """The stored runs of one problem by number of the start, negative if they began elsewhere.
 
-    @abstractmethod
+    This class itself stores none.
+    """
+
     def known(self, fingerprint: str) -> Mapping[int, tuple[Array, Outcome]]:
         """Return start (p,) and outcome of the stored runs by number.
 
@@ -27,12 +28,11 @@ class KeptRuns(ABC):
         KeptRunsError
             If the runs are those of another problem or of other options, or cannot be read.
         """
+        return {}
 
-    @abstractmethod
     def add(self, number: int, start: Array, outcome: Outcome) -> None:
         """Store a run as soon as it is finished, in any order."""
 
-    @abstractmethod
     def look(self) -> None:
         """Write the runs that are due; called often."""
 
@@ -41,9 +41,10 @@ class Memory:
     """The runs of an earlier search, and storage for new ones; empty without storage."""
 
     def __init__(self, kept: KeptRuns | None = None, fingerprint: str = "") -> None:
-        self._kept = kept
-        self._known = {} if kept is None else kept.known(fingerprint)
+        self._kept = kept or KeptRuns()
+        self._known = self._kept.known(fingerprint)
         self._added: set[int] = set()
+        self.look = self._kept.look
 
     def recall(self, number: int, start: Array) -> Outcome | None:
         """Return the stored outcome of a run; None without one.
@@ -68,11 +69,6 @@ class Memory:
         """Store a run, unless it is stored already, or was cut short and has to be made again."""
         # A task may be looked at twice: when it is finished, and when its turn comes.
         is_new = number not in self._added and self.recall(number, start) is None
-        if self._kept is not None and is_new and outcome.status not in CUT_SHORT:
+        if is_new and outcome.status not in CUT_SHORT:
             self._added.add(number)
             self._kept.add(number, start, outcome)
-
-    def look(self) -> None:
-        """Write the runs that are due."""
-        if self._kept is not None:
-            self._kept.look()

@@ -13,7 +13,9 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.files.arrays import Array, IntArray
 from greybox.files.text_table import counted, one_line
 from greybox.formulation.frequency_criteria import Criterion, cost_of_zero
-from greybox.solve.runs import AT_ONCE, SCREENED, TOO_COARSE, Run, Runs
+from greybox.solve.runs import SCREENED, TOO_COARSE, Run, Runs
+
+AT_ONCE = 4096  # runs that are processed together: as many as fit into the cache
 
 SAME_COST = 1e-4  # relative; the smoothing moves costs by up to 6e-5
 SAME_LIKELIHOOD = 1e-2  # of negative log-likelihoods: a tenth of a standard error is 5e-3

@@ -6,7 +6,7 @@ There may be 100 000 runs, and a run as an object takes half a kilobyte.
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, overload
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,7 +119,6 @@ class Outcome:
 
 Texts = NDArray[np.object_]
 
-AT_ONCE = 4096  # runs that are processed together: as many as fit into the cache
 NAMES = tuple(field.name for field in fields(Run))
 COLUMNS = ("indices", *NAMES[1:])
 KINDS = {
@@ -182,13 +181,7 @@ class Runs(Sequence[Run]):
         """Return the number of runs."""
         return len(self.indices)
 
-    @overload
-    def __getitem__(self, key: int) -> Run: ...
-
-    @overload
-    def __getitem__(self, key: "slice | NDArray[Any]") -> "Runs": ...
-
-    def __getitem__(self, key: Any) -> "Run | Runs":
+    def __getitem__(self, key: Any) -> Any:
         """Return one run, or the runs that a slice, indices or booleans (r,) select."""
         if isinstance(key, slice | np.ndarray):
             return Runs(*(getattr(self, name)[key] for name in COLUMNS))
@@ -198,14 +191,9 @@ class Runs(Sequence[Run]):
 
     def __iter__(self) -> Iterator[Run]:
         """Yield one run after the other."""
-        for begin in range(0, len(self), AT_ONCE):
-            batch = self[begin : begin + AT_ONCE]
-
-            # As lists: reading numbers from arrays one by one takes several times as long.
-            columns = (getattr(batch, name) for name in COLUMNS)
-            yield from map(
-                Run, *(column if column.ndim > 1 else column.tolist() for column in columns)
-            )
+        # As lists: reading numbers from arrays one by one takes several times as long.
+        columns = (getattr(self, name) for name in COLUMNS)
+        yield from map(Run, *(column if column.ndim > 1 else column.tolist() for column in columns))
 
     def __repr__(self) -> str:
         return one_line(

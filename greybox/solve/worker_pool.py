@@ -60,7 +60,7 @@ class WorkerPool(Executor):
         # one task alone.
         self._threads = ThreadPoolExecutor(workers)
         self._processes: dict[int, Executor] = {}  # by thread
-        self._worked: set[int] = set()  # threads whose process has worked
+        self._has_worked = False
 
     def __repr__(self) -> str:
         return f"WorkerPool({self.num_workers})"
@@ -73,12 +73,7 @@ class WorkerPool(Executor):
         RuntimeError
             After `shutdown`.
         """
-        try:
-            return self._threads.submit(self._call, fn, args, kwargs)
-        except RuntimeError:
-            raise RuntimeError(
-                "the WorkerPool was shut down: use it within its with statement."
-            ) from None
+        return self._threads.submit(self._call, fn, args, kwargs)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """End the processes, after the calls that were submitted."""
@@ -98,11 +93,11 @@ class WorkerPool(Executor):
                 with _single_threads():
                     call = self._processes[thread].submit(function, *arguments, **options)
                 if not isinstance(call.exception(), BrokenExecutor):
-                    self._worked.add(thread)
+                    self._has_worked = True
                     return call.result()
             del self._processes[thread]
 
-        if thread in self._worked:
+        if self._has_worked:
             raise WorkerLostError("the worker was killed.")
         raise ExecutorLostError(
             "no worker process could begin: in a script, put what it runs under "

@@ -3,14 +3,12 @@
 Begin with `batch`.
 """
 
-import inspect
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field, fields
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -316,19 +314,11 @@ def _stated(problem: AnyProblem) -> dict[str, Any]:
     }
 
 
-@cache
-def _source(kind: type) -> str:
-    with suppress(OSError, TypeError):  # a class that was typed in
-        return inspect.getsource(kind)
-    return ""
-
-
 def _keys(member: Member) -> tuple[str, str]:
     """Return keys of the formulas of a member and of all that it states; empty with a lambda."""
     parts, by = member.problem.parts, member.by
     formulas = [
         (
-            _source(type(p.model)),
             p.model,
             p.criterion,
             p.tied,

@@ -137,15 +137,15 @@ def _verdict(measure: str, table: Table, sizes: Mapping[str, int]) -> tuple[str,
     return labels[k], f"{counted(len(shared), 'data set')} together: {text}"
 
 
-def held_out_error(fit: Fit, held: Sequence[Any], **lengths: float | None) -> float | str:
+def held_out_error(fit: Fit, held: Sequence[Any]) -> float | str:
     """Return the mean error of predictions of records and responses in percent, or why not."""
     try:
-        return 100 * fmean(_error(fit, data, **lengths) for data in held)
+        return 100 * fmean(_error(fit, data) for data in held)
     except (ValueError, ArithmeticError, LookupError) as refusal:
         return str(refusal.args[-1])
 
 
-def _error(fit: Fit, data: Any, window: float | None = None, lead: float | None = None) -> float:
+def _error(fit: Fit, data: Any) -> float:
     """Return the relative residuals (rms) of a response, or the mean of all outputs of a record."""
     if isinstance(data, FrequencyResponse):
         pairs = [(part.data.input, part.data.output) for part in fit.responses]
@@ -153,6 +153,6 @@ def _error(fit: Fit, data: Any, window: float | None = None, lead: float | None 
         return rms(np.abs(response / data.response - 1))
     for text in not_held_out([fit], ["it"], [data]):
         raise ValueError(text)
-    window = window or default_length([data], 1.0)  # as in `greybox.compare`
-    prediction = predict(fit, record=data, horizon=window, lead=lead)
+    window = default_length([data], 1.0)  # as in `greybox.compare`
+    prediction = predict(fit, record=data, horizon=window)
     return 1 - fmean(map(prediction.fit_percent, prediction.outputs)) / 100

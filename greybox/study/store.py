@@ -40,19 +40,14 @@ FACTORS = ("model", "data", "criterion", "delay", "seed", "fixed", "at")
 
 DATABASE = "study.sqlite"
 LOCK = "lock"
-APPLICATION = 0x67_72_65_79  # "grey": SQLite files name the program that wrote them
-LAYOUT = 2
+# SQLite files name the program that wrote them, here with the layout: "gre2".
+APPLICATION = 0x67_72_65_32
 TABLES = (
     "CREATE TABLE members (id INTEGER PRIMARY KEY, name TEXT UNIQUE, "
     "fingerprint TEXT DEFAULT '', answer BLOB, fit BLOB, checksum INTEGER)",
     "CREATE TABLE runs (member INTEGER, number INTEGER, run TEXT, checksum INTEGER, "
     "PRIMARY KEY (member, number))",
     f"PRAGMA application_id = {APPLICATION}",
-    f"PRAGMA user_version = {LAYOUT}",
-)
-OURS = (
-    "SELECT 1 FROM pragma_application_id, pragma_user_version "
-    f"WHERE application_id = {APPLICATION} AND user_version = {LAYOUT}"
 )
 
 # Rows with wrong checksums: the words for them, and the statement that removes them.
@@ -376,11 +371,8 @@ class StoredRuns(KeptRuns):
     @property
     def count(self) -> int:
         """Number of runs on disk."""
-        if not is_study(self._folder):
-            return 0
-        with _database(self._folder) as database:
-            query = f"SELECT COUNT(*) FROM runs WHERE member = {MEMBER}"
-            return database.execute(query, (self._name,)).fetchone()[0]
+        members = read_members(self._folder) if is_study(self._folder) else []
+        return sum(member.stored_runs for member in members if member.name == self._name)
 
     def remove(self) -> None:
         """Remove all runs."""
@@ -489,13 +481,16 @@ def _require_layout(connection: sqlite3.Connection, path: Path, *, create: bool)
         for statement in TABLES:
             connection.execute(statement)
     elif tables != TABLES[:2]:
-        layout = connection.execute("PRAGMA user_version").fetchone()[0]
-        cure = "update greybox" if layout > LAYOUT else "begin another study"
         raise ValueError(
-            f"{path} has layout {layout}, and this version reads layout {LAYOUT}: {cure}."
-            if layout not in (0, LAYOUT)
-            else _damaged(path.parent)
+            _damaged(path.parent)
+            if _is_ours(connection)
+            else f"{path} is not a study, or one of another version of greybox: update greybox, or "
+            "begin another study."
         )
+
+
+def _is_ours(connection: sqlite3.Connection) -> bool:
+    return connection.execute("PRAGMA application_id").fetchone() == (APPLICATION,)
 
 
 def _tables(connection: sqlite3.Connection) -> tuple[str, ...]:
@@ -517,8 +512,8 @@ def _damaged(folder: Path) -> str:
 def mend(folder: Path) -> list[str]:
     """Remove what is damaged in a study that is locked, and return it as texts.
 
-    A database that SQLite finds damaged is kept beside a new one with everything that can be read.
-    In it, runs and answers with wrong checksums are deleted.
+    A database that SQLite finds damaged is renamed. In others, runs and answers with wrong
+    checksums are deleted.
     """
     if not is_study(folder):
         return []
@@ -529,8 +524,7 @@ def mend(folder: Path) -> list[str]:
         path.replace(damaged)
         # SQLite would apply the journal of the damaged database to the new one.
         path.with_name(f"{DATABASE}-journal").unlink(missing_ok=True)
-        _salvage(damaged, folder)
-        damage.append(f"the database was damaged and is kept as {damaged.name}")
+        return [f"the database was damaged and is kept as {damaged.name}"]
 
     with _database(folder) as database:
         database.create_function("crc32", -1, _checksum)
@@ -547,26 +541,6 @@ def _is_sound(path: Path) -> bool:
         with _opened(path) as database:
             whole = database.execute("PRAGMA integrity_check(1)").fetchone() == ("ok",)
             # Others belong to another program, or to a later version: they are refused, not mended.
-            is_other = not database.execute(OURS).fetchall()
-            return whole and (is_other or _tables(database) == TABLES[:2])
+            return whole and (not _is_ours(database) or _tables(database) == TABLES[:2])
     except sqlite3.Error as error:
         return not _is_damage(error)
-
-
-def _salvage(damaged: Path, folder: Path) -> None:
-    """Copy all rows of a damaged database that can be read into that of the folder."""
-    add_members(folder, [])  # its tables
-    most = damaged.stat().st_size // 32  # bytes that a row has at least
-    # Without a readable header, nothing in it can be read.
-    with suppress(sqlite3.DatabaseError), _opened(folder / DATABASE) as database, database:
-        database.execute("ATTACH DATABASE ? AS damaged", (str(damaged),))
-        for table in ("members", "runs"):
-            for row in range(most):
-                # A damaged page costs its rows alone.
-                with suppress(sqlite3.DatabaseError):
-                    database.execute(
-                        f"INSERT OR IGNORE INTO {table} SELECT * FROM damaged.{table} NOT INDEXED "
-                        "WHERE rowid = ?",
-                        (row,),
-                    )
-        database.execute("DELETE FROM members WHERE typeof(name) != 'text'")

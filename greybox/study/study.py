@@ -6,7 +6,7 @@ Begin with `read_study`.
 import csv
 import io
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -25,7 +25,7 @@ from greybox.files.text_table import (
 )
 from greybox.modeling.model import require_known
 from greybox.study.latex import latex_number, latex_symbol, latex_table, latex_text
-from greybox.study.ranking import held_out_error, ranking
+from greybox.study.ranking import ranking
 from greybox.study.store import FACTORS, Status, StudyMember, read_members
 from greybox.validation.comparison import Comparison
 
@@ -122,32 +122,20 @@ class Study(Printed):
         """
         return "\n\n".join(_latex(members) for members in _alike(self.done))
 
-    def ranking(
-        self,
-        by: str = "model",
-        *,
-        records: Any = (),
-        window: float | None = None,
-        lead: float | None = None,
-    ) -> Comparison:
+    def ranking(self, by: str = "model") -> Comparison:
         """Compare structures, or another factor, over the data sets; ``gb.compare(study)``.
 
         For every data set the table has BIC less the least: of each structure that of its best
         member. Criteria that are no likelihoods are put on the scale of one, as in
         `greybox.compare`. The statements count the data sets in which each structure is the best;
         the verdict adds BIC up over all data sets that all structures have in common. Data that
-        the members held out, or `records`, have the last word: they support the smallest structure
-        whose errors, by their geometric mean over the data sets, are within 5 % of the least.
+        the members held out have the last word: they support the smallest structure whose errors,
+        by their geometric mean over the data sets, are within 5 % of the least.
 
         Parameters
         ----------
         by : str
             The factor whose values are compared; see `select`.
-        records : sequence of Record, or mapping of data set to sequence of Record
-            Held out from all fits: how well each structure predicts them, as the mean fit of all
-            outputs in percent.
-        window, lead : float, s
-            As in `greybox.compare`.
         """
         self._require_factor(by)
         # Among members that differ in their seeds or delays, only the best counts: reading a fit
@@ -160,12 +148,8 @@ class Study(Printed):
         fits, held = [], {}
         for (structure, *_), member in best.items():
             if structure and (fit := member.fit):
-                data = member.factors["data"]
-                fits.append((structure, data, fit))
-                chosen = records.get(data, ()) if isinstance(records, Mapping) else records
+                fits.append((structure, member.factors["data"], fit))
                 held[fit] = member.answer.get("held_out")
-                if chosen:
-                    held[fit] = held_out_error(fit, chosen, window=window, lead=lead)
         return ranking(fits, held)
 
     @property

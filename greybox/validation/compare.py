@@ -56,8 +56,8 @@ def compare(
     *fits : Fit, or a single Study
         Of a study, the structures are compared over its data sets, see `Study.ranking`.
     records : Record or sequence of them, optional
-        Held out from all fits. Without them the fits must have the same data. For a study also a
-        mapping of data set to such records.
+        Held out from all fits. Without them the fits must have the same data. Members of a study
+        state them as `held`.
     window, lead : float, s
         Length of the predictions, and of the data before them from which the state is estimated.
         By default 1 s and 0.5 s, or 10 samples of the slowest record if that is longer; the lead is
@@ -87,7 +87,9 @@ def compare(
     'damped'
     """
     if len(fits) == 1 and hasattr(fits[0], "ranking"):
-        return fits[0].ranking(records=records or (), window=window, lead=lead)
+        if records:
+            raise ValueError("records=[...] are for fits: the members of a study state held=[...].")
+        return fits[0].ranking()
     check_fits(fits)
     _check_labels(labels, len(fits))
     lengths = {"window": window, "lead": lead}

@@ -288,7 +288,8 @@ def test_a_script_without_its_guard_is_told_what_is_missing(tmp_path):
             """
             import greybox as gb
             from greybox.problems import pitch_hover, roll_hover
-            members = [gb.study.Member(m.problem(), 2) for m in (pitch_hover, roll_hover)]
+            problems = pitch_hover.problem(), roll_hover.problem()
+            members = [gb.study.Member(p, 20, search="multistart") for p in problems]
             gb.batch(members, "study", executor=gb.solve.WorkerPool(1), progress=False)
             """
         )
@@ -317,7 +318,7 @@ def test_what_is_no_executor_is_refused():
         gb.fit(RESPONSE, 3, executor=2)
     pool = gb.solve.WorkerPool(1)
     pool.shutdown()
-    with pytest.raises(RuntimeError, match="was shut down"):
+    with pytest.raises(RuntimeError, match="after shutdown"):
         gb.fit(RESPONSE, 3, search="multistart", executor=pool)
 
 

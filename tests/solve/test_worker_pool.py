@@ -72,7 +72,7 @@ def test_calls_that_have_not_begun_are_cancelled(tmp_path):
     pipe.write_text("go on")
     assert at_work.result() == "go on"
     pool.shutdown()
-    with pytest.raises(RuntimeError, match="was shut down"):
+    with pytest.raises(RuntimeError, match="after shutdown"):
         pool.submit(abs, -1)
 
 

@@ -145,12 +145,12 @@ def test_a_changed_study_is_refused(tmp_path, statement, message):
 
 def test_a_study_of_a_later_version_is_refused_and_not_mended(tmp_path):
     stored(tmp_path, PLAIN)
-    change(tmp_path, "PRAGMA user_version = 9")
+    change(tmp_path, "PRAGMA application_id = 9")
     assert read_members(tmp_path)[0].runs == 1  # the tables are the same: the number is damaged
     change(tmp_path, "ALTER TABLE runs ADD COLUMN worker")
     whole = (tmp_path / DATABASE).read_bytes()
     for read in (read_members, mended):
-        with pytest.raises(ValueError, match="has layout 9, and this version reads layout 2"):
+        with pytest.raises(ValueError, match="another version of greybox: update"):
             read(tmp_path)
     assert (tmp_path / DATABASE).read_bytes() == whole
 
