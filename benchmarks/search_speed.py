@@ -26,7 +26,7 @@ import numpy as np
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.formulation.starts import LatinHypercube, Sobol
+from greybox.formulation.starts import Sobol
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.models.polynomial import Polynomial
 from greybox.models.tilt import PAPER_G
@@ -145,7 +145,7 @@ class Bare:
 
     def run(self, number):
         """Return seconds a start, and the costs of the starts that ended at a minimum."""
-        starts = LatinHypercube(number, seed=1).draw(self.parameters)
+        starts = Sobol(number, seed=1).draw(self.parameters)
         began = time.process_time()
         ends = [np.asarray(self.solver(x0=start, **self.bounds)["x"]).ravel() for start in starts]
         seconds = (time.process_time() - began) / number
@@ -168,7 +168,7 @@ def time_per_success(problem, options, lowest):
     began = time.process_time()
     fit = gb.fit(
         problem,
-        LatinHypercube(options.starts, seed=1),
+        Sobol(options.starts, seed=1),
         search=options.search,
         progress=False,
     )

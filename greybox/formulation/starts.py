@@ -1,4 +1,4 @@
-"""Starts of the runs: Sobol points, a Latin hypercube, or a list."""
+"""Starts of the runs: Sobol points, or a list."""
 
 import math
 from abc import ABC, abstractmethod
@@ -32,10 +32,10 @@ class Starts(ABC):
 
 
 @dataclass(frozen=True)
-class RandomStarts(Starts):
-    """Points drawn in the unit cube and spread over the boxes of the parameters.
+class Sobol(Starts):
+    """Scrambled Sobol points, spread over the boxes of the parameters.
 
-    A subclass defines `unit_points`.
+    More of them with the same seed begin with the same points.
 
     Parameters
     ----------
@@ -47,10 +47,6 @@ class RandomStarts(Starts):
     number: int
     seed: int = 0  # type: ignore[assignment]
 
-    @abstractmethod
-    def unit_points(self, dimensions: int) -> Array:
-        """Return the points (number, dimensions) in the unit cube."""
-
     def __post_init__(self) -> None:
         """Check number and seed."""
         for name, least in (("number", 1), ("seed", 0)):
@@ -59,7 +55,7 @@ class RandomStarts(Starts):
             raise ValueError(f"number of starts is {self.number}: give at most {MOST}.")
 
     def __str__(self) -> str:
-        return f"{self.number} by {type(self).__name__}, seed {self.seed}"
+        return f"{self.number} by Sobol, seed {self.seed}"
 
     def draw(self, parameters: Mapping[str, Parameter]) -> Array:
         """Return the points, spread over the boxes."""
@@ -72,20 +68,11 @@ class RandomStarts(Starts):
                     "a list."
                 )
 
-        shares = self.unit_points(len(parameters)).T
-        pairs = zip(parameters.values(), shares, strict=True)
-        return np.column_stack([parameter.in_box(share) for parameter, share in pairs])
-
-
-@dataclass(frozen=True)
-class Sobol(RandomStarts):
-    """Scrambled Sobol points; more of them with the same seed begin with the same points."""
-
-    def unit_points(self, dimensions: int) -> Array:
-        """Return the first points of the sequence."""
         # A sequence is balanced at powers of two; scipy warns otherwise.
         power = math.ceil(math.log2(self.number))
-        return _sobol_points(dimensions, power, self.seed)[: self.number].copy()
+        shares = _sobol_points(len(parameters), power, self.seed)[: self.number].T
+        pairs = zip(parameters.values(), shares, strict=True)
+        return np.column_stack([parameter.in_box(share) for parameter, share in pairs])
 
 
 @lru_cache(maxsize=4)  # the members of a study begin at the same points
@@ -95,18 +82,6 @@ def _sobol_points(dimensions: int, power: int, seed: int) -> Array:
 
     sequence = qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(seed))
     return sequence.random_base2(power)
-
-
-@dataclass(frozen=True)
-class LatinHypercube(RandomStarts):
-    """Latin hypercube: every parameter has `number` layers with one point in each."""
-
-    def unit_points(self, dimensions: int) -> Array:
-        """Return one random hypercube."""
-        from scipy.stats import qmc  # noqa: PLC0415  (imports slowly)
-
-        random = np.random.default_rng(self.seed)
-        return qmc.LatinHypercube(dimensions, rng=random).random(self.number)
 
 
 @dataclass(frozen=True)
@@ -210,6 +185,6 @@ def as_starts(
             return Chained(tuple(rules))
 
     raise TypeError(
-        f"starts is {starts!r:.80}: give a number, a rule such as LatinHypercube(200), or a list "
+        f"starts is {starts!r:.80}: give a number, a rule such as Sobol(200), or a list "
         "of {name: value}."
     )

@@ -24,7 +24,6 @@ Begin with `multistart`.
 """
 
 from greybox.compiled.strategies import Strategies as Strategies
-from greybox.formulation.starts import LatinHypercube as LatinHypercube
 from greybox.formulation.starts import Listed as Listed
 from greybox.formulation.starts import Sobol as Sobol
 from greybox.formulation.starts import Starts as Starts

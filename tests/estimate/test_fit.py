@@ -252,9 +252,8 @@ def test_other_criteria_are_the_costs_of_their_own_problems():
     assert np.isnan(LAG.costs["maximum-likelihood"])
 
 
-@pytest.mark.parametrize("rule", [gb.solve.Sobol, gb.solve.LatinHypercube])
-def test_the_answer_names_the_seed_that_was_used(rule):
-    fit = gb.fit(gb.Problem(Lag(), LAG.parts[0].data), starts=rule(4, seed=7))
+def test_the_answer_names_the_seed_that_was_used():
+    fit = gb.fit(gb.Problem(Lag(), LAG.parts[0].data), starts=gb.solve.Sobol(4, seed=7))
     assert "seed=7" in fit.starts or fit.seed == 7
     assert "seed 0" not in fit.details
 

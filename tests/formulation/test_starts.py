@@ -14,7 +14,7 @@ BOXES = {
     "b": gb.Parameter(1.0, bounds=(-10, 10), starts=(1, 2)),
     "c": gb.Parameter(1.0, bounds=(1e-4, 1e4), scale="log"),
 }
-RULES = [gb.solve.Sobol, gb.solve.LatinHypercube]
+RULES = [gb.solve.Sobol]
 DATA = measured(LagLagDelay(), TWO_LAGS_OMEGA, TWO_LAGS)
 
 
@@ -46,14 +46,6 @@ def test_the_seed_decides_the_points(rule):
     assert not np.any(rule(20, seed=1).draw(BOXES) == rule(20, seed=2).draw(BOXES))
 
 
-@pytest.mark.parametrize("n", [1, 7, 50])
-def test_latin_hypercube_has_one_point_in_every_layer(n):
-    points = gb.solve.LatinHypercube(n, seed=2).draw(BOXES)
-    unit = np.stack([(points[:, 0] + 3) / 8, points[:, 1] - 1, (np.log10(points[:, 2]) + 4) / 8])
-    for values in unit:
-        assert_array_equal(np.sort(np.floor(values * n).astype(int)), np.arange(n))
-
-
 def test_listed_points_keep_the_declared_start_where_they_are_silent():
     points = gb.solve.Listed([{}, {"a": 4.0}]).draw(BOXES)
     assert_array_equal(points, [[0, 1, 1], [4, 1, 1]])
@@ -69,20 +61,19 @@ def test_a_listed_point_outside_its_bounds_is_refused():
 
 def test_a_rule_has_its_own_seed_and_says_so():
     assert (
-        str(as_starts([{"a": 2.0}, gb.solve.LatinHypercube(3, seed=9)]))
-        == "1 listed + 3 by LatinHypercube, seed 9"
+        str(as_starts([{"a": 2.0}, gb.solve.Sobol(3, seed=9)])) == "1 listed + 3 by Sobol, seed 9"
     )
-    assert as_starts([{"a": 2.0}, gb.solve.LatinHypercube(3, seed=9)]).seed == 9
+    assert as_starts([{"a": 2.0}, gb.solve.Sobol(3, seed=9)]).seed == 9
     with pytest.raises(
         ValueError, match=r"seed = 4 goes with a number of starts: give it to the rule"
     ):
-        as_starts(gb.solve.LatinHypercube(3, seed=9), seed=4)
+        as_starts(gb.solve.Sobol(3, seed=9), seed=4)
 
 
 def test_a_list_mixes_points_and_rules_in_its_order():
-    points = as_starts([{"a": 2.0}, gb.solve.LatinHypercube(3, seed=9), {}]).draw(BOXES)
+    points = as_starts([{"a": 2.0}, gb.solve.Sobol(3, seed=9), {}]).draw(BOXES)
     assert_array_equal(points[0], [2, 1, 1])
-    assert_array_equal(points[1:4], gb.solve.LatinHypercube(3, seed=9).draw(BOXES))
+    assert_array_equal(points[1:4], gb.solve.Sobol(3, seed=9).draw(BOXES))
     assert_array_equal(points[4], [0, 1, 1])
 
 
@@ -164,7 +155,7 @@ def test_a_fixed_parameter_has_no_start():
         gb.fit(gb.Problem(LagLagDelay(), DATA, fixed={"tau": 0.05}), starts=[{"tau": 0.1}])
 
 
-@pytest.mark.parametrize("rule", [gb.solve.Sobol, gb.solve.LatinHypercube])
+@pytest.mark.parametrize("rule", RULES)
 def test_the_seed_is_zero_unless_it_is_given(rule):
     assert_array_equal(rule(8).draw(BOXES), rule(8, seed=0).draw(BOXES))
 
@@ -181,4 +172,4 @@ def test_starts_that_would_fill_the_memory_are_refused():
     with pytest.raises(ValueError, match=r"1000000000000: give at most 1048576"):
         as_starts(10**12)
     with pytest.raises(ValueError, match="give at most"):
-        gb.solve.LatinHypercube(10**9)
+        gb.solve.Sobol(10**9)

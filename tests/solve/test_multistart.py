@@ -52,10 +52,10 @@ def test_tilt_is_found_from_nearly_every_start(criterion):
 
 
 def test_every_run_is_kept_with_its_story():
-    fit = gb.fit(NOISY, gb.solve.LatinHypercube(12, seed=5), search="multistart")
+    fit = gb.fit(NOISY, gb.solve.Sobol(12, seed=5), search="multistart")
     assert [run.index for run in fit.runs] == list(range(12))
     assert_array_equal(
-        [r.start for r in fit.runs], gb.solve.LatinHypercube(12, seed=5).draw(NOISY.parameters)
+        [r.start for r in fit.runs], gb.solve.Sobol(12, seed=5).draw(NOISY.parameters)
     )
     for run in fit.runs:
         assert (run.status, run.stage) == ("Solve_Succeeded", "polished")
