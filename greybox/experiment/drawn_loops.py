@@ -4,7 +4,6 @@ Begin with `drawn_loops`.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
@@ -42,32 +41,10 @@ def drawn_loops(
     TypeError
         For a plant that is neither, and for values given with a fit.
     """
-    model, center, known = plant_of_loop(plant, values, at=at, part=part)
-    rows = _plants(plant, [*center]) if isinstance(plant, Fit) else np.array([[*center.values()]])
-    return sampled_loop(model, rows, controller, **known)
-
-
-def plant_of_loop(
-    plant: Fit | Model,
-    values: Mapping[str, float] | None,
-    *,
-    at: Mapping[str, float] | None,
-    part: int,
-) -> tuple[Model, dict[str, float], dict[str, Any]]:
-    """Return the model, its values by the names of the fit, and what `sampled_loop` needs to know.
-
-    Raises
-    ------
-    ValueError
-        If the fit has no estimate.
-    TypeError
-        For a plant that is neither, and for values given with a fit.
-    """
     if not isinstance(plant, (Fit, Model)):
         raise TypeError(f"{plant!r:.60} has no loop: give a Fit, or a model with its values.")
     if isinstance(plant, Model):
-        center = {name: float(value) for name, value in plant.values(values).items()}
-        return plant, center, {"at": at}
+        return sampled_loop(plant, np.array([[*plant.values(values).values()]]), controller, at=at)
     if values is not None:
         raise TypeError("values were given with a Fit, which has its own: leave them out.")
     if not plant.converged:
@@ -75,16 +52,13 @@ def plant_of_loop(
 
     model, fitted = plant.model_of(part), plant.parts[part]
     is_response = isinstance(fitted, FittedResponse)
-    names = [fitted.rename.get(name, name) for name in model.parameters]
-    center = {name: plant.by_name[name].value for name in names}
     has_hold = is_response and NO_HOLD not in fitted.data.about
-    return (
+    return sampled_loop(
         model,
-        center,
-        {
-            "at": fitted.at if is_response and not at else at,
-            "delay_has": "hold" if has_hold else "nothing",
-        },
+        _plants(plant, [fitted.rename.get(name, name) for name in model.parameters]),
+        controller,
+        at=fitted.at if is_response and not at else at,
+        delay_has="hold" if has_hold else "nothing",
     )
 
 
