@@ -50,8 +50,6 @@ TASK_SECONDS = 0.3
 MOST_WAITING = 128
 MOST_BYTES = 1 << 28
 
-LOOK = 0.1  # s between looks at tasks, at a lost scheduler and at Ctrl-C
-
 LOST = "the executor gave up its tasks: its workers or its scheduler are gone."
 
 
@@ -229,7 +227,7 @@ def _on_workers(
             if stop_requested() and future.cancelled():
                 return
             if not future.done():
-                wait([future], LOOK)
+                wait([future], 0.1)  # s until the next look at Ctrl-C, tasks and scheduler
                 _look(executor, memory, waiting)
                 continue
 
@@ -258,7 +256,7 @@ def _look(
 ) -> None:
     """Store the runs of all finished tasks, whichever task is waited for."""
     for batch, future in waiting:
-        if future.done() and not future.cancelled() and future.exception() is None:
+        if future.done() and not future.cancelled() and not future.exception():
             deque(_stored(memory, batch, future.result()), 0)
     memory.look()
     if _has_lost_scheduler(executor):

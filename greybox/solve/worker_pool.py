@@ -79,7 +79,7 @@ class WorkerPool(Executor):
         """End the processes, after the calls that were submitted."""
         self._threads.shutdown(wait, cancel_futures=cancel_futures)
         for process in self._processes.values():
-            process.shutdown(wait, cancel_futures=cancel_futures)
+            process.shutdown(wait)
 
     def _call(
         self, function: Callable[..., Any], arguments: tuple[Any, ...], options: dict[str, Any]

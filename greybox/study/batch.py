@@ -7,7 +7,7 @@ import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
@@ -176,22 +176,26 @@ def batch(
         runs = StoredRuns(folder)
         try:
             shown = bar(is_shown=progress, total=len(listed), unit="fit")
-            with listening(), shown, ExitStack() as ending:
-                ending.callback(runs.write)
-                new = {m: None for m in listed if executor and not stored[m.name].runs}
-                made = _by_workers([*new], executor)
-                compiled: set[str] = set()
-                for member in listed:
-                    if is_search_over():
-                        break
-                    if changes := next(made, []) if member in new else []:
-                        runs.changes += changes
-                    else:
-                        _fit_member(member, runs, stored[member.name], compiled, executor, shown)
-                    shown.update()
-                    runs.look()
-                    if runs.trouble:
-                        break  # a full disk, which the last attempt names
+            with listening(), shown:
+                try:
+                    new = {m: None for m in listed if executor and not stored[m.name].runs}
+                    made = _by_workers([*new], executor)
+                    compiled: set[str] = set()
+                    for member in listed:
+                        if is_search_over():
+                            break
+                        if changes := next(made, []) if member in new else []:
+                            runs.changes += changes
+                        else:
+                            _fit_member(
+                                member, runs, stored[member.name], compiled, executor, shown
+                            )
+                        shown.update()
+                        runs.look()
+                        if runs.trouble:
+                            break  # a full disk, which the last attempt names
+                finally:
+                    runs.write()
         except KeyboardInterrupt as pressed:
             message = f"interrupted; the same batch resumes from {folder}"
             raise Interrupted(message, study=read_study(folder, models)) from pressed

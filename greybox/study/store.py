@@ -221,7 +221,7 @@ def read_members(folder: Path) -> list[StudyMember]:
         return [
             StudyMember(
                 folder,
-                int(number),
+                number,
                 printable(str(name)),
                 {} if answer is None else _StoredAnswer(folder, checksum, answer, fit, name),
                 count,
@@ -414,12 +414,13 @@ def folder_beside(path: Path) -> Path:
 
 def _stored_run(text: str) -> tuple[Array, Outcome]:
     start, outcome = read(json.loads(text), tuple[Array, Outcome])
-    if start.ndim != 1 or outcome.estimate.ndim != 1 or outcome.stage not in STAGES:
+    if (
+        start.ndim != 1
+        or outcome.estimate.ndim != 1
+        or outcome.stage not in (SCREENED, IMPROVED, POLISHED)
+    ):
         raise ValueError
     return start, outcome
-
-
-STAGES = (SCREENED, IMPROVED, POLISHED)
 
 
 def _require_whole(folder: Path, checksum: int, *values: Any) -> None:
