@@ -4,7 +4,8 @@ The outputs follow a term to first order, with the initial states fitted too, as
 parameter. No other model is compiled, and models that are unstable without feedback are served.
 """
 
-from collections.abc import Callable, Sequence
+import itertools
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 
 import casadi as ca
@@ -13,7 +14,11 @@ import numpy as np
 from greybox.compiled.condensing import solve_continuity
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
+from greybox.compiled.segments import Linearization
 from greybox.files.arrays import Array
+
+# Numbers of the effects in memory at once: 40 MB. A rod of 100 states has 2700 terms, 300 MB.
+BATCH = 5_000_000
 
 Effect = tuple[Array, Array]
 """What every sample adds to the next state (n, columns) and to the outputs (k, columns)."""
@@ -102,8 +107,18 @@ class DisturbedRecord:
         A = self._slopes[0][: self.part.states]
         return self._placed.data[-1] / 2 * (mean + np.einsum("jac,jc->ac", A, mean))
 
-    def followed_by(self, effects: Sequence[Effect]) -> Array:
+    @cached_property
+    def _linearized(self) -> tuple[Array, Linearization]:
+        weight = self.part.residual_weight(self._trajectory)
+        return weight, self.part.linearize(self._trajectory, weight)
+
+    def followed_by(self, effects: Iterable[Effect]) -> Array:
         """Return how outputs (k, c, samples) follow effects, with initial states fitted too."""
+        effects, size = iter(effects), max(BATCH // max(self.states.size, 1), 1)
+        batches = iter(lambda: list(itertools.islice(effects, size)), [])
+        return np.concatenate([self._followed_by(batch) for batch in batches], axis=1)
+
+    def _followed_by(self, effects: Sequence[Effect]) -> Array:
         part, n = self.part, self.part.states
         # No residual follows where nothing was measured.
         present = part.segments.columns(self.present.astype(float))
@@ -113,12 +128,11 @@ class DisturbedRecord:
             np.concatenate([C, [-outputs * present for _, outputs in effects]]),
         )
         if n:
-            weight = part.residual_weight(self._trajectory)
+            weight, linearization = self._linearized
             rows = np.einsum("ab,slbv->slav", weight, J).reshape(len(J), -1, J.shape[-1])
             known = part.known_states
             cross = -rows[:, :, :n].transpose(0, 2, 1) @ rows[:, :, n:]
             cross[known] = 0
-            linearization = part.linearize(self._trajectory, weight)
             nodes, _ = solve_continuity(
                 linearization.node_hessian,
                 linearization.transition,

@@ -1,5 +1,6 @@
 """Whether a model explains its data, and if not, what it may lack."""
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -390,8 +391,10 @@ def _ranked(
 def _numbered(terms: Iterable[Term]) -> dict[Key, Term]:
     """Return terms by their family and their number in it, the same in all parts."""
     numbered: dict[Key, Term] = {}
+    counts = Counter[tuple[str, str, str]]()
     for term in terms:
-        numbered[term.family, sum(family == term.family for family, _ in numbered)] = term
+        numbered[term.family, counts[term.family]] = term
+        counts[term.family] += 1
     return numbered
 
 
@@ -441,7 +444,7 @@ def _of_record(
         rows(residuals[:, None]),
         rows(np.einsum("ab,bpn->apn", noise, slopes.weighted)),
         _numbered(terms_of_record(record, candidates, along_data)),
-        lambda terms: rows(record.followed_by([term.effect() for term in terms])),
+        lambda terms: rows(record.followed_by(term.effect() for term in terms)),
         outputs=outputs,
         causes=tuple(_offsets(part, residuals, record.present)),
         is_unstable=record.is_unstable,
