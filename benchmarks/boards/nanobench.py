@@ -37,8 +37,13 @@ HALVES = (("B2", "B3", "B5", "B6"), ("B7", "B8", "B9", "B10"))
 STARTS = 2
 LOOK = 2.0  # s at the begin of a flight, for its offset
 PUBLISHED = 2.171  # m/s², "Linear regression", task1_model_comparison_table.csv
+RATES = {"u_p": 5, "u_q": 5, "p": 3, "q": 3}  # decimals
 COLUMNS = {"u": 4, "V": 3, "v_x": 4, "v_y": 4, "a_x": 3, "a_y": 3, "a_z": 3}  # decimals
 UNITS = {
+    "u_p": "1",
+    "u_q": "1",
+    "p": "rad/s",
+    "q": "rad/s",
     "u": "1",
     "V": "V",
     "v_x": "m/s",
@@ -70,26 +75,30 @@ def flight(path: Path) -> gb.Record | None:
         + (1 - 2 * (x * x + z * z)) * v[1]
         + 2 * (y * z + x * w) * v[2],
     } | {f"a_{axis}": G * table[f"imu_acc_{axis}"] for axis in "xyz"}
+    m1, m2, m3, m4 = (table[f"motor_motor_m{k}"] / 65535 for k in (1, 2, 3, 4))
+    signals |= {"u_p": (m3 + m4 - m1 - m2) / 4, "u_q": (m2 + m3 - m1 - m4) / 4}
+    signals |= {"p": table["imu_gyro_x"], "q": table["imu_gyro_y"]}
     kept = (time > airborne[0] + 1) & (time < airborne[-1] - 1)
     return gb.Record(
         np.round(time[kept], 2),
         {name: signal[kept] for name, signal in signals.items()},
-        units=UNITS,
-        hold={name: np.inf if name == "u" else 0.0 for name in signals},
+        units={name: UNITS[name] for name in signals},
+        hold={name: np.inf if name[0] == "u" else 0.0 for name in signals},
         name=path.stem,
     )
 
 
-def write_excerpt(record: gb.Record, path: Path) -> None:
+def write_excerpt(record: gb.Record, columns: dict[str, int], path: Path) -> None:
     """Write a flight as a table for `gb.read`, with the digits that the sensors have."""
     head = (
         f"# {record.name}.csv of NanoBench, BSD 3-Clause, "
         "https://github.com/syediu/nanobench-iros2026\n"
-        "# written by benchmarks/boards/nanobench.py: airborne, mean motor command, body axes\n"
+        "# written by benchmarks/boards/nanobench.py: airborne, motor commands, body axes\n"
     )
-    names = [f"{name} [{UNITS[name]}{' held' if name == 'u' else ' sampled'}]" for name in COLUMNS]
+    hold = {name: " held" if name[0] == "u" else " sampled" for name in columns}
+    names = [f"{name} [{UNITS[name]}{hold[name]}]" for name in columns]
     rows = (
-        ",".join([f"{t:.2f}", *(f"{record[name][k]:.{d}f}" for name, d in COLUMNS.items())])
+        ",".join([f"{t:.2f}", *(f"{record[name][k]:.{d}f}" for name, d in columns.items())])
         for k, t in enumerate(record.time)
     )
     path.write_text(
@@ -224,7 +233,8 @@ def main() -> None:
         for name, label in SHIPPED.items():
             record = flight(options.folder / f"{name}.csv")
             if record is not None:
-                write_excerpt(record, options.excerpt / f"nanobench_{label}.csv")
+                write_excerpt(record, COLUMNS, options.excerpt / f"nanobench_{label}.csv")
+                write_excerpt(record, RATES, options.excerpt / f"nanobench_{label}_rates.csv")
         return
     show(board, options)
 
