@@ -34,7 +34,7 @@ NAMESPACES = {
     "identification": "Identification MatrixMeasurement Measurement Selection Settings "
     "identify measure measure_matrix select_orders",
     "interop": "from_control to_casadi to_control",
-    "logs": "find_segments horizontal_velocity prepare read",
+    "logs": "find_manoeuvres find_segments horizontal_velocity prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Radau RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response linearize rational",
     "plotting": "bode ends estimates gains loop nyquist pairs plot profiles recording residuals "

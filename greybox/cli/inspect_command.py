@@ -12,6 +12,7 @@ from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
 from greybox.files.text_table import number, text_table
 from greybox.logs.flight_controllers import axis_of
+from greybox.logs.manoeuvre_detection import find_manoeuvres
 from greybox.logs.segment_detection import announcing, find_segments
 
 EXAMPLES = (
@@ -37,7 +38,12 @@ def run(options: argparse.Namespace) -> Answer:
     require_figure(options.plot, options.force)
     recording = read_log(options)
     segments = find_segments(recording, options.announced, options.fields or None, options.setpoint)
-    notes = save_figure(options.plot, "recording", recording, segments)
+    # A controller that flies tests moves its own setpoints, which are not manoeuvres of the pilot.
+    manoeuvres: Sequence[Segment] = ()
+    if options.setpoint or not segments:
+        manoeuvres = find_manoeuvres(recording, options.setpoint)
+
+    notes = save_figure(options.plot, "recording", recording, (*segments, *manoeuvres))
     command = next_command(recording, segments, options)
     if command:
         notes.append(f"next: {command}")
@@ -45,7 +51,7 @@ def run(options: argparse.Namespace) -> Answer:
     parts = [
         about(recording),
         contents(messages),
-        _tests(recording, segments),
+        _tests(recording, segments, manoeuvres),
         "\n".join([*(f"  {finding}" for finding in recording.findings), *notes]),
     ]
     # The JSON always has these keys, None where the log does not have them.
@@ -56,18 +62,20 @@ def run(options: argparse.Namespace) -> Answer:
         **{name: recording.metadata.get(name) for name in metadata},
         "messages": messages,
         "segments": segments,
+        "manoeuvres": manoeuvres,
         "findings": recording.findings,
         "next": command,
     }
     return answer, "\n\n".join(filter(None, parts))
 
 
-def _tests(recording: Recording, segments: Sequence[Segment]) -> str:
+def _tests(recording: Recording, segments: Sequence[Segment], manoeuvres: Sequence[Segment]) -> str:
+    text = "no test segments found: give --announced or --setpoint."
     if segments:
-        return segment_table(segments)
-    if not any(record.has_time for record in recording.values()):
-        return "no time column: rows in no order."
-    return "no test segments found: give --announced or --setpoint."
+        text = segment_table(segments)
+    elif not any(record.has_time for record in recording.values()):
+        text = "no time column: rows in no order."
+    return f"{text}\n\nmanoeuvres\n{segment_table(manoeuvres)}" if manoeuvres else text
 
 
 def next_command(

@@ -7,17 +7,18 @@ from dataclasses import dataclass, replace
 from greybox.files.text_table import number, one_line, text_table
 
 EXCITATIONS = ("sine", "sweep", "multisine", "noise")
+MANOEUVRES = ("2-1-1", "3-2-1-1", "doublet", "pulse", "step", "stick input")
 
 
 @dataclass(frozen=True)
 class Segment:
-    """One excited segment of an experiment: a sine, a sweep, a multisine or noise.
+    """One excited segment of an experiment: a sine, a sweep, a multisine, noise or a manoeuvre.
 
     Parameters
     ----------
     start, end : float, s
         On the record's clock.
-    kind : "sine", "sweep", "multisine" or "noise"
+    kind : "sine", "sweep", "multisine", "noise", or one of `MANOEUVRES`
     axis : str
         The axis as named in the log, or the name of the setpoint.
     omega : float, rad/s
@@ -57,10 +58,10 @@ class Segment:
             raise ValueError(
                 f"the segment ends at {self.end:g} s, not after its start at {self.start:g} s."
             )
-        if self.kind not in EXCITATIONS:
+        if self.kind not in (*EXCITATIONS, *MANOEUVRES):
             raise ValueError(
                 f"the kind of a segment is {self.kind!r}: it must be one of "
-                f"{', '.join(EXCITATIONS)}."
+                f"{', '.join((*EXCITATIONS, *MANOEUVRES))}."
             )
         if self.kind == "sine" and math.isnan(self.band[0]):
             vars(self)["band"] = (self.omega, self.omega)

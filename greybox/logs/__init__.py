@@ -8,6 +8,7 @@ Begin with `readers`, then `prepare`.
 | `prepare` | signals of several messages on one time base, in SI units |
 | `segment_detection` | tests in a log: System Identification mode, and sines |
 | `sine_detection` | sines and sweeps in one signal |
+| `manoeuvre_detection` | doublets, 2-1-1 and other inputs |
 | `named_columns` | columns of a table under the names that the user gives them; signals in SI |
 | `injected_tests` | tests that Betaflight and PX4 inject themselves |
 | `flight_controllers` | signals of an axis and filters, for all flight controllers together |
@@ -18,6 +19,7 @@ Begin with `readers`, then `prepare`.
 | `parameter_history` | changes of parameters in a log |
 """
 
+from greybox.logs.manoeuvre_detection import find_manoeuvres as find_manoeuvres
 from greybox.logs.prepare import horizontal_velocity as horizontal_velocity
 from greybox.logs.prepare import prepare as prepare
 from greybox.logs.readers import read as read

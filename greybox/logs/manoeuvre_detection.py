@@ -1,0 +1,256 @@
+"""Finds manoeuvres: 2-1-1, 3-2-1-1, doublets, pulses, steps and other inputs between two rests.
+
+A signal is at rest if it stays at one level for a second. The part between two rests of the same
+level is one manoeuvre. A lasting change of the level is a step. A pulse is a part in which the
+signal differs from the first rest by more than half of the largest deviation. Signs and durations
+of the pulses decide the name of the manoeuvre.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from greybox.data.record import Record, Recording, median_step
+from greybox.data.test_segment import Segment
+from greybox.files.arrays import Array
+from greybox.logs.segment_detection import SETPOINTS, present, stretches
+from greybox.logs.sine_detection import sines_and_sweeps
+
+# Searched when no signal is named.
+STICKS = (
+    *(f"RCIN.C{k}" for k in range(1, 5)),
+    *(f"manual_control_setpoint.{name}" for name in ("roll", "pitch", "yaw", "throttle")),
+)
+CONTROLS = ("u", "de", "da", "dr", "dt", "elevator", "aileron", "rudder", "throttle", "stick")
+
+# Durations of the pulses of the named manoeuvres, in units of the shortest, signs alternating.
+PATTERNS = {(1,): "pulse", (1, 1): "doublet", (2, 1, 1): "2-1-1", (3, 2, 1, 1): "3-2-1-1"}
+STEP, OTHER = "step", "stick input"
+MOST_PULSES = max(map(len, PATTERNS))  # of a manoeuvre with a name: more may be a sine or a sweep
+
+# Largest relative deviation of a duration from its pattern. Halfway between the durations 2 and 3
+# is 0.2 of the longer one, and pilots are off by as much.
+OFF_PATTERN = 0.3
+
+# s at one level: as long as the shortest pulse of an aircraft's 3-2-1-1; its longest takes three
+# times that.
+REST = 1.0
+NEW_REST = 6.0  # s after which another level is a new rest, twice the longest of these pulses
+
+# Share of the range of a signal that it may move at rest. Ripple on sticks and drift of the trim
+# are below a hundredth.
+AT_REST = 0.02
+NOISE = 8.0  # standard deviations of the noise, which a second of samples does not leave by chance
+
+# Shares of the longest pulse. A shorter pulse is an overshoot. A shorter time between two pulses is
+# not a pause, because actuators and hands need it.
+BRIEF, PAUSE = 0.2, 0.6
+# Share of the largest magnitude of the input's spectrum, -20 dB, down to which its band is excited.
+STRONG = 0.1
+HIGHEST = 0.4  # of the sampling rate, see `greybox.spectral.transients`
+# Factor on the number of frequencies of the spectrum: between two, it then falls by 10 % at most.
+FINER = 4
+
+
+class _Rest(NamedTuple):
+    """A rest: its first and last sample, and the level in its first and in its last second."""
+
+    first: int
+    last: int
+    begins: float
+    ends: float
+
+
+def find_manoeuvres(
+    data: Recording | Record, signal: str | Sequence[str] = ()
+) -> tuple[Segment, ...]:
+    """Return the manoeuvres in the inputs of a flight, in order of time.
+
+    The pulses decide the kind: "2-1-1", "3-2-1-1", "doublet", "pulse", "step", or else "stick
+    input". Sines and sweeps are not manoeuvres, see `find_segments`.
+
+    Parameters
+    ----------
+    data : Recording or Record
+    signal : str or sequence of str
+        Signals to search, such as ``"RCIN.C2"``. By default the sticks of a log, or its setpoints
+        if it has none, and the controls of a record.
+
+    Raises
+    ------
+    KeyError, ValueError
+        If a named signal does not exist.
+    """
+    names = [signal] if isinstance(signal, str) and signal else signal
+    manoeuvres = []
+    for name in names or present(data, STICKS) or present(data, (*SETPOINTS, *CONTROLS)):
+        unit, parts = stretches(data, name)
+        runs = [run for time, values in parts for run in manoeuvres_in(time, values)]
+        manoeuvres += [replace(run, axis=name, unit=unit, source=f"input {name}") for run in runs]
+    return tuple(sorted(manoeuvres, key=lambda s: (s.start, s.axis)))
+
+
+def manoeuvres_in(time: Array, values: Array) -> list[Segment]:
+    """Return the manoeuvres in one signal, (n,) arrays."""
+    # Squares must neither vanish nor overflow.
+    if time.size < 2 or not 1e-100 < np.ptp(values) < 1e100:
+        return []
+
+    # Quantiles, since single samples may be damaged.
+    low, high = np.quantile(values, [0.001, 0.999])
+    # Differences of successive samples are free of the manoeuvre, their median of its edges; 1.4826
+    # makes a standard deviation of it.
+    noise = 1.4826 * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2)
+    drift = max(AT_REST * float(high - low), 1e-12 * float(np.abs(values).max()))
+    height = max(drift, NOISE * noise)
+    rests = _rests(time, values, height)
+    manoeuvres = []
+    before = 0
+    for k, rest in enumerate(rests[1:], start=1):
+        # A short rest at another level is part of the manoeuvre.
+        returned = abs(rest.begins - rests[before].ends) <= 2 * drift
+        lasting = time[rest.last] - time[rest.first] > NEW_REST
+        if returned or lasting or rest is rests[-1]:
+            manoeuvres.append(_named(time, values, rests[before], rest, drift, height))
+            before = k
+
+    return [segment for segment in manoeuvres if segment]
+
+
+def _rests(time: Array, values: Array, height: float) -> list[_Rest]:
+    """Return the parts of at least a second in which a signal stays within `height`."""
+    step = median_step(time)
+    window = max(round(REST / step), 2)
+    if time.size < window:
+        return []
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # noqa: PLC0415  (slow import)
+
+    # The filters are centered: sample k of them covers the window that begins half of it earlier.
+    spread = maximum_filter1d(values, window) - minimum_filter1d(values, window)
+    moves = np.ma.masked_greater(spread[window // 2 :][: time.size - window + 1], height)
+    rests: list[_Rest] = []
+    for run in np.ma.clump_unmasked(moves):
+        first, last = run.start, run.stop + window - 2
+        ends = (values[first : first + window], values[last - window + 1 : last + 1])
+        rests.append(_Rest(first, last, *(float(np.median(part)) for part in ends)))
+    return rests
+
+
+def _named(
+    time: Array, values: Array, before: _Rest, after: _Rest, drift: float, height: float
+) -> Segment | None:
+    """Return the manoeuvre between two rests; None within the noise, and for sines and sweeps."""
+    # Rests of a noisy signal may overlap.
+    rows = slice(min(before.last, after.first), max(before.last, after.first) + 1)
+    deviation = values[rows] - before.ends
+    kind, amplitude = OTHER, float(np.abs(deviation).max())
+    change = after.begins - before.ends
+    returned = abs(change) <= 2 * drift
+    # A step takes less than a rest: one motion of the hand or of the autopilot.
+    is_short = time[after.first] - time[before.last] <= REST
+    if not returned and is_short and np.all(np.abs(deviation / change - 0.5) < 1):
+        kind, amplitude = STEP, abs(change)
+    elif amplitude <= height:
+        return None
+    else:
+        pulses = _pulses(time[rows], deviation, amplitude / 2)
+        if len(pulses) > MOST_PULSES and sines_and_sweeps(time[rows], values[rows]):
+            return None
+        kind = _pattern(pulses) if returned else OTHER
+
+    start, end = float(time[before.last]), float(time[after.first])
+    return Segment(
+        start,
+        end if end > start else float(time[min(after.first + 1, time.size - 1)]),
+        kind,
+        band=_band(time, values, before, after, kind),
+        amplitude=amplitude,
+        offset=before.ends,
+    )
+
+
+def _pulses(time: Array, deviation: Array, threshold: float) -> list[tuple[int, float]]:
+    """Return sign and duration, s, of every pulse; pauses have the sign 0."""
+    # At half of the amplitude, actuators that need time lengthen no pulse.
+    state = np.where(deviation > threshold, 1, np.where(deviation < -threshold, -1, 0))
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(state)) + 1, [state.size]])
+    ends = np.append(time, time[-1])[edges]
+    runs = list(zip(state[edges[:-1]].tolist(), np.diff(ends).tolist(), strict=True))
+    longest = max((duration for sign, duration in runs if sign), default=0.0)
+    pulses: list[tuple[int, float]] = []
+    way = math.inf  # since the last pulse
+    for sign, duration in runs:
+        if not sign or duration < BRIEF * longest:
+            way += duration
+            continue
+        if not pulses:
+            pulses.append((sign, duration))
+        elif way > PAUSE * longest:
+            pulses += [(0, way), (sign, duration)]
+        else:
+            # The time between two pulses of different sign is divided between them.
+            last, duration_before = pulses.pop()
+            if last == sign:
+                pulses.append((sign, duration_before + way + duration))
+            else:
+                pulses += [(last, duration_before + way / 2), (sign, duration + way / 2)]
+        way = 0.0
+
+    return pulses
+
+
+def _pattern(pulses: Sequence[tuple[int, float]]) -> str:
+    """Return the name of pulses without pauses, by their durations."""
+    signs = [sign for sign, _ in pulses]
+    durations = tuple(duration for _, duration in pulses)
+    if 0 in signs:
+        return OTHER
+    for pattern, name in PATTERNS.items():
+        unit = sum(durations) / sum(pattern)
+        if (
+            len(pattern) == len(durations)
+            and unit > 0
+            and all(
+                abs(d / (unit * n) - 1) <= OFF_PATTERN
+                for d, n in zip(durations, pattern, strict=True)
+            )
+        ):
+            return name
+
+    return OTHER
+
+
+def _band(
+    time: Array, values: Array, before: _Rest, after: _Rest, kind: str
+) -> tuple[float, float]:
+    """Return the band, rad/s, in which the input, or the derivative of a step, is strong.
+
+    It begins at one period over the manoeuvre and a second of rest on both sides.
+    """
+    first, last = np.searchsorted(time, [time[before.last] - REST, time[after.first] + REST])
+    rows = slice(int(first), int(last) + 1)
+    t, x = time[rows], values[rows] - before.ends
+    # The FFT needs uniform samples, and logs jitter.
+    uniform = np.linspace(t[0], t[-1], t.size)
+    step = float(uniform[1] - uniform[0])
+    x = np.interp(uniform, t, x)
+    # The spectrum of a step itself falls as 1/ω and depends on where the record ends.
+    if kind == STEP:
+        x = np.diff(x)
+    low, high = 2 * math.pi / (t[-1] - t[0]), HIGHEST * 2 * math.pi / step
+    omega = 2 * math.pi * np.fft.rfftfreq(FINER * t.size, step)
+    inside = (omega >= low) & (omega <= max(high, 2 * low))
+    # A manoeuvre of a few samples has no frequency below the limit.
+    if not inside.any():
+        return low, 2 * low
+
+    omega, size = omega[inside], np.abs(np.fft.rfft(x, FINER * t.size))[inside]
+    strong = omega[size >= STRONG * size.max()]
+    # The band ends at the first hole of an octave.
+    holes = np.flatnonzero(strong[1:] > 2 * strong[:-1])
+    stop = strong[holes[0] if holes.size else -1]
+
+    return low, float(max(stop, 2 * low))
