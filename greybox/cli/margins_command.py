@@ -44,6 +44,9 @@ results RESULT...
     where to break the loop: an input of the plant (default: the first one) or a measured signal
 --tracking SETPOINT SIGNAL
     of which setpoint and response to give bandwidth and step (default: the first ones)
+--boundary DELAY:BANDWIDTH...
+    corners of a boundary between levels of handling qualities: the least ADS-33 bandwidth in rad/s
+    at a phase delay in s
 --at NAME=VALUE...
     operating point of an ODE
 --level
@@ -74,7 +77,7 @@ def run(options: argparse.Namespace) -> Answer:
     require_writable(options.report, options.force, (".html", ".htm"), "page")
     settings = {
         "tracking": tuple(options.tracking) if options.tracking else None,
-        **attributes(options, "at", "level"),
+        **attributes(options, "at", "level", "boundary"),
     }
     wrong = ""
     # A log has the controller that flew, with its gains and its rate.

@@ -225,6 +225,14 @@ def _interval(text: str) -> tuple[float, float]:
     return float(low or -math.inf), float(high or math.inf)
 
 
+def _corner(text: str) -> tuple[float, float]:
+    """Return delay and bandwidth of ``0.1:3``."""
+    with contextlib.suppress(ValueError):
+        delay, bandwidth = map(float, text.split(":"))
+        return delay, bandwidth
+    raise argparse.ArgumentTypeError(f"{text!r} is not a corner such as 0.1:3")
+
+
 def _uncertain(text: str) -> tuple[float, float]:
     """Return value and standard deviation of ``3.2+-0.1``, or with ±."""
     mean, sigma = text.replace("±", "+-").split("+-")
@@ -241,6 +249,7 @@ KINDS: dict[str, Callable[[str], Any]] = {
     "K": partial(_integer, least=0),
     "P": partial(_between, limit=1.0, kind="a probability between 0 and 1"),
     **dict.fromkeys(("NAME=LOW:HIGH", "NAME[=LOW:HIGH]"), _interval),
+    "DELAY:BANDWIDTH": _corner,
     "NAME=VALUE+-SIGMA": _uncertain,
 }
 """Types of values by the words that stand for them; other words are text."""

@@ -6,7 +6,7 @@ Begin with `loop_numbers`.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -199,15 +199,15 @@ def follows(loop: SampledLoop, setpoint: str, response: str) -> bool:
 
 @np.errstate(all="ignore")  # draws may be unstable, or without gain
 def closed_loop_numbers(
-    loop: SampledLoop, omega: Array, setpoint: str, response: str, integrals: int | None
+    loop: SampledLoop, omega: Array, setpoint: str, response: str, **attitude: Any
 ) -> Numbers:
     """Return numbers of the closed loops from a setpoint to a response.
 
-    For the criteria of ADS-33, `integrals` is how often the response is integrated to an attitude;
-    None if it is not an angle or a rate.
+    Of an `attitude`, for the criteria of ADS-33: `integrals`, how often the response is integrated
+    to it, None if it is not an angle or a rate; and `boundary`, phase delays and bandwidths (2, n).
     """
     return {
-        **_response_numbers(loop, omega, setpoint, response, integrals),
+        **_response_numbers(loop, omega, setpoint, response, **attitude),
         **_step_numbers(loop, setpoint, response),
         **_pole_numbers(loop, setpoint, response),
     }
@@ -219,6 +219,7 @@ def _response_numbers(
     setpoint: str,
     response: str,
     integrals: int | None,
+    boundary: Array,
 ) -> Numbers:
     rest = loop.gains(setpoint, [response], REST / loop.period)[..., 0].real
     gain = loop.gains(setpoint, [response], omega)[..., 0] / rest
@@ -242,12 +243,17 @@ def _response_numbers(
     twice = 2 * reversal.omega
     delay = -(math.pi + _at(twice, omega, phase)) / twice
     delay = np.where(twice <= omega[-1], delay, math.nan)
-    return answer | {
+    answer |= {
         "ADS-33 gain bandwidth": by_gain,
         "ADS-33 phase bandwidth": by_phase,
         "ADS-33 bandwidth": Located(bandwidth, bandwidth),
         "phase delay": Located(delay, reversal.omega),
     }
+    if boundary.size:
+        # A boundary ends at its largest phase delay.
+        above = bandwidth - np.interp(delay, *boundary, right=math.inf)
+        answer["bandwidth above the boundary"] = Located(above, bandwidth)
+    return answer
 
 
 def _at(places: Array, omega: Array, curves: Array) -> Array:

@@ -46,6 +46,7 @@ UNITS = {
     "ADS-33 phase bandwidth": "rad/s",
     "ADS-33 bandwidth": "rad/s",
     "phase delay": "s",
+    "bandwidth above the boundary": "rad/s",
     "overshoot": "%",
     "rise time": "s",
     "settling time": "s",
@@ -210,7 +211,7 @@ class Margins:
         return "\n".join([self.verdict[0].upper() + self.verdict[1:], *table, *self.notes])
 
 
-def margins(
+def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     plant: Fit | Model | FrequencyResponse,
     controller: Controller | Sequence[Controller] | None = None,
     values: Mapping[str, float] | None = None,
@@ -220,6 +221,7 @@ def margins(
     at: Mapping[str, float] | None = None,
     part: int = 0,
     level: float = 0.95,
+    boundary: Sequence[tuple[float, float]] = (),
 ) -> Margins:
     """Return margins and closed-loop numbers of a plant with sampled controllers, with intervals.
 
@@ -244,7 +246,7 @@ def margins(
     - *ADS-33 gain*, *phase bandwidth* and *phase delay* of the attitude, if the unit of the
       response is that of an angle or of a rate (whose integral is taken), at samples of the
       controller, and *ADS-33 bandwidth*: the smaller one where a rate is commanded, that of the
-      phase where an attitude is;
+      phase where an attitude is; *bandwidth above the boundary* is positive inside `boundary`;
     - *overshoot*, *rise time* from 10 % to 90 % and *settling time* to 2 % of a step;
     - *damping ratio* and *natural frequency* of the poles with the largest part in that step.
 
@@ -277,6 +279,9 @@ def margins(
     part : int
         Whose model it is, in a fit of several problems.
     level : float
+    boundary : sequence of (phase delay, bandwidth), s and rad/s, optional
+        Corners of a boundary between levels of handling qualities: the least ADS-33 bandwidth, up
+        to the largest phase delay.
 
     Returns
     -------
@@ -355,6 +360,7 @@ def margins(
             setpoint=setpoint,
             response=response,
             integrals=_INTEGRALS.get(_unit(response, model, controllers)),
+            boundary=np.array(sorted(boundary), dtype=float).T,
         )
     fitted = fit.parts[part] if fit else None
     band = np.sort(fitted.data.omega)[[0, -1]] if isinstance(fitted, FittedResponse) else None

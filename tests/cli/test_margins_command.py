@@ -23,12 +23,16 @@ def pitch(tmp_path_factory):
 
 def test_the_command_answers_as_the_function_does(capsys, pitch):
     settings = ("--set", "K_P=0.1", "--rate", "200", "--broken-at", "u", "theta")
+    settings += ("--boundary", "0:2", "0.3:5")
     status, out, _ = run(capsys, "margins", pitch, *LOOP, *settings, "--json")
     assert status == 0
     controller = AttitudeController({"K_P": 0.1}, rate=200, signals={"q": "theta_dot"})
-    expected = gb.margins(gb.load(pitch), controller, broken_at="theta").to_dict()
+    curve = [(0.0, 2.0), (0.3, 5.0)]
+    expected = gb.margins(gb.load(pitch), controller, broken_at="theta", boundary=curve).to_dict()
     loops = json.loads(out)["loops"]
     assert loops[1] == expected != loops[0]
+    assert loops[1]["margins"]["bandwidth above the boundary"]["value"] is not None
+    assert "0=2" in refused(capsys, "margins", pitch, *LOOP, "--boundary", "0=2")
 
 
 def test_the_controller_comes_from_a_log(capsys, pitch):

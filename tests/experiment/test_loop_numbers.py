@@ -133,7 +133,7 @@ def test_the_criteria_of_ads_33_are_the_same_in_degrees_and_in_radians(response,
     assert ads_33(angle) == pytest.approx(ads_33(angle.replace("deg", "rad")), rel=1e-12)
 
 
-def test_an_attitude_command_has_the_bandwidth_of_its_phase():
+def test_an_attitude_command_has_the_bandwidth_of_its_phase_and_a_distance_from_a_boundary():
     class Attitude(gb.StateSpace):
         states, inputs, outputs = ("q", "theta"), ("u",), ("theta",)
         units = {"theta": "rad"}
@@ -151,12 +151,18 @@ def test_an_attitude_command_has_the_bandwidth_of_its_phase():
         def update(self, x, u, p):
             return (), (0.5 * (u.reference - u.theta),)
 
-    answer = gb.margins(Attitude(), Hold())
+    corners = [(0.0, 1.0), (0.1, 3.0)]
+    answer = gb.margins(Attitude(), Hold(), boundary=corners)
     assert answer["ADS-33 gain bandwidth"].value != answer["ADS-33 bandwidth"].value
     assert answer["ADS-33 phase bandwidth"].value == answer["ADS-33 bandwidth"].value
+    least = np.interp(answer["phase delay"].value, *np.transpose(corners))
+    above = answer["ADS-33 bandwidth"].value - least
+    assert answer["bandwidth above the boundary"].value == pytest.approx(above)
+    beyond = gb.margins(Attitude(), Hold(), boundary=[(0.0, 1.0), (0.001, 1.0)])
+    assert beyond["bandwidth above the boundary"].value == -np.inf
     # A rate whose unit is not declared has none of these numbers.
-    with pytest.raises(KeyError, match="ADS-33"):
-        gb.margins(RateDynamics(), RateLoop())["ADS-33 bandwidth"]
+    with pytest.raises(KeyError, match="above the boundary"):
+        gb.margins(RateDynamics(), RateLoop(), boundary=corners)["bandwidth above the boundary"]
 
 
 def test_steps_are_those_of_a_flight_with_a_fraction_of_a_sample_of_delay():
