@@ -139,12 +139,12 @@ class ResponsePart(Part):
     def _latest(self, function: ca.Function, values: Array) -> ComplexArray:
         """Return real and imaginary parts as complex numbers."""
         # Covariance, outliers and misfit ask at one point.
-        point, result = self._results.get(function.name(), (None, None))
-        if not np.array_equal(values, point):
+        stored = self._results.get(function.name())
+        if stored is None or not np.array_equal(values, stored[0]):
             parts = np.asarray(ca.DM(function(values)))
-            result = complex_array(*parts.reshape(2, -1))
-            self._results[function.name()] = values.copy(), result
-        return result
+            stored = values.copy(), complex_array(*parts.reshape(2, -1))
+            self._results[function.name()] = stored
+        return stored[1]
 
     def noise_ratio(self, trajectory: Trajectory) -> float:
         """Return the squared residuals over the given variances, or else their mean."""

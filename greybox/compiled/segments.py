@@ -12,6 +12,7 @@ import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -105,7 +106,7 @@ class Segments:
             x, q, d = self._step.symbols()
             if name == "output":
                 x, q, d = self._step.measurement.sx_in()
-                results = self._step.measurement(x, q, d)[3:]
+                results: Any = self._step.measurement(x, q, d)[3:]
             elif name == "advance":
                 results = [self._step.function(x, q, d)[0]]
             else:

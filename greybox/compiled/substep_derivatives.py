@@ -6,6 +6,7 @@ columns; products with block-diagonal sparse matrices carry the derivatives from
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -74,7 +75,7 @@ def _with_slopes(
     """
     by_state = ca.jacobian(value, x).T
     by_parameters = ca.densify(ca.jacobian(value, parameters))
-    values = ca.vertcat(ca.SX(0, 1), *by_state.nonzeros())
+    values: Any = by_state.nz[:]
     return (value, values, by_parameters), by_state.sparsity()
 
 

@@ -246,7 +246,11 @@ def assessed_misfit(
     # wrong; but far from the data, terms along its own states are wrong, too.
     for along_data in (False, True) if records else ():
         group = _of_group(
-            [_of_record(*record, candidates, most, along_data) for record in records], in_time=True
+            [
+                _of_record(part, trajectory, candidates, most, along_data)
+                for part, trajectory in records
+            ],
+            in_time=True,
         )
         groups = [*apart, group]
         if group.explains or group.left < 2 * group.noise:

@@ -6,7 +6,7 @@ There may be 100 000 runs, and a run as an object takes half a kilobyte.
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -181,7 +181,13 @@ class Runs(Sequence[Run]):
         """Return the number of runs."""
         return len(self.indices)
 
-    def __getitem__(self, key: Any) -> Any:
+    @overload
+    def __getitem__(self, key: int) -> Run: ...
+
+    @overload
+    def __getitem__(self, key: "slice | NDArray[Any]") -> "Runs": ...
+
+    def __getitem__(self, key: Any) -> "Run | Runs":
         """Return one run, or the runs that a slice, indices or booleans (r,) select."""
         if isinstance(key, slice | np.ndarray):
             return Runs(*(getattr(self, name)[key] for name in COLUMNS))

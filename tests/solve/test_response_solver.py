@@ -333,7 +333,7 @@ def test_a_time_limit_cuts_between_batches(clock):
     together = ResponseSolver(compile_problem(problem)).together
     assert together < 512
 
-    fit = gb.fit(problem, 320, seconds=280, progress=False, profiles=False)
+    fit = gb.fit(problem, 320, seconds=90, progress=False, profiles=False)
     assert together <= len(fit.runs) < 320
     assert all(run.status != "time limit of the fit" for run in fit.runs)
     assert fit.warnings[0].startswith(

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
-from greybox.solve import runs as runs_module
 from greybox.solve.runs import IMPROVED, POLISHED, SCREENED, Outcome, Run, Runs
 
 LISTED = [
@@ -35,9 +34,7 @@ def require_same(found, wanted):
             assert_array_equal(getattr(one, name), getattr(other, name))
 
 
-@pytest.mark.parametrize("at_once", [1, 2, 4096])
-def test_the_runs_are_those_that_were_put_in(monkeypatch, at_once):
-    monkeypatch.setattr(runs_module, "AT_ONCE", at_once)
+def test_the_runs_are_those_that_were_put_in():
     runs = Runs.of(iter(LISTED))
     require_same(runs, LISTED)
     require_same([runs[k] for k in range(-3, 3)], LISTED + LISTED)
