@@ -54,6 +54,7 @@ class ResponseSolver(LocalSolver):
 
     starts = 200  # a run takes some milliseconds
     promising = (8, 4)
+    polished_to = 1e-13  # tolerance on the projected gradient of the last digits
 
     def __init__(
         self,
@@ -307,7 +308,11 @@ class ResponseSolver(LocalSolver):
             if is_served:
                 z = problem.scaling.to_solver(best.estimate)[:, None]
                 ends = self.batches[-1].minimize(
-                    z, max_iterations=most, tolerance=1e-13, from_near=True, smoothing=smoothing
+                    z,
+                    max_iterations=most,
+                    tolerance=self.polished_to,
+                    from_near=True,
+                    smoothing=smoothing,
                 )
                 if most == ends.iterations[0] == 10:
                     continue
