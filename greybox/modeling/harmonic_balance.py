@@ -267,8 +267,8 @@ def _equations(
     at_point = ca.Function("at_point", [z, parameters], [rows[-1]])
 
     p, point = ca.MX.sym("p", len(model.parameters)), ca.MX.sym("point", len(names))
-    width = ca.MX.sym("width")  # of the ramps of switches, relative to the final one
-    omega, amplitude = ca.MX.sym("omega"), ca.MX.sym("amplitude")
+    # The width is that of the ramps of switches, relative to the final one.
+    width, omega, amplitude = (ca.MX.sym(name) for name in ("width", "omega", "amplitude"))
     settings = ca.vertcat(p, point, width, omega, amplitude)
 
     # A signal that is a state or an input itself has no unknown coefficients but its mean.
@@ -283,18 +283,16 @@ def _equations(
     unknown = ca.vertcat(*per_signal)
     per_amplitude = _all_coefficients(per_signal, columns, held)
 
-    constant = ca.DM(ca.Sparsity.unit(columns, 0)).T
+    constant, by_phase = ca.DM(ca.Sparsity.unit(columns, 0)).T, phase_derivative(harmonics)
     series = amplitude * per_amplitude + point @ constant
-    by_phase = phase_derivative(harmonics)
     switches = has_switches(formulas)
     sizes = _rms(series @ by_phase)
     if switches:
         # At rest an orbit has no speed to compare with, but what drives it has one.
         gains = _gains(derivatives, z, parameters, trimmed, start)(point, p)
         sizes = width * ca.sqrt(sizes**2 + (gains @ _rms(series) / omega) ** 2)
-    every = ca.vertcat(unknown, settings)
     linear, sampled, slopes, is_linear = _harmonics(
-        formulas, z, parameters, every, series, p, sizes, switches=switches
+        formulas, z, parameters, ca.vertcat(unknown, settings), series, p, sizes, switches=switches
     )
 
     # The equations are linear in what is sampled. Its slopes are products of small matrices: if
@@ -320,11 +318,10 @@ def _equations(
     # Per amplitude, so that one tolerance serves sines of any size.
     equations = ca.vertcat(ca.vertcat(*balance) / amplitude, *means)
     rows = ca.vertcat(equations, response.re, response.im)
-    parts = [rows, ca.jacobian(rows, every), ca.jacobian(rows, symbol)]
+    parts = [rows, *(ca.jacobian(rows, x) for x in (ca.vertcat(unknown, settings), symbol))]
     at_samples = ca.Function("at_samples", [unknown, settings, symbol], parts)
     rows, direct, by_samples = at_samples(unknown, settings, sampled)
-    slopes = direct + by_samples @ slopes
-    size = equations.numel() - len(means)
+    slopes, size = direct + by_samples @ slopes, equations.numel() - len(means)
     return unknown, settings, rows[:-2], slopes, size, rows[-2:], is_linear, switches
 
 
