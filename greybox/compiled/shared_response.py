@@ -24,9 +24,11 @@ from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array, ComplexArray, IntArray
 from greybox.formulation.problem import Problem
 from greybox.modeling.complex_arithmetic import Complex
+from greybox.modeling.harmonic_balance import compiled_balance
 from greybox.modeling.linearization import jacobians
 from greybox.modeling.model import pick_signals
 from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.trim import trim_of
 
@@ -95,6 +97,28 @@ class SharedSystem:
         return response, slope + by_delay[..., None] * delay_slopes[:, None, inputs]
 
 
+@dataclass(frozen=True, eq=False)
+class SineTest:
+    """The response to a sine of finite amplitude.
+
+    Attributes
+    ----------
+    function : casadi.Function
+        See `HarmonicBalance.response_with_slopes`.
+    pairs : tuple
+        As of `SharedSystem`, of one part.
+    """
+
+    function: ca.Function
+    pairs: tuple[tuple[int, int, int, Any], ...]
+
+    def responses(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
+        """Return the response at z (p, k), (k, n, 1), and its derivatives by z, last."""
+        rows = np.array([self.function(column).full() for column in z.T]).swapaxes(1, 2)
+        both = rows[:, 0::2, None] + 1j * rows[:, 1::2, None]
+        return both[..., 0], both[..., 1:]
+
+
 def resolvents(A: Array, omega: Array) -> ComplexArray:
     """Return (jωI - A)⁻¹ (k, w, n, n); NaN for all if a pole is at a frequency."""
     pencil = 1j * omega[:, None, None] * np.eye(A.shape[-1]) - A[:, None]
@@ -117,7 +141,7 @@ class SharedResponses:
     def __init__(
         self,
         parts: Sequence[Problem],
-        systems: Sequence[SharedSystem],
+        systems: Sequence[SharedSystem | SineTest],
         cost: ca.SX,
         symbols: Sequence[ca.SX],
     ) -> None:
@@ -175,20 +199,20 @@ def shared_responses(
 
     `cost` is that of all responses and a smoothing, with the symbols of the `data`; `values` gives
     the values of a part's own parameters at the solver's variables, `point` (p,).
-    Operating points that Newton's method finds, finite amplitudes and Padé delays are not shared.
+    Operating points that Newton's method finds and Padé delays are not shared.
     """
     groups: dict[Any, list[int]] = {}
+    systems: list[Any] = []
     for k, part in enumerate(parts):
-        if (
-            not isinstance(part.model, StateSpace)
-            or not part.model.states
-            or part.amplitude is not None
-            or part.delay != "exact"
-        ):
+        local = ca.Function("values", [point], [values(part)])
+        if part.amplitude is not None:
+            systems.append(_sine_test(k, part, local))
+            continue
+        if not isinstance(part.model, StateSpace) or not part.model.states or part.delay != "exact":
             return None
-        local = ca.Function("values", [point], [values(part)]).serialize()
-        groups.setdefault((id(part.model), repr(sorted(part.at.items())), local), []).append(k)
-    systems: list[Any] = [
+        key = id(part.model), repr(sorted(part.at.items())), local.serialize()
+        groups.setdefault(key, []).append(k)
+    systems += [
         _system(parts, members, point, values(parts[members[0]])) for members in groups.values()
     ]
     if None in systems:
@@ -200,6 +224,17 @@ def shared_responses(
     pieces = ca.vertsplit(r, [*ends, *(total + ends[1:])])
     responses = [*map(Complex, pieces[: len(parts)], pieces[len(parts) :])]
     return SharedResponses(parts, systems, cost(responses, smoothing), (r, smoothing, data))
+
+
+def _sine_test(k: int, part: Problem, local: ca.Function) -> SineTest:
+    data, z = part.response, ca.MX.sym("z", local.numel_in(0))
+    sine: Any = part.amplitude
+    signals: Any = {"input": data.input, "output": data.output, "at": part.at}
+    balance = compiled_balance(
+        part.model, data.omega, sine, **signals, pade=delay_order(part.delay)
+    )
+    function = balance.response_with_slopes(local(z), z, data.omega)
+    return SineTest(function, ((k, 0, 0, slice(None)),))
 
 
 def _system(

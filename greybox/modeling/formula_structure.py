@@ -67,8 +67,9 @@ def interval_means(formula: ca.SX, z: ca.SX, slopes: ca.SX, sizes: ca.SX, interv
     def reach(argument: ca.SX) -> ca.SX:
         gradient = ca.gradient(argument, z)
         least = ca.sumsqr(gradient * sizes / 20)
-        # The smallest number avoids a division by zero where nothing moves.
-        return interval / 2 * ca.sqrt(ca.dot(gradient, slopes) ** 2 + least + 1e-300)
+        # A negligible number avoids a division by zero where nothing moves; the products of smaller
+        # ones overflow in derivatives.
+        return interval / 2 * ca.sqrt(ca.dot(gradient, slopes) ** 2 + least + 1e-100)
 
     def sign(a: ca.SX) -> ca.SX:
         return ca.fmax(ca.fmin(a / reach(a), 1), -1)

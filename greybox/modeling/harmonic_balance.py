@@ -37,9 +37,8 @@ from greybox.modeling.trim import trim_of
 HARMONICS = (1, 3, 7, 15, 31, MOST_HARMONICS)
 # Relative change of the response by the next number of harmonics, below which the number suffices.
 ENOUGH = 3e-4
-# Up to this number of harmonics the balance is a graph of scalars: three times as fast, but its
-# size grows with the cube of the number.
-MOST_SCALARS = 9
+# A fit takes more harmonics only by hand: its time grows with their square.
+MOST_IN_FITS = 9
 
 
 def harmonic_function(model: Model, omega: Array, sine: Sine, **signals: Any) -> ca.Function:
@@ -59,7 +58,7 @@ def enough_harmonics(
     values: Mapping[str, float] | None = None,
     **signals: Any,
 ) -> Sine:
-    """Return the sine with as many harmonics as matter at the values, at most `MOST_SCALARS`.
+    """Return the sine with as many harmonics as matter at the values, at most `MOST_IN_FITS`.
 
     The values are by default the declared starts.
     """
@@ -67,7 +66,7 @@ def enough_harmonics(
         return sine
     # Three at least: one harmonic has the folds of a spring at other amplitudes.
     _, harmonics = directly_found(
-        model, values, omega, sine, least=HARMONICS[1], most=MOST_SCALARS, **signals
+        model, values, omega, sine, least=HARMONICS[1], most=MOST_IN_FITS, **signals
     )
     return replace(sine, harmonics=harmonics)
 
@@ -130,8 +129,8 @@ class HarmonicBalance:
     parameters, operating point, omega and amplitude.
 
     `newton` and `careful`, which searches along a line, take them as `x0` and `p`; `finish` gives
-    the response and whether the harmonics are a motion; `guess` finds harmonics from the settings
-    alone.
+    the response and whether the harmonics are a motion, `slopes` the derivatives of the response of
+    such a motion by the settings, (m, 2); `guess` finds harmonics from the settings alone.
     """
 
     model: StateSpace
@@ -140,6 +139,7 @@ class HarmonicBalance:
     newton: ca.Function
     careful: ca.Function
     finish: ca.Function
+    slopes: ca.Function
     guess: ca.Function
     is_linear: bool
     switches: bool
@@ -159,6 +159,19 @@ class HarmonicBalance:
         # A missing motion becomes infinite, so that the run fails instead of using it.
         response = response / ca.repmat(converged, 2, 1)
         return ca.Function("response", [p], [response[0, :].T, response[1, :].T])
+
+    def response_with_slopes(self, p: ca.MX, z: ca.MX, omega: Array) -> ca.Function:
+        """Return the function z (q,) -> response, real, imaginary parts in turn, and slopes by z.
+
+        The parameters `p` are expressions of z. Row by row, the result is (1 + q, 2 n).
+        """
+        settings = self.settings(p, omega)
+        n = settings.size2()
+        harmonics = self.guess.map(n)(settings)
+        response, converged = self.finish.map(n)(harmonics, settings)
+        slopes = ca.jacobian(settings[:, 0], z).T @ self.slopes.map(n)(harmonics, settings)
+        response = ca.vec(response / ca.repmat(converged, 2, 1)).T
+        return ca.Function("with_slopes", [z], [ca.vertcat(response, slopes)])
 
     def settings(self, p: Any, omega: Array) -> Any:
         """Return columns of parameters `p`, operating point, width 1, frequency and amplitude."""
@@ -185,38 +198,47 @@ def compiled_balance(
     trim = trim_of(model, at or {}).closed()
     start = ca.DM([q.start for q in model.parameters.values()])
     point = ca.vertcat(*trim(start))
-    unknown, settings, balance, means, response, is_linear, switches = _equations(
+    unknown, settings, rows, slopes, size, response, is_linear, switches = _equations(
         model, sine, input, output, pade, start, point
     )
 
     middle = int(np.argsort(sine.amplitudes(omega))[omega.size // 2])
     values = ca.vertcat(start, point, 1, omega[middle], sine.amplitudes(omega)[middle])
-    blocks = ca.Function(
-        "slopes", [unknown, settings], [ca.jacobian(balance, unknown), ca.jacobian(means, unknown)]
-    )
+    by_unknown = slopes[:, : unknown.numel()]
     # A random orbit has no symmetry that would make the rank too low.
     generic = np.random.default_rng(0).normal(size=unknown.numel())
-    conditions = _mean_conditions(*(np.asarray(ca.DM(b)) for b in blocks(generic, values)))
+    numbers = ca.Function("numbers", [unknown, settings], [ca.densify(by_unknown[:-2, :])])
+    conditions = _mean_conditions(*np.split(np.asarray(ca.DM(numbers(generic, values))), [size]))
     if conditions is None:
         raise ValueError(
             f"the input {input} cannot make {sine.signal!r} a sine in {model.label} at its "
             "start values: name a signal that it drives, or check `at`."
         )
 
-    equations = ca.vertcat(balance, *[means[k] for k in conditions])
+    chosen = [*range(size), *(size + k for k in conditions)]
+    equations, jacobian = rows[chosen], by_unknown[chosen, :]
     statement = {"x": unknown, "p": settings, "g": equations}
     options = {"error_on_fail": False, "abstol": 1e-11, "max_iter": 30, "show_eval_warnings": False}
+    # A function with both.
+    options["jacobian_function"] = ca.Function(
+        "jacobian", [unknown, settings], [jacobian, equations]
+    )
     # Twice as fast; `careful` is for guesses far from the solution.
     newton = ca.rootfinder("newton", "newton", statement, {**options, "line_search": False})
     careful = ca.rootfinder("careful", "newton", statement, options)
 
     # Relative to the harmonics; Newton's last step squares it.
-    size = ca.norm_inf(equations) / (1 + ca.norm_inf(unknown))
+    error = ca.norm_inf(equations) / (1 + ca.norm_inf(unknown))
     # Infinite harmonics would pass, since any equation is small relative to them.
-    is_motion = ca.logic_and(size < 1e-8, ca.norm_inf(unknown) < math.inf)
+    is_motion = ca.logic_and(error < 1e-8, ca.norm_inf(unknown) < math.inf)
     finish = ca.Function("finish", [unknown, settings], [response, is_motion])
+    by_settings = slopes[:, unknown.numel() :]
+    motion = ca.solve(jacobian, by_settings[chosen, :])
+    total = by_settings[-2:, :] - by_unknown[-2:, :] @ motion
+    slopes = ca.Function("slopes", [unknown, settings], [ca.densify(total).T])
     guess = _guess(newton, careful, finish, switches=switches)
-    return HarmonicBalance(model, sine, trim, newton, careful, finish, guess, is_linear, switches)
+    functions = newton, careful, finish, slopes, guess
+    return HarmonicBalance(model, sine, trim, *functions, is_linear, switches)
 
 
 def _equations(
@@ -227,14 +249,14 @@ def _equations(
     pade: int | None,
     start: ca.DM,
     trimmed: ca.DM,
-) -> tuple[Any, Any, Any, Any, Any, bool, bool]:
-    """Return unknown harmonics, settings, balance, means, response, linearity, any switches.
+) -> tuple[Any, Any, Any, Any, int, Any, bool, bool]:
+    """Return unknowns, settings, equations, slopes, size, response, linearity, any switches.
 
-    The balance must vanish, and so must as many of the conditions on the means as the ODE leaves
-    open. The response is real and imaginary part.
+    The equations are a balance of this size, which must vanish, and conditions on the means, of
+    which as many must vanish as the ODE leaves open. The response is real and imaginary part. The
+    slopes of equations and response are by unknowns and settings.
     """
     harmonics = sine.harmonics or 0
-    kind: Any = ca.SX if harmonics <= MOST_SCALARS else ca.MX
     n = len(model.states)
     names = (*model.states, *model.inputs)
     z, parameters = symbols(model)
@@ -244,10 +266,10 @@ def _equations(
     formulas = ca.vertcat(derivatives, *rows)
     at_point = ca.Function("at_point", [z, parameters], [rows[-1]])
 
-    p, point = kind.sym("p", len(model.parameters)), kind.sym("point", len(names))
-    width = kind.sym("width")  # of the ramps of switches, relative to the final one
-    omega = kind.sym("omega")
-    amplitude = kind.sym("amplitude")
+    p, point = ca.MX.sym("p", len(model.parameters)), ca.MX.sym("point", len(names))
+    # The width is that of the ramps of switches, relative to the final one.
+    width, omega, amplitude = (ca.MX.sym(name) for name in ("width", "omega", "amplitude"))
+    settings = ca.vertcat(p, point, width, omega, amplitude)
 
     # A signal that is a state or an input itself has no unknown coefficients but its mean.
     driven = names.index(input)
@@ -257,27 +279,26 @@ def _equations(
 
     columns = 2 * harmonics + 1
     moving = {*range(n), driven} - {held}
-    per_signal = [kind.sym(name, columns if k in moving else 1) for k, name in enumerate(names)]
+    per_signal = [ca.MX.sym(name, columns if k in moving else 1) for k, name in enumerate(names)]
     unknown = ca.vertcat(*per_signal)
-    full = []
-    for k, coefficients in enumerate(per_signal):
-        fixed = ca.DM(columns - coefficients.numel(), 1)
-        if k == held:
-            fixed[0] = 1
-        full.append(ca.vertcat(coefficients, fixed))
-    per_amplitude = ca.horzcat(*full).T
+    per_amplitude = _all_coefficients(per_signal, columns, held)
 
-    constant = ca.DM(ca.Sparsity.unit(columns, 0)).T
+    constant, by_phase = ca.DM(ca.Sparsity.unit(columns, 0)).T, phase_derivative(harmonics)
     series = amplitude * per_amplitude + point @ constant
-    by_phase = phase_derivative(harmonics)
     switches = has_switches(formulas)
     sizes = _rms(series @ by_phase)
     if switches:
         # At rest an orbit has no speed to compare with, but what drives it has one.
         gains = _gains(derivatives, z, parameters, trimmed, start)(point, p)
         sizes = width * ca.sqrt(sizes**2 + (gains @ _rms(series) / omega) ** 2)
-    balanced, is_linear = _harmonics(formulas, z, parameters, series, p, sizes, switches=switches)
+    linear, sampled, slopes, is_linear = _harmonics(
+        formulas, z, parameters, ca.vertcat(unknown, settings), series, p, sizes, switches=switches
+    )
 
+    # The equations are linear in what is sampled. Its slopes are products of small matrices: if
+    # CasADi differentiated every sample, a step of Newton's method would take ten times as long.
+    symbol = ca.MX.sym("sampled", columns, formulas.numel())
+    balanced = linear + symbol.T
     balance = [ca.vec((omega * series[:n, :] @ by_phase - balanced[:n, :]).T)]
     means = [per_amplitude[k, 0] for k in (*range(n, len(names)), *range(n))]
     # An output that is computed gets equations instead: its first cosine is the amplitude, all
@@ -292,18 +313,27 @@ def _equations(
     response = _first(balanced[n, :]) / _first(series[driven, :])
     if input in model.delays:
         delay = p[list(model.parameters).index(model.delays[input])]
-        response = response * exp(-Complex(kind(0), omega, pade) * delay)
+        response = response * exp(-Complex(ca.MX(0), omega, pade) * delay)
 
-    return (
-        unknown,
-        ca.vertcat(p, point, width, omega, amplitude),
-        # Per amplitude, so that one tolerance serves sines of any size.
-        ca.vertcat(*balance) / amplitude,
-        ca.vertcat(*means),
-        ca.vertcat(response.re, response.im),
-        is_linear,
-        switches,
-    )
+    # Per amplitude, so that one tolerance serves sines of any size.
+    equations = ca.vertcat(ca.vertcat(*balance) / amplitude, *means)
+    rows = ca.vertcat(equations, response.re, response.im)
+    parts = [rows, *(ca.jacobian(rows, x) for x in (ca.vertcat(unknown, settings), symbol))]
+    at_samples = ca.Function("at_samples", [unknown, settings, symbol], parts)
+    rows, direct, by_samples = at_samples(unknown, settings, sampled)
+    slopes, size = direct + by_samples @ slopes, equations.numel() - len(means)
+    return unknown, settings, rows[:-2], slopes, size, rows[-2:], is_linear, switches
+
+
+def _all_coefficients(per_signal: list[ca.MX], columns: int, held: int | None) -> Any:
+    """Return the coefficients (k, columns) of all signals, of which some are not unknown."""
+    full = []
+    for k, coefficients in enumerate(per_signal):
+        fixed = ca.DM(columns - coefficients.numel(), 1)
+        if k == held:
+            fixed[0] = 1
+        full.append(ca.vertcat(coefficients, fixed))
+    return ca.horzcat(*full).T
 
 
 def _gains(
@@ -338,17 +368,27 @@ def _first(row: Any) -> Complex:
 
 
 def _harmonics(
-    formulas: ca.SX, z: ca.SX, parameters: ca.SX, series: Any, p: Any, sizes: Any, *, switches: bool
-) -> tuple[Any, bool]:
-    """Return the coefficients (k, 2h + 1) of `formulas` (k, 1), and whether all are linear.
+    formulas: ca.SX,
+    z: ca.SX,
+    parameters: ca.SX,
+    every: Any,
+    series: Any,
+    p: Any,
+    sizes: Any,
+    *,
+    switches: bool,
+) -> tuple[Any, Any, Any, bool]:
+    """Return coefficients of `formulas` (k, 1): linear (k, 2h + 1), sampled (2h + 1, k), slopes.
 
-    `series` are the coefficients of the signals z, and `sizes` (k, 1) their speeds by phase.
+    The slopes are those of the sampled ones by `every` symbol. `series` are the coefficients of the
+    signals z, and `sizes` (k, 1) their speeds by phase. Return at last whether all is linear.
     """
     harmonics = series.size2() // 2
     # An odd number of samples: a kink such as that of |v| v, sampled at a symmetric orbit, then
     # counts as if sampled twice as often. With 257, a relay and a saturation are exact to 1e-4.
     points = max(257 if switches else 33, 4 * harmonics + 1)
     to_samples, to_series = transforms(harmonics, points)
+    speeds_to_samples = phase_derivative(harmonics) @ to_samples
     slope = ca.SX.sym("slope", z.numel())
     size = ca.SX.sym("size", z.numel())
     if switches:
@@ -361,16 +401,32 @@ def _harmonics(
     constant = ca.substitute(linear, z, ca.SX.zeros(z.numel()))
     gains, constant = ca.Function("linear", [parameters], [ca.jacobian(linear, z), constant])(p)
     coefficients = gains @ series + constant @ ca.DM(ca.Sparsity.unit(2 * harmonics + 1, 0)).T
-    if curved.is_zero():
-        return coefficients, True
 
-    speeds = series @ phase_derivative(harmonics)
-    term = ca.Function("term", [z, slope, size, parameters], [curved * formulas])
-    sampled = term.map("terms", "serial", points, [2, 3], [])(
-        series @ to_samples, speeds @ to_samples, sizes, p
+    sampled = curved * formulas
+    partials = ca.jacobian(sampled, ca.vertcat(z, slope, size, parameters))
+    samples = series @ to_samples, series @ speeds_to_samples, sizes, p
+    values, parts = (
+        ca.Function("term", [z, slope, size, parameters], [value], {"cse": True}).map(
+            "terms", "serial", points, [2, 3], []
+        )(*samples)
+        for value in (sampled, ca.vertcat(*partials.nonzeros()))
     )
 
-    return coefficients + sampled @ to_series, False
+    # The slopes of the samples of a formula, then of its coefficients.
+    count = z.numel()
+    waves = to_samples.T, speeds_to_samples.T
+    others = ca.vertcat(sizes, p)
+    of_samples = [ca.MX(points, every.numel()) for _ in range(formulas.numel())]
+    places = partials.sparsity().get_triplet()
+    for part, row, column in zip(ca.vertsplit(parts), *places, strict=True):
+        kind, k = divmod(column, count)
+        if kind < len(waves):
+            along = ca.diag(part) @ waves[kind] @ ca.jacobian(series[k, :].T, every)
+        else:
+            along = part.T @ ca.jacobian(others[column - 2 * count], every)
+        of_samples[row] += along
+    slopes = ca.vertcat(*[to_series.T @ rows for rows in of_samples])
+    return coefficients, (values @ to_series).T, slopes, curved.is_zero()
 
 
 def transforms(harmonics: int, points: int) -> tuple[ca.DM, ca.DM]:
@@ -434,6 +490,11 @@ def _guess(
 
     by_steps = ca.Function("by_steps", [settings], [followed], {"never_inline": True})
 
+    # The branches are functions of their inputs: Newton's method must not run again in the first.
+    direct: Any = ca.MX.sym("direct", small.numel())
+    inputs = [settings, direct]
+    branches = [ca.Function("branch", inputs, [x]) for x in (direct, by_steps(settings))]
+    choose = ca.Function.if_else("choose", *branches)
     direct = newton(x0=small, p=settings)["x"]
-    chosen = ca.if_else(finish(direct, settings)[1], direct, by_steps(settings), True)
+    chosen = choose(finish(direct, settings)[1], settings, direct)
     return ca.Function("guess", [settings], [chosen])

@@ -2,8 +2,8 @@
 
 Begin with `harmonic_response`. A nonlinear ODE may have several periodic motions under one sine. A
 test that raises the amplitude slowly shows one of them. A test that lowers it slowly may show
-another, as a hardening spring does between its two jumps. Both motions are followed here in small
-steps of the amplitude.
+another, as a hardening spring does between its two jumps. Newton's method looks for both, from the
+linear response and from the response at ten times the amplitude.
 """
 
 import warnings
@@ -125,7 +125,7 @@ def _checked(
 def periodic_motions(
     model: Model, values: Mapping[str, float] | None, omega: Array, sine: Sine, **signals: Any
 ) -> tuple[ComplexArray, list[str]]:
-    """Return the response (n,) at a slowly raised amplitude, and messages on other motions.
+    """Return the response (n,) near the linear one, and messages on other motions.
 
     The response is NaN where no motion is found.
     """
@@ -158,11 +158,9 @@ def periodic_motions(
     settings = np.asarray(ca.DM(balance.settings(vector, omega)))
     response = direct.copy()
     for k, column in enumerate(settings.T):
-        # Raised in forty steps over three decades, from where a model is nearly linear. Lowered in
-        # twenty steps from ten times the amplitude: the amplitudes at which a resonance jumps up
-        # and falls back differ by less than that.
-        raised = _followed(balance, column, np.geomspace(1e-3, 1, 40))
-        lowered = _followed(balance, column, np.geomspace(10, 1, 20))
+        # As if the amplitude were raised, from where a model is nearly linear, or lowered: the
+        # amplitudes at which a resonance jumps up and falls back differ by less than ten.
+        raised, lowered = (_continued(balance, column, factor) for factor in (1e-3, 10.0))
         motions = [m for m in (raised, direct[k], lowered) if np.isfinite(m)]
         if motions and not np.isclose(motions[0], direct[k], DISTINCT, 0):
             response[k] = motions[0]
@@ -178,15 +176,11 @@ def periodic_motions(
     return response, messages
 
 
-def _followed(balance: HarmonicBalance, settings: Array, shares: Array) -> complex:
-    """Return the response at the given amplitude, approached in `shares` of it; NaN if lost."""
-    steps = [np.append(settings[:-1], share * settings[-1]) for share in shares]
-    x = balance.guess(steps[0])
-    for step in steps:
-        x = balance.careful(x0=x, p=step)["x"]
-        if not balance.finish(x, step)[1]:  # past a jump
-            x = balance.guess(step)
-    response, converged = balance.finish(x, settings)
+def _continued(balance: HarmonicBalance, settings: Array, factor: float) -> complex:
+    """Return the response whose search begins at that of `factor` times the amplitude, or NaN."""
+    # Harmonics are per amplitude: multiplied, they are those of the same motion.
+    x = factor * balance.guess(np.append(settings[:-1], factor * settings[-1]))
+    response, converged = balance.finish(balance.careful(x0=x, p=settings)["x"], settings)
     return complex(*map(float, ca.vertsplit(response))) if converged else complex(np.nan)
 
 

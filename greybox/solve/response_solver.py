@@ -54,6 +54,8 @@ class ResponseSolver(LocalSolver):
 
     starts = 200  # a run takes some milliseconds
     promising = (8, 4)
+    fewest = 2  # IPOPT makes fewer runs
+    polished_to = 1e-13  # tolerance on the projected gradient of the last digits
 
     def __init__(
         self,
@@ -165,7 +167,7 @@ class ResponseSolver(LocalSolver):
     def run_together(self, starts: Array) -> list[Outcome]:
         """Bring all starts (r, p) to minima together; IPOPT continues those that do not arrive."""
         # With few starts, IPOPT's own options apply to the letter.
-        if len(starts) < (6 if self._options else 2) or self.together == 1:
+        if len(starts) < (6 if self._options else self.fewest) or self.together == 1:
             return super().run_together(starts)
 
         began = time.perf_counter()
@@ -307,7 +309,11 @@ class ResponseSolver(LocalSolver):
             if is_served:
                 z = problem.scaling.to_solver(best.estimate)[:, None]
                 ends = self.batches[-1].minimize(
-                    z, max_iterations=most, tolerance=1e-13, from_near=True, smoothing=smoothing
+                    z,
+                    max_iterations=most,
+                    tolerance=self.polished_to,
+                    from_near=True,
+                    smoothing=smoothing,
                 )
                 if most == ends.iterations[0] == 10:
                     continue

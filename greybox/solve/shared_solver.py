@@ -1,8 +1,9 @@
 """The solver of large problems whose responses share one solve a frequency.
 
-Three of four starts move to a minimum of the equation error first; then all are improved together
-by Newton's method. The cost is that of `greybox.compiled.shared_response`, whose gradient is exact:
-a minimum counts where it vanishes, and IPOPT need not confirm it.
+Three of four starts move to a minimum of the equation error first, except those of sine tests; then
+all are improved together by Newton's method. The cost is that of
+`greybox.compiled.shared_response`, whose gradient is exact: a minimum counts where it vanishes, and
+IPOPT need not confirm it.
 """
 
 from collections.abc import Mapping, Sequence
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
+from greybox.compiled.shared_response import SineTest
 from greybox.files.arrays import Array
 from greybox.solve.batched_newton import BatchedNewton, Ends
 from greybox.solve.equation_error_start import EquationErrors
@@ -31,6 +33,23 @@ class SharedSolver(ResponseSolver):
     # with 200, a helicopter with a rotor takes a minute.
     starts = 32
     together = 16  # more do not become cheaper
+    polished_to = 1e-11  # as the equations of periodic motions: beyond, steps are rounding
+
+    def __init__(
+        self,
+        problem: CompiledProblem,
+        options: Mapping[str, Any] = NO_OPTIONS,
+        *,
+        batched: bool = True,
+    ) -> None:
+        """Build the solver; starts of sine tests share no work, and their progress is shown."""
+        super().__init__(problem, options, batched=batched)
+        shared = problem.programs[-1].shared
+        assert shared is not None
+        self._shared = shared
+        self._is_sine_test = any(isinstance(system, SineTest) for system in shared.systems)
+        if self._is_sine_test:
+            self.together, self.fewest = 2, 1
 
     @staticmethod
     def serves(problem: CompiledProblem) -> bool:
@@ -39,11 +58,11 @@ class SharedSolver(ResponseSolver):
 
     def improved(self, z: Array, **limits: Any) -> Ends:
         """Return the ends of searches from the columns of z (p, m)."""
+        if self._is_sine_test:
+            return super().improved(z, **limits)
         # One start in four stays: the others end alike, and might agree on a wrong minimum.
         moved = np.arange(z.shape[1]) % 4 > 0
-        shared = self.problem.programs[-1].shared
-        assert shared is not None
-        errors = BatchedNewton(EquationErrors(shared, z), self.lower, self.upper)
+        errors = BatchedNewton(EquationErrors(self._shared, z), self.lower, self.upper)
         near = errors.minimize(z, max_iterations=50, tolerance=TOLERANCE, from_near=True).z
         at_minimum, iterations = np.zeros(z.shape[1], bool), np.zeros(z.shape[1], int)
         z = np.where(moved, near, z)

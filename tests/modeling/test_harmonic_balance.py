@@ -389,6 +389,64 @@ def test_a_fit_finds_the_friction_and_a_threshold_inside_a_condition():
     assert fit.estimate["d"] == pytest.approx(0.6, rel=1e-3)
 
 
+class Servo(gb.StateSpace):
+    """A second-order lag behind a dead zone and a saturation."""
+
+    states, inputs, outputs = ("x", "v"), ("u",), ("x",)
+    k = gb.Parameter(20.0, bounds=(1, 100), fixed=True)
+    d = gb.Parameter(3.0, bounds=(0.1, 20))
+    w = gb.Parameter(16.0, bounds=(1, 100))
+    dead = gb.Parameter(0.1, bounds=(0, 0.5))
+    limit = gb.Parameter(0.8, bounds=(0.3, 3))
+
+    def derivative(self, x, u, p):
+        error = u.u - 0.3 * x.x
+        beyond = error - gb.minimum(gb.maximum(error, -p.dead), p.dead)
+        force = gb.minimum(gb.maximum(beyond, -p.limit), p.limit)
+        return (x.v, p.k * force - p.d * x.v - p.w * x.x)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+SERVO = {"k": 20.0, "d": 4.0, "w": 20.0, "dead": 0.15, "limit": 0.5}
+
+
+def test_the_slopes_of_a_response_are_those_of_its_differences():
+    z = ca.MX.sym("z", len(SERVO))
+    omega, x = np.array([2.0, 5.0]), np.array(list(SERVO.values()))
+    balance = harmonic_balance.compiled_balance(Servo(), omega, gb.modeling.Sine("u", 0.9, 5))
+    function = balance.response_with_slopes(z, z, omega)
+    response = balance.response(omega)
+
+    def stacked(values):
+        return np.column_stack([part.full() for part in response(values)]).ravel()
+
+    value, *slopes = function(x).full()
+    assert_allclose(value, stacked(x), rtol=1e-12)
+    for k, slope in enumerate(slopes):
+        step = 1e-6 * np.eye(len(x))[k]
+        differences = (stacked(x + step) - stacked(x - step)) / 2e-6
+        assert_allclose(slope, differences, rtol=1e-5, atol=1e-7)
+
+
+def test_a_dead_zone_and_a_saturation_are_found_from_two_starts():
+    """Two amplitudes of one servo: together they tell the dead zone from the saturation."""
+    omega = np.geomspace(1, 15, 6)
+    random = np.random.default_rng(0)
+    problems = []
+    for amplitude in (0.4, 1.5):
+        sine = gb.modeling.Sine("u", amplitude, harmonics=3)
+        exact, _ = directly_found(Servo(), SERVO, omega, sine)
+        errors = random.normal(size=6) + 1j * random.normal(size=6)
+        data = gb.FrequencyResponse(omega, exact * (1 + 0.005 * errors), input="u", output="x")
+        problems.append(gb.Problem(Servo(), data, amplitude=sine))
+    fit = gb.fit(problems[0] + problems[1], 2, seed=0, progress=False, profiles=False)
+    for name in ("d", "w", "dead", "limit"):
+        error = fit.estimate[name] - SERVO[name]
+        assert abs(error) < 4 * fit.standard_error[name] < 0.2 * SERVO[name]
+
+
 # --- several motions
 
 
