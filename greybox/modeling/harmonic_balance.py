@@ -409,7 +409,7 @@ def _harmonics(
         ca.Function("term", [z, slope, size, parameters], [value], {"cse": True}).map(
             "terms", "serial", points, [2, 3], []
         )(*samples)
-        for value in (sampled, ca.vertcat(*partials.nonzeros()))
+        for value in (sampled, partials.nz[:])
     )
 
     # The slopes of the samples of a formula, then of its coefficients.
@@ -493,8 +493,8 @@ def _guess(
     # The branches are functions of their inputs: Newton's method must not run again in the first.
     direct: Any = ca.MX.sym("direct", small.numel())
     inputs = [settings, direct]
-    branches = [ca.Function("branch", inputs, [x]) for x in (direct, by_steps(settings))]
-    choose = ca.Function.if_else("choose", *branches)
+    at_once, stepped = (ca.Function("branch", inputs, [x]) for x in (direct, by_steps(settings)))
+    choose = ca.Function.if_else("choose", at_once, stepped)
     direct = newton(x0=small, p=settings)["x"]
     chosen = choose(finish(direct, settings)[1], settings, direct)
     return ca.Function("guess", [settings], [chosen])

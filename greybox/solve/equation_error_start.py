@@ -27,7 +27,11 @@ class EquationErrors:
 
     def __init__(self, responses: SharedResponses, points: Array) -> None:
         """Find the states from the responses, at the points z (p, k) if entries depend on z."""
-        self._regressions = [_regression(s, responses.data, points) for s in responses.systems]
+        self._regressions = [
+            _regression(system, responses.data, points)
+            for system in responses.systems
+            if isinstance(system, SharedSystem)
+        ]
 
     def __call__(self, z: Array, smoothing: Array, data: Array) -> tuple[Array, Array, Array]:
         """Return cost (k,), gradient (p, k) and Hessian (p * p, k) at z (p, k)."""
