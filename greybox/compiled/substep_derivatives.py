@@ -75,7 +75,7 @@ def _with_slopes(
     """
     by_state = ca.jacobian(value, x).T
     by_parameters = ca.densify(ca.jacobian(value, parameters))
-    values: Any = by_state.nz[:]
+    values: Any = ca.vec(by_state.nz[:])
     return (value, values, by_parameters), by_state.sparsity()
 
 

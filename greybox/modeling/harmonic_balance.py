@@ -409,7 +409,7 @@ def _harmonics(
         ca.Function("term", [z, slope, size, parameters], [value], {"cse": True}).map(
             "terms", "serial", points, [2, 3], []
         )(*samples)
-        for value in (sampled, partials.nz[:])
+        for value in (sampled, ca.vec(partials.nz[:]))
     )
 
     # The slopes of the samples of a formula, then of its coefficients.
