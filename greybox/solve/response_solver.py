@@ -40,6 +40,7 @@ ITERATIONS = 300
 # root of the last one.
 AT_A_KINK = {"acceptable_tol": 1e-4, "acceptable_iter": 3}  # IPOPT reaches looser tolerances only
 FINER = (1e-10, 1e-12, 1e-14, 1e-16)
+FEW = 10  # iterations that suffice for the last digits where no residual is zero
 # Relative change of a response: rounding leaves 1e-13, and less for parameters that no data show.
 SAME_BUT_ROUNDING = 1e-9
 NO_OPTIONS: Mapping[str, Any] = MappingProxyType({})
@@ -301,34 +302,43 @@ class ResponseSolver(LocalSolver):
 
     def _polish(self, best: Minimum) -> Minimum:
         """Return a minimum solved again with less smoothing, as long as the cost does not grow."""
-        problem = self.problem
-        is_served = self.serves(problem)
-        # At once where a few steps then arrive. At the kink of a zero residual a search stalls:
-        # there the smoothing falls in steps.
-        for smoothing, most in [(FINER[-1], 10), *((s, 100) for s in FINER)][not is_served :]:
+        is_served = self.serves(self.problem)
+        if is_served:
+            # At once where a few steps then arrive. At the kink of a zero residual a search stalls:
+            # there the smoothing falls in steps.
+            estimate, iterations = self._refined(best, FINER[-1], FEW)
+            if iterations < FEW:
+                return self._unless_dearer(best, estimate) or best
+
+        for smoothing in FINER:
             if is_served:
-                z = problem.scaling.to_solver(best.estimate)[:, None]
-                ends = self.batches[-1].minimize(
-                    z,
-                    max_iterations=most,
-                    tolerance=self.polished_to,
-                    from_near=True,
-                    smoothing=smoothing,
-                )
-                if most == ends.iterations[0] == 10:
-                    continue
-                estimate = self._estimates(ends.z)[0]
+                estimate, _ = self._refined(best, smoothing, 100)
             else:
                 estimate = self._solved(best.estimate, smoothing, AT_A_KINK).estimate
-            cost = float(problem.costs(estimate[None])[0])
-
-            # Rounding of the cost must not decide whether digits are refined.
-            if not cost <= best.cost + 1e-13 * abs(best.cost):
+            polished = self._unless_dearer(best, estimate)
+            if polished is None:
                 break
-            best = replace(best, cost=cost, estimate=estimate)
-            if most == 10:
-                break
+            best = polished
         return best
+
+    def _refined(self, best: Minimum, smoothing: float, most: int) -> tuple[Array, int]:
+        """Return the end (p,) of a batched search from a minimum, and its number of iterations."""
+        ends = self.batches[-1].minimize(
+            self.problem.scaling.to_solver(best.estimate)[:, None],
+            max_iterations=most,
+            tolerance=self.polished_to,
+            from_near=True,
+            smoothing=smoothing,
+        )
+        return self._estimates(ends.z)[0], int(ends.iterations[0])
+
+    def _unless_dearer(self, best: Minimum, estimate: Array) -> Minimum | None:
+        """Return the minimum with this estimate; None if its cost is higher."""
+        cost = float(self.problem.costs(estimate[None])[0])
+        # Rounding of the cost must not decide whether digits are refined.
+        if not cost <= best.cost + 1e-13 * abs(best.cost):
+            return None
+        return replace(best, cost=cost, estimate=estimate)
 
     def _estimates(self, z: Array) -> Array:
         """Return the parameters (m, p) at the columns of z (p, m), within their bounds."""
