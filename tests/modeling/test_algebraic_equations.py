@@ -73,5 +73,5 @@ def test_a_constraint_is_simulated_fitted_and_linearized():
     stiffness = TRUTH["k_s"] * TRUTH["k"] / (TRUTH["k_s"] + TRUTH["k"])
     expected = 1 / (-0.2 * omega**2 + 1j * omega * TRUTH["d"] + stiffness)
     s = 1j * omega[:, None, None]
-    response = np.linalg.solve(s * np.eye(2) - linear.A, linear.B.astype(complex))[:, 0, 0]
+    response = np.linalg.solve(s * np.eye(2) - linear.A, linear.B[None].astype(complex))[:, 0, 0]
     assert_allclose(response, expected, rtol=1e-9)
