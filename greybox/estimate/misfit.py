@@ -541,17 +541,19 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
             *(("schedule", signal, size) for signal, size in part.problem.at.items()),
         )
     ]
-    # The relative errors of a zero are infinite, so that no test is needed.
+    # Where most of a response is left, no size or correlation of its errors excuses the model.
     signals = f"{part.data.output or 'the output'} to {part.data.input or 'the input'}"
-    path = Cause(f"a response of {signals}", "a path between both", 1.0, 0.0, 1.0, 0.0, 0.0)
+    way = "a path between both, or wider bounds"
+    path = Cause(f"a response of {signals}", way, 1.0, 0.0, 1.0, 0.0, 0.0)
+    measured, left = rows(part.data.response[:, None]), residuals(at_fit)
     return _Regression(
-        rows(response[:, None]),
-        residuals(at_fit),
+        measured,
+        left,
         slopes(at_fit),
         _numbered([*terms_of_response(part.data.omega), *own]) if order.size else {},
         lambda terms: rows(np.column_stack([response * term.effect() for term in terms])),
         separate if order.size else None,
-        causes=() if response.any() else (path,),
+        causes=() if np.sum(left**2) < np.sum(measured**2) / 2 else (path,),
     )
 
 

@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 
 import greybox as gb
 from greybox.estimate.misfit import Cause, Misfit
+from greybox.models.rate import DampedAngle
 from greybox.problems import pitch_5deg, pitch_hover
 
 SAMPLES, STEP = 500, 0.04
@@ -482,3 +483,13 @@ def test_output_error_of_an_unstable_model_in_gusts_is_said_to_be_biased(gusts):
         answer = gb.fit(gb.Problem(Divergent(), record), starts=1, progress=False, profiles=False)
         said.append(any("is then biased" in text for text in answer.warnings))
     assert said == [gusts > 0] * 4
+
+
+@pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.SquaredRelativeError()])
+def test_a_model_that_leaves_a_response_of_ten_points_does_not_explain_it(criterion):
+    # Without the velocity, the angle falls at low frequencies: the best response is nearly zero.
+    rotor = {"T_rotor": 0.048, "T_delay": 0.0042}
+    problem = gb.Problem(DampedAngle(), pitch_hover.data(), criterion, fixed=rotor)
+    misfit = gb.fit(problem, starts=5, profiles=False).misfit
+    assert not misfit.explains
+    assert 0.9 < misfit.left <= 1.0
