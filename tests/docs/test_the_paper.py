@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from benchmark_module import benchmark
 from scipy.optimize import minimize
+from scipy.stats import t as t_distribution
 
 import greybox as gb
 from greybox.models.mixer import Mixer, Torques
@@ -19,12 +20,15 @@ from greybox.problems import (
     nanobench_drag,
     pitch_5deg,
     pitch_hover,
+    pitch_hover_ls,
     pitch_moment,
     pitch_operating_points,
     roll_hover,
+    roll_hover_ls,
     rotors,
     rotors_mended,
     yaw_hover,
+    yaw_hover_ls,
 )
 
 ROOT = Path(__file__).parents[2]
@@ -70,6 +74,31 @@ def test_rounded_constants_do_not_excuse_the_estimate_of_roll():
     assert min(excess) > 0.0495
     best = fit(roll_hover.problem())
     assert f"to {best.estimate['a1']:.2f} ± {best.standard_error['a1']:.2f}" in PAGE
+
+
+def test_the_linear_equations_do_not_minimize_the_criterion():
+    modules = (roll_hover_ls, pitch_hover_ls, yaw_hover_ls)
+    costs = [gb.cost(m.problem(), m.published["values"]) for m in modules]
+    assert "They cost {:.3f}, {:.3f} and {:.3f},".format(*costs) in PAGE
+    # The tests of the problems hold these minima against fits.
+    assert "reach {:.3f}, {:.3f} and {:.3f}.".format(*(m.minimum for m in modules)) in PAGE
+
+
+def test_errors_that_are_not_independent():
+    widths = {}
+    for module in (roll_hover, pitch_hover, pitch_5deg, yaw_hover):
+        data = module.data()
+        unstated = gb.FrequencyResponse(
+            data.omega, data.response, input=data.input, output=data.output, name=data.name
+        )
+        fits = [fit(module.problem(), 8), fit(gb.Problem(module.problem().model, unstated), 8)]
+        low, high = zip(*(np.transpose([*f.interval(0.95).values()]) for f in fits), strict=True)
+        ratio = (high[1] - low[1]) / (high[0] - low[0])
+        widths[data.name] = ratio[np.isfinite(ratio)]
+    assert widths.pop("roll hover") == pytest.approx(1.0)
+    wider = np.concatenate([*widths.values()])
+    assert f"are {wider.min():.1f} to {wider.max():.1f} times as wide" in PAGE
+    assert f"± {t_distribution.ppf(0.975, 2 * 10 - 4):.1f} standard errors" in PAGE
 
 
 def test_one_sign_and_the_delays_of_the_rotors():
