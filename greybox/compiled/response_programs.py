@@ -24,7 +24,12 @@ from greybox.compiled.data_input import DataInput
 from greybox.compiled.limits import limits_at
 from greybox.compiled.response_map import LARGE, Mapped, lagrangian_hessian
 from greybox.compiled.response_part import ResponseFunctions, ResponsePart
-from greybox.compiled.shared_response import SharedResponses, shared_responses
+from greybox.compiled.shared_response import (
+    SharedResponses,
+    SharedSystem,
+    shared_responses,
+    shared_systems,
+)
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.files.arrays import Array
 from greybox.formulation.frequency_criteria import Criterion, cost_of_zero
@@ -40,6 +45,8 @@ from greybox.modeling.trim import Trimmed
 
 Named = Mapping[str, Any]
 ChooseCriterion = Callable[[Problem], Criterion]
+
+MOST_UNKNOWNS = 20  # of a batch
 
 # Compiled problems of the same formulas share what was built for the last ones.
 _stored = Stored(16)
@@ -94,11 +101,11 @@ def fits_a_batch(program: ca.Function | None) -> bool:
 
     The program (z, ...) -> cost, constraints needs an explicit cost (an SX function) and no
     constraints but bounds. From 50 000 instructions of cost, gradient and Hessian on, these take
-    most of IPOPT's time, and from 20 unknowns on eigenvalues do: a batch gains little then.
+    most of IPOPT's time, and from MOST_UNKNOWNS on eigenvalues do: a batch gains little then.
     """
     if program is None or not program.is_a("SXFunction") or program.numel_out(1):
         return False
-    return program.numel_in(0) <= 20 and instructions(program) <= 50_000
+    return program.numel_in(0) <= MOST_UNKNOWNS and instructions(program) <= 50_000
 
 
 def instructions(program: ca.Function) -> int:
@@ -122,6 +129,7 @@ class ResponseCompiler:
         values_at: Callable[[Any, Any], Named],
     ) -> None:
         self.problem, self.constants, self.point = problem, constants, point
+        self.names = names
         self.values_at = values_at
         self.parts = [part for part in problem.parts if isinstance(part.data, FrequencyResponse)]
         self.weights = solver_weights(self.parts)
@@ -150,8 +158,9 @@ class ResponseCompiler:
 
     def compiled(self) -> tuple[dict[Problem, ResponsePart], dict[str, Any]]:
         """Return the parts, and what `CompiledProblem` has of them all."""
-        structure = self.structure()
-        if fits_a_batch(structure):
+        # Large problems are recognized without another copy of their costs.
+        structure = self.structure() if len(self.names) <= MOST_UNKNOWNS else None
+        if structure is not None and fits_a_batch(structure):
             key = structure.serialize(), *self.weights
             functions, programs = _stored.result(key, self.built)
         else:
@@ -181,9 +190,9 @@ class ResponseCompiler:
             for part, response, data in zip(self.parts, responses, measured, strict=True)
         ]
 
-    def total(self, *arguments: Any) -> Any:
+    def weighted(self, costs: Sequence[Any]) -> Any:
         """Return the weighted sum of the costs."""
-        return sum(w * cost for w, cost in zip(self.weights, self.costs(*arguments), strict=True))
+        return sum(w * cost for w, cost in zip(self.weights, costs, strict=True))
 
     @property
     def stacked(self) -> Any:
@@ -208,30 +217,37 @@ class ResponseCompiler:
         """Return the functions of the parts, and those of the whole problem."""
         kind, x, z, data = self.kind, self.x, self.z, self.data
         scaled = self.responses_at(self.named)
-        costs = self.costs(scaled, self.measured, self.smoothing, _own_criterion)
+        costs = [
+            self.costs(scaled, self.measured, self.smoothing, choose) for choose in self.criteria
+        ]
+        programs = tuple(map(self.program, costs, self.criteria))
+        systems = self.systems() if programs[-1].shared else {}
         functions = [
             ResponseFunctions(
                 ca.Function("objective", [z, self.smoothing, data], [kind(cost)]),
                 ca.Function("response", [x], [ca.vertcat(response.re, response.im)]),
                 ca.Function("response", [z, data], [kind(ca.vertcat(at_z.re, at_z.im))]),
+                systems.get(k),
             )
-            for cost, response, at_z in zip(costs, self.responses, scaled, strict=True)
+            for k, (cost, response, at_z) in enumerate(
+                zip(costs[-1], self.responses, scaled, strict=True)
+            )
         ]
         costs = self.costs(self.responses, self.measured, 0.0, _own_criterion)
         return functions, {
-            "programs": tuple(self.program(scaled, choose) for choose in self.criteria),
+            "programs": programs,
             "response_cost": ca.Function("cost", [x, data], [ca.vertcat(kind(0, 1), *costs)]),
             "responses": ca.Function("responses", [x], [self.stacked]),
             "constraint": ca.Function("constraint", [x], [self.constraint]),
         }
 
-    def program(self, scaled: Sequence[Complex], choose: ChooseCriterion) -> CostProgram:
-        """Return the program of responses in the solver's variables."""
+    def program(self, costs: Sequence[Any], choose: ChooseCriterion) -> CostProgram:
+        """Return the program of the costs of all parts in the solver's variables."""
         trimmed = [formula for formula in self.formulas if isinstance(formula, Trimmed)]
         if self.kind is ca.MX and len(trimmed) == len(self.parts):
             return self.program_at_roots(trimmed, choose)
 
-        total = self.kind(self.total(scaled, self.measured, self.smoothing, choose))
+        total = self.kind(self.weighted(costs))
         _, limits = limits_at(self.problem, self.named, self.kind)
         function = ca.Function("program", [self.z, self.smoothing, self.data], [total, limits])
         explicit = function if self.kind is ca.SX else None
@@ -260,7 +276,7 @@ class ResponseCompiler:
             "explicit",
             [self.point, s, given, w],
             [
-                ca.SX(self.total(responses, measured, s, choose)),
+                ca.SX(self.weighted(self.costs(responses, measured, s, choose))),
                 limits_at(self.problem, named, ca.SX)[1],
             ],
             {"cse": True},
@@ -294,6 +310,13 @@ class ResponseCompiler:
         _, limits = limits_at(self.problem, named, ca.SX)
         return {"hess_lag": lagrangian_hessian(terms, self.point, data, limits)}
 
+    def systems(self) -> dict[int, SharedSystem]:
+        """Return the systems of the parts that share their solves, at all values x."""
+        x = ca.SX.sym("x", len(self.names))
+        named = dict(zip(self.names, ca.vertsplit(x), strict=True))
+        shared = shared_systems(self.parts, x, lambda part: ca.SX(_values(part, named))) or []
+        return dict(pair for system in shared for pair in system.of_pairs())
+
     def shared(self, choose: ChooseCriterion) -> SharedResponses | None:
         """Return the cost in numpy, if the responses share their solves."""
         if self.limits or len(self.parts) < len(self.problem.parts):
@@ -302,7 +325,9 @@ class ResponseCompiler:
         named = self.values_at(self.point, self.constants)
         return shared_responses(
             self.parts,
-            lambda responses, smoothing: ca.SX(self.total(responses, measured, smoothing, choose)),
+            lambda *arguments: ca.SX(
+                self.weighted(self.costs(arguments[0], measured, arguments[1], choose))
+            ),
             data,
             self.point,
             lambda part: ca.SX(_values(part, named)),

@@ -12,10 +12,10 @@ The Hessian of a criterion φ is composed as Jᵀ φ'' J (Gauss-Newton): the omi
 small where the residuals are, and may be indefinite far away from a minimum.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
+from typing import Any, cast
 
 import casadi as ca
 import numpy as np
@@ -71,6 +71,12 @@ class SharedSystem:
         slopes = slopes.T.reshape(z.shape[1], len(z), -1).swapaxes(1, 2)
         return S, values[count:].T, slopes[:, :count], slopes[:, count:]
 
+    def of_pairs(self) -> Iterator[tuple[int, "SharedSystem"]]:
+        """Yield every part with the system of its response alone."""
+        for part, output, input, at in self.pairs:
+            pair = part, output, input, np.arange(len(at))
+            yield part, replace(self, omega=self.omega[at], pairs=(pair,))
+
     def responses(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
         """Return the responses at z (p, k), (k, w, pairs), and their derivatives by z, last."""
         n, k = self.states, z.shape[1]
@@ -90,7 +96,7 @@ class SharedSystem:
         # Only the entries that depend on z.
         moving = np.flatnonzero(np.any(slopes != 0, axis=(0, 2)))
         i, j = self.rows[moving].T
-        by_entry = left[:, :, outputs][..., i] * right.swapaxes(-1, -2)[:, :, inputs][..., j]
+        by_entry = left[:, :, outputs[:, None], i] * right[:, :, j, inputs[:, None]]
         slope = by_entry.reshape(k, -1, len(moving)) @ slopes[:, moving]
         slope = slope.reshape(*response.shape, len(z)) * lag[..., None]
         by_delay = -s[:, None] * response
@@ -201,22 +207,15 @@ def shared_responses(
     the values of a part's own parameters at the solver's variables, `point` (p,).
     Operating points that Newton's method finds and Padé delays are not shared.
     """
-    groups: dict[Any, list[int]] = {}
-    systems: list[Any] = []
-    for k, part in enumerate(parts):
-        local = ca.Function("values", [point], [values(part)])
-        if part.amplitude is not None:
-            systems.append(_sine_test(k, part, local))
-            continue
-        if not isinstance(part.model, StateSpace) or not part.model.states or part.delay != "exact":
-            return None
-        key = id(part.model), repr(sorted(part.at.items())), local.serialize()
-        groups.setdefault(key, []).append(k)
-    systems += [
-        _system(parts, members, point, values(parts[members[0]])) for members in groups.values()
-    ]
-    if None in systems:
+    state_spaces = shared_systems(parts, point, values)
+    if state_spaces is None:
         return None
+    systems: list[SharedSystem | SineTest] = [
+        _sine_test(k, part, ca.Function("values", [point], [values(part)]))
+        for k, part in enumerate(parts)
+        if part.amplitude is not None
+    ]
+    systems += state_spaces
 
     total = sum(len(part.response) for part in parts)
     r, smoothing = ca.SX.sym("r", 2 * total), ca.SX.sym("smoothing")
@@ -224,6 +223,25 @@ def shared_responses(
     pieces = ca.vertsplit(r, [*ends, *(total + ends[1:])])
     responses = [*map(Complex, pieces[: len(parts)], pieces[len(parts) :])]
     return SharedResponses(parts, systems, cost(responses, smoothing), (r, smoothing, data))
+
+
+def shared_systems(
+    parts: Sequence[Problem], point: ca.SX, values: Callable[[Problem], ca.SX]
+) -> list[SharedSystem] | None:
+    """Return the state spaces of all parts but sine tests; None if one is not shared."""
+    groups: dict[Any, list[int]] = {}
+    for k, part in enumerate(parts):
+        if part.amplitude is not None:
+            continue
+        if not isinstance(part.model, StateSpace) or not part.model.states or part.delay != "exact":
+            return None
+        local = ca.Function("values", [point], [values(part)]).serialize()
+        key = id(part.model), repr(sorted(part.at.items())), local
+        groups.setdefault(key, []).append(k)
+    systems = [
+        _system(parts, members, point, values(parts[members[0]])) for members in groups.values()
+    ]
+    return None if None in systems else cast(list[SharedSystem], systems)
 
 
 def _sine_test(k: int, part: Problem, local: ca.Function) -> SineTest:

@@ -91,19 +91,21 @@ def refined_curve(
         grid = np.geomspace(omega.min(), omega.max(), 200)
         grid[1:-1] = _rounded(grid[1:-1], 8)
     curve = response(grid)
+    values = curve.response
     for _ in range(12):
-        steps = np.abs(np.diff(curve.response))
-        turns = np.abs(np.angle(curve.response[1:] * curve.response[:-1].conj()))
-        coarse = (steps > 0.02 * np.abs(curve.response).max()) | (turns > np.radians(5))
-        if not coarse.any() or grid.size > 2000:
+        steps = np.abs(np.diff(values))
+        turns = np.abs(np.angle(values[1:] * values[:-1].conj()))
+        coarse = np.flatnonzero((steps > 0.02 * np.abs(values).max()) | (turns > np.radians(5)))
+        if not coarse.size or grid.size > 2000:
             break
-        grid = np.sort(np.concatenate([grid, np.sqrt(grid[:-1] * grid[1:])[coarse]]))
-        curve = response(grid)
+        between = np.sqrt(grid[coarse] * grid[coarse + 1])
+        values = np.insert(values, coarse + 1, response(between).response)
+        grid = np.insert(grid, coarse + 1, between)
 
     # A figure shows four digits, and a curve of all digits is half of what a study stores. The
     # frequencies keep more: beside a resonance their steps are small.
-    real, imaginary = curve.response.real, curve.response.imag
-    return replace(curve, response=_rounded(real, 6) + 1j * _rounded(imaginary, 6))
+    rounded = _rounded(values.real, 6) + 1j * _rounded(values.imag, 6)
+    return replace(curve, omega=grid, response=rounded)
 
 
 def _rounded(values: Array, digits: int) -> Array:

@@ -60,11 +60,12 @@ class EquationErrors:
                 moves = S[:, None, :, :n][..., at] @ inverse @ jacobian[:, :, input, :n][:, :, at]
                 jacobian[:, :, input] += moves
             for c in range(k):
-                rows = (weight[..., None] * jacobian[c]).reshape(-1, p)
+                weighted = (weight[..., None] * jacobian[c]).reshape(-1, p)
+                rows = np.concatenate([weighted.real, weighted.imag])
                 errors = (weight * error[c]).ravel()
                 cost[c] += np.vdot(errors, errors).real
-                gradient[:, c] += 2 * (rows.conj().T @ errors).real
-                hessian[:, c] += 2 * (rows.conj().T @ rows).real.ravel()
+                gradient[:, c] += 2 * np.concatenate([errors.real, errors.imag]) @ rows
+                hessian[:, c] += 2 * (rows.T @ rows).ravel()
         return cost, gradient, hessian
 
 

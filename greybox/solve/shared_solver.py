@@ -20,9 +20,10 @@ from greybox.solve.minima import Minimum
 from greybox.solve.response_solver import NO_OPTIONS, TOLERANCE, ResponseSolver
 from greybox.solve.runs import Outcome, Run, Runs
 
-# Iterations of a start that did not move, where others are at a minimum. From measured states they
-# take 12, such a start takes up to 250, and its time is that of the whole fit.
-MOST = 100
+# Iterations of a start that did not move, over those of the others where they are at a minimum, and
+# at most. From measured states they take 12, such a start takes up to 250, and its time is that of
+# the whole fit.
+TIMES, MOST = 4, 100
 UNFINISHED = "Maximum_Iterations_Exceeded"
 
 
@@ -71,7 +72,8 @@ class SharedSolver(ResponseSolver):
             z[:, columns], at_minimum[columns] = ends.z, ends.at_minimum
             iterations[columns] = ends.iterations
             if ends.at_minimum.any():
-                limits = {"max_iterations": MOST}
+                typical = int(np.median(ends.iterations[ends.at_minimum]))
+                limits = {"max_iterations": min(TIMES * typical, MOST)}
         return Ends(z, at_minimum, iterations)
 
     def again(
