@@ -51,14 +51,15 @@ class Sobol(Starts):
         """Check number and seed."""
         for name, least in (("number", 1), ("seed", 0)):
             require_whole(f"{name} of starts", getattr(self, name), least)
-        if self.number > MOST:
-            raise ValueError(f"number of starts is {self.number}: give at most {MOST}.")
 
     def __str__(self) -> str:
         return f"{self.number} by Sobol, seed {self.seed}"
 
     def draw(self, parameters: Mapping[str, Parameter]) -> Array:
         """Return the points, spread over the boxes."""
+        # Not before: in a study, too large a number is the failure of this member alone.
+        if self.number > MOST:
+            raise ValueError(f"number of starts is {self.number}: give at most {MOST}.")
         for name, parameter in parameters.items():
             low, high = parameter.box
             if not (math.isfinite(low) and math.isfinite(high)):
@@ -164,6 +165,8 @@ def as_starts(
     ValueError
         For a seed together with a rule, which has its own.
     """
+    if isinstance(starts, float) and starts.is_integer():  # 1e3 in a study file
+        starts = int(starts)
     if isinstance(starts, (int, np.integer)) and not isinstance(starts, bool):
         drawn, declared = Sobol(int(starts), 0 if seed is None else seed), Listed(({},))
         return Chained((declared, Sobol(starts - 1, drawn.seed))) if starts > 1 else declared

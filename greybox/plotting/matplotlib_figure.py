@@ -98,8 +98,10 @@ def draw(
             f"{drawn.size}: give one for each."
         )
     for place, figure in _draw_panels(drawn, figures, hz):
+        # Over rows with names no place is free: the legend stands above them.
+        look = {"loc": "lower left", "bbox_to_anchor": (0, 1)} if figure.panels[0].ticks else {}
         if legend:
-            _draw_legend(place[0], _legend_entries([figure]), fontsize=9)
+            _draw_legend(place[0], _legend_entries([figure]), fontsize=9, **look)
     return drawn
 
 

@@ -42,6 +42,7 @@ Batch = list[tuple[int, Array]]
 Made = Iterator[tuple[int, Array, Outcome]]
 """Number, start and outcome of runs."""
 
+FIRST = 128  # starts; a batch of a thousand takes a second
 # Work of one task, s: two hundred times the overhead of a distributed scheduler, and short enough
 # to show progress and to obey Ctrl-C.
 TASK_SECONDS = 0.3
@@ -76,7 +77,9 @@ def run_all(
         If the stored runs began from other starts.
     """
     memory = memory or Memory()
-    batches = _batches(numbered, solver.together)
+    # Of more starts than one batch, few come first: Ctrl-C soon has an answer.
+    first = FIRST if count > solver.together else solver.together
+    batches = _batches(numbered, first, solver.together)
     remaining = count
     for batch in batches:
         if interrupt_noted() or (remaining < count and stop_requested()):
@@ -144,8 +147,9 @@ def pickled(value: Any) -> bytes:
 unpickled = pickle.loads
 
 
-def _batches(numbered: Iterable[tuple[int, Array]], size: int) -> Iterator[Batch]:
+def _batches(numbered: Iterable[tuple[int, Array]], first: int, size: int) -> Iterator[Batch]:
     iterator = iter(numbered)
+    yield from filter(None, [[*islice(iterator, min(first, size))]])
     while batch := list(islice(iterator, size)):
         yield batch
 

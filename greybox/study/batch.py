@@ -107,7 +107,8 @@ class Member:
         starts = default if self.starts is None else self.starts
         if isinstance(starts, Sequence):
             return len(starts)
-        return starts if isinstance(starts, int) else int(getattr(starts, "number", 1))
+        number = starts if isinstance(starts, int | float) else getattr(starts, "number", 1)
+        return int(number)
 
 
 def batch(
@@ -269,9 +270,14 @@ def _fit_member(
         return
     runs.begin(member.name, is_new=not stored.stored_runs)
 
+    shown = 0.0
+
     def report(done: int, count: int) -> None:
-        text = f"{member.name}: {done} of {counted(count, 'start')}"
-        bar.set_description_str(text)
+        # To draw the bar takes as long as many a start: ten times a second suffice.
+        nonlocal shown
+        if (now := time.monotonic()) > shown + 0.1:
+            bar.set_description_str(f"{member.name}: {done} of {counted(count, 'start')}")
+            shown = now
 
     # The runs are written whatever ends the fit, but an answer only if the search was not cut: the
     # next call would take it for the answer from all starts.

@@ -2,6 +2,8 @@
 
 import time
 
+import numpy as np
+
 from greybox.files.text_table import number
 from greybox.study.study import Study
 
@@ -10,11 +12,11 @@ def progress(study: Study) -> str:
     """Return the counts, the time left, and the failures so far."""
     times = (float(member.answer.get("finished", 0.0)) for member in study.members)
     ends = sorted(filter(None, times))[-20:]
-    # The last twenty members say how long those that are left take.
     left = study.count("unfinished")
     lines = [study.state]
-    if left and len(ends) > 1:
-        seconds = (ends[-1] - ends[0]) / (len(ends) - 1)
+    if left and len(ends) > 2:
+        # The last members say how long the others take; the longest interval may be a pause.
+        seconds = float(np.mean(np.sort(np.diff(ends))[:-1]))
         lines.append(
             f"about {number(left * seconds / 60, 2)} min left, at {number(seconds, 2)} s a member; "
             f"the last one ended {number(time.time() - ends[-1], 2)} s ago."

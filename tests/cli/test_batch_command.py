@@ -290,3 +290,12 @@ def test_a_study_resumes_where_its_folder_is_moved(study, capsys, tmp_path):
     status, result, _ = answer(capsys, "batch", "--resume", moved)
     assert [m["runs"] for m in result["members"]] == [8] * 3
     assert not any(str(here).encode() in path.read_bytes() for path in moved.rglob("*.*"))
+
+
+def test_too_many_starts_of_a_member_do_not_stop_the_rest(study, capsys):
+    study.write_text(TWO_SEEDS.replace("12", "[1e12, 4]"))
+    status, found, _ = answer(capsys, "batch", study, "--out", "out")
+    assert status == 1
+    failures = {m["name"]: m["error"] for m in found["members"] if m["status"] == "failed"}
+    assert len(failures) == len(found["members"]) / 2
+    assert all("give at most" in error for error in failures.values())

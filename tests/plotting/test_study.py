@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from small_study import SPEEDS
 
 import greybox as gb
@@ -75,6 +76,14 @@ def test_names_stand_at_the_axes(small_study):
     assert spans
     assert all(np.ptp(span[:, 1]) == 0 < np.ptp(span[:, 0]) for span in spans)
     assert gb.plotting.trend(small_study, "K", SPEEDS).get_ylabel() == "K"
+
+
+def test_the_legend_in_the_axes_of_a_user_covers_no_row(small_study):
+    ax = Figure(layout="constrained").subplots()
+    gb.plotting.structures(small_study, ax)
+    ax.figure.draw_without_rendering()
+    legend, rows = ax.get_legend().get_window_extent(), ax.get_window_extent()
+    assert rows.y1 <= legend.y0 < legend.y1 <= ax.figure.bbox.y1
 
 
 def test_estimates_of_fits_have_a_row_each_and_a_color_a_structure(small_study):

@@ -104,8 +104,9 @@ def test_the_progress_of_a_study_has_the_time_left_and_what_failed(small_study, 
     def member(number, **answer):
         return StudyMember(small_study.folder, number, f"m{number}", answer, 0)
 
+    # An hour passed between the third and the fourth member.
     done = [
-        replace(m, answer={**m.answer, "finished": 10.0 * k})
+        replace(m, answer={**m.answer, "finished": 10.0 * k - 3600 * (k < 4)})
         for k, m in enumerate(small_study.done, 1)
     ]
     broken = replace(small_study["broken"], answer={"error": small_study["broken"].error})
