@@ -86,7 +86,8 @@ def _stated_fit(options: argparse.Namespace) -> Callable[..., Fit]:
     """Return a function that fits the problem, given a store of runs and an executor."""
     # A problem file suggests starts and seed; the command line has the last word.
     problem, settings = stated_problem(vars(options))
-    if options.factored and not all(isinstance(p.data, FrequencyResponse) for p in problem.parts):
+    responses = problem.parts_with(FrequencyResponse)
+    if options.factored and len(responses) < len(problem.parts):
         raise UsageError(f"--factored is for frequency responses; {problem.name} has other data.")
     for name in ("starts", "seed"):
         if getattr(options, name) is not None:

@@ -1,12 +1,13 @@
 """The compiled problem: its parts and constraints as functions of the solver's variables."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
 
+from greybox.compiled.limits import limits_of
 from greybox.compiled.part import Part
 from greybox.compiled.record_part import compile_records
 from greybox.compiled.response_part import ResponsePart
@@ -15,6 +16,7 @@ from greybox.compiled.scaling import Scaling, scaling_of
 from greybox.compiled.transcription.method import Transcription
 from greybox.compiled.transcription.multiple_shooting import MultipleShooting
 from greybox.compiled.transient_part import compile_spectrum
+from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import Array, ComplexArray
@@ -24,6 +26,7 @@ from greybox.formulation.sum import Sum
 from greybox.modeling.one_thread import one_thread_at_a_time
 
 AnyProblem = Problem | Sum[Problem]
+PartKind = TypeVar("PartKind", bound=Part)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,15 +49,15 @@ class CompiledProblem:
         How records are transcribed.
     parts : tuple of Part
         In the order of the problem's.
+    constraint : casadi.Function
+        (all values) -> what must be >= 0, stacked.
+    limits : tuple of str
+        What each of these is, in words.
     programs : tuple of CostProgram
         What IPOPT minimizes for frequency responses, one after the other: with the criteria that
         locate the minimum, where they differ, then with the problem's own.
     zero_costs : array
         The cost of a zero response, by frequency response, as the first program weighs it.
-    constraint : casadi.Function
-        (all values) -> what must be >= 0, stacked.
-    limits : tuple of str
-        What each of these is, in words.
     data : (g,) array
         The constants and the data of all frequency responses, an input of their functions.
     response_cost : casadi.Function
@@ -62,6 +65,8 @@ class CompiledProblem:
         stacked.
     responses : casadi.Function
         (all values) -> real and imaginary parts of all frequency responses, stacked: (2 N,).
+
+    From `programs` on, the attributes are empty where no data are frequency responses.
     """
 
     problem: AnyProblem
@@ -73,17 +78,21 @@ class CompiledProblem:
     scaling: Scaling
     method: Transcription
     parts: tuple[Part, ...]
-    programs: tuple[CostProgram, ...]
-    zero_costs: Array
     constraint: ca.Function
     limits: tuple[str, ...]
-    data: Array
-    response_cost: ca.Function
-    responses: ca.Function
+    programs: tuple[CostProgram, ...] = ()
+    zero_costs: Array = field(default_factory=lambda: np.zeros(0))
+    data: Array = field(default_factory=lambda: np.zeros(0))
+    response_cost: ca.Function = field(default_factory=ca.Function)
+    responses: ca.Function = field(default_factory=ca.Function)
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the problem with the user's classes: solvers do not need it."""
         return {name: value for name, value in vars(self).items() if name != "problem"}
+
+    def parts_of(self, kind: type[PartKind]) -> list[PartKind]:
+        """Return the parts of one class."""
+        return [part for part in self.parts if isinstance(part, kind)]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -94,6 +103,10 @@ class CompiledProblem:
     def program(self) -> ca.Function:
         """(z, smoothing, data) -> the cost of the frequency responses, and what must be >= 0."""
         return self.programs[-1].function
+
+    def limits_at(self, z: Any) -> Any:
+        """Return what must be >= 0 at symbols z (p,) of the solver's variables."""
+        return self.constraint(ca.vertcat(*self.scaling.expressions(z), *self.constant_values))
 
     def all_values(self, x: Array) -> Array:
         """Append the constants to unknowns x (..., p)."""
@@ -115,8 +128,7 @@ class CompiledProblem:
 
     def data_of(self, constants: Array, responses: Iterable[ComplexArray]) -> Array:
         """Return the data (g,) for other constants (c,) and other measured responses."""
-        parts = [part for part in self.parts if isinstance(part, ResponsePart)]
-        pairs = zip(parts, responses, strict=True)
+        pairs = zip(self.parts_of(ResponsePart), responses, strict=True)
         return np.concatenate([constants, *(part.numbers_of(each) for part, each in pairs)])
 
     @property
@@ -125,7 +137,7 @@ class CompiledProblem:
 
     def signatures(self, x: Array) -> Array:
         """Return the signatures (r, 2 N) of the responses for x (r, p), see `Part.signature`."""
-        sizes = [part.magnitude for part in self.parts if isinstance(part, ResponsePart)]
+        sizes = [part.magnitude for part in self.parts_of(ResponsePart)]
         # Over the measured magnitudes, so that responses of unlike units can be compared.
         responses = np.asarray(self.responses(self.all_values(x).T))
         return (responses / np.concatenate([np.zeros(0), *sizes, *sizes])[:, None]).T
@@ -164,17 +176,19 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
 
     point = ca.SX.sym("z", len(free))
     named = values_at(point, constant_values)
-    responses = ResponseCompiler(problem, names, constant_values, point, values_at)
-    response_parts, functions = responses.compiled()
-    parts: dict[Problem, Part] = {**response_parts}
-    for part in problem.parts:
-        if isinstance(part.data, TransientSpectrum):
-            parts[part] = compile_spectrum(part, named, point)
-
-    recorded = [part for part in problem.parts if isinstance(part.data, Record)]
-    record_parts = compile_records(recorded, named, point, method)
-    parts |= dict(zip(recorded, record_parts, strict=True))
-    method = record_parts[0].model.method if record_parts else method
+    limits, constraint = limits_of(problem, names)
+    parts: dict[Problem, Part] = {}
+    functions: dict[str, Any] = {}
+    if problem.parts_with(FrequencyResponse):
+        responses = ResponseCompiler(problem, names, constant_values, point, values_at, constraint)
+        response_parts, functions = responses.compiled()
+        parts |= response_parts
+    for part in problem.parts_with(TransientSpectrum):
+        parts[part] = compile_spectrum(part, named, point)
+    if recorded := problem.parts_with(Record):
+        record_parts = compile_records(recorded, named, point, method)
+        parts |= zip(recorded, record_parts, strict=True)
+        method = record_parts[0].model.method
 
     return CompiledProblem(
         problem=problem,
@@ -186,5 +200,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         scaling=scaling,
         method=method,
         parts=tuple(parts[part] for part in problem.parts),
+        constraint=constraint,
+        limits=limits,
         **functions,
     )

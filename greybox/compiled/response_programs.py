@@ -21,7 +21,6 @@ import numpy as np
 
 from greybox.compiled.alike_terms import SecondOrder
 from greybox.compiled.data_input import DataInput
-from greybox.compiled.limits import limits_at
 from greybox.compiled.response_map import LARGE, Mapped, lagrangian_hessian
 from greybox.compiled.response_part import ResponseFunctions, ResponsePart
 from greybox.compiled.shared_response import (
@@ -117,7 +116,8 @@ class ResponseCompiler:
     """The frequency responses of a problem as expressions, and the functions that follow.
 
     `names` are those of all values; `values_at` turns symbols of the solver's variables, such as
-    `point` (p,), and of the constants into these values by name.
+    `point` (p,), and of the constants into these values by name, of which `constraint` makes what
+    must be >= 0.
     """
 
     def __init__(
@@ -127,11 +127,12 @@ class ResponseCompiler:
         constants: Array,
         point: ca.SX,
         values_at: Callable[[Any, Any], Named],
+        constraint: ca.Function,
     ) -> None:
         self.problem, self.constants, self.point = problem, constants, point
         self.names = names
-        self.values_at = values_at
-        self.parts = [part for part in problem.parts if isinstance(part.data, FrequencyResponse)]
+        self.values_at, self.constraint = values_at, constraint
+        self.parts: list[Problem] = problem.parts_with(FrequencyResponse)
         self.weights = solver_weights(self.parts)
         self.source = DataInput(constants, self.parts)
         is_located = any(_own_criterion(part).locator is not None for part in self.parts)
@@ -147,8 +148,6 @@ class ResponseCompiler:
 
         self.x = self.kind.sym("x", len(names))
         by_name = dict(zip(names, ca.vertsplit(self.x), strict=True))
-        # Limits take the kind of the responses, so that one function can hold both.
-        self.limits, self.constraint = limits_at(problem, by_name, self.kind)
         self.responses = self.responses_at(by_name)
         self.z = self.kind.sym("z", point.numel())
         self.smoothing = self.kind.sym("smoothing")
@@ -170,7 +169,11 @@ class ResponseCompiler:
         parts = {part: ResponsePart(part, each, data, is_open) for part, each, is_open in columns}
         zero = [cost_of_zero(_locator(part), part.response) for part in parts]
         zero_costs = np.array(self.weights) * zero
-        return parts, {**programs, "limits": self.limits, "data": data, "zero_costs": zero_costs}
+        return parts, {**programs, "data": data, "zero_costs": zero_costs}
+
+    def limits(self, named: Named) -> Any:
+        """Return what must be >= 0 at values by name."""
+        return self.constraint(ca.vertcat(*named.values()))
 
     def responses_at(self, named: Named) -> list[Complex]:
         """Return the responses of all parts at values by name."""
@@ -210,7 +213,12 @@ class ResponseCompiler:
         return ca.Function(
             "structure",
             [self.x, self.z, self.smoothing, self.data],
-            [self.stacked, self.constraint, ca.vertcat(*costs), ca.vertcat(*self.named.values())],
+            [
+                self.stacked,
+                self.constraint(self.x),
+                ca.vertcat(*costs),
+                ca.vertcat(*self.named.values()),
+            ],
         )
 
     def built(self) -> tuple[list[ResponseFunctions], dict[str, Any]]:
@@ -238,7 +246,6 @@ class ResponseCompiler:
             "programs": programs,
             "response_cost": ca.Function("cost", [x, data], [ca.vertcat(kind(0, 1), *costs)]),
             "responses": ca.Function("responses", [x], [self.stacked]),
-            "constraint": ca.Function("constraint", [x], [self.constraint]),
         }
 
     def program(self, costs: Sequence[Any], choose: ChooseCriterion) -> CostProgram:
@@ -247,9 +254,8 @@ class ResponseCompiler:
         if self.kind is ca.MX and len(trimmed) == len(self.parts):
             return self.program_at_roots(trimmed, choose)
 
-        total = self.kind(self.weighted(costs))
-        _, limits = limits_at(self.problem, self.named, self.kind)
-        function = ca.Function("program", [self.z, self.smoothing, self.data], [total, limits])
+        outputs = [self.kind(self.weighted(costs)), self.limits(self.named)]
+        function = ca.Function("program", [self.z, self.smoothing, self.data], outputs)
         explicit = function if self.kind is ca.SX else None
         large = None if fits_a_batch(explicit) else self.shared(choose)
         derivatives = self.derivatives(choose) if self.mapped and not large else {}
@@ -277,7 +283,7 @@ class ResponseCompiler:
             [self.point, s, given, w],
             [
                 ca.SX(self.weighted(self.costs(responses, measured, s, choose))),
-                limits_at(self.problem, named, ca.SX)[1],
+                self.limits(named),
             ],
             {"cse": True},
         )
@@ -307,8 +313,7 @@ class ResponseCompiler:
             )
             for part, given, response, weight in columns
         ]
-        _, limits = limits_at(self.problem, named, ca.SX)
-        return {"hess_lag": lagrangian_hessian(terms, self.point, data, limits)}
+        return {"hess_lag": lagrangian_hessian(terms, self.point, data, self.limits(named))}
 
     def systems(self) -> dict[int, SharedSystem]:
         """Return the systems of the parts that share their solves, at all values x."""
@@ -319,7 +324,7 @@ class ResponseCompiler:
 
     def shared(self, choose: ChooseCriterion) -> SharedResponses | None:
         """Return the cost in numpy, if the responses share their solves."""
-        if self.limits or len(self.parts) < len(self.problem.parts):
+        if self.constraint.numel_out() or len(self.parts) < len(self.problem.parts):
             return None
         data, _, measured = self.at_point()
         named = self.values_at(self.point, self.constants)

@@ -132,7 +132,7 @@ def profiled_where_misleading(nlp: CompiledProblem, fit: Fit) -> Profiles | None
     """Profile the parameters whose standard error misleads; None if there are none."""
     # A profile takes some forty solves. Problems too large for the batched search, records with
     # states and long tables would take minutes: only the user can ask for these.
-    if fit.white is None or nlp.limits or nlp.programs[-1].roots or fit.priors:
+    if fit.white is None or nlp.limits or any(p.roots for p in nlp.programs) or fit.priors:
         return None
     static = all(isinstance(part, RecordPart) and part.is_static for part in nlp.parts)
     if not (static or (len(fit.responses) == len(fit.parts) and ResponseSolver.serves(nlp))):
@@ -336,9 +336,7 @@ def _refusals(nlp: CompiledProblem, x: Array) -> Iterator[str]:
     # The costs of records are log-likelihoods. The cost of a response is one, up to a factor, if
     # every point has the same weight in units of its error: then the curvature gives the factor.
     values = nlp.all_values(x)
-    for part in nlp.parts:
-        if not isinstance(part, ResponsePart):
-            continue
+    for part in nlp.parts_of(ResponsePart):
         bread, meat = part.criterion.spread(part.response(values), part.data, 1.0)
         if not np.isfinite(bread) or not meat.size or not np.all(meat > 0):
             yield f"{part.problem.name!r} is fitted exactly, so the size of its errors is unknown"

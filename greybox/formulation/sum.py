@@ -31,6 +31,10 @@ class Addable:
     def as_added(self) -> tuple[Any, ...]:
         """The parts as they were added, with their own criteria and unnumbered biases."""
 
+    def parts_with(self: Any, kind: Any) -> list[Any]:
+        """Return the parts with data of a kind, such as `Record`."""
+        return [part for part in self.parts if isinstance(part.data, kind)]
+
     def __add__(self, other: Any) -> "Sum[Any]":
         if not isinstance(other, Addable):
             return NotImplemented
@@ -74,7 +78,7 @@ class Sum(Addable, Generic[Part]):
 
     def __post_init__(self) -> None:
         """Choose criteria whose costs add, number biases, merge parameters, compare ties."""
-        _require_data_once(self.parts)
+        _require_data_once(self)
         # Stored for further sums: `a + b + c` must number biases once, over all records.
         object.__setattr__(self, "_as_added", self.parts)
         object.__setattr__(self, "parts", with_numbered_biases(_with_costs_that_add(self.parts)))
@@ -142,7 +146,7 @@ class Sum(Addable, Generic[Part]):
         return one_line(self, repr(self.name), counted(len(self.parts), "part"))
 
 
-def _require_data_once(parts: Sequence[Any]) -> None:
+def _require_data_once(problem: Sum[Any]) -> None:
     """Refuse a record beside a response or a spectrum that was estimated from a stretch of it.
 
     Their errors are the same, so that adding their likelihoods would count the information twice.
@@ -152,15 +156,19 @@ def _require_data_once(parts: Sequence[Any]) -> None:
     ValueError
         With the stretch.
     """
-    records = [part for part in parts if isinstance(part.data, Record)]
-    for part in parts:
-        if isinstance(part.data, FrequencyResponse):
-            noun, stretches = "response", tuple(part.data.stretches)
-        elif isinstance(part.data, TransientSpectrum):
-            noun, stretches = "spectrum", () if part.data.stretch is None else (part.data.stretch,)
-        else:
-            continue
-        for stretch in stretches:
+    records = problem.parts_with(Record)
+    estimated = [
+        *(
+            ("response", part, part.data.stretches)
+            for part in problem.parts_with(FrequencyResponse)
+        ),
+        *(
+            ("spectrum", part, [part.data.stretch])
+            for part in problem.parts_with(TransientSpectrum)
+        ),
+    ]
+    for noun, part, stretches in estimated:
+        for stretch in filter(None, stretches):
             used = next((record for record in records if _holds(record.data, stretch)), None)
             if used is not None:
                 raise ValueError(

@@ -45,7 +45,7 @@ def with_pseudo_values(nlp: CompiledProblem, x: Array) -> CompiledProblem:
 
 
 def _is_robust(nlp: CompiledProblem) -> bool:
-    return any(isinstance(part, RecordPart) and part.model.has_bounded_errors for part in nlp.parts)
+    return any(part.model.has_bounded_errors for part in nlp.parts_of(RecordPart))
 
 
 def _pseudo_values(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> CompiledProblem:

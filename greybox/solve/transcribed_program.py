@@ -53,7 +53,7 @@ class TranscribedProgram(LocalSolver):
         error = ca.vertcat(*[math.sqrt(weight) * program.error for weight, program in weighted])
         cost = sum((weight * program.cost for weight, program in weighted), ca.MX(0.0))
         equations = ca.vertcat(*[program.equations for program in self._programs])
-        _, limits = nlp.program(z, 0.0, nlp.data)
+        limits = nlp.limits_at(z)
         constraints = ca.vertcat(equations, limits)
         statement = {
             "x": unknowns,

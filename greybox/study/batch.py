@@ -102,8 +102,9 @@ class Member:
     @property
     def start_count(self) -> int:
         """Number of starts; without one, the default number."""
-        responses = all(isinstance(part.data, FrequencyResponse) for part in self.problem.parts)
-        default = ResponseSolver.starts if responses else LocalSolver.starts
+        responses = self.problem.parts_with(FrequencyResponse)
+        alone = len(responses) == len(self.problem.parts)
+        default = ResponseSolver.starts if alone else LocalSolver.starts
         starts = default if self.starts is None else self.starts
         if isinstance(starts, Sequence):
             return len(starts)

@@ -132,9 +132,9 @@ class RecordReplicates(Replicates):
     def run(self, start: Array) -> Outcome:
         """Refit the replicate with this number (1,)."""
         began = time.perf_counter()
-        records = [part for part in self.nlp.parts if isinstance(part, RecordPart)]
         _, outputs = self.draws.of(int(start[0]))
-        parts = [part.with_outputs(o) for part, o in zip(records, outputs, strict=True)]
+        pairs = zip(self.nlp.parts_of(RecordPart), outputs, strict=True)
+        parts = [part.with_outputs(rows) for part, rows in pairs]
 
         # Only the data change: what was compiled is shared with the original.
         nlp = copy(self.nlp)

@@ -96,7 +96,7 @@ def stated_problem(
         problem = _with_criterion(problem, options["criterion"])
     if "method" in options:
         settings["method"] = _method(options["method"])
-        if not any(isinstance(part.data, Record) for part in problem.parts):
+        if not problem.parts_with(Record):
             raise ValueError(
                 f"method=... is for records and {problem.name} has none: leave it out."
             )

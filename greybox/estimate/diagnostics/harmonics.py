@@ -29,9 +29,9 @@ def harmonic_warnings(nlp: CompiledProblem, x: Array) -> Iterator[str]:
     """Warn if more harmonics would change the estimate `x` (p,) noticeably."""
     values = nlp.all_values(x)
     named = dict(zip(nlp.names, values.tolist(), strict=True))
-    for part in nlp.parts:
+    for part in nlp.parts_of(ResponsePart):
         problem, sine = part.problem, part.problem.amplitude
-        if not isinstance(part, ResponsePart) or sine is None or not sine.harmonics:
+        if sine is None or not sine.harmonics:
             continue
         more = min(2 * sine.harmonics + 3, MOST_HARMONICS)
         few = part.response(values)

@@ -63,7 +63,7 @@ class Deviation:
 def outlying_points(nlp: CompiledProblem, x: Array) -> Iterator[str]:
     """Name outliers of responses at `x` (p,), and errors whose sizes are not as assumed."""
     values = nlp.all_values(x)
-    responses = [part for part in nlp.parts if isinstance(part, ResponsePart)]
+    responses = nlp.parts_of(ResponsePart)
     points = sum(len(part.data) for part in responses)
     deviations = [(largest_deviation(part, values, len(nlp.free)), part) for part in responses]
     outliers = [(d, part) for d, part in deviations if d and points * d.probability < SIZE]

@@ -34,14 +34,11 @@ FLATTENED = 0.04
 
 def finding_warnings(nlp: CompiledProblem) -> Iterator[str]:
     """Repeat the findings of the log reader: restarts of the clock, lost lines."""
-    records = [
-        (part.name, part.data) for part in nlp.problem.parts if isinstance(part.data, Record)
-    ]
     return once(
         # Findings of one kind differ in their numbers.
-        (re.sub(r"[\d.]+", "", text), record.name or name, f"data of {name!r}: {text}")
-        for name, record in records
-        for text in record.findings
+        (re.sub(r"[\d.]+", "", text), part.data.name or part.name, f"data of {part.name!r}: {text}")
+        for part in nlp.problem.parts_with(Record)
+        for text in part.data.findings
     )
 
 

@@ -16,7 +16,6 @@ from greybox.compiled.record_group import excerpts
 from greybox.compiled.strategies import Strategies
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
-from greybox.modeling.symbolic_reading import input_symbols
 from greybox.solve.constraints import Limits
 from greybox.solve.gauss_newton.all_parts import COST_ROUNDING, AllParts
 from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Nodes, Progress, relaxed
@@ -275,7 +274,7 @@ class GaussNewton(LocalSolver):
 @one_thread_at_a_time
 def _limits(nlp: CompiledProblem) -> Limits:
     """Return the bounds and constraints in the solver's variables."""
-    z, *_ = input_symbols(nlp.program)
-    _, g = nlp.program(z, 0.0, nlp.data)
+    z = ca.SX.sym("z", len(nlp.free))
+    g = nlp.limits_at(z)
     constraints = ca.Function("constraints", [z], [g, ca.densify(ca.jacobian(g, z))])
     return Limits(nlp.scaling.to_solver(nlp.lower), nlp.scaling.to_solver(nlp.upper), constraints)

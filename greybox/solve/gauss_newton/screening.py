@@ -18,6 +18,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.segments import Segments
+from greybox.compiled.transient_part import TransientPart
 from greybox.files.arrays import Array, BoolArray
 from greybox.solve.constraints import Limits
 from greybox.solve.interruption import reason_to_end
@@ -57,15 +58,14 @@ class Points(NamedTuple):
 
 def can_screen(nlp: CompiledProblem) -> bool:
     """Return whether all records have equally many states, and parameters no constraints."""
-    parts = [part for part in nlp.parts if part.has_states]
-    records = [part for part in parts if isinstance(part, RecordPart) and part.states > 0]
-    one_size = len({part.states for part in records}) == 1
-    return not nlp.limits and len(records) == len(parts) and one_size
+    sizes = {part.states for part in nlp.parts_of(RecordPart)}
+    others = nlp.parts_of(TransientPart)
+    return not (nlp.limits or others) and len(sizes) == 1 and 0 not in sizes
 
 
 def improved(nlp: CompiledProblem, limits: Limits, z: Array) -> Points:
     """Return where a few steps lead from the points z (r, p), judged over whole segments."""
-    parts = [part for part in nlp.parts if isinstance(part, RecordPart)]
+    parts = nlp.parts_of(RecordPart)
     # Some 32 segments, evenly over at most eight records, are enough for a dozen parameters, and an
     # evaluation takes less than a millisecond a start.
     numbers = np.unique(np.linspace(0, len(parts) - 1, 8).round().astype(int))
