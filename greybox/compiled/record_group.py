@@ -95,13 +95,12 @@ class RecordGroup(SegmentedPart):
             initial_slope=initial_slope.reshape(count, n, active)[index],
         )
 
-    def initial_nodes(self, placed: Placed) -> Array:
+    def initial_nodes(self, q: Array, known: Array) -> Array:
         """Return nodes (s, n) from the data of each record."""
         nodes = []
         for k, (part, rows) in enumerate(zip(self.parts, self.segments.record_rows, strict=True)):
-            q = placed.q if placed.q.ndim == 1 else placed.q[:, rows.start]
-            known = placed.initial if placed.initial.ndim == 1 else placed.initial[k]
-            nodes.append(part.nodes_from_data(q, known))
+            q_of_part = q if q.ndim == 1 else q[:, rows.start]
+            nodes.append(part.initial_nodes(q_of_part, known if known.ndim == 1 else known[k]))
         return np.concatenate(nodes)
 
 

@@ -168,15 +168,8 @@ class RecordPart(SegmentedPart):
         """Measured outputs and inputs at the nodes."""
         return at_samples(self.data, self.data.segment_length)
 
-    def initial_nodes(self, placed: Placed) -> Array:
+    def initial_nodes(self, q: Array, known: Array) -> Array:
         """Return nodes (s, n) from the data."""
-        return self.nodes_from_data(placed.q, placed.initial)
-
-    def nodes_from_data(self, q: Array, known: Array) -> Array:
-        """Return nodes (s, n) at the declared parameters and the known initial states (n,).
-
-        Unknown initial states are NaN.
-        """
         p = q[: len(self.system.parameters)]
         outputs, inputs = self.at_nodes
         return self.model.initial_states.at(outputs, inputs, p, known).T

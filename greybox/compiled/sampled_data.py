@@ -102,14 +102,6 @@ class SampledData:
         return np.concatenate([np.arange(count) == 0 for count in self.segment_counts])
 
     @property
-    def begins_record(self) -> BoolArray:
-        """Which segment (s,), if any, begins with the first sample of the record."""
-        counts = zip(self.segment_counts, self.stretches, strict=True)
-        return np.concatenate(
-            [np.arange(count) + stretch.rows[0] == 0 for count, stretch in counts]
-        )
-
-    @property
     def coupled(self) -> BoolArray:
         """Which segments (s,) are followed by another of the same stretch."""
         return np.append(~self.begins_stretch[1:], False)

@@ -105,8 +105,8 @@ class SegmentedPart(Part):
         """Return the parameters and the data at z (p,)."""
 
     @abstractmethod
-    def initial_nodes(self, placed: Placed) -> Array:
-        """Return nodes (s, n) from the data."""
+    def initial_nodes(self, q: Array, known: Array) -> Array:
+        """Return nodes (s, n) from the data, for q and known initial states as in `Placed`."""
 
     def data_at(self, delays: Array) -> Array:
         """Return the data of all samples, (width, columns), inputs placed for these delays (m,).
@@ -129,8 +129,11 @@ class SegmentedPart(Part):
     @cached_property
     def known_states(self) -> BoolArray:
         """Which states (s, n) are known at the beginning of a segment: stated ones, and delays."""
-        known = self.data.begins_record[:, None] & self.model.known_states
-        known[self.data.begins_stretch, self.driven :] = True
+        known = np.zeros((self.segments.count, self.states), dtype=bool)
+        begins = self.data.begins_stretch
+        at_first = np.array([stretch.rows[0] == 0 for stretch in self.data.stretches])
+        known[begins] = at_first[:, None] & self.model.known_states
+        known[begins, self.driven :] = True
         return known
 
     @cached_property
@@ -153,7 +156,7 @@ class SegmentedPart(Part):
         By default the nodes come from the data, see `initial_states`.
         """
         placed = self.place(z)
-        nodes = self.initial_nodes(placed) if nodes is None else nodes
+        nodes = self.initial_nodes(placed.q, placed.initial) if nodes is None else nodes
         segments, at = self.segments, (placed.q, placed.data)
         initial = placed.initial if placed.initial.ndim == 1 else placed.initial[segments.records]
         nodes = np.where(self.known_states, initial + self.delays_at_rest, nodes)

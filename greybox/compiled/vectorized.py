@@ -115,15 +115,13 @@ class Columns:
                 self._layouts.clear()
             # A ufunc takes 0.2 µs for any number of columns, CasADi's operation 1.6 ns for each.
             # But the layout takes 10 µs an operation, which many operations do not earn back.
-            fewest = max(self._fewest, LARGE_FEWEST if self._is_large else FEWEST)
+            f = self.function
+            is_large = f.is_a("SXFunction") and f.n_instructions() > LARGE
+            fewest = max(self._fewest, LARGE_FEWEST if is_large else FEWEST)
             use_casadi = m < fewest or not self._has_ufuncs
             kind = _Mapped if use_casadi else _Registers
-            self._layouts[m] = kind(self.function, self._shared, m)
+            self._layouts[m] = kind(f, self._shared, m)
         return self._layouts[m]
-
-    @property
-    def _is_large(self) -> bool:
-        return self.function.is_a("SXFunction") and self.function.n_instructions() > LARGE
 
     @cached_property
     def _has_ufuncs(self) -> bool:

@@ -16,11 +16,9 @@ import numpy as np
 
 from greybox.compiled.disturbances import DisturbedRecord
 from greybox.compiled.record_part import RecordPart
-from greybox.data.record import Record
 from greybox.files.arrays import Array
 from greybox.files.text_table import number
 from greybox.formulation.input_assumptions import is_stated
-from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.colored_disturbance import undisturbed
 from greybox.modeling.model import Names
 from greybox.modeling.state_space import StateSpace
@@ -235,10 +233,8 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
     # Where a gain is nearly zero, only a term longer than the record would explain anything.
     step = record.part.data.stretches[0].step
     longest = len(u) * step
-    problem = record.part.problem
-    assert isinstance(problem.data, Record)
-    assert isinstance(problem.criterion, TimeCriterion)
-    half_step = np.inf if is_stated(problem.criterion.inputs, a, problem.data) else step / 2
+    model = record.part.model
+    half_step = np.inf if is_stated(model.criterion.inputs, a, model.record) else step / 2
 
     def term(kind: str, row: Array, level: float = 0.0, scale: float = 1.0) -> Term:
         return Term(kind, lambda: record.by_input(j, row), a, "", level, scale, longest, half_step)

@@ -257,6 +257,18 @@ def test_states_may_jump_by_what_changes_the_outputs_of_a_segment_so_much(made):
     assert_allclose(part.continuity_variance(unseen, 0.7), [wanted[0], 1.0])
 
 
+@pytest.mark.parametrize("first", [0, 1])
+def test_a_given_initial_state_is_that_of_the_first_sample_and_of_no_later_stretch(first):
+    data = spring(60)
+    u = data["F"].copy()
+    u[[30, 0][: 1 + first]] = np.nan
+    known, _ = part_of(data.with_signals(F=u), gb.OutputError(inputs="held", initial={"x": 0.0}))
+    begins = known.known_states[:, 0]
+    assert begins[0] == (not first)
+    assert not begins[1:].any()
+    assert known.data.begins_stretch.sum() == 2
+
+
 def test_a_signature_is_of_up_to_500_samples_in_units_of_the_spread(made):
     part, _, trajectory = made
     found = part.signature(trajectory).reshape(len(part.outputs), -1)

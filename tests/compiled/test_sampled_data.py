@@ -304,19 +304,6 @@ def test_excerpts_of_several_stretches_have_shares_of_the_samples():
     assert [len(s) for s in cut(record(100), segment_length=30).excerpts(20).stretches] == [20] * 5
 
 
-def test_the_first_sample_of_a_record_begins_it_and_no_later_stretch_does():
-    u = np.random.default_rng(2).normal(size=60)
-    u[30] = np.nan
-    assert cut(record(60, u=u), segment_length=20).begins_record.tolist() == [
-        True,
-        False,
-        False,
-        False,
-    ]
-    u[0] = np.nan
-    assert not cut(record(60, u=u), segment_length=20).begins_record.any()
-
-
 def test_every_stretch_may_have_delays_of_its_own():
     u = np.random.default_rng(2).normal(size=40)
     u[20] = np.nan

@@ -53,15 +53,14 @@ class AllParts:
 
     # --- iterates
 
-    def at(self, z: Array, nodes: Nodes, like: Iterate | None = None) -> Iterate:
-        """Return the iterate at z with these nodes, simulated where the iterate `like` is."""
-        flags = [t.simulated for t in like.trajectories] if like else [False] * len(nodes)
-        zipped = zip(self.parts, nodes, flags, strict=True)
-        return Iterate(z, tuple(part.trajectory(z, n, simulated=flag) for part, n, flag in zipped))
+    def at(self, z: Array, nodes: Nodes | None = None, like: Iterate | None = None) -> Iterate:
+        """Return the iterate at z, simulated where the iterate `like` is.
 
-    def from_data(self, z: Array) -> Iterate:
-        """Return the iterate at z whose nodes come from the data."""
-        return Iterate(z, tuple(part.trajectory(z) for part in self.parts))
+        Without `nodes`, they come from the data.
+        """
+        flags = [t.simulated for t in like.trajectories] if like else [False] * len(self.parts)
+        zipped = zip(self.parts, nodes or [None] * len(self.parts), flags, strict=True)
+        return Iterate(z, tuple(part.trajectory(z, n, simulated=flag) for part, n, flag in zipped))
 
     def _along(self, iterate: Iterate, *others: Sequence[Any]) -> Iterator[Any]:
         """Yield every part with its trajectory, and with its member of the others."""
@@ -105,25 +104,24 @@ class AllParts:
             return math.inf
         return float(sum(part.weight * part.cost(t, smoothing) for part, t in self._along(iterate)))
 
-    def squared_cost(self, iterate: Iterate, residual_weights: Sequence[Array]) -> float:
-        """Return half the sum of squares of a finite iterate, with fixed residual weights."""
-        pairs = self._along(iterate, residual_weights)
-        return float(sum(part.weight * part.squared_cost(t, w, SMOOTHING) for part, t, w in pairs))
-
     def gap_cost(self, iterate: Iterate, multipliers: Sequence[Array]) -> float:
         """Return the l1 penalty of the gaps, with multipliers (n,) for every state."""
         pairs = self._along(iterate, multipliers)
         return sum(part.weight * float((np.abs(t.gaps) * m).sum()) for part, t, m in pairs)
 
-    def squared_gap_cost(self, iterate: Iterate, variances: Sequence[Array]) -> float:
-        """Return the quadratic penalty of the gaps, with variances (n,) for every state.
+    def squared_cost(
+        self, iterate: Iterate, residual_weights: Sequence[Array], variances: Sequence[Array]
+    ) -> float:
+        """Return half the weighted squares of residuals and gaps of a finite iterate.
 
-        Gaps of a variance of zero, which the next step closes, do not count.
+        The variances (n,) of the gaps are those of every state. Gaps of a variance of zero, which
+        the next step closes, do not count.
         """
-        return sum(
-            part.weight * float((t.gaps[:, v > 0] ** 2 / v[v > 0]).sum()) / 2
-            for part, t, v in self._along(iterate, variances)
-        )
+        total = 0.0
+        for part, t, weight, v in self._along(iterate, residual_weights, variances):
+            gaps = float((t.gaps[:, v > 0] ** 2 / v[v > 0]).sum()) / 2
+            total += part.weight * (part.squared_cost(t, weight, SMOOTHING) + gaps)
+        return total
 
     def residual_weights(self, iterate: Iterate) -> list[Array]:
         """Return square roots of the inverse residual covariances at an iterate."""

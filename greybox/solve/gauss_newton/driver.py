@@ -98,7 +98,7 @@ class GaussNewton(LocalSolver):
         None without a step.
         """
         progress = self._parts.first_progress(near_solution=near_solution)
-        return self._solved(self._parts.from_data(z), progress)
+        return self._solved(self._parts.at(z), progress)
 
     @DIVERGING
     def solved_from(self, x: Array, nodes: Nodes, iterations: int | None = None) -> Outcome:
@@ -178,7 +178,7 @@ class GaussNewton(LocalSolver):
     @DIVERGING
     def is_finite_at(self, start: Array) -> bool:
         """Return whether the model is finite at the parameters `start` (p,), near the data."""
-        return self._parts.from_data(self._nearest(start)).finite
+        return self._parts.at(self._nearest(start)).finite
 
     @DIVERGING
     def screened(self, starts: Array) -> Screened | None:
@@ -213,7 +213,7 @@ class GaussNewton(LocalSolver):
         if nodes is not None:
             iterate, converged = self._at(x, nodes), True
         else:
-            first = self._parts.from_data(self.nlp.scaling.to_solver(x))
+            first = self._parts.at(self.nlp.scaling.to_solver(x))
             progress, most = self._parts.first_progress(), self.settings.max_iterations
             end = descend(self._parts, first, progress, most, states_only=True)
             iterate, converged = end.iterate, end.status == CONVERGED
@@ -251,7 +251,7 @@ class GaussNewton(LocalSolver):
         None where the model diverges.
         """
         # Three iterations of the nodes are enough for another solver to begin with.
-        end = descend(self._parts, self._parts.from_data(z), relaxed(), 3, states_only=True)
+        end = descend(self._parts, self._parts.at(z), relaxed(), 3, states_only=True)
         if end.status in (NOT_FINITE, SINGULAR):
             return None
         return tuple(self._parts.groups.split(end.iterate.trajectories))

@@ -157,10 +157,6 @@ class Progress:
         """The variances of the gaps in this stage."""
         return [variance * self.stages[0] ** 2 for variance in self.gap_variance]
 
-    def with_gap_variance(self, variances: Sequence[Array]) -> "Progress":
-        """Return the progress with the variances of the gaps that the first linearization gives."""
-        return self if self.gap_variance else replace(self, gap_variance=variances)
-
     def with_penalties(self, step: Step) -> "Progress":
         """Return the progress with the penalties that make the merit function exact for a step."""
         return replace(

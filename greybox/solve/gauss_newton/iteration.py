@@ -70,7 +70,7 @@ def descend(
 
     later = descend(
         parts,
-        parts.from_data(end.iterate.z),
+        parts.at(end.iterate.z),
         parts.first_progress(),
         iterations - end.iterations,
         restarts=False,
@@ -91,7 +91,8 @@ def _iterated(
         # Linearize and step.
         weights = parts.residual_weights(iterate) if progress.is_exact else parts.initial_weights()
         linearizations = parts.linearize(iterate, weights)
-        progress = progress.with_gap_variance(parts.gap_variances(linearizations))
+        if not progress.gap_variance:
+            progress = replace(progress, gap_variance=parts.gap_variances(linearizations))
         nodes_alone = states_only or progress.state_iterations > 0
         step = gauss_newton_step(parts, iterate, linearizations, progress, states_only=nodes_alone)
         hessian = step.hessian

@@ -24,9 +24,8 @@ def merit_function(parts: AllParts, residual_weights: Sequence[Array], progress:
             return math.inf
         violation = progress.constraint_penalty * parts.limits.violation(iterate.z)
         if not progress.is_exact:
-            squares = parts.squared_cost(iterate, residual_weights)
-            gaps = parts.squared_gap_cost(iterate, progress.continuity_variance)
-            return squares + gaps + violation
+            variances = progress.continuity_variance
+            return parts.squared_cost(iterate, residual_weights, variances) + violation
         # An infinite merit shortens the steps that would make a predictor unstable.
         if not are_stable(parts, iterate, simulated=True):
             return math.inf

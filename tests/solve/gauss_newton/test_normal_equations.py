@@ -31,7 +31,7 @@ def prepared(values, **options):
     solver = GaussNewton(nlp)
     parts = AllParts(nlp.parts, nlp.free, solver.limits, nlp.method.strategies)
     z = nlp.scaling.to_solver(np.array([values[name] for name in nlp.free]))
-    start = parts.from_data(z)
+    start = parts.at(z)
     pairs = zip(parts.parts, start.nodes, strict=True)
     iterate = parts.at(z, [part.trajectory(z, n, simulated=True).nodes for part, n in pairs])
     weights = parts.residual_weights(iterate)
@@ -40,7 +40,7 @@ def prepared(values, **options):
 
 
 def relaxed_progress(parts, linearizations):
-    return relaxed().with_gap_variance(parts.gap_variances(linearizations))
+    return replace(relaxed(), gap_variance=parts.gap_variances(linearizations))
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.5])
@@ -84,7 +84,7 @@ def test_nodes_alone_do_not_move_the_parameters():
 def test_held_delays_do_not_move():
     nlp = compile_problem(direct_delay())
     parts = AllParts(nlp.parts, nlp.free, GaussNewton(nlp).limits, nlp.method.strategies)
-    iterate = parts.from_data(
+    iterate = parts.at(
         nlp.scaling.to_solver(np.array([p.start for p in direct_delay().parameters.values()]))
     )
     linearizations = parts.linearize(iterate, parts.initial_weights())
@@ -168,10 +168,12 @@ def test_the_relaxed_merit_is_the_squares_of_residuals_and_gaps_and_infinite_whe
     )
     progress = relaxed_progress(parts, linearizations)
     merit = merit_function(parts, weights, progress)
-    squares, gaps = (
-        parts.squared_cost(gapped, weights),
-        parts.squared_gap_cost(gapped, progress.continuity_variance),
-    )
+    squares, gaps = 0.0, 0.0
+    for part, t, weight, variance in zip(
+        parts.parts, gapped.trajectories, weights, progress.continuity_variance, strict=True
+    ):
+        squares += part.weight * float(np.trace(weight @ t.products @ weight.T)) / 2
+        gaps += part.weight * float((t.gaps**2 / variance).sum()) / 2
     assert gaps > 1e-5 * squares
     assert merit(gapped) == pytest.approx(squares + gaps, rel=1e-9)
     exact = replace(EXACT, multipliers=[np.full(2, 3.0)])
