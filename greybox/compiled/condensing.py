@@ -131,7 +131,7 @@ def solve_continuity(
     numpy.linalg.LinAlgError
         If the system is singular.
     """
-    from scipy.linalg import solve_banded  # noqa: PLC0415  (takes half a second to import)
+    from scipy.linalg.lapack import dgbsv  # noqa: PLC0415  (takes half a second to import)
 
     s, n, r = stationarity.shape
     if n == 0:
@@ -149,26 +149,21 @@ def solve_continuity(
         coupled[:, None], -variance / size**2, 1.0
     )
 
-    # Row i of column j is entry (width + i - j, j) of the bands.
+    # Row i of column j is entry (j, 2 width + i - j) of the transposed bands. LAPACK takes matrices
+    # by column, and keeps `width` more rows for its factors.
     width = 2 * n - 1
-    bands = np.zeros((2 * width + 1, s, 2 * n))
+    bands = np.zeros((s, 2 * n, 3 * width + 1))
     for column in range(2 * n):
-        bands[width - column : width - column + 2 * n, :, column] = block[:, :, column].T
+        bands[:, column, 2 * width - column : 2 * width - column + 2 * n] = block[:, :, column]
     link = np.where(coupled, -1.0, 0.0)[:, None]
-    bands[width + n, :, n:] = link  # of a multiplier, in the row of the next state
-    bands[width - n, 1:, :n] = link[:-1]
+    bands[:, n:, 2 * width + n] = link  # of a multiplier, in the row of the next state
+    bands[1:, :n, 2 * width - n] = link[:-1]
 
     right = np.concatenate([stationarity * size[:, None], gaps], axis=1).reshape(2 * n * s, r)
-    # LAPACK may overwrite the matrix and the right-hand sides, which were made here.
-    solution = solve_banded(
-        (width, width),
-        bands.reshape(2 * width + 1, 2 * n * s),
-        right,
-        overwrite_ab=True,
-        overwrite_b=True,
-        check_finite=False,
-    )
-    if not np.all(np.isfinite(solution)):
+    matrix = bands.reshape(2 * n * s, -1).T
+    # It works in this memory: `scipy.linalg.solve_banded` would copy the bands twice.
+    *_, solution, failure = dgbsv(width, width, matrix, right, overwrite_ab=1, overwrite_b=1)
+    if failure or not np.all(np.isfinite(solution)):
         raise np.linalg.LinAlgError("the nodes of the record are not determined.")
     solution = solution.reshape(s, 2 * n, r)
 

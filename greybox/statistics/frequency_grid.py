@@ -1,9 +1,10 @@
 """Frequencies of a Fourier transform, and the bands over which spectra are compared."""
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -77,9 +78,20 @@ class FrequencyGrid:
 
     def transform(self, weighted: Array, deviation: Array) -> ComplexArray:
         """Return the transforms (k, p, f) of sensitivities (k, p, n) times deviations (k,)."""
-        result = np.fft.rfft(weighted, self.size)
-        result *= deviation[:, None, None]  # in place: they fill the memory of long records
+        result = np.empty((*weighted.shape[:2], len(self.weight)), dtype=complex)
+        # Row by row: they fill the memory of long records, and padded rows would do so again.
+        for place in np.ndindex(weighted.shape[:2]):
+            result[place] = np.fft.rfft(weighted[place], self.size) * deviation[place[0]]
         return result
+
+    @property
+    def parts(self) -> Iterator[tuple[slice, slice]]:
+        """Yield pieces of the frequencies that fit into memory, and the bands in them."""
+        firsts = np.searchsorted(self.starts, np.arange(0, len(self.weight), COLUMNS))
+        edges = [*dict.fromkeys(firsts.tolist()), len(self.starts)]
+        ends = [*self.starts.tolist(), len(self.weight)]
+        for first, end in pairwise(edges):
+            yield slice(ends[first], ends[end]), slice(first, end)
 
     def covariances(
         self, density: Callable[[int, int], ComplexArray], k: int, order: int
@@ -104,8 +116,7 @@ class FrequencyGrid:
         """Return Σ J' Σ_e J (p, p) by the transforms (k, p, frequencies) of all stretches."""
         parts = []
         for transform in transforms:
-            for start in range(0, len(self.weight), COLUMNS):
-                part = slice(start, start + COLUMNS)
+            for part, _ in self.parts:
                 spread = self.spread_out(density, part) * self.weight[part]
                 columns = np.ascontiguousarray(transform[..., part])
                 # As pairs of reals, whose product is the real part of the complex product.
@@ -118,9 +129,12 @@ class FrequencyGrid:
         """Return the correlation times (k,) of spectra (k, b), samples."""
         # An exponential has this share of its sum within its time constant.
         share = 1 - math.exp(-1)
-        covariances = np.fft.irfft(self.spread_out(spectra), self.size)[:, : self.longest]
-        total = np.cumsum(np.abs(covariances), axis=1)
-        return np.sum(total < share * total[:, -1:], axis=1, dtype=float)
+        times = []
+        for spectrum in spectra:
+            covariances = np.fft.irfft(self.spread_out(spectrum), self.size)[: self.longest]
+            total = np.cumsum(np.abs(covariances))
+            times.append(float(np.sum(total < share * total[-1])))
+        return np.array(times)
 
 
 def filtered(density: NDArray, transform: ComplexArray) -> ComplexArray:

@@ -125,14 +125,16 @@ def colored_information(
         nothing = np.zeros_like(inverse)
         return ColoredInformation(nothing, 0.0, 0.0, np.zeros(k), corrected=True, spectrum=None)
 
-    # An output without residuals has no spectrum, and would make matrices singular.
+    # An output without residuals has no spectrum, and would make matrices singular. A slice makes
+    # no copy, which would fill the memory of long records.
+    rows = slice(None) if compared.all() else compared
     spectra = ResidualSpectra(
-        [J[compared] for J in weighted],
-        [e[compared] for e in residuals],
+        [J[rows] for J in weighted],
+        [e[rows] for e in residuals],
         inverse,
         noise[np.ix_(compared, compared)],
-        None if initial is None else [X[compared] for X in initial],
-        None if shocks is None else lambda: shocks()[compared],
+        None if initial is None else [X[rows] for X in initial],
+        None if shocks is None else lambda: shocks()[rows],
     )
     mixture, corrected = _corrected_mixture(spectra)
     meat = spectra.grid.score_covariance(spectra.transforms(), mixture.density)
@@ -287,9 +289,15 @@ class ResidualSpectra:
     @cached_property
     def power(self) -> ComplexArray:
         """Power (k, k, b) of the sensitivities, whose mean product with a spectrum is tr(B⁻¹ M)."""
-        rooted = (self.root.T @ transform for transform in self.transforms())
-        powers = [self.grid.banded(np.einsum("ipf,jpf->ijf", H.conj(), H)) for H in rooted]
-        return np.sum(powers, axis=0)
+        grid, k = self.grid, len(self.counts)
+        total = np.zeros((k, k, len(grid.starts)), dtype=complex)
+        for transform in self.transforms():
+            for part, bands in grid.parts:
+                H = self.root.T @ transform[..., part]
+                power = np.einsum("ipf,jpf->ijf", H.conj(), H) * grid.weight[part]
+                starts = grid.starts[bands] - part.start
+                total[..., bands] += np.add.reduceat(power, starts, axis=-1)
+        return total / grid.band_weight
 
     @cached_property
     def slow(self) -> Array:
@@ -307,10 +315,17 @@ class ResidualSpectra:
     def transforms(self) -> Iterator[ComplexArray]:
         """Yield the transforms (k, p, frequencies) of the weighted sensitivities of every stretch.
 
-        They are not stored, since they fill the memory of long records.
+        Those of many stretches are not stored: each has as many frequencies as the longest one.
         """
+        if len(self.weighted) == 1:
+            yield self._only_transform
+            return
         for J in self.weighted:
             yield self.grid.transform(J, self.deviation)
+
+    @cached_property
+    def _only_transform(self) -> ComplexArray:
+        return self.grid.transform(self.weighted[0], self.deviation)
 
     def mixture(self, lags: Array, banded: ComplexArray) -> AveragedSpectrum:
         """Return the average of the spectra that may have caused a periodogram."""
