@@ -277,6 +277,8 @@ class Part(ABC):
         True when there are hidden unknowns, which IPOPT sees only after transcription.
     has_nodes : bool
         True when segments begin at nodes, whose gaps a homotopy closes.
+    is_static : bool
+        Whether the outputs depend only on the inputs of the same moment.
     unknown_initial_states : int
         Initial states that are estimated with the parameters.
     gains : tuple of (str, str)
@@ -288,6 +290,7 @@ class Part(ABC):
     substeps: int = 0
     has_states: bool = False
     has_nodes: bool = False
+    is_static: bool = False
     unknown_initial_states: int = 0
     gains: tuple[tuple[str, str], ...] = ()
 

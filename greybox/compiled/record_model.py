@@ -126,7 +126,6 @@ def record_model(
 
     Functions that equal those of one of the `others` are shared with it.
     """
-    assert isinstance(problem.data, Record)
     kind = _kind(problem)
     kin = next((model for model in others if model.kind == kind), None)
     if kin is None:
@@ -151,8 +150,8 @@ def record_model(
         name=problem.name,
         weight=float(problem.weight),
         begin=np.array([*begin.values()], dtype=float)[: len(kin.system.parameters)],
-        record=problem.data,
-        has_time=problem.data.has_time,
+        record=problem.record,
+        has_time=problem.record.has_time,
         outside_names=tuple(map(problem.outside, kin.parameters)),
         active=np.array(active, dtype=int),
         locate=ca.Function("locate", [z], [q, ca.densify(slope[active, :]), ca.densify(delay)]),
@@ -165,7 +164,6 @@ def _first_of_its_kind(
     problem: Problem, kind: tuple[Any, ...], method: Transcription
 ) -> RecordModel:
     """Compile the functions that records of one kind share; those of z are left empty."""
-    assert isinstance(problem.data, Record)
     criterion, delay, parameters, outputs, between, _ = kind
     initial_values = criterion.initial
     # Instants between the samples at which an input was read count as delays.
@@ -190,11 +188,11 @@ def _first_of_its_kind(
         problem=problem,
         name=problem.name,
         weight=1.0,
-        record=problem.data,
+        record=problem.record,
         criterion=criterion,
         has_bounded_errors=criterion.settings.get("errors") == "huber",
         kind=kind,
-        has_time=problem.data.has_time,
+        has_time=problem.record.has_time,
         is_prior=criterion.is_prior,
         method=method,
         system=system,
@@ -221,8 +219,7 @@ def _kind(problem: Problem) -> tuple[Any, ...]:
     Criterion, delay, parameters, compared outputs, and the model, or its class if that has no
     arguments.
     """
-    model, data, criterion = problem.model, problem.data, problem.criterion
-    assert isinstance(data, Record)
+    model, data, criterion = problem.model, problem.record, problem.criterion
     assert isinstance(criterion, TimeCriterion)
     is_plain = vars(model) == {"arguments": ((), {})}
     outputs = criterion.compared(model, data)

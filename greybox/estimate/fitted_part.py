@@ -116,6 +116,16 @@ class FittedResponse(FittedPart):
         return {**pair, "at": self.at, "delay": self.delay}
 
     @property
+    def residuals(self) -> ComplexArray:
+        """Measured less fitted response, (n,)."""
+        return self.data.response - self.response
+
+    @property
+    def compared_numbers(self) -> int:
+        """Number of real numbers in the data that are compared with the model."""
+        return 2 * len(self.data)
+
+    @property
     def magnitude_phase_cost(self) -> float:
         """The cost by `MagnitudePhase` whatever was fitted; NaN at a zero of the response.
 
@@ -180,9 +190,7 @@ class FittedRecord(FittedPart):
     @property
     def compared(self) -> int:
         """Number of samples at which at least one output was compared."""
-        return int(
-            np.any([np.isfinite(self.residual(name)) for name in self.outputs], axis=0).sum()
-        )
+        return int(np.isfinite(self.residuals).any(axis=0).sum())
 
     @property
     def added(self) -> tuple[str, ...]:
@@ -208,6 +216,16 @@ class FittedRecord(FittedPart):
             return {}
         names = [name for name in self.data.signals if name not in self.outputs]
         return described_inputs(self.inputs, names, self.data)
+
+    @property
+    def residuals(self) -> Array:
+        """Measured less fitted values, (outputs, n); NaN where nothing was compared."""
+        return np.array([self.residual(name) for name in self.outputs])
+
+    @property
+    def compared_numbers(self) -> int:
+        """Number of measured values that are compared with the model."""
+        return int(np.isfinite(self.residuals).sum())
 
     def residual(self, output: str) -> Array:
         """Return measured less fitted values of an output, (n,)."""
@@ -243,6 +261,16 @@ class FittedSpectrum(FittedPart):
     noise: Array
     ends: Mapping[str, float]
     at: Mapping[str, float]
+
+    @property
+    def residuals(self) -> ComplexArray:
+        """Measured less fitted transforms, (outputs, n)."""
+        return np.array([self.residual(name) for name in self.outputs])
+
+    @property
+    def compared_numbers(self) -> int:
+        """Number of real numbers in the data that are compared with the model."""
+        return 2 * len(self.data) * len(self.outputs)
 
     def residual(self, output: str) -> ComplexArray:
         """Return the measured less the fitted transform of an output, (n,)."""

@@ -134,7 +134,7 @@ def profiled_where_misleading(nlp: CompiledProblem, fit: Fit) -> Profiles | None
     # states and long tables would take minutes: only the user can ask for these.
     if fit.white is None or nlp.limits or any(p.roots for p in nlp.programs) or fit.priors:
         return None
-    static = all(isinstance(part, RecordPart) and part.is_static for part in nlp.parts)
+    static = all(part.is_static for part in nlp.parts)
     if not (static or (len(fit.responses) == len(fit.parts) and ResponseSolver.serves(nlp))):
         return None
 

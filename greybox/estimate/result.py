@@ -501,12 +501,7 @@ class Fit(Printed):
         A response has (n,) complex ones, a record (outputs, n), a manoeuvre (outputs, n) complex
         ones. Those of a record are NaN where nothing was compared.
         """
-        return tuple(
-            part.data.response - part.response
-            if isinstance(part, FittedResponse)
-            else np.array([part.residual(name) for name in part.outputs])
-            for part in self.parts
-        )
+        return tuple(part.residuals for part in self.parts)
 
     def response_band(
         self,

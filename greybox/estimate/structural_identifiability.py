@@ -286,8 +286,7 @@ def _of_record(
         record = Record(time, signals, name="random inputs", has_time=not model.is_static)
         nlp = compile_problem(Problem(model, record, criterion, **options))
         x = np.array([values[name] for name in nlp.free])
-        (part,) = nlp.parts
-        assert isinstance(part, RecordPart)
+        [part] = nlp.parts_of(RecordPart)
         nodes = size * random.normal(size=(part.data.segments, part.states))
         with np.errstate(all="ignore"):
             trajectory = part.trajectory(nlp.scaling.to_solver(x), nodes, simulated=True)

@@ -290,8 +290,7 @@ def _sensitivities(
     nlp = compile_problem(Problem(model, data, MaximumLikelihood(), fixed=fixed))
     parameters = nlp.problem.parameters
     x = np.array([values.get(name, parameters[name].start) for name in nlp.names])
-    part = nlp.parts[0]
-    assert isinstance(part, ResponsePart)
+    [part] = nlp.parts_of(ResponsePart)
     return nlp, part.sensitivity(x)[:, : len(nlp.free)]
 
 

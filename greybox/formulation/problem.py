@@ -434,6 +434,12 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         return self.data
 
     @property
+    def record(self) -> Record:
+        """The data, if they are a record."""
+        assert isinstance(self.data, Record)
+        return self.data
+
+    @property
     def parts(self) -> tuple["Problem", ...]:
         """The problem itself, as the only part."""
         return (self,)

@@ -10,7 +10,7 @@ from greybox.estimate.result import Fit
 from greybox.files.text_table import counted, listed, number, one_line, text_table
 from greybox.validation.measures import relative_rms
 from greybox.validation.parsimony import parsimony
-from greybox.validation.same_data import count_numbers, count_unknowns
+from greybox.validation.same_data import count_unknowns
 
 NO_FIT = (
     "No structure has a fit: leave out frequencies at which the response is not that of a linear "
@@ -169,7 +169,7 @@ def select(candidates: Sequence[Candidate], note: str = "") -> Selection:
     # NaN, where variances are unknown, becomes zero and so no inflation: those costs are
     # likelihoods that scale themselves.
     inflation = max(1.0, np.nan_to_num(min(c.noise for c in fitted)) ** 2)
-    numbers = sum(map(count_numbers, fitted[0].fit.parts))
+    numbers = sum(part.compared_numbers for part in fitted[0].fit.parts)
     bic = [
         2 * c.fit.cost / inflation
         + count_unknowns(c.fit) * math.log(numbers)

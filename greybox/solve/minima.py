@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import CompiledProblem
+from greybox.compiled.response_part import ResponsePart
 from greybox.files.arrays import Array, IntArray
 from greybox.files.text_table import counted, one_line
-from greybox.formulation.frequency_criteria import Criterion, cost_of_zero
+from greybox.formulation.frequency_criteria import cost_of_zero
 from greybox.solve.runs import SCREENED, TOO_COARSE, Run, Runs
 
 AT_ONCE = 4096  # runs that are processed together: as many as fit into the cache
@@ -144,13 +145,10 @@ def explains_nothing(cost: Any, zero: float) -> Any:
 
 def zero_cost(nlp: CompiledProblem) -> float:
     """Return the cost of a response that is zero; infinite with parts that are not responses."""
-    cost = 0.0
-    for part in nlp.parts:
-        criterion = part.problem.criterion
-        if not isinstance(criterion, Criterion):
-            return math.inf
-        cost += part.weight * cost_of_zero(criterion, part.problem.response)
-    return cost
+    responses = nlp.parts_of(ResponsePart)
+    if len(responses) < len(nlp.parts):
+        return math.inf
+    return sum(part.weight * cost_of_zero(part.criterion, part.data) for part in responses)
 
 
 def find_minima(

@@ -36,15 +36,9 @@ class SharedSolver(ResponseSolver):
     together = 16  # more do not become cheaper
     polished_to = 1e-11  # as the equations of periodic motions: beyond, steps are rounding
 
-    def __init__(
-        self,
-        problem: CompiledProblem,
-        options: Mapping[str, Any] = NO_OPTIONS,
-        *,
-        batched: bool = True,
-    ) -> None:
+    def __init__(self, problem: CompiledProblem, *arguments: Any, **options: Any) -> None:
         """Build the solver; starts of sine tests share no work, and their progress is shown."""
-        super().__init__(problem, options, batched=batched)
+        super().__init__(problem, *arguments, **options)
         shared = problem.programs[-1].shared
         assert shared is not None
         self._shared = shared

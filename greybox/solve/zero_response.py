@@ -34,8 +34,7 @@ def walled(problem: CompiledProblem) -> CostProgram | None:
     z, smoothing, data = program.sx_in()
     cost, limits = program(z, smoothing, data)
     share = WALL * ca.sqrt(ca.fmax(smoothing - SMOOTHING, 0))
-    for part, height in zip(problem.parts, problem.zero_costs, strict=True):
-        assert isinstance(part, ResponsePart)
+    for part, height in zip(problem.parts_of(ResponsePart), problem.zero_costs, strict=True):
         relative = part.scaled_response(z) / np.tile(part.magnitude, 2)
         square = ca.sumsqr(relative) / len(part.magnitude)
         # At the last level a response may vanish, and its logarithm must still be finite.

@@ -77,9 +77,8 @@ def record_draws(
     """
     records = []
     spectra = [errors.colored and errors.colored.spectrum for errors in accuracy.parts]
-    columns = zip(nlp.parts, trajectories, spectra, accuracy.parts, strict=True)
+    columns = zip(nlp.parts_of(RecordPart), trajectories, spectra, accuracy.parts, strict=True)
     for part, trajectory, spectrum, errors in columns:
-        assert isinstance(part, RecordPart)
         if part.gains:
             raise ValueError(
                 f"the residuals of {part.name!r} correct its states, so that they cannot be drawn "

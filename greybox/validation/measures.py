@@ -12,7 +12,7 @@ from greybox.statistics.metrics import fit_percent, rms, whiteness
 from greybox.validation.common_likelihood import Likelihoods
 from greybox.validation.comparison import Row
 from greybox.validation.held_out import Predictions
-from greybox.validation.same_data import LIKELIHOOD, count_numbers, count_unknowns, is_likelihood
+from greybox.validation.same_data import LIKELIHOOD, count_unknowns, is_likelihood
 
 
 def fit_rows(
@@ -30,7 +30,7 @@ def fit_rows(
     names = list(dict.fromkeys(fit.criterion for fit in fits))
     criterion = names[0] if len(names) == 1 else LIKELIHOOD
     costs = [fit.cost for fit in fits]
-    numbers = [sum(count_numbers(part) for part in fit.parts) for fit in fits]
+    numbers = [sum(part.compared_numbers for part in fit.parts) for fit in fits]
     unknown = [math.nan] * len(fits)
 
     rows = [

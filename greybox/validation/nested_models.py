@@ -13,7 +13,6 @@ from greybox.validation.comparison import SIGNIFICANT, p_text
 from greybox.validation.nesting import NotNestedError, nested_values
 from greybox.validation.same_data import (
     check_fits,
-    count_numbers,
     count_unknowns,
     data_difference,
     is_likelihood,
@@ -177,7 +176,7 @@ def nested_test_at(
     if all(_estimates_variance(part) for part in large.parts):
         # The variance is estimated: the ratio is n log(1 + x) of the relative decrease x of the
         # squares, for which F is x (n - p) / r.
-        numbers = sum(count_numbers(part) for part in large.parts)
+        numbers = sum(part.compared_numbers for part in large.parts)
         statistic = math.expm1(max(ratio, 0.0) / numbers) * dof / removed
     else:
         if rows:

@@ -6,7 +6,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
-from greybox.estimate.fitted_part import FittedPart, FittedRecord, FittedResponse, FittedSpectrum
+from greybox.estimate.fitted_part import FittedPart, FittedResponse
 from greybox.estimate.result import Fit
 from greybox.files.text_table import number
 
@@ -86,17 +86,8 @@ def _same_response(a: FrequencyResponse, b: FrequencyResponse) -> bool:
 def shared_data(fits: Sequence[Fit]) -> str:
     """Say which data the fits share."""
     parts = [f"{part.data.name or part.name} ({part.data.checksum[:8]})" for part in fits[0].parts]
-    count = sum(count_numbers(part) for part in fits[0].parts)
+    count = sum(part.compared_numbers for part in fits[0].parts)
     return f"the same for all: {', '.join(parts)}, {count} numbers"
-
-
-def count_numbers(part: FittedResponse | FittedRecord | FittedSpectrum) -> int:
-    """Return how many real numbers of its data a part compares with the model."""
-    if isinstance(part, FittedSpectrum):
-        return 2 * len(part.data) * len(part.outputs)
-    if isinstance(part, FittedResponse):
-        return 2 * len(part.data)
-    return sum(int(np.isfinite(part.residual(name)).sum()) for name in part.outputs)
 
 
 def count_unknowns(fit: Fit) -> int:
@@ -112,9 +103,9 @@ def is_likelihood(fit: Fit) -> bool:
 def other_samples(fits: Sequence[Fit], names: Sequence[str]) -> str:
     """Return in words how a fit leaves out other samples than the first; empty if it does not."""
     for k, first in enumerate(fits[0].parts):
-        count = count_numbers(first)
+        count = first.compared_numbers
         for fit, name in zip(fits[1:], names[1:], strict=True):
-            rival_count = count_numbers(fit.parts[k])
+            rival_count = fit.parts[k].compared_numbers
             if rival_count != count:
                 return (
                     f"{names[0]} was fitted to {count} numbers of "

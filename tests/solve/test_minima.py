@@ -23,11 +23,11 @@ def problem(*, is_likelihood=True, numbers=(40, 60)):
         SimpleNamespace(
             is_likelihood=is_likelihood and k == 1,
             numbers=n,
-            problem=SimpleNamespace(criterion=None),
         )
         for k, n in enumerate(numbers)
     ]
-    return SimpleNamespace(parts=parts, scaling=SimpleNamespace(to_solver=np.asarray))
+    scaling = SimpleNamespace(to_solver=np.asarray)
+    return SimpleNamespace(parts=parts, parts_of=lambda kind: [], scaling=scaling)
 
 
 def run_to(index, cost, x=(1.0, 2.0), status="converged", **more):

@@ -11,7 +11,6 @@ import greybox as gb
 from greybox.estimate.fitted_part import FittedSpectrum
 from greybox.validation.same_data import (
     check_fits,
-    count_numbers,
     data_difference,
     is_likelihood,
     labels_of,
@@ -86,7 +85,7 @@ def test_other_data_and_other_weights_are_told(fits):
         why_not_comparable([one, heavy], ("a", "b")) == "their data are weighted differently (1; 3)"
     )
     assert why_not_comparable([one, one], ("a", "b")) == ""
-    assert count_numbers(one.parts[0]) == 60
+    assert one.parts[0].compared_numbers == 60
 
 
 def test_what_cannot_be_compared_is_told(fits):
@@ -110,7 +109,7 @@ def test_numbers_of_data_and_outputs_are_counted_in_each_kind(fits):
     part = fits[1.0].parts[0]
     spectrum = FittedSpectrum.__new__(FittedSpectrum)
     vars(spectrum).update(data=np.zeros(7), outputs=("p", "r", "beta"))
-    assert count_numbers(spectrum) == 2 * 7 * 3
+    assert spectrum.compared_numbers == 2 * 7 * 3
     assert (
         shared_data([fits[1.0]]) == f"the same for all: made ({part.data.checksum[:8]}), 60 numbers"
     )

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
+from greybox.data.record import Record
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.result import Fit
 from greybox.estimate.undetermined import Combination
 from greybox.files.text_table import counted, listed
-from greybox.formulation.time_criteria import TimeCriterion
 from greybox.solve.minima import Minimum
 
 
@@ -79,8 +79,7 @@ def _sizes_of_noise(nlp: CompiledProblem) -> set[str]:
     """Return the sizes of process noise: where one is zero, its effect is of second order."""
     return {
         part.outside(f"w_{state}")
-        for part in nlp.problem.parts
-        if isinstance(part.criterion, TimeCriterion)
+        for part in nlp.problem.parts_with(Record)
         for state in part.criterion.driven()
     }
 

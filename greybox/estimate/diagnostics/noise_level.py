@@ -8,8 +8,8 @@ from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
+from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.diagnostics.repeated import Finding, once
-from greybox.formulation.frequency_criteria import Criterion
 
 # Squared residuals over given variances below which these are doubted, or include other errors.
 LEAST_RATIO = 0.4
@@ -85,11 +85,10 @@ def unused_noise(problem: AnyProblem) -> Iterator[str]:
     """Note responses whose variances or coherence the criterion does not use."""
     # In a sum with a likelihood, another criterion must be a likelihood, too.
     beside_likelihood = any(part.criterion.is_likelihood for part in problem.parts)
-    for part in problem.parts:
-        if not isinstance(part.criterion, Criterion) or part.criterion.uses is None:
+    for part in problem.parts_with(FrequencyResponse):
+        uses, data = part.criterion.uses, part.data
+        if uses is None:
             continue
-        uses = part.criterion.uses
-        data = part.response
         if data.variance is not None:
             if "variance" not in uses:
                 yield (
