@@ -29,7 +29,6 @@ from greybox.estimate.diagnostics.general import warnings, warnings_of_failure
 from greybox.estimate.diagnostics.identifiability import determined_together
 from greybox.estimate.diagnostics.noise_level import unused_noise
 from greybox.estimate.diagnostics.not_finite import explained
-from greybox.estimate.fitted_part import AnyFittedPart, FittedResponse
 from greybox.estimate.fitted_values import fitted_part
 from greybox.estimate.harmonic_numbers import with_enough_harmonics
 from greybox.estimate.misfit import assessed_misfit
@@ -38,8 +37,6 @@ from greybox.estimate.quantities import quantities
 from greybox.estimate.result import Fit
 from greybox.files.progress import bar
 from greybox.files.text_table import counted
-from greybox.formulation.frequency_criteria import evaluate
-from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.prior_part import stated_priors
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Listed, Starts, as_starts
@@ -376,7 +373,6 @@ def assemble(
         covariance=covariance,
         dof=accuracy.dof,
         cost=search.minima[0].cost if search.minima else math.nan,
-        costs=_all_costs(parts) if search.minima else {},
         runs=search.runs,
         minima=search.minima,
         agreeing=len(agreeing_runs(nlp, search.runs, search.minima)),
@@ -407,19 +403,3 @@ def assemble(
         warnings=warnings(nlp, search, accuracy, answer, trajectories, error),
         notes=(*unused_noise(nlp.problem), *together),
     )
-
-
-def _all_costs(parts: Sequence[AnyFittedPart]) -> dict[str, float]:
-    """Return the cost by every included criterion, if all data are frequency responses."""
-    # Published fits state the cost of one criterion or another: with all of them any can be
-    # compared.
-    responses = [part for part in parts if isinstance(part, FittedResponse)]
-    if len(responses) < len(parts):
-        return {}
-
-    return {
-        criterion.name: sum(
-            part.weight * evaluate(criterion, part.response, part.data) for part in responses
-        )
-        for criterion in CRITERIA
-    }

@@ -29,9 +29,10 @@ def text(fit: Any) -> str:
         effort = ["", "  best effort, no estimate:", "", *table] if fit.best_effort else []
         return "\n".join([title(fit), "", f"  FAILED: {fit.status}.", *remarks, *effort])
 
+    judged = verdict(fit)
     sections = (
         [title(fit)],
-        ["  " + line for line in _judged(fit)],
+        ["  " + line for line in (judged.level, *judged.sentences)],
         [*table, *(["", f"  {error_statement(fit)}"] if fit.dof > 0 else [])],
         _profile_lines(fit),
         remarks,
@@ -48,11 +49,6 @@ def details(fit: Any) -> str:
 
 def _labeled(pairs: Sequence[tuple[str, str]]) -> str:
     return "\n".join(f"  {label:<10} {fact}" for label, fact in pairs)
-
-
-def _judged(fit: Any) -> list[str]:
-    judged = verdict(fit)
-    return [judged.level, *judged.sentences]
 
 
 def title(fit: Any) -> str:

@@ -35,6 +35,8 @@ from greybox.estimate.summary import summary
 from greybox.files.arrays import Array
 from greybox.files.html_text import Printed
 from greybox.files.text_table import counted, one_line, with_error
+from greybox.formulation.frequency_criteria import evaluate
+from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.input_assumptions import Inputs
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.model_reference import resolve
@@ -111,9 +113,6 @@ class Fit(Printed):
         (`MaximumLikelihood`).
     cost : float
         Value of the criterion, without smoothing; NaN when no start converged.
-    costs : mapping of str to float
-        Value of every included criterion at the estimate, by its name (``relative-error``); NaN
-        where the data lack what it needs. Empty for fits with records.
     runs, minima : Runs, tuple of Minimum
         All runs in the order of their starts, and the distinct minima, best first.
     agreeing : int
@@ -164,7 +163,6 @@ class Fit(Printed):
     covariance: Array
     dof: float
     cost: float
-    costs: Mapping[str, float]
     runs: Runs
     minima: tuple[Minimum, ...]
     agreeing: int
@@ -216,6 +214,25 @@ class Fit(Printed):
     def spectra(self) -> tuple[FittedSpectrum, ...]:
         """The parts whose data are spectra of manoeuvres."""
         return tuple(part for part in self.parts if isinstance(part, FittedSpectrum))
+
+    @cached_property
+    def costs(self) -> dict[str, float]:
+        """Value of every included criterion at the estimate, by its name (``relative-error``).
+
+        NaN where the data lack what it needs. Empty without an estimate, and for fits with other
+        data than frequency responses.
+        """
+        # Published fits state the cost of one criterion or another: with all of them any can be
+        # compared.
+        responses = self.responses if self.converged else ()
+        if len(responses) < len(self.parts):
+            return {}
+        return {
+            criterion.name: sum(
+                part.weight * evaluate(criterion, part.response, part.data) for part in responses
+            )
+            for criterion in CRITERIA
+        }
 
     @property
     def converged(self) -> bool:

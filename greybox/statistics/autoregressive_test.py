@@ -111,19 +111,19 @@ def whitening_filters(residuals: Array, outputs: Outputs) -> list[Array]:
 
     They follow by least squares, which the ends of a record do not disturb.
     """
-    return [_filter([residuals[rows] for rows in stretches]) for stretches in outputs]
-
-
-def _filter(pieces: Sequence[Array]) -> Array:
-    total = sum(map(len, pieces))
-    # Short stretches would lose all of their samples.
-    order = min(ORDER, total // SAMPLES, total // (2 * max(len(pieces), 1)))
-    views = [
-        sliding_window_view(piece, order + 1)[:, ::-1] for piece in pieces if len(piece) > order
-    ]
-    windows = np.vstack([np.zeros((0, order + 1)), *views])
-    moments = windows.T @ windows / max(len(windows), 1)
-    # Residuals without errors have no inverse.
-    moments += (ROUNDING * np.trace(moments) + TINY) * np.eye(order + 1)
-    weights = np.append(1.0, -np.linalg.solve(moments[1:, 1:], moments[1:, 0]))
-    return weights / np.sqrt(weights @ moments @ weights)
+    filters = []
+    for stretches in outputs:
+        pieces = [residuals[rows] for rows in stretches]
+        total = sum(map(len, pieces))
+        # Short stretches would lose all of their samples.
+        order = min(ORDER, total // SAMPLES, total // (2 * max(len(pieces), 1)))
+        views = [
+            sliding_window_view(piece, order + 1)[:, ::-1] for piece in pieces if len(piece) > order
+        ]
+        windows = np.vstack([np.zeros((0, order + 1)), *views])
+        moments = windows.T @ windows / max(len(windows), 1)
+        # Residuals without errors have no inverse.
+        moments += (ROUNDING * np.trace(moments) + TINY) * np.eye(order + 1)
+        weights = np.append(1.0, -np.linalg.solve(moments[1:, 1:], moments[1:, 0]))
+        filters.append(weights / np.sqrt(weights @ moments @ weights))
+    return filters

@@ -87,7 +87,6 @@ CRAFTED = {
     "a list for a model": values("parts", 0, model=[1, 2]),
     "names for arguments": model("greybox.models.tilt:Tilt", {"a": 1}),
     "a list for versions": values(versions=[1]),
-    "texts for costs": values(costs={"a": "b"}),
     "a number for names": values(notes=5),
     "numbers for names": values(warnings=[1, 2]),
     "no kind of part": values("parts", 0, fitted=None),
