@@ -85,7 +85,9 @@ class DisturbedRecord:
         """Return the effect of values (samples,) that add to an input."""
         n = self.part.states
         changes = self._through_inputs[:, place] * values
-        return self._by_derivatives(changes[:n]), self.part.segments.columns(changes[n:])
+        is_held = self.part.model.between[place].held
+        effect = self._by_derivatives(changes[:n], is_held)
+        return effect, self.part.segments.columns(changes[n:])
 
     @cached_property
     def _through_inputs(self) -> Array:
@@ -98,11 +100,11 @@ class DisturbedRecord:
         slopes = slope(self.states, self.inputs, self._placed.q[: p.numel()]).full()
         return slopes.reshape(u.numel(), through.numel(), -1).swapaxes(0, 1)
 
-    def _by_derivatives(self, derivatives: Array) -> Array:
+    def _by_derivatives(self, derivatives: Array, is_held: bool = False) -> Array:
         """Return the mean of additional derivatives over a step, propagated over half of it."""
         # Terms have values at samples, and a step lasts until the next sample.
         later = np.hstack([derivatives[:, 1:], derivatives[:, -1:]])
-        later = derivatives if self.is_predicted else later
+        later = derivatives if self.is_predicted or is_held else later
         mean = self.part.segments.columns((derivatives + later) / 2)
         A = self._slopes[0][: self.part.states]
         return self._placed.data[-1] / 2 * (mean + np.einsum("jac,jc->ac", A, mean))

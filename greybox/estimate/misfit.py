@@ -72,8 +72,7 @@ class Cause:
         Probability of such a share if the model explains the data, times the number of terms that
         were tried for records, or for responses.
     p_correlated : float
-        The same if errors of neighboring points of a response may be correlated, and inputs of an
-        unstable model may answer to errors.
+        The same if errors of neighboring points of a response may be correlated.
     alike : tuple of str
         Terms that have nearly the same effect, so that the data cannot tell them apart.
     """
@@ -159,12 +158,9 @@ class Misfit(Printed):
         left = f"{percent(self.left)} % of their variance is left and follows"
         noise = f"noise alone would leave about {percent(self.noise)} %"
         if self.explains and self.likely:
-            excuse = "errors of neighboring points are correlated, or larger at one end"
-            if self.is_unstable:
-                excuse = "inputs answer to the errors, as those of a controller do"
             return (
-                f"explains the data only if {excuse}: otherwise, {left} what drove the test; "
-                f"{noise}"
+                "explains the data only if errors of neighboring points are correlated, or larger "
+                f"at one end: otherwise, {left} what drove the test; {noise}"
             )
         if self.explains and self.drift > DRIFTING and self.left > NOTICED:
             return (
@@ -325,16 +321,12 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
         for rows in [np.concatenate(stretches) for stretches in outputs] or [...]
     ]
     left, noise = max(shares, key=lambda pair: pair[0] - pair[1])
-    # The outputs of an unstable model follow from later inputs, which contain the errors. An offset
-    # is judged by the slow errors themselves.
-    is_unstable = any(part.is_unstable for part in parts)
-    least = 1.0 if is_unstable and left < 2 * noise else 0.0
 
     texts = [terms[key].described(test[2], test[3]) for test, key, _ in ranked]
     alike = _alike(beside(white(best_columns), white_fitted), texts) if ranked else []
     causes = []
     for k, ((decrease, _, value, error), key, column) in enumerate(ranked):
-        p_value, p_correlated = p_values[k], max(p_values[k], least)
+        p_value = p_correlated = p_values[k]
         if terms[key].kind in ("own", "schedule") and not is_common:
             # Residuals that other values could explain, too, are not noise.
             share_apart = noise_apart / (noise_apart + decrease * without / len(residuals))
@@ -356,7 +348,7 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
         tuple(causes),
         p_common,
         1 - min(white_squares, default=squares) / squares,
-        is_unstable,
+        any(part.is_unstable for part in parts),
     )
 
 
