@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.limits import limits_of
-from greybox.compiled.part import Part
+from greybox.compiled.part import Part, Portable
 from greybox.compiled.record_part import compile_records
 from greybox.compiled.response_part import ResponsePart
 from greybox.compiled.response_programs import CostProgram, ResponseCompiler
@@ -30,7 +30,7 @@ PartKind = TypeVar("PartKind", bound=Part)
 
 
 @dataclass(frozen=True, eq=False)
-class CompiledProblem:
+class CompiledProblem(Portable):
     """A problem ready for a solver.
 
     Attributes
@@ -85,10 +85,6 @@ class CompiledProblem:
     data: Array = field(default_factory=lambda: np.zeros(0))
     response_cost: ca.Function = field(default_factory=ca.Function)
     responses: ca.Function = field(default_factory=ca.Function)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave out the problem with the user's classes: solvers do not need it."""
-        return {name: value for name, value in vars(self).items() if name != "problem"}
 
     def parts_of(self, kind: type[PartKind]) -> list[PartKind]:
         """Return the parts of one class."""

@@ -15,7 +15,7 @@ nodes), the covariance of the estimate (`information`), the diagnostics (the pro
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
@@ -253,7 +253,23 @@ class Program(ABC):
         """Return the cost of a solution, the following w, and whether no delay passed a sample."""
 
 
-class Part(ABC):
+class Portable:
+    """A value that leaves the user's classes behind when it is pickled: solvers need none of them.
+
+    Attributes
+    ----------
+    local : tuple of str
+        Names of the attributes that stay.
+    """
+
+    local: ClassVar[tuple[str, ...]] = ("problem",)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what travels."""
+        return {name: value for name, value in vars(self).items() if name not in self.local}
+
+
+class Part(Portable, ABC):
     """One problem of a sum, compiled.
 
     Solvers need no more than its functions and these facts, and only they travel when a part is
@@ -300,10 +316,6 @@ class Part(ABC):
         self.name = problem.name
         self.weight = float(problem.weight)
         self.is_likelihood = problem.criterion.is_likelihood
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave the problem behind."""
-        return {name: value for name, value in vars(self).items() if name != "problem"}
 
     # --- for the Gauss-Newton driver
 

@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.initial_states import InitialStates
+from greybox.compiled.part import Portable
 from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.intersample import Intersample
@@ -25,7 +26,7 @@ from greybox.modeling.symbolic_reading import called
 
 
 @dataclass(frozen=True, eq=False)
-class RecordModel:
+class RecordModel(Portable):
     """A record and its model, independent of segments and substeps.
 
     Problem, record, criterion and kind stay where they were compiled when this is pickled: solvers
@@ -69,6 +70,8 @@ class RecordModel:
         with it the fingerprint by which stored runs are found again.
     """
 
+    local = ("problem", "record", "criterion", "kind")
+
     problem: Problem
     record: Record
     name: str
@@ -94,11 +97,6 @@ class RecordModel:
     initial_states: InitialStates
     steps: dict[tuple[Integrator, int], SampleStep]
     expressions: tuple[str, ...]
-
-    def __getstate__(self) -> dict[str, Any]:
-        """Drop values whose classes may be the user's."""
-        local = ("problem", "record", "criterion", "kind")
-        return {name: value for name, value in vars(self).items() if name not in local}
 
     def step(self, integrator: Integrator, substeps: int) -> SampleStep:
         """Compile one sample, or return it where that was done before."""

@@ -281,19 +281,16 @@ class ResidualSpectra:
         return int(min(HIGHEST_ORDER, self.counts.max() // 4))
 
     @cached_property
-    def root(self) -> Array:
-        """A matrix (p, p) whose product with its transpose is the covariance for white errors."""
-        values, vectors = np.linalg.eigh((self.inverse + self.inverse.T) / 2)
-        return vectors * np.sqrt(np.maximum(values, 0.0))
-
-    @cached_property
     def power(self) -> ComplexArray:
         """Power (k, k, b) of the sensitivities, whose mean product with a spectrum is tr(B⁻¹ M)."""
         grid, k = self.grid, len(self.counts)
+        # The product of the root with its transpose is the covariance for white errors.
+        values, vectors = np.linalg.eigh((self.inverse + self.inverse.T) / 2)
+        root = vectors * np.sqrt(np.maximum(values, 0.0))
         total = np.zeros((k, k, len(grid.starts)), dtype=complex)
         for transform in self.transforms():
             for part, bands in grid.parts:
-                H = self.root.T @ transform[..., part]
+                H = root.T @ transform[..., part]
                 power = np.einsum("ipf,jpf->ijf", H.conj(), H) * grid.weight[part]
                 starts = grid.starts[bands] - part.start
                 total[..., bands] += np.add.reduceat(power, starts, axis=-1)
@@ -381,7 +378,8 @@ class ResidualSpectra:
         penalty = average.score - errors + self._numbers.sum() * len(self.counts)
         left = average.density - self.taken_power(average.density)[1]
         likely = _positive(left.transpose(2, 0, 1))
-        score = whittle_score(likely, self._of_residuals, self._numbers)
+        residuals = self.periodogram[1].transpose(2, 0, 1)
+        score = whittle_score(likely, residuals, self._numbers)
         return replace(average, score=penalty + score)
 
     @cached_property
@@ -389,16 +387,11 @@ class ResidualSpectra:
         """Independent numbers (b,) of every output in a band."""
         return self.counts.max() * self.grid.band_weight
 
-    @cached_property
-    def _of_residuals(self) -> ComplexArray:
-        return self.periodogram[1].transpose(2, 0, 1)
-
     def process_noise(self, parts: "_NoiseParts") -> AveragedSpectrum:
         """Return white sensor noise with process noise, by the variances of the residuals."""
         sensors = len(self.counts)
-        estimated = variance_components(
-            parts.of_residuals, self._of_residuals, self._numbers, sensors
-        )
+        residuals = self.periodogram[1].transpose(2, 0, 1)
+        estimated = variance_components(parts.of_residuals, residuals, self._numbers, sensors)
         variance = estimated.variance
         density = np.tensordot(variance, parts.density, 1)
         taken = np.array([self.taken_by(part) for part in parts.density]) * variance
