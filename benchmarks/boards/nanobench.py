@@ -37,13 +37,15 @@ HALVES = (("B2", "B3", "B5", "B6"), ("B7", "B8", "B9", "B10"))
 STARTS = 2
 LOOK = 2.0  # s at the begin of a flight, for its offset
 PUBLISHED = 2.171  # m/s², "Linear regression", task1_model_comparison_table.csv
-RATES = {"u_p": 5, "u_q": 5, "p": 3, "q": 3}  # decimals
+RATES = {"u_p": 5, "u_q": 5, "u_r": 5, "p": 3, "q": 3, "r": 3}  # decimals
 COLUMNS = {"u": 4, "V": 3, "v_x": 4, "v_y": 4, "a_x": 3, "a_y": 3, "a_z": 3}  # decimals
 UNITS = {
     "u_p": "1",
     "u_q": "1",
+    "u_r": "1",
     "p": "rad/s",
     "q": "rad/s",
+    "r": "rad/s",
     "u": "1",
     "V": "V",
     "v_x": "m/s",
@@ -77,7 +79,8 @@ def flight(path: Path) -> gb.Record | None:
     } | {f"a_{axis}": G * table[f"imu_acc_{axis}"] for axis in "xyz"}
     m1, m2, m3, m4 = (table[f"motor_motor_m{k}"] / 65535 for k in (1, 2, 3, 4))
     signals |= {"u_p": (m3 + m4 - m1 - m2) / 4, "u_q": (m2 + m3 - m1 - m4) / 4}
-    signals |= {"p": table["imu_gyro_x"], "q": table["imu_gyro_y"]}
+    signals["u_r"] = (m2 + m4 - m1 - m3) / 4  # clockwise rotors turn the body left
+    signals |= {rate: table[f"imu_gyro_{axis}"] for rate, axis in zip("pqr", "xyz", strict=True)}
     kept = (time > airborne[0] + 1) & (time < airborne[-1] - 1)
     return gb.Record(
         np.round(time[kept], 2),
