@@ -1,13 +1,16 @@
 """Whether intervals contain the truth, or the answer says why not, if noise is not as assumed.
 
-python benchmarks/honest_errors.py [--fits 200] [--output benchmarks/results/honest_errors.txt]
+python benchmarks/honest_errors.py [--fits 200] [--systems first] [--seed 0]
+    [--output benchmarks/results/honest_errors.txt]
 
-Records of three plants are fitted by output error and responses of two plants by two criteria. The
-noise is white and normal ("right"), or something else: gusts, drift, one half louder, heavy tails,
-spikes, outputs with common errors; along frequency correlated, of unequal size, heavy tails. A fit
-passes if the intervals of all parameters contain the truth, at a level that makes this 95 % of fits
-(Bonferroni). It warns if it has any warning except that on the number of starts. Of 200 fits with
-other noise at least 190 should pass or warn, and of 200 right ones at most 10 should warn.
+Records of three plants are fitted by output error and responses of two plants by two criteria. Two
+sets of plants, `first` and `second`, differ in length, step, test signal and size of the errors,
+too; the second is newer than the diagnostics that it judges. The noise is white and normal
+("right"), or something else: gusts, drift, one half louder, heavy tails, spikes, outputs with
+common errors; along frequency correlated, of unequal size, heavy tails. A fit passes if the
+intervals of all parameters contain the truth, at a level that makes this 95 % of fits (Bonferroni).
+It warns if it has any warning except that on the number of starts. Of 200 fits with other noise at
+least 190 should pass or warn, and of 200 right ones at most 10 should warn.
 """
 
 import argparse
@@ -15,7 +18,7 @@ import datetime as dt
 import platform
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import expm
@@ -23,10 +26,20 @@ from scipy.signal import lfilter
 
 import greybox as gb
 
-SAMPLES, STEP = 400, 0.03
-OMEGA = np.geomspace(0.4, 40, 24)
 RIGHT = "right"
 Random = np.random.Generator
+
+
+class Setting(NamedTuple):
+    """Plants and how they are measured; errors are relative to the size of the outputs."""
+
+    record_models: tuple[type[gb.StateSpace], ...]
+    response_models: tuple[type[gb.TransferFunction], ...]
+    samples: int
+    step: float
+    held_samples: int
+    omega: Any
+    size: float
 
 
 class Motor(gb.StateSpace):
@@ -110,12 +123,119 @@ class Oscillator(gb.TransferFunction):
         return p.w**2 / (s**2 + 2 * p.zeta * p.w * s + p.w**2) * gb.exp(-s * p.tau)
 
 
+class DutchRoll(gb.StateSpace):
+    """Sideslip and yaw rate of an airplane, with its lateral acceleration."""
+
+    states, inputs = ("beta", "r"), ("dr",)
+    outputs = ("beta", "r", "ay")
+    Y = gb.Parameter(-0.2, bounds=(-2, 0.5))
+    N_beta = gb.Parameter(3.0, bounds=(-5, 40))
+    N_r = gb.Parameter(-0.4, bounds=(-6, 1))
+    N_dr = gb.Parameter(-2.0, bounds=(-30, 0))
+
+    def derivative(self, x: Any, u: Any, p: Any) -> Any:
+        """Return the derivative."""
+        return (p.Y * x.beta - x.r, p.N_beta * x.beta + p.N_r * x.r + p.N_dr * u.dr)
+
+    def output(self, x: Any, u: Any, p: Any) -> Any:
+        """Return the outputs."""
+        return (x.beta, x.r, 60.0 * p.Y * x.beta)
+
+
+class Servo(gb.StateSpace):
+    """The position of a body on a spring and a damper, moved by a force."""
+
+    states, inputs, outputs = ("x", "v"), ("f",), ("x",)
+    k = gb.Parameter(3.0, bounds=(0.1, 40))
+    d = gb.Parameter(1.0, bounds=(0.01, 20))
+    b = gb.Parameter(2.0, bounds=(0.1, 50))
+
+    def derivative(self, x: Any, u: Any, p: Any) -> Any:
+        """Return the derivative."""
+        return (x.v, p.b * u.f - p.k * x.x - p.d * x.v)
+
+    def output(self, x: Any, u: Any, p: Any) -> Any:
+        """Return the output."""
+        return (x.x,)
+
+
+class TwoRooms(gb.StateSpace):
+    """The temperatures of a heated room and of the room beside it."""
+
+    states = outputs = ("warm", "cold")
+    inputs = ("heat",)
+    h = gb.Parameter(1.0, bounds=(0.01, 20))
+    k = gb.Parameter(0.3, bounds=(0.01, 10))
+    loss = gb.Parameter(0.4, bounds=(0.01, 10))
+
+    def derivative(self, x: Any, u: Any, p: Any) -> Any:
+        """Return the derivative."""
+        flow = p.k * (x.warm - x.cold)
+        return (p.h * u.heat - flow - p.loss * x.warm, flow - p.loss * x.cold)
+
+    def output(self, x: Any, u: Any, p: Any) -> Any:
+        """Return the outputs."""
+        return (x.warm, x.cold)
+
+
+class LeadLag(gb.TransferFunction):
+    """A lead and a lag with a delay."""
+
+    input, output = "u", "y"
+    K = gb.Parameter(1.0, bounds=(0.05, 20))
+    T_lead = gb.Parameter(0.8, bounds=(0.02, 10))
+    T_lag = gb.Parameter(0.2, bounds=(0.01, 10))
+    tau = gb.Parameter(0.02, bounds=(0, 0.5))
+
+    def response(self, s: Any, p: Any) -> Any:
+        """Return the response."""
+        return p.K * (p.T_lead * s + 1) / (p.T_lag * s + 1) * gb.exp(-s * p.tau)
+
+
+class IntegratingLag(gb.TransferFunction):
+    """An attitude: the integral of a rate that lags behind its control."""
+
+    input, output = "u", "y"
+    K = gb.Parameter(3.0, bounds=(0.1, 100))
+    damping = gb.Parameter(1.0, bounds=(0.01, 20))
+    T = gb.Parameter(0.05, bounds=(0.001, 1))
+
+    def response(self, s: Any, p: Any) -> Any:
+        """Return the response."""
+        return p.K / (s * (s + p.damping) * (p.T * s + 1))
+
+
 TRUTH: dict[Any, Mapping[str, float]] = {
     Motor: {"J": 3.0, "B": 0.8, "R": 4.0, "K": 2.5},
     ShortPeriod: {"Z": -1.6, "M_alpha": -9.0, "M_q": -2.2, "M_de": -14.0},
     RollRate: {"L_p": -3.0, "L_a": 30.0, "T": 0.08},
     TwoLags: {"K": 4.0, "T_1": 0.5, "T_2": 0.03},
     Oscillator: {"w": 7.0, "zeta": 0.35, "tau": 0.035},
+    DutchRoll: {"Y": -0.3, "N_beta": 5.0, "N_r": -0.6, "N_dr": -3.5},
+    Servo: {"k": 5.0, "d": 1.4, "b": 4.0},
+    TwoRooms: {"h": 1.5, "k": 0.5, "loss": 0.25},
+    LeadLag: {"K": 1.3, "T_lead": 0.6, "T_lag": 0.12, "tau": 0.03},
+    IntegratingLag: {"K": 6.0, "damping": 1.8, "T": 0.08},
+}
+SETTINGS = {
+    "first": Setting(
+        (Motor, ShortPeriod, RollRate),
+        (TwoLags, Oscillator),
+        samples=400,
+        step=0.03,
+        held_samples=16,
+        omega=np.geomspace(0.4, 40, 24),
+        size=0.05,
+    ),
+    "second": Setting(
+        (DutchRoll, Servo, TwoRooms),
+        (LeadLag, IntegratingLag),
+        samples=300,
+        step=0.05,
+        held_samples=13,
+        omega=np.geomspace(0.6, 25, 30),
+        size=0.08,
+    ),
 }
 
 
@@ -124,25 +244,23 @@ def autoregression(white: Any, rho: float) -> Any:
     return lfilter([np.sqrt(1 - rho**2)], [1, -rho], white)[..., 100:]
 
 
-IN_TIME: dict[str, Callable[[Random, int], Any]] = {
-    RIGHT: lambda random, k: random.normal(size=(k, SAMPLES)),
-    "gusts": lambda random, k: random.normal(size=(k, SAMPLES)),  # in the states, see `record`
-    "drift": lambda random, k: (
-        random.normal(size=(k, SAMPLES))
-        + 0.15 * np.cumsum(random.normal(size=(k, SAMPLES)), axis=1)
+# Errors (k, n) of k outputs, of about size one.
+IN_TIME: dict[str, Callable[[Random, int, int], Any]] = {
+    RIGHT: lambda random, k, n: random.normal(size=(k, n)),
+    "gusts": lambda random, k, n: random.normal(size=(k, n)),  # in the states, see `record`
+    "drift": lambda random, k, n: (
+        random.normal(size=(k, n)) + 0.15 * np.cumsum(random.normal(size=(k, n)), axis=1)
     ),
-    "one half louder": lambda random, k: (
-        random.normal(size=(k, SAMPLES)) * np.where(np.arange(SAMPLES) < SAMPLES // 2, 1.0, 4.0)
+    "one half louder": lambda random, k, n: (
+        random.normal(size=(k, n)) * np.where(np.arange(n) < n // 2, 1.0, 4.0)
     ),
-    "heavy tails": lambda random, k: random.standard_t(3, (k, SAMPLES)),
-    "spikes": lambda random, k: (
-        random.normal(size=(k, SAMPLES))
-        + 20 * random.normal(size=(k, SAMPLES)) * (random.random((k, SAMPLES)) < 0.02)
+    "heavy tails": lambda random, k, n: random.standard_t(3, (k, n)),
+    "spikes": lambda random, k, n: (
+        random.normal(size=(k, n))
+        + 20 * random.normal(size=(k, n)) * (random.random((k, n)) < 0.02)
     ),
-    "common errors": lambda random, k: (
-        0.3 * random.normal(size=(k, SAMPLES)) + random.normal(size=SAMPLES)
-    ),
-    "slow errors": lambda random, k: autoregression(random.normal(size=(k, SAMPLES + 100)), 0.9),
+    "common errors": lambda random, k, n: 0.3 * random.normal(size=(k, n)) + random.normal(size=n),
+    "slow errors": lambda random, k, n: autoregression(random.normal(size=(k, n + 100)), 0.9),
 }
 
 
@@ -161,45 +279,46 @@ ALONG_FREQUENCY: dict[str, Callable[[Random, int], Any]] = {
 }
 
 
-def record(model: Any, kind: str, random: Random) -> gb.Record:
-    """Return a record of a plant under steps of random sign, with errors of 5 % of its outputs."""
-    truth = TRUTH[model]
+def record(setting: Setting, model: Any, kind: str, random: Random) -> gb.Record:
+    """Return a record of a plant under steps of random sign."""
+    truth, n = TRUTH[model], setting.samples
     linear = gb.modeling.linearize(model(), truth)
-    n = len(linear.A)
-    augmented = np.zeros((n + 1, n + 1))
-    augmented[:n, :n], augmented[:n, n:] = linear.A, linear.B
-    augmented = expm(STEP * augmented)
-    u = np.repeat(random.choice([-1.0, 1.0], SAMPLES // 16 + 1), 16)[:SAMPLES]
-    outputs = np.zeros((SAMPLES, len(model.outputs)))
-    gust = np.zeros((SAMPLES, n))
+    order = len(linear.A)
+    augmented = np.zeros((order + 1, order + 1))
+    augmented[:order, :order], augmented[:order, order:] = linear.A, linear.B
+    augmented = expm(setting.step * augmented)
+    held = setting.held_samples
+    u = np.repeat(random.choice([-1.0, 1.0], n // held + 1), held)[:n]
+    outputs = np.zeros((n, len(model.outputs)))
+    gust = np.zeros((n, order))
     if kind == "gusts":
-        size = 0.3 * np.abs(linear.B).max() * STEP
-        gust[:, -1] = size * autoregression(random.normal(size=SAMPLES + 100), 0.94)
-    x = np.zeros(n)
-    for t in range(SAMPLES):
+        size = 0.3 * np.abs(linear.B).max() * setting.step
+        gust[:, -1] = size * autoregression(random.normal(size=n + 100), 0.94)
+    x = np.zeros(order)
+    for t in range(n):
         outputs[t] = linear.C @ x + linear.D[:, 0] * u[t]
-        x = augmented[:n, :n] @ x + augmented[:n, n] * u[t] + gust[t]
-    size = 0.05 * outputs.std(axis=0)
-    rows = outputs.T + size[:, None] * IN_TIME[kind](random, len(size))
+        x = augmented[:order, :order] @ x + augmented[:order, order] * u[t] + gust[t]
+    size = setting.size * outputs.std(axis=0)
+    rows = outputs.T + size[:, None] * IN_TIME[kind](random, len(size), n)
     signals = {model.inputs[0]: u, **dict(zip(model.outputs, rows, strict=True))}
-    return gb.Record(np.arange(SAMPLES) * STEP, signals)
+    return gb.Record(np.arange(n) * setting.step, signals)
 
 
-def fitted_record(kind: str, seed: int) -> tuple[gb.Fit, Mapping[str, float]]:
-    """Fit a record of one of three plants by output error."""
-    model = (Motor, ShortPeriod, RollRate)[seed % 3]
-    data = record(model, kind, np.random.default_rng([seed, len(kind)]))
+def fitted_record(setting: Setting, kind: str, seed: int) -> tuple[gb.Fit, Mapping[str, float]]:
+    """Fit a record of one of the plants by output error."""
+    model = setting.record_models[seed % 3]
+    data = record(setting, model, kind, np.random.default_rng([seed, len(kind)]))
     problem = gb.Problem(model(), data, gb.OutputError(inputs="held"))
     return gb.fit(problem, [{}], profiles=False, progress=False), TRUTH[model]
 
 
-def fitted_response(kind: str, seed: int) -> tuple[gb.Fit, Mapping[str, float]]:
-    """Fit a response of one of two plants by one of two criteria."""
-    model = (TwoLags, Oscillator)[seed % 2]
+def fitted_response(setting: Setting, kind: str, seed: int) -> tuple[gb.Fit, Mapping[str, float]]:
+    """Fit a response of one of the plants by one of two criteria."""
+    model, omega = setting.response_models[seed % 2], setting.omega
     random = np.random.default_rng([seed, len(kind)])
-    exact = gb.frequency_response(model(), TRUTH[model], OMEGA).response
-    measured = exact * (1 + 0.05 * ALONG_FREQUENCY[kind](random, OMEGA.size))
-    data = gb.FrequencyResponse(OMEGA, measured, "u", "y")
+    exact = gb.frequency_response(model(), TRUTH[model], omega).response
+    measured = exact * (1 + setting.size * ALONG_FREQUENCY[kind](random, omega.size))
+    data = gb.FrequencyResponse(omega, measured, "u", "y")
     criterion = (gb.RelativeError(), gb.RelativeLikelihood())[seed // 2 % 2]
     problem = gb.Problem(model(), data, criterion)
     return gb.fit(problem, [{}], profiles=False, progress=False), TRUTH[model]
@@ -220,6 +339,8 @@ def main() -> None:
     """Count and print."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--fits", type=int, default=200)
+    parser.add_argument("--systems", choices=SETTINGS, default="first")
+    parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--output", type=Path)
     options = parser.parse_args()
 
@@ -228,7 +349,7 @@ def main() -> None:
     others = sum(kind != RIGHT for kind, _ in cells)
     lines = [
         f"greybox {gb.__version__}, Python {platform.python_version()}, numpy {np.__version__}, "
-        f"{dt.date.today()}",
+        f"{dt.date.today()}, {options.systems} systems, seeds from {options.seed}",
         f"{'noise':<24}{'fits':>6}{'hold':>6}{'speak':>7}{'hold or speak':>15}",
     ]
     total = {True: np.zeros(4, int), False: np.zeros(4, int)}
@@ -236,8 +357,8 @@ def main() -> None:
         is_right = kind == RIGHT
         count = options.fits // 2 if is_right else -(-options.fits // others)
         counts = np.zeros(4, int)
-        for seed in range(count):
-            fit, truth = fitted(kind, seed)
+        for seed in range(options.seed, options.seed + count):
+            fit, truth = fitted(SETTINGS[options.systems], kind, seed)
             hold, speak = holds(fit, truth), bool(said(fit))
             counts += [1, hold, speak, hold or speak]
         total[is_right] += counts

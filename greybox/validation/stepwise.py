@@ -106,7 +106,7 @@ class StepwiseSelection:
     def __str__(self) -> str:
         rows = []
         for trial in self.trials:
-            p = trial.why_not or p_text(trial.p_value).removeprefix("p = ").removeprefix("p ")
+            p = trial.why_not or p_text(trial.p_value)[2:].removeprefix("= ")
             outcome = {"add": "added", "remove": "removed"}[trial.change] if trial.done else ""
             change = [str(trial.step), trial.change, trial.term]
             rows.append([*change, number(trial.cost, 4), p, f"{trial.limit:.2g}", outcome])
@@ -252,11 +252,10 @@ class _Fits:
 
 def _best(trials: Sequence[Trial]) -> Trial | None:
     """Return the addition with the smallest p-value; of equal costs the first in the list."""
-    least = min(trials, key=lambda t: (t.p_value, t.cost), default=None)
+    _, cost = min(((t.p_value, t.cost) for t in trials), default=(1.0, 0.0))
     # Costs of equivalent terms differ by rounding: 1e-6 is far above it, and far below what any
     # test sees.
-    alike = (t for t in trials if least and math.isclose(t.cost, least.cost, rel_tol=1e-6))
-    return next(alike, None)
+    return next((t for t in trials if math.isclose(t.cost, cost, rel_tol=1e-6)), None)
 
 
 def _tested(removed: Mapping[str, float], small: Fit, large: Fit) -> NestedTest | str:

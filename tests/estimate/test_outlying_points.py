@@ -250,6 +250,23 @@ def test_errors_that_grow_with_frequency_are_named(growth, is_named):
     assert any("changes with frequency" in text for text in fit.warnings) == is_named
 
 
+@pytest.mark.parametrize(
+    ("first", "last", "cure"),
+    [(0.1, 1.0, ""), (0.2, 4.0, "larger variances at high"), (4.0, 0.2, "larger variances at low")],
+)
+def test_given_variances_are_doubted_only_where_they_are_too_small(first, last, cure):
+    """Too large ones, such as those of a spectrum that allow for leakage, do no harm."""
+    omega = np.geomspace(0.5, 20, 30)
+    exact = measured(Lag(), omega, TRUTH, noise=0.0).response
+    errors = np.random.default_rng(4).normal(size=(30, 2)) @ [1, 1j] / np.sqrt(2)
+    measurement = exact * (1 + 0.03 * np.geomspace(first, last, 30) * errors)
+    columns = {"variance": (0.03 * np.abs(exact)) ** 2, "dof": np.full(30, 40.0)}
+    data = gb.FrequencyResponse(omega, measurement, "u", "y", **columns)
+    fit = gb.fit(gb.Problem(Lag(), data, gb.MaximumLikelihood()), starts=3)
+    messages = [text for text in fit.warnings if "changes with frequency" in text]
+    assert cure in messages[0] if cure else not messages
+
+
 def test_unequal_errors_of_a_response_are_judged_by_the_number_of_responses():
     """Errors that grow by chance are named in one of a hundred responses alone, not among thirty."""
     exact = gb.frequency_response(Lag(), TRUTH, OMEGA).response

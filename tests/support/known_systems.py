@@ -89,18 +89,44 @@ def flown(system, kind, rng, *, noise=0.1, pole=0.0, duration=164.0, rate=32.0):
 
 
 def maximum_likelihood(system: System, data: FrequencyResponse):
-    """Return estimate and standard errors as `gb.MaximumLikelihood` has them.
+    """Return estimate and standard errors as `gb.MaximumLikelihood` has them for independent errors.
 
-    A second implementation, and quick.
+    A second implementation, and quick. Variances with ν degrees of freedom make the errors Student's
+    t: the estimate is that of weights (ν + 2)/(ν + 2 r²), repeated until they no longer change, and
+    standard errors are larger by about 1 + 2/ν than if the variances were exact.
     """
-    deviation = np.sqrt(data.variance / 2)
+    deviation, dof = np.sqrt(data.variance / 2), data.dof
 
     def residuals(p):
-        e = (system.response(1j * data.omega, p) - data.response) / deviation
-        return np.concatenate([e.real, e.imag])
+        return (system.response(1j * data.omega, p) - data.response) / deviation
 
-    found = least_squares(
-        residuals, system.truth, x_scale=np.abs(system.truth), xtol=1e-10, ftol=1e-10
-    )
-    ratio = max(2 * found.cost / (2 * len(data) - found.x.size), 1.0)
-    return found.x, np.sqrt(np.diag(np.linalg.inv(found.jac.T @ found.jac)) * ratio)
+    def squares(p):
+        return np.abs(residuals(p)) ** 2 / 2
+
+    estimate = system.truth
+    for _ in range(50):
+        root = np.sqrt((dof + 2) / (dof + 2 * squares(estimate)))
+
+        def weighted(p, root=root):
+            e = root * residuals(p)
+            return np.concatenate([e.real, e.imag])
+
+        found = least_squares(
+            weighted, estimate, x_scale=np.abs(system.truth), xtol=1e-12, ftol=1e-12, gtol=1e-12
+        )
+        change = np.max(np.abs(found.x - estimate) / np.abs(system.truth))
+        estimate = found.x
+        if change < 1e-9:
+            break
+
+    # A score has (ν + 2)/ν times the variance that its slope has, a weight of ν/(ν + 2 r²).
+    n, p = len(data), estimate.size
+    bread = np.linalg.inv(found.jac.T @ (np.tile(dof / (dof + 2), 2)[:, None] * found.jac))
+    meat = found.jac.T @ found.jac
+
+    r = squares(estimate)
+    scale = 1.0
+    for _ in range(200):
+        scale *= np.mean((dof + 2) * r / (dof * scale + 2 * r))
+    ratio = max(scale * 2 * n / (2 * n - p), 1.0)
+    return estimate, np.sqrt(np.diag(bread @ meat @ bread) * ratio)

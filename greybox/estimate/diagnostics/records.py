@@ -82,8 +82,9 @@ def _flattened_inputs(parts: Sequence[RecordPart]) -> Iterator[Finding]:
         is_uniform = record.has_time and stretch.times is None
         if not is_uniform or part.model.criterion.inputs == "linear":
             continue
-        inputs = zip(part.system.inputs, part.model.between, stretch.inputs, strict=True)
-        for name, between, values in inputs:
+        for name, between, values in zip(
+            part.system.inputs, part.model.between, stretch.inputs, strict=True
+        ):
             power = np.abs(np.fft.rfft(np.hanning(values.size) * (values - values.mean()))) ** 2
             rate = np.arange(power.size) / values.size
             # Steps and corners have power at all frequencies: they are lines, or held.
@@ -111,8 +112,8 @@ def _short(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[Finding]:
             continue
         slowest = int(np.argmax(colored.correlation_times))
         time = float(colored.correlation_times[slowest])
-        record, alone = part.model.record, len(nlp.parts) == 1
-        place = _place(record, part.problem.name, alone=alone)
+        record = part.model.record
+        place = _place(record, part.problem.name, alone=len(nlp.parts) == 1)
         text = (
             f"the residuals of {part.outputs[slowest]}{place} stay correlated for about {time:.2g} "
             f"s, and the longest gap-free stretch lasts only {colored.duration / time:.2g} times "
@@ -251,7 +252,6 @@ def biased_by_feedback(
             ]
 
     if responding:
-        static = all(part.is_static for part, _ in tested)
         yield (
             f"feedback responds to errors that are correlated in time ({some(responding)}), as "
             "where a controller acts on process noise such as gusts. The estimate of OutputError "
@@ -259,7 +259,7 @@ def biased_by_feedback(
             f"{100 * FALSE_ALARMS:g} % of fits); "
             + (
                 "use data without feedback."
-                if static
+                if all(part.is_static for part, _ in tested)
                 else "compare with criterion=PredictionError()."
             )
         )
