@@ -55,15 +55,16 @@ def _of_response(
             "variance of the residuals"
         )
 
-    text = (
+    yield (
+        "incomplete" if ratio > 1 else "too large",
+        part.name,
         f"the residuals of {part.name!r} are {ratio:.2g} times as large as the given variances: "
-        f"{meaning}."
+        f"{meaning}.",
     )
-    yield "incomplete" if ratio > 1 else "too large", part.name, text
 
 
 def _of_record(part: RecordPart, trajectory: Trajectory) -> Iterator[Finding]:
-    if part.covariance.known is None or part.problem.criterion.is_prior:
+    if part.covariance.known is None or part.model.is_prior:
         return
     deviations = np.sqrt(np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1))
     for output, deviation, residual in zip(

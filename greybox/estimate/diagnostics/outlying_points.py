@@ -124,13 +124,14 @@ def outlying_samples(parts: Sequence[FittedPart]) -> Iterator[Finding]:
             gain = np.nanmean(residual**2) / np.nanmean(bounded([residual])[0] ** 2)
             if gain > NOTICEABLE:
                 largest = [f"{t:.4g}" for t in part.data.time[np.argsort(-size)[:count][:4]]]
-                text = (
+                yield (
+                    output,
+                    part.name,
                     f"outliers are among the samples of {output} in {part.name!r} ({count}), up to "
-                    f"{number(float(size.max()), 2)} standard deviations from the model, the "
+                    f"{number(size.max(), 2)} standard deviations from the model, the "
                     f"largest at {listed(largest)} s: OutputError(errors='huber') bounds their "
-                    f"effect, with standard errors about {100 * (1 - gain**-0.5):.0f} % smaller."
+                    f"effect, with standard errors about {100 * (1 - gain**-0.5):.0f} % smaller.",
                 )
-                yield output, part.name, text
 
 
 def largest_deviation(part: ResponsePart, values: Array, free: int) -> Deviation | None:

@@ -114,14 +114,15 @@ def _short(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[Finding]:
         time = float(colored.correlation_times[slowest])
         record = part.model.record
         place = _place(record, part.problem.name, alone=len(nlp.parts) == 1)
-        text = (
+        yield (
+            part.outputs[slowest],
+            record.name or part.problem.name,
             f"the residuals of {part.outputs[slowest]}{place} stay correlated for about {time:.2g} "
             f"s, and the longest gap-free stretch lasts only {colored.duration / time:.2g} times "
             f"that, less than {FEWEST_TIMES:g}. The standard errors are rough "
             f"({counted(max(round(colored.dof), 1), 'degree of', 'degrees of')} freedom); use a "
-            "longer record."
+            "longer record.",
         )
-        yield part.outputs[slowest], record.name or part.problem.name, text
 
 
 def unexplained_outputs(
@@ -274,13 +275,14 @@ def _bounded(
         if gain is not None and gain.is_at_limit(trajectory):
             name = gain.part.model.record.name or part.problem.name
             place = "" if alone else f" of {name!r}"
-            text = (
+            yield (
+                "limit",
+                name,
                 f"the Kalman gain{place} reached the stability limit, as if the data showed no "
                 "process noise in a state that it corrects. The standard errors do not account for "
                 "the limit and are too small: let it correct fewer "
-                "states, or compare with OutputError()."
+                "states, or compare with OutputError().",
             )
-            yield "limit", name, text
 
 
 def _place(record: Record, part: str, *, alone: bool) -> str:
