@@ -117,7 +117,7 @@ def outlying_samples(parts: Sequence[FittedPart]) -> Iterator[Finding]:
                 continue
             size = np.nan_to_num(np.abs(residual) / robust_deviation(residual))[0]
             # The largest of many normal residuals is judged by their number.
-            count = int(np.sum(erfc(size / math.sqrt(2)) * np.count_nonzero(size) < SIZE))
+            count = int(np.sum(erfc(size / 2**0.5) * np.count_nonzero(size) < SIZE))
             # Exact fits have no scale.
             if not (count and size.any()):
                 continue
