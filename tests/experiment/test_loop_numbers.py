@@ -214,8 +214,20 @@ def test_a_loop_of_little_gain_rejects_no_disturbance():
         def update(self, x, u, p):
             return (), (p.K_P * (u.reference - u.q),)
 
-    answer = gb.margins(Measured(), Proportional({"K_P": 0.01}))
-    assert answer["disturbance rejection bandwidth"].value == 0
+    values = {"K": 10.0, "a": 2.0, "T": 0.05, "tau": 0.0}
+
+    def bandwidth(gain_at_rest):
+        answer = gb.margins(Measured(), Proportional({"K_P": 0.2 * gain_at_rest}), values)
+        return answer["disturbance rejection bandwidth"].value
+
+    # The sensitivity at rest is 1/1.4, above -3 dB, or 1/1.5, below.
+    assert bandwidth(0.4) == 0
+    plant = control.c2d(control.tf([10.0], [0.05, 1.1, 2]), 1 / RATE)
+
+    def distance(w):
+        return np.abs(1 + 0.1 * plant(np.exp(1j * w / RATE))) - np.sqrt(2)
+
+    assert bandwidth(0.5) == pytest.approx(first_zero(distance, np.geomspace(0.05, 10, 50)))
 
 
 def test_a_system_of_python_control_and_a_transfer_function_are_controllers():
