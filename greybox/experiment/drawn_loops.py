@@ -18,7 +18,7 @@ from greybox.modeling.model import Model
 
 DRAWS = 512  # a quantile of 2.5 % is then known to 4 % of a standard error
 DRAWN = slice(1, 1 + DRAWS)  # the plants of a loop that are draws
-BESIDE = slice(1 + DRAWS, None)  # those that differ in what the data do not determine
+BESIDE = slice(DRAWN.stop, None)  # those that differ in what the data do not determine
 
 
 def drawn_loops(

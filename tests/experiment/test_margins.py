@@ -276,6 +276,30 @@ def test_what_the_data_do_not_determine_matters_only_where_it_is_felt(fit):
     )
 
 
+class Unseen(gb.StateSpace):
+    """The rate is fed back through a gain that a measurement of the angular momentum lacks."""
+
+    states, inputs, outputs = ("h",), ("u",), ("h", "q")
+    K = gb.Parameter(40.0, bounds=(1, 1000))
+    a = gb.Parameter(2.0, bounds=(0, 50))
+    c = gb.Parameter(1.0, bounds=(0.1, 10))
+
+    def derivative(self, x, u, p):
+        return (p.K * u.u - p.a * x.h,)
+
+    def output(self, x, u, p):
+        return (x.h, p.c * x.h)
+
+
+def test_a_loop_that_feels_what_the_data_do_not_determine_has_no_interval():
+    response = 35 / (1j * OMEGA + 3) * (1 + 0.01 * np.exp(1j * 7 * OMEGA))
+    data = gb.FrequencyResponse(OMEGA, response, input="u", output="h")
+    fit = gb.fit(gb.Problem(Unseen(), data), starts=2, profiles=False, progress=False)
+    answer = gb.margins(fit, RateLoop())
+    assert any("do not determine the phase margin" in note for note in answer.notes)
+    assert np.isnan(answer["phase margin"].low)
+
+
 def test_a_table_of_loops_has_their_main_margins_and_the_risk_of_instability():
     stable, unstable = (
         gb.margins(RateDynamics(), RateLoop(gains), TRUTH) for gains in ({}, {"K_P": 5.0})

@@ -430,18 +430,18 @@ def test_the_slopes_of_a_response_are_those_of_its_differences():
         assert_allclose(slope, differences, rtol=1e-5, atol=1e-7)
 
 
-def test_a_dead_zone_and_a_saturation_are_found_from_two_starts():
+def test_a_dead_zone_and_a_saturation_are_found():
     """Two amplitudes of one servo: together they tell the dead zone from the saturation."""
-    omega = np.geomspace(1, 15, 6)
+    omega = np.geomspace(1, 15, 4)
     random = np.random.default_rng(0)
     problems = []
     for amplitude in (0.4, 1.5):
         sine = gb.modeling.Sine("u", amplitude, harmonics=3)
         exact, _ = directly_found(Servo(), SERVO, omega, sine)
-        errors = random.normal(size=6) + 1j * random.normal(size=6)
+        errors = random.normal(size=4) + 1j * random.normal(size=4)
         data = gb.FrequencyResponse(omega, exact * (1 + 0.005 * errors), input="u", output="x")
         problems.append(gb.Problem(Servo(), data, amplitude=sine))
-    fit = gb.fit(problems[0] + problems[1], 2, seed=0, progress=False, profiles=False)
+    fit = gb.fit(problems[0] + problems[1], 1, progress=False, profiles=False)
     for name in ("d", "w", "dead", "limit"):
         error = fit.estimate[name] - SERVO[name]
         assert abs(error) < 4 * fit.standard_error[name] < 0.2 * SERVO[name]
