@@ -1,10 +1,9 @@
 """Frequencies of a Fourier transform, and the bands over which spectra are compared."""
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,15 +83,6 @@ class FrequencyGrid:
             result[place] = np.fft.rfft(weighted[place], self.size) * deviation[place[0]]
         return result
 
-    @property
-    def parts(self) -> Iterator[tuple[slice, slice]]:
-        """Yield pieces of the frequencies that fit into memory, and the bands in them."""
-        firsts = np.searchsorted(self.starts, np.arange(0, len(self.weight), COLUMNS))
-        edges = [*dict.fromkeys(firsts.tolist()), len(self.starts)]
-        ends = [*self.starts.tolist(), len(self.weight)]
-        for first, end in pairwise(edges):
-            yield slice(ends[first], ends[end]), slice(first, end)
-
     def covariances(
         self, density: Callable[[int, int], ComplexArray], k: int, order: int
     ) -> tuple[Array, ComplexArray]:
@@ -116,7 +106,8 @@ class FrequencyGrid:
         """Return Σ J' Σ_e J (p, p) by the transforms (k, p, frequencies) of all stretches."""
         parts = []
         for transform in transforms:
-            for part, _ in self.parts:
+            for start in range(0, len(self.weight), COLUMNS):
+                part = slice(start, start + COLUMNS)
                 spread = self.spread_out(density, part) * self.weight[part]
                 columns = np.ascontiguousarray(transform[..., part])
                 # As pairs of reals, whose product is the real part of the complex product.

@@ -283,18 +283,11 @@ class ResidualSpectra:
     @cached_property
     def power(self) -> ComplexArray:
         """Power (k, k, b) of the sensitivities, whose mean product with a spectrum is tr(B⁻¹ M)."""
-        grid, k = self.grid, len(self.counts)
-        # The product of the root with its transpose is the covariance for white errors.
-        values, vectors = np.linalg.eigh((self.inverse + self.inverse.T) / 2)
-        root = vectors * np.sqrt(np.maximum(values, 0.0))
-        total = np.zeros((k, k, len(grid.starts)), dtype=complex)
-        for transform in self.transforms():
-            for part, bands in grid.parts:
-                H = root.T @ transform[..., part]
-                power = np.einsum("ipf,jpf->ijf", H.conj(), H) * grid.weight[part]
-                starts = grid.starts[bands] - part.start
-                total[..., bands] += np.add.reduceat(power, starts, axis=-1)
-        return total / grid.band_weight
+        powers = [
+            [self.grid.banded(np.einsum("pf,jpf->jf", self.inverse @ H.conj(), rows)) for H in rows]
+            for rows in self.transforms()
+        ]
+        return np.sum(powers, axis=0)
 
     @cached_property
     def slow(self) -> Array:
