@@ -4,6 +4,7 @@ import numpy as np
 from printed_answers import GOLDEN, Line, differences, printed
 
 import greybox as gb
+from greybox.problems import pitch_hover
 
 
 def test_answers_are_printed_as_before():
@@ -32,3 +33,14 @@ def test_details_name_correlated_parameters_and_the_text_begins_with_the_verdict
     )
     assert "correlated" not in str(fit)
     assert str(fit).split("\n\n")[1].split()[0] in ("Good:", "In")
+
+
+def test_units_and_meanings_begin_below_their_headings():
+    fit = gb.fit(pitch_hover.problem(), starts=2, profiles=False, progress=False)
+    lines = str(fit).splitlines()
+    k = next(k for k, line in enumerate(lines) if line.startswith("  parameter"))
+    heading, rows = lines[k], lines[k + 2 :]
+    for name, row in zip(fit.free, rows, strict=False):
+        assert row.split()[0] == name
+        assert row[heading.index("unit") :].startswith(f"{fit.by_name[name].unit} ")
+        assert row[heading.index("meaning") :] == fit.by_name[name].about
