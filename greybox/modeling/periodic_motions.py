@@ -112,8 +112,9 @@ def _checked(
         k = int(np.argmin(finite))
         place = _place(sine, omega[k], sine.amplitudes(omega)[k])
         raise ValueError(
-            f"{model.label} has no periodic motion {place}: give a smaller amplitude, or check the "
-            "values and `at`."
+            f"no periodic motion of {model.label} was found {place}: give another amplitude (just "
+            "above the break-away force of dry friction the search may fail), or check the values "
+            "and `at`."
         )
 
     input, output = pick_signals(model, input, output)

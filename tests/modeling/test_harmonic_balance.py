@@ -664,7 +664,7 @@ def test_a_motion_that_does_not_exist_is_said_and_prints_nothing(capfd):
 
     with pytest.raises(
         ValueError,
-        match=r"Speed has no periodic motion at omega = 1 rad/s in which speed is a sine of",
+        match=r"no periodic motion of Speed was found at omega = 1 rad/s in which speed is a sine of",
     ):
         gb.modeling.harmonic_response(Speed(), {}, [1.0], amplitude={"speed": 0.5}, output="theta")
     printed = capfd.readouterr()
