@@ -319,20 +319,13 @@ class FrequencyResponse:
         held, which `about` then says, they contain that of the hold: half of the time for which a
         value lasts as a delay.
         """
-        return self._with_hold(HOLD, NO_HOLD, -1)
-
-    def with_hold(self) -> "FrequencyResponse":
-        """Return the response to the samples of the input, as a controller sees it."""
-        return self._with_hold(NO_HOLD, HOLD, 1)
-
-    def _with_hold(self, key: str, new_key: str, power: int) -> "FrequencyResponse":
-        if key not in self.about:
+        if HOLD not in self.about:
             return self
-        half = self.omega * float(self.about[key]) / 2
+        half = self.omega * float(self.about[HOLD]) / 2
         # The mean of exp(-jωt) over the time for which a value lasts.
         hold: Any = np.exp(-1j * half) * np.sinc(half / np.pi)
-        about = {new_key if name == key else name: text for name, text in self.about.items()}
-        return replace(self.times(hold**power, self.output), about=about)
+        about = {NO_HOLD if name == HOLD else name: text for name, text in self.about.items()}
+        return replace(self.times(1 / hold, self.output), about=about)
 
     def times(
         self, factor: NDArray[np.complexfloating], output: str = "", unit: str = ""
