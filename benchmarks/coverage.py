@@ -28,10 +28,10 @@ import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.covariance import assess, degrees, propagate
-from greybox.estimate.diagnostics.frequency_correlation import UNLIKELY
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.models.rotor import Rotor
 from greybox.models.tilt import PAPER_G, Tilt
+from greybox.statistics.neighbor_correlation import UNLIKELY
 
 UNEQUAL = (
     "MaximumLikelihood",

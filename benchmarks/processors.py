@@ -4,8 +4,9 @@ python benchmarks/processors.py [--fits 200] [--output benchmarks/results/proces
 
 OpenBLAS chooses its matrix products by processor, and every choice rounds differently. The variable
 OPENBLAS_CORETYPE forces a choice, so one machine can stand for several. Responses by every
-criterion, records by output error (white and slow errors, several records) and by prediction error
-(free gain, process noise), and parameters whose truth is beyond their bound are fitted under each
+criterion, records by output error (white and slow errors, several records, Huber's rule) and by
+prediction error (free gain, process noise, gusts), Fourier integrals of manoeuvres, a record
+together with a response, and parameters whose truth is beyond their bound are fitted under each
 kernel in a process of its own. Compared with the first kernel: the largest move of an estimate, in
 its standard errors, and the largest relative change of a standard error. Beyond 1e-6 of a standard
 error, or 1e-3 of the error, a fit is listed. Only a numpy that brings OpenBLAS shows a difference.
@@ -117,6 +118,38 @@ def process_noise(seed: int) -> gb.Fit:
     return from_declared(gb.Problem(TwoOutputs(), gusts(seed), rule))
 
 
+def gust_state(seed: int) -> gb.Fit:
+    """Fit a record by prediction error with a disturbance that lasts."""
+    rule = gb.PredictionError(disturbance={"v": "colored"}, inputs="held")
+    return from_declared(gb.Problem(TwoOutputs(), gusts(seed), rule))
+
+
+def robust(seed: int) -> gb.Fit:
+    """Fit a record with outliers by output error and Huber's rule."""
+    record, random = driven(8.0, noise=0.05, seed=seed), np.random.default_rng([seed, 4])
+    spikes = (random.random(len(record)) < 0.02) * random.normal(size=len(record))
+    record = record.with_signals(position=record["position"] + spikes)
+    return from_declared(gb.Problem(Spring(), record, gb.OutputError(errors="huber")))
+
+
+def manoeuvre(seed: int) -> gb.Fit:
+    """Fit the Fourier integrals of a manoeuvre, by output error or by equation error with gusts."""
+    rule = (gb.OutputError(), gb.EquationError(gusts=True))[seed % 2]
+    spectrum = gb.spectral.transient_spectrum(gusts(seed), "F", "x", (0.5, 10.0))
+    return from_declared(gb.Problem(TwoOutputs(), spectrum, rule))
+
+
+def joint(seed: int) -> gb.Fit:
+    """Fit a record and a response at once."""
+    omega = np.geomspace(0.5, 10, 16)
+    noise = np.random.default_rng([seed, 5]).normal(size=(2, 16))
+    exact = gb.frequency_response(TwoOutputs(), SPRING, omega, output="x").response
+    measured = exact * (1 + 0.05 * (noise[0] + 1j * noise[1]))
+    data = gb.FrequencyResponse(omega, measured, "F", "x", variance=np.full(16, 0.005))
+    in_time = gb.Problem(TwoOutputs(), gusts(seed), gb.OutputError(inputs="held"))
+    return from_declared(in_time + gb.Problem(TwoOutputs(), data, gb.MaximumLikelihood()))
+
+
 KINDS: dict[str, Callable[[int], gb.Fit]] = {
     "response": response,
     "response, bound": bounded_response,
@@ -126,6 +159,10 @@ KINDS: dict[str, Callable[[int], gb.Fit]] = {
     "three records": several,
     "free gain": free_gain,
     "process noise": process_noise,
+    "gust state": gust_state,
+    "Huber's rule": robust,
+    "manoeuvre": manoeuvre,
+    "record and response": joint,
 }
 
 

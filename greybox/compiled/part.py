@@ -133,7 +133,7 @@ class ColoredErrors:
     spectrum : ErrorSpectrum or None
         Of the errors, enlarged for what the fit took from them; None where all residuals are zero.
     process_noise : float
-        -2 log of the evidence for other errors, less that for white process noise.
+        -2 log of the evidence for other errors, less that for process noise: white, or gusts.
     """
 
     meat: Array
@@ -203,6 +203,9 @@ class Information:
         Of a frequency response, what noise adds to the residuals (rows,) in the mean, by the
         `gain_bias` of the criterion, with the noise larger by the correction: the bias of the
         estimate is its least squares on the Jacobian.
+    doubtful : tuple of str
+        Outputs of a manoeuvre whose errors look like turbulence that the criterion does not model,
+        or like a missing term: few lines have most of them, so that no interval holds.
     """
 
     part: "Part"
@@ -214,6 +217,7 @@ class Information:
     colored: Callable[[Array], ColoredErrors] | None = None
     correlated: Callable[[float, Array, float], CorrelatedPoints | None] | None = None
     offset: Callable[[float], Array] | None = None
+    doubtful: tuple[str, ...] = ()
 
 
 class Program(ABC):

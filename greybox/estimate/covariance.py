@@ -206,7 +206,11 @@ def assess(
     error = np.sqrt(np.maximum(np.diag(accuracy.covariance)[:p], 0))
     loose = ~(error < 0.5 * np.abs(x))
     reported = (c for c in suspect if np.any(loose & np.isin(nlp.free, c.names)))
-    return replace(accuracy, combinations=(*combinations, *reported))
+    accuracy = replace(accuracy, combinations=(*combinations, *reported))
+    # No interval is better than one that is too narrow.
+    if any(part.doubtful for part in parts):
+        accuracy.covariance.fill(np.nan)
+    return accuracy
 
 
 def _with_covariance(

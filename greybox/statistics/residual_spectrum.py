@@ -77,7 +77,7 @@ class ColoredInformation:
     spectrum : ErrorSpectrum or None
         Spectrum of the errors; None where all residuals are zero.
     process_noise : float
-        -2 log of the evidence for other errors, less that for white process noise.
+        -2 log of the evidence for other errors, less that for process noise: white, or gusts.
     """
 
     meat: Array
@@ -140,6 +140,8 @@ def colored_information(
     meat = spectra.grid.score_covariance(spectra.transforms(), mixture.density)
     times = np.zeros(k)
     times[compared] = spectra.grid.correlation_times(mixture.typical)
+    # Gusts take time to compare, and leave no residuals that look white.
+    gusts = spectra.gain_of_gusts() if times.max() > 1 else 0.0
     density = np.zeros((k, k, len(spectra.grid.omega)), dtype=complex)
     density[np.ix_(compared, compared)] = mixture.density
     deviation = np.ones(k)
@@ -152,7 +154,7 @@ def colored_information(
         correlation_times=times,
         corrected=corrected,
         spectrum=ErrorSpectrum(spectra.grid.omega, density, deviation),
-        process_noise=mixture.score,
+        process_noise=mixture.score + gusts,
     )
 
 
@@ -398,9 +400,25 @@ class ResidualSpectra:
             estimated.score + aicc_penalty(len(variance), self.counts.max() * sensors),
         )
 
+    def gain_of_gusts(self) -> float:
+        """Return by how much gusts of the best time constant are likelier than white ones."""
+        if self.noise_parts is None:
+            return 0.0
+        # Between times that differ by a factor of four, the likelihood has no other maximum.
+        times = np.geomspace(4.0, max(self.grid.longest / 4, 8.0), 4)
+        colored = (self._noise_parts(math.exp(-1 / time)) for time in times)
+        scores = [self.process_noise(parts).score for parts in colored if parts]
+        # The time constant is an unknown.
+        least = min(scores, default=math.inf) + 2 * math.log(len(times))
+        return max(self.process_noise(self.noise_parts).score - least, 0.0)
+
     @cached_property
     def noise_parts(self) -> "_NoiseParts | None":
         """White noise of every sensor and process noise of every state, of variance one."""
+        return self._noise_parts(0.0)
+
+    def _noise_parts(self, correlation: float) -> "_NoiseParts | None":
+        """Return these parts for process noise of a correlation from one sample to the next."""
         # A longer record shows the spectrum of process noise without the model's dynamics.
         if self.shocks is None or self.counts.max() > 10_000:
             return None
@@ -408,6 +426,8 @@ class ResidualSpectra:
         k = len(self.counts)
         grid = self.grid
         transforms = np.fft.rfft(self.shocks() / self.deviation[:, None, None], grid.size)
+        delay = np.exp(-2j * np.pi * np.arange(len(grid.weight)) / grid.size)
+        transforms = transforms / (1 - correlation * delay)
         spectra = [
             np.diag(row)[:, :, None] * np.ones(len(grid.weight), dtype=complex) for row in np.eye(k)
         ]

@@ -212,6 +212,7 @@ def test_turbulence_is_named_and_its_color_estimated(clean, fit):
     spectrum = transient_spectrum(noisy, "u", "q", BAND)
     blind = gb.fit(gb.Problem(ShortPeriod(), spectrum), starts=[SHORT_PERIOD], progress=False)
     assert "turbulence" in " ".join(blind.warnings)
+    assert all(np.isnan(error) for error in blind.standard_error.values())
     assert "turbulence" not in " ".join(fit.warnings)
 
     start = {**SHORT_PERIOD, "T_gust": 1.0}
@@ -239,6 +240,16 @@ class Twice(gb.TransferFunction):
 
     def response(self, s, p):
         """Return the response."""
+        known = SHORT_PERIOD
+        motion = s**2 + 2 * known["z"] * known["w"] * s + known["w"] ** 2
+        return p.a * p.b * (p.c * s + 1) / motion * gb.exp(-s * known["T"])
+
+
+class TwiceALag(Twice):
+    """The same without the oscillation."""
+
+    def response(self, s, p):
+        """Return the response."""
         return p.a * p.b / (s + p.c)
 
 
@@ -248,7 +259,10 @@ def test_what_is_not_determined_is_said(spectrum):
     assert np.isnan([fit.standard_error["a"], fit.standard_error["b"]]).all()
     assert np.isfinite(fit.standard_error["c"])
     assert "a and b" in " ".join(fit.warnings)
-    assert "errors of q are correlated along frequency" in " ".join(fit.warnings)
+    incomplete = fitted(gb.Problem(TwiceALag(), spectrum))
+    assert "correlated along frequency" in " ".join(incomplete.warnings)
+    assert "or of a model that misses something" in " ".join(incomplete.warnings)
+    assert np.isnan(incomplete.standard_error["c"])
 
 
 def test_nested_and_other_models_are_compared(spectrum, fit):

@@ -6,6 +6,7 @@ from lateral_aircraft import LATERAL, Lateral, discretized, disturbed, doublets
 from numpy.testing import assert_allclose
 from scipy.linalg import solve_discrete_are
 from scipy.optimize import minimize
+from scipy.signal import lfilter
 from spring_lag_tilt import SPRING, Spring, assert_true, fit
 
 import greybox as gb
@@ -132,6 +133,27 @@ def test_a_test_against_output_error_tells_whether_there_is_process_noise(windy)
     assert any("show no process noise: w_v" in text for text in large.warnings)
     assert not any("look like gusts" in text for text in small.warnings)
     assert not any("not determined" in text for text in large.warnings)
+
+
+@pytest.mark.parametrize("time", [0.5, 3.0])
+def test_gusts_that_last_are_named_in_a_long_record_and_slow_sensors_are_not(time):
+    calm, rule = flown(0.0, n=20), gb.PredictionError(disturbance={"v": "colored"}, inputs="held")
+    gusty = gb.Problem(Spring(), calm, rule).model
+    truth, inputs = TRUTH | {"T_gust_v": time}, doublets(1, 800, 1.0, 5)
+    random = np.random.default_rng(5)
+    named = []
+    for size in (1.0, 0.0):
+        record = disturbed(gusty, truth, inputs, STEP, {"gust_v": size}, SENSORS, 5)
+        slow = {
+            name: record[name]
+            + (size == 0) * lfilter([deviation], [1, -0.95], random.normal(size=800))
+            for name, deviation in SENSORS.items()
+        }
+        simulated = fit(
+            gb.Problem(Spring(), record.with_signals(**slow), gb.OutputError(inputs="held"))
+        )
+        named.append(any("look like gusts" in text for text in simulated.warnings))
+    assert named == [True, False]
 
 
 def test_five_outputs_need_a_few_numbers():

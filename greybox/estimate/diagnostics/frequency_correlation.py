@@ -2,7 +2,7 @@
 
 Errors of neighboring points are correlated if the points are closer than the resolution of their
 transform, or if the model misses a part of the response. Standard errors of responses account for
-it (`greybox.statistics.neighbor_correlation`), those of manoeuvres do not.
+it (`greybox.statistics.neighbor_correlation`), and manoeuvres then have none.
 """
 
 from collections.abc import Iterator, Sequence
@@ -12,21 +12,11 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.compiled.response_part import ResponsePart
-from greybox.compiled.transient_part import TransientPart
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.noise_level import LEAST_RATIO
 from greybox.files.arrays import Array
-from greybox.files.text_table import percent
-from greybox.statistics.neighbor_correlation import NeighborCorrelation, neighbor_correlation
-from greybox.statistics.score_test import scores_of_powers
-
-# Probability of independent errors below which a correlation is reported: in simulated fits of 10
-# to 100 points it is reported in at most 1 % of those with independent errors.
-UNLIKELY = 0.1
-
-# Difference of -2 log evidence from which errors look like turbulence: in simulated manoeuvres of 8
-# s it was reported in 3 of 280 fits without gusts, and by output error in 158 of 160 with them.
-STRONG = 6.0
+from greybox.files.text_table import percent, some
+from greybox.statistics.neighbor_correlation import UNLIKELY
 
 
 def correlated_frequencies(
@@ -39,9 +29,7 @@ def correlated_frequencies(
     values, unlikely = nlp.all_values(x), UNLIKELY / len(nlp.parts)
     known = [part.neighbors for part in accuracy.parts] or [None] * len(nlp.parts)
     for part, trajectory, neighbors in zip(nlp.parts, trajectories, known, strict=True):
-        if isinstance(part, TransientPart):
-            yield from _of_manoeuvre(part, trajectory.z, alone=len(nlp.parts) == 1)
-        elif isinstance(part, ResponsePart) and part.data.has_independent_errors:
+        if isinstance(part, ResponsePart) and part.data.has_independent_errors:
             errors = part.neighbors(values, np.eye(len(nlp.free)), 1.0)
             if errors is not None and errors.independent < unlikely:
                 yield (
@@ -60,36 +48,23 @@ def correlated_frequencies(
                 # For 12 points with a correlation of 0.8, intervals of 95 % contain the truth in 86
                 # to 93 % of fits, for 24 points in 91 to 98 %.
                 yield (
-                    f"{_correlated(f'the residuals of {name!r}', errors)}; the standard errors "
+                    f"the residuals of {name!r} are correlated along frequency ({errors.mean:.2f} "
+                    "from one point to the next; independent errors have a probability of "
+                    f"{percent(errors.independent)} %). Either the points are closer than the "
+                    "frequency resolution, or the model misses something; the standard errors "
                     f"account for what {len(part.data)} points show of the first, but not for the "
                     "second."
                 )
 
 
-def _of_manoeuvre(part: TransientPart, z: Array, *, alone: bool) -> Iterator[str]:
-    of_problem = "" if alone else f" of {part.problem.name!r}"
-    for output, errors, complex_slope in part.errors_by_output(z):
-        slope = np.vstack([complex_slope.real, complex_slope.imag])
-        scores = scores_of_powers(np.hstack([errors.real, errors.imag]), slope, part.data.omega)
-        # Strength of evidence: Kass and Raftery (1995), JASA 90.
-        if scores[0] - scores.min() > STRONG:
+def doubtful_manoeuvres(accuracy: Accuracy) -> Iterator[str]:
+    """Name the manoeuvres whose errors leave a fit without intervals."""
+    for information in accuracy.informations:
+        if information.doubtful:
             yield (
-                f"the errors of {output}{of_problem} are larger at low frequencies, as in "
-                "turbulence, and the intervals may be too narrow: if the model is complete, use "
-                "EquationError(gusts=True)."
+                f"the errors of {some(information.doubtful)} of {information.part.problem.name!r} "
+                "are larger at low frequencies or correlated along frequency, like those of "
+                "turbulence or of a model that misses something. Intervals would be too narrow, so "
+                "there are none: in turbulence, use EquationError(gusts=True), or the record "
+                "itself with PredictionError(disturbance={state: 'colored'})."
             )
-        # Standard errors of manoeuvres are not corrected, other than those of responses.
-        neighbors = neighbor_correlation(errors, slope)
-        if neighbors is not None and neighbors.independent < UNLIKELY:
-            yield (
-                f"{_correlated(f'the errors of {output}{of_problem}', neighbors)}; "
-                "the standard errors, which assume independent errors, are too small."
-            )
-
-
-def _correlated(errors: str, neighbors: NeighborCorrelation) -> str:
-    return (
-        f"{errors} are correlated along frequency ({neighbors.mean:.2f} from one point to the "
-        f"next; independent errors have a probability of {percent(neighbors.independent)} %). "
-        "Either the points are closer than the frequency resolution, or the model misses something"
-    )

@@ -8,7 +8,10 @@ from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.delay_approximation import coarse_pade
 from greybox.estimate.diagnostics.discretization import discretization_warnings
 from greybox.estimate.diagnostics.failure import failure_warnings
-from greybox.estimate.diagnostics.frequency_correlation import correlated_frequencies
+from greybox.estimate.diagnostics.frequency_correlation import (
+    correlated_frequencies,
+    doubtful_manoeuvres,
+)
 from greybox.estimate.diagnostics.global_minimum import (
     discontinuous_costs,
     few_agreeing_starts,
@@ -96,6 +99,7 @@ def warnings(
         *several_estimates_of_one_response(nlp, search, accuracy),
         *coarse_pade(answer.responses),
         *unlikely_noise(nlp, trajectories),
+        *doubtful_manoeuvres(accuracy),
         *(correlated_frequencies(nlp, trajectories, accuracy, best.estimate) if errors else ()),
         *discontinuous_costs(nlp),
         *outlying_points(nlp, best.estimate),
