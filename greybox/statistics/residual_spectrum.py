@@ -402,15 +402,12 @@ class ResidualSpectra:
 
     def gain_of_gusts(self) -> float:
         """Return by how much gusts of the best time constant are likelier than white ones."""
-        if self.noise_parts is None:
-            return 0.0
         # Between times that differ by a factor of four, the likelihood has no other maximum.
         times = np.geomspace(4.0, max(self.grid.longest / 4, 8.0), 4)
-        colored = (self._noise_parts(math.exp(-1 / time)) for time in times)
-        scores = [self.process_noise(parts).score for parts in colored if parts]
+        parts = map(self._noise_parts, [0.0, *np.exp(-1 / times)])
+        scores = [self.process_noise(part).score for part in parts if part] or [0.0]
         # The time constant is an unknown.
-        least = min(scores, default=math.inf) + 2 * math.log(len(times))
-        return max(self.process_noise(self.noise_parts).score - least, 0.0)
+        return max(scores[0] - min(scores) - 2 * math.log(len(times)), 0.0)
 
     @cached_property
     def noise_parts(self) -> "_NoiseParts | None":

@@ -16,7 +16,7 @@ from greybox.estimate.diagnostics.repeated import Finding, once
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
 from greybox.estimate.missing_terms import dynamic_equations
 from greybox.files.arrays import Array
-from greybox.files.text_table import counted, some
+from greybox.files.text_table import some
 from greybox.modeling.colored_disturbance import undisturbed
 from greybox.modeling.state_space import StateSpace
 from greybox.statistics.metrics import cross_correlation, whiteness
@@ -119,9 +119,7 @@ def _short(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[Finding]:
             record.name or part.problem.name,
             f"the residuals of {part.outputs[slowest]}{place} stay correlated for about {time:.2g} "
             f"s, and the longest gap-free stretch lasts only {colored.duration / time:.2g} times "
-            f"that, less than {FEWEST_TIMES:g}. The standard errors are rough "
-            f"({counted(max(round(colored.dof), 1), 'degree of', 'degrees of')} freedom); use a "
-            "longer record.",
+            f"that, less than {FEWEST_TIMES:g}. The standard errors are rough; use a longer record.",
         )
 
 
