@@ -22,7 +22,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -567,8 +567,7 @@ class ResidualSpectra:
         return grid.covariances(product, len(unit), self.highest_order)
 
 
-@dataclass(frozen=True, eq=False)
-class _NoiseParts:
+class _NoiseParts(NamedTuple):
     """Parts of the errors, of variance one.
 
     Attributes

@@ -25,11 +25,13 @@ def correlated_frequencies(
     accuracy: Accuracy,
     x: Array,
 ) -> Iterator[str]:
-    """Name the responses and manoeuvres whose errors at the estimate x (p,) are correlated."""
+    """Name the responses whose errors at the estimate x (p,) are correlated."""
     values, unlikely = nlp.all_values(x), UNLIKELY / len(nlp.parts)
-    known = [part.neighbors for part in accuracy.parts] or [None] * len(nlp.parts)
-    for part, trajectory, neighbors in zip(nlp.parts, trajectories, known, strict=True):
-        if isinstance(part, ResponsePart) and part.data.has_independent_errors:
+    # Without degrees of freedom the parts have no accuracy.
+    for part, trajectory, known in zip(nlp.parts, trajectories, accuracy.parts, strict=False):
+        if not isinstance(part, ResponsePart):
+            continue
+        if part.data.has_independent_errors:
             errors = part.neighbors(values, np.eye(len(nlp.free)), 1.0)
             if errors is not None and errors.independent < unlikely:
                 yield (
@@ -39,8 +41,8 @@ def correlated_frequencies(
                     "vehicle or the air lasted for several tests. Without this statement, "
                     "intervals allow for it."
                 )
-        elif isinstance(part, ResponsePart) and neighbors is not None:
-            errors, name = neighbors.errors, part.problem.name
+        elif known.neighbors is not None:
+            errors, name = known.neighbors.errors, part.problem.name
             # Variances that include more than the scatter, such as errors of a log, need no words.
             is_estimated = part.criterion.known_noise and part.data.dof is not None
             has_more = is_estimated and part.noise_ratio(trajectory) < LEAST_RATIO
