@@ -15,7 +15,7 @@ from greybox.compiled.response_programs import CostProgram, ResponseCompiler
 from greybox.compiled.scaling import Scaling, scaling_of
 from greybox.compiled.transcription.method import Transcription
 from greybox.compiled.transcription.multiple_shooting import MultipleShooting
-from greybox.compiled.transient_part import compile_spectrum
+from greybox.compiled.transient_part import TransientPart
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
@@ -180,7 +180,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         response_parts, functions = responses.compiled()
         parts |= response_parts
     for part in problem.parts_with(TransientSpectrum):
-        parts[part] = compile_spectrum(part, named, point)
+        parts[part] = TransientPart(part, named, point)
     if recorded := problem.parts_with(Record):
         record_parts = compile_records(recorded, named, point, method)
         parts |= zip(recorded, record_parts, strict=True)

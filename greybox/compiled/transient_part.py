@@ -120,13 +120,13 @@ class TransientPart(Part):
 
     has_states = True  # the states at both ends are unknown
 
-    def __init__(self, problem: Problem, locate: ca.Function) -> None:
-        """Compile the matrices of the model."""
+    def __init__(self, problem: Problem, expressions: Mapping[str, Any], z: ca.SX) -> None:
+        """Compile the matrices of the model; `expressions` are all parameters by outside name."""
         super().__init__(problem)
         assert isinstance(problem.data, TransientSpectrum)
         assert isinstance(problem.criterion, TimeCriterion)
         self.data = problem.data
-        self.locate = locate
+        self.locate = _locate(problem, expressions, z)
         self.outputs = outputs_in_spectrum(problem.criterion, problem.model, problem.data)
         system = dynamics(problem.model, delay_order(problem.delay))
         # A gust in every equation: as many gusts as outputs, with one time constant.
@@ -398,11 +398,6 @@ class TransientPart(Part):
             reach,
             doubtful=() if trajectory is None else tuple(self.doubtful(trajectory.z)),
         )
-
-
-def compile_spectrum(problem: Problem, expressions: Mapping[str, Any], z: ca.SX) -> TransientPart:
-    """Compile a spectrum for the point z; `expressions` are all parameters by outside name."""
-    return TransientPart(problem, _locate(problem, expressions, z))
 
 
 def _locate(problem: Problem, expressions: Mapping[str, Any], z: ca.SX) -> ca.Function:

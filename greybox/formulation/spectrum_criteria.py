@@ -80,14 +80,8 @@ def outputs_in_spectrum(
             f"{kind} is for records and the data are a TransientSpectrum: use OutputError()."
         )
 
-    options = {
-        "inputs": criterion.inputs != "record",
-        "biases": bool(criterion.biases),
-        "initial": bool(criterion.initial),
-        "errors": criterion.settings.get("errors", "normal") != "normal",
-    }
-    for option, is_used in options.items():
-        if is_used:
+    for option in ("inputs", "biases", "initial", "errors"):
+        if (getattr(criterion, option, ()) or ()) not in ("record", "normal", ()):
             raise ValueError(
                 f"{option} of {kind} is for records and the data are a TransientSpectrum, which "
                 "knows how its inputs ran and has no samples: leave it out."
