@@ -141,8 +141,9 @@ class TransientPart(Part):
         # this deviation.
         self._unit = math.sqrt(self.data.step * self.data.duration / 2)
         self._measured = np.array([self.data.outputs[name] for name in self.outputs])
-        measured = self._real(self._measured)
-        self._covariance = residual_covariance_of(problem.criterion, self.outputs, measured)
+        self._covariance = residual_covariance_of(
+            problem.criterion, self.outputs, self._real(self._measured)
+        )
 
     def _real(self, values: ComplexArray) -> Array:
         """Return complex values (k, lines, ...) as real ones (k, 2 lines, ...).

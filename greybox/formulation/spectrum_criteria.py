@@ -53,8 +53,8 @@ class EquationError(TimeCriterion):
 
     def color(self, spectrum: TransientSpectrum) -> dict[str, Parameter]:
         """Return the time constant of gusts, between a sample and the manoeuvre."""
-        bounds = spectrum.step, spectrum.duration
-        return {"T_gust": gust_time(bounds, "equation")} if self.gusts else {}
+        time = gust_time((spectrum.step, spectrum.duration), "equation")
+        return {"T_gust": time} if self.gusts else {}
 
     def compared(self, model: Model, record: Record) -> tuple[str, ...]:
         """Refuse a record."""

@@ -314,7 +314,15 @@ class PredictionError(TimeCriterion):
             )
 
         for output in self.compared(model, record) if self.driven() else ():
-            result[f"v_{output}"] = _deviation_parameter(output, record)
+            spread = float(np.nanstd(record[output])) or 1.0
+            result[f"v_{output}"] = Parameter(
+                0.1 * spread,  # until the residuals show the noise
+                bounds=(1e-5 * spread, math.inf),  # far below the resolution of sensors
+                # Manoeuvres of unlike sizes share a sensor, so that their boxes must overlap.
+                starts=(1e-5 * spread, spread),
+                unit=record.units.get(output, "1"),
+                about=f"standard deviation of the noise of {output}",
+            )
         return result
 
     def driven(self) -> tuple[str, ...]:
@@ -369,19 +377,6 @@ def modeled_outputs(
 
 # Measured ranges of the signal that bound a bias: far beyond any error of a sensor.
 WIDEST_BIAS = 10.0
-
-
-def _deviation_parameter(name: str, record: Record) -> Parameter:
-    """Return the unknown standard deviation of the noise of a sensor."""
-    spread = float(np.nanstd(record[name])) or 1.0
-    return Parameter(
-        0.1 * spread,  # until the residuals show the noise
-        bounds=(1e-5 * spread, math.inf),  # far below the resolution of sensors
-        # Manoeuvres of unlike sizes share a sensor, so that their boxes must overlap.
-        starts=(1e-5 * spread, spread),
-        unit=record.units.get(name, "1"),
-        about=f"standard deviation of the noise of {name}",
-    )
 
 
 def bias_parameter(name: str, record: Record) -> Parameter:

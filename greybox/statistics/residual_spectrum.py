@@ -408,8 +408,8 @@ class ResidualSpectra:
         """Return by how much gusts of the best time constant are likelier than white ones."""
         parts = map(self._noise_parts, GUSTS)
         scores = [self.process_noise(part).score for part in parts if part] or [0.0]
-        # The time constant is an unknown.
-        return max(scores[0] - min(scores) - 2 * math.log(len(GUSTS)), 0.0)
+        # The time constant is an unknown, which the criterion of Akaike counts as 2.
+        return max(scores[0] - min(scores) - 2, 0.0)
 
     @cached_property
     def noise_parts(self) -> "_NoiseParts | None":

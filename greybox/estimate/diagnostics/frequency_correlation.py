@@ -42,7 +42,7 @@ def correlated_frequencies(
                     "intervals allow for it."
                 )
         elif known.neighbors is not None:
-            errors, name = known.neighbors.errors, part.problem.name
+            errors = known.neighbors.errors
             # Variances that include more than the scatter, such as errors of a log, need no words.
             is_estimated = part.criterion.known_noise and part.data.dof is not None
             has_more = is_estimated and part.noise_ratio(trajectory) < LEAST_RATIO
@@ -50,8 +50,9 @@ def correlated_frequencies(
                 # For 12 points with a correlation of 0.8, intervals of 95 % contain the truth in 86
                 # to 93 % of fits, for 24 points in 91 to 98 %.
                 yield (
-                    f"the residuals of {name!r} are correlated along frequency ({errors.mean:.2f} "
-                    "from one point to the next; independent errors have a probability of "
+                    f"the residuals of {part.problem.name!r} are correlated along frequency "
+                    f"({errors.mean:.2f} from one point to the next; independent errors have a "
+                    "probability of "
                     f"{percent(errors.independent)} %). Either the points are closer than the "
                     "frequency resolution, or the model misses something; the standard errors "
                     f"account for what {len(part.data)} points show of the first, but not for the "

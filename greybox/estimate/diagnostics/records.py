@@ -62,7 +62,7 @@ def record_warnings(
         for part, answer in zip(nlp.parts, fitted, strict=True)
         if isinstance(part, RecordPart) and isinstance(answer, FittedRecord)
     ]
-    alone = len(pairs) == 1
+    alone, parts = len(pairs) == 1, [part for part, _ in pairs]
 
     return (
         *once(_short(nlp, accuracy)),
@@ -70,8 +70,8 @@ def record_warnings(
         *(biased_by_feedback(pairs, unstable=unstable) if feedback else ()),
         *colored_predictions(pairs, explained=explained),
         *once(_bounded(nlp, trajectories, alone=alone)),
-        *once(_flattened_inputs([part for part, _ in pairs])),
-        *(_resting([part for part, _ in pairs]) if len(pairs) == len(nlp.parts) else ()),
+        *once(_flattened_inputs(parts)),
+        *(_resting(parts) if len(parts) == len(nlp.parts) else ()),
     )
 
 
@@ -119,7 +119,8 @@ def _short(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[Finding]:
             record.name or part.problem.name,
             f"the residuals of {part.outputs[slowest]}{place} stay correlated for about {time:.2g} "
             f"s, and the longest gap-free stretch lasts only {colored.duration / time:.2g} times "
-            f"that, less than {FEWEST_TIMES:g}. The standard errors are rough; use a longer record.",
+            f"that, less than {FEWEST_TIMES:g}. The standard errors are rough; use a longer "
+            "record.",
         )
 
 
