@@ -72,6 +72,16 @@ def test_allowed_gains_meet_the_requirements_in_truth_and_others_are_refused(ans
     assert allowed[:, inside & (gains > 0.1)].all()
 
 
+@pytest.mark.usefixtures("few_draws")
+def test_the_confidence_in_todays_gains_is_printed_in_percent(answers):
+    best = answers[0].best["K_P"]
+    finer = gb.safe_gains(fitted(0), RateLoop(), {"K_P": (best, 1.05 * best)})
+    refused = finer.values["K_P"][~finer.allowed].min()
+    answer = gb.safe_gains(fitted(0), RateLoop({"K_P": refused}), {"K_P": (0.1, 0.2)})
+    assert 0 < answer.today_confidence < 0.95
+    assert f" with {100 * answer.today_confidence:.3g} % confidence" in str(answer)
+
+
 def test_the_best_gain_rejects_disturbances_best(answers):
     answer = answers[0]
     assert answer.best["K_P"] == answer.values["K_P"][answer.allowed][-1]
