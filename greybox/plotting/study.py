@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
-from greybox.files.text_table import number
+from greybox.files.text_table import number, some
 from greybox.plotting.figure import CROSS, Figure, Panel, Series
 from greybox.plotting.matplotlib_figure import draw
 from greybox.plotting.signals import distinct_labels
@@ -59,7 +59,7 @@ def trend(
     Raises
     ------
     ValueError
-        If no member has the quantity.
+        If no member has the quantity, or a value in `over`.
     """
     return draw([trend_figure(study, quantity, over)], ax)[0]
 
@@ -80,6 +80,9 @@ def trend_figure(study: Study, quantity: str, over: str | Mapping[str, float]) -
             series.append(Series(model, "points", x, y, k, k, **look))
             if len(set(x)) > 2 and np.all(error > 0):
                 series.append(_line(model, x, y, error, k))
+    if not series:
+        sets = [*study.groups("data")]
+        raise ValueError(f"over={over!r:.80} has none of the data sets: name {some(sets)}.")
     panel = Panel(_label(study, quantity), series)
     return Figure("Trend", _label(study, label), [panel], f"{quantity} over {label}")
 

@@ -156,4 +156,5 @@ def _label(key: str, value: Any, place: str) -> str:
         # my.py:Linear goes by the name Linear, and a problem my.py:pitch by my:pitch.
         name = Path(value).name.replace(".py", "")
         return name.rpartition(":")[2] if key == "model" else name
-    return getattr(value, "name", "") or getattr(value, "label", "") or f"{key} {value}"
+    text = " ".join(map(str, value)) or "nothing" if isinstance(value, list | tuple) else value
+    return getattr(value, "name", "") or getattr(value, "label", "") or f"{key} {text}"

@@ -17,9 +17,15 @@ from greybox.statistics.metrics import rms
 from greybox.validation.common_likelihood import common_likelihood
 from greybox.validation.comparison import Comparison, Row
 from greybox.validation.held_out import not_held_out
-from greybox.validation.measures import fit_rows
+from greybox.validation.measures import fit_rows, information_rows
 from greybox.validation.parsimony import parsimony
-from greybox.validation.same_data import data_difference, is_likelihood, why_not_comparable
+from greybox.validation.same_data import (
+    count_unknowns,
+    data_difference,
+    is_likelihood,
+    other_samples,
+    why_not_comparable,
+)
 
 EVIDENCE = "BIC less the least"  # the row of `fit_rows`
 PREDICTION = "error of held-out predictions, % of the signal"
@@ -94,6 +100,8 @@ def _evidence(group: Sequence[tuple[str, Fit]]) -> tuple[dict[str, Fit], dict[st
     if not is_comparable or not all(map(is_likelihood, fits)):
         likelihoods = common_likelihood(fits)
     rows = fit_rows(fits, same_data=True, comparable=is_comparable, likelihoods=likelihoods)
+    if all(fit.records and is_likelihood(fit) for fit in fits) and other_samples(fits, names):
+        rows = _rows_of_shared_samples(fits)
     unknown = [None] * len(fits)
     excess = next((row.values for row in rows if row.measure == EVIDENCE), unknown)
     values = [math.inf if value is None else value for value in excess]
@@ -101,6 +109,23 @@ def _evidence(group: Sequence[tuple[str, Fit]]) -> tuple[dict[str, Fit], dict[st
     first = {names[k]: k for k in reversed(order)}
     best = {name: fits[first[name]] for name in dict.fromkeys(names)}
     return best, {name: values[first[name]] for name in best if values[first[name]] < math.inf}
+
+
+def _rows_of_shared_samples(fits: Sequence[Fit]) -> list[Row]:
+    """Return information criteria of fits of records, by the samples that all of them compare.
+
+    A free delay leaves out the first samples. The errors of each output are normal, with a variance
+    that is estimated.
+    """
+    costs, count = np.zeros(len(fits)), 0
+    for parts in zip(*(fit.records for fit in fits), strict=True):
+        for output in parts[0].outputs:
+            residuals = np.array([part.residual(output) for part in parts])
+            shared = residuals[:, np.isfinite(residuals).all(axis=0)]
+            costs += shared.shape[1] / 2 * np.log(np.mean(shared**2, axis=1))
+            count += shared.shape[1]
+    unknowns = [*map(count_unknowns, fits)]
+    return [*information_rows(costs.tolist(), unknowns, [count] * len(fits))]
 
 
 def _best(table: Table) -> Counter[str]:

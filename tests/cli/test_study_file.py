@@ -163,10 +163,10 @@ def test_structures_on_the_files_of_a_folder_are_a_file_of_five_lines(flights):
         ('joint = ["flights/f0.csv", "flights/f[12].csv"]', ["f0+f1+f2"], [3]),
         (
             'data = "own.csv"\nband = [[1, 3], [1, 10]]',
-            ["own: band [1, 3]", "own: band [1, 10]"],
+            ["own: band 1 3", "own: band 1 10"],
             [1, 1],
         ),
-        ('data = "own.csv"\nfree = [[], ["c"]]', ["own: free []", "own: free ['c']"], [1, 1]),
+        ('data = "own.csv"\nfree = [[], ["c"]]', ["own: free nothing", "own: free c"], [1, 1]),
         ('data = "own.csv"\nstarts = [2, 4]', ["own: starts 2", "own: starts 4"], [1, 1]),
         (
             'data = ["own.csv", "flights/f0.csv"]\nname = "mine"',

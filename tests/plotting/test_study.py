@@ -78,6 +78,11 @@ def test_names_stand_at_the_axes(small_study):
     assert gb.plotting.trend(small_study, "K", SPEEDS).get_ylabel() == "K"
 
 
+def test_values_over_other_data_sets_are_refused(small_study):
+    with pytest.raises(ValueError, match="none of the data sets: name hover"):
+        trend_figure(small_study, "K", {"hover.csv": 1.0})
+
+
 def test_the_legend_in_the_axes_of_a_user_covers_no_row(small_study):
     ax = Figure(layout="constrained").subplots()
     gb.plotting.structures(small_study, ax)

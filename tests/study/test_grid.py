@@ -44,7 +44,7 @@ def test_data_are_values_files_or_joint_fits(tmp_path):
             np.testing.assert_allclose(read.data.response, part.data.response)
     assert len({m.name for m in values}) == 3
     problems = gb.study.grid(problem=[pitch_hover.problem()], band=[(1, 9), (2, 30)])
-    assert [m.name.split(": ")[1] for m in problems] == ["band (1, 9)", "band (2, 30)"]
+    assert [m.name.split(": ")[1] for m in problems] == ["band 1 9", "band 2 30"]
     assert max(problems[0].problem.data.omega) <= 9
 
 

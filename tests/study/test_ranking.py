@@ -153,3 +153,40 @@ def test_the_smallest_structure_that_predicts_as_well_is_supported_by_held_out_d
     first, *_ = gb.study.grid(models, data, held=response("held", 9, 1.2), starts=2, seed=0)
     again = gb.batch([first], tmp_path, progress=False)[first.name]
     assert again.answer["held_out"] > 2 * errors["Lag"]
+
+
+def test_records_rank_structures_with_and_without_a_delay():
+    # The fit with a delay leaves out the first samples: BIC is that of the others.
+    class Instant(gb.StateSpace):
+        states, inputs, outputs = ("x",), ("u",), ("y",)
+        a = gb.Parameter(3.0, bounds=(0.1, 20))
+
+        def derivative(self, x, u, p):
+            return (p.a * (u.u - x.x),)
+
+        def output(self, x, u, p):
+            return (x.x,)
+
+    class Late(Instant):
+        delays = {"u": "tau"}
+        tau = gb.Parameter(0.02, bounds=(0, 0.2))
+
+    random, n, late = np.random.default_rng(3), 200, 4
+    u = np.sin(0.02 * np.arange(n) * (1 + 0.04 * np.arange(n)))
+    y, keep = np.zeros(n), np.exp(-5 * 0.02)
+    for k in range(n - 1):
+        y[k + 1] = keep * y[k] + (1 - keep) * (u[k - late] if k >= late else 0.0)
+    signals = {"u": u, "y": y + 0.02 * random.normal(size=n)}
+    record = gb.Record(0.02 * np.arange(n), signals)
+    late_fit, instant = (gb.fit(gb.Problem(m, record), starts=1) for m in (Late(), Instant()))
+    assert late_fit.estimate["tau"] == pytest.approx(0.09, abs=0.02)
+    ranked = ranking([("Late", "one", late_fit), ("Instant", "one", instant)], {})
+    assert ranked.supported == "Late"
+    # By hand: the residuals of the samples that both compare.
+    residuals = np.array([fit.records[0].residual("y") for fit in (late_fit, instant)])
+    shared = residuals[:, np.isfinite(residuals).all(axis=0)]
+    assert shared.shape[1] < n
+    size = shared.shape[1]
+    fits = size * np.log(np.mean(shared**2, axis=1))
+    expected = fits[1] - fits[0] - np.log(size)
+    assert bic(ranked, "one", "Instant") == pytest.approx(expected)
