@@ -127,11 +127,11 @@ class Study(Printed):
 
         For every data set the table has BIC less the least: of each structure that of its best
         member. Criteria that are no likelihoods are put on the scale of one, as in
-        `greybox.compare`; of records, structures with and without a delay are compared by the
-        samples that all of them fit. The statements count the data sets in which each structure is the best;
-        the verdict adds BIC up over all data sets that all structures have in common. Data that
-        the members held out have the last word: they support the smallest structure whose errors,
-        by their geometric mean over the data sets, are within 5 % of the least.
+        `greybox.compare`; over records, structures with and without a delay are compared by the
+        samples that all of them fit. The statements count the data sets in which each structure is
+        the best; the verdict adds BIC up over all data sets that all structures have in common.
+        Data that the members held out have the last word: they support the smallest structure whose
+        errors, by their geometric mean over the data sets, are within 5 % of the least.
 
         Parameters
         ----------
