@@ -111,12 +111,12 @@ class StepwiseSelection:
             change = [str(trial.step), trial.change, trial.term]
             rows.append([*change, number(trial.cost, 4), p, f"{trial.limit:.2g}", outcome])
         table = text_table(["step", "", "term", "cost", "p", "limit", ""], rows, left=(1, 2, 6))
-        title = f"{self.fit.name}: stepwise selection at {100 * SIGNIFICANT:g} % (Bonferroni)"
-        lines = [title, "", self.verdict, "", table, ""]
+        text = f"{self.fit.name}: stepwise selection at {100 * SIGNIFICANT:g} % (Bonferroni)"
+        text += f"\n\n{self.verdict}\n\n{table}\n"
         for term, rivals in self.alike.items():
             texts = listed([f"{rival} (AIC {above:+.2f})" for rival, above in rivals.items()])
-            lines.append(f"These data cannot tell {term} from {texts}.")
-        return "\n".join(lines)
+            text += f"\nThese data cannot tell {term} from {texts}."
+        return text
 
 
 def stepwise(
