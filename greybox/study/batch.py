@@ -271,14 +271,8 @@ def _fit_member(
         return
     runs.begin(member.name, is_new=not stored.stored_runs)
 
-    shown = 0.0
-
     def report(done: int, count: int) -> None:
-        # To draw the bar takes as long as many a start: ten times a second suffice.
-        nonlocal shown
-        if (now := time.monotonic()) > shown + 0.1:
-            bar.set_description_str(f"{member.name}: {done} of {counted(count, 'start')}")
-            shown = now
+        bar.set_description_str(f"{member.name}: {done} of {counted(count, 'start')}")
 
     # The runs are written whatever ends the fit, but an answer only if the search was not cut: the
     # next call would take it for the answer from all starts.
