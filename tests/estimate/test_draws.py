@@ -102,7 +102,7 @@ def test_sets_stay_within_bounds_and_simulate(fit, drawn):
 def test_files_of_simulators(name, text, read, fit, tmp_path):
     (tmp_path / name).write_text(text)
     drawn = gb.draws(fit, 3)
-    paths = drawn.write(tmp_path / name, tmp_path / "sets")
+    paths = drawn.write(tmp_path / name, tmp_path / "new" / "sets")
     assert [path.name for path in paths] == [name.replace(".", f"_00{k}.") for k in range(3)]
     assert [float(read(path)) for path in paths] == [drawn[k]["T"] for k in range(3)]
 
