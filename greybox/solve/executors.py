@@ -98,7 +98,7 @@ def run_all(
             # Sixteen tasks or more, so that workers of unlike speed end at about the same time.
             seconds = sum(outcome.seconds for outcome in outcomes)
             size = int(TASK_SECONDS * len(batch) / max(seconds, 1e-6))
-            size = max(min(size, math.ceil(remaining / 16)), 1)
+            size = min(size, math.ceil(remaining / 16))
             tasks = _tasks(batches, memory, size)
             yield from _on_workers(solver, executor, memory, begins, tasks)
             return
