@@ -16,6 +16,7 @@ from command_line import OWN, QUICK, RECORD, refused, run
 
 import greybox as gb
 from greybox.cli.fit_command import _stated_fit
+from greybox.problems import pitch_hover
 from greybox.solve.interruption import Interrupted
 from greybox.solve.worker_pool import ExecutorLostError
 from greybox.study.catalog import find_problem
@@ -393,7 +394,8 @@ def test_starts_and_seed_of_the_command_come_before_those_of_the_problem(monkeyp
     def stated(**options):
         settings = {"starts": 5, "seed": 3, "method": gb.SingleShooting()}
         monkeypatch.setattr(
-            "greybox.cli.fit_command.stated_problem", lambda options: ("problem", settings)
+            "greybox.cli.fit_command.stated_problem",
+            lambda options: (pitch_hover.problem(), settings),
         )
         return _stated_fit(fit_options(**options)).keywords
 
