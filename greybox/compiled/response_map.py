@@ -15,6 +15,7 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from greybox.files.arrays import Array
 from greybox.modeling.complex_arithmetic import Complex
@@ -75,15 +76,18 @@ def lagrangian_hessian(
         count, frequencies = mapped.omega.size, mapped.omega[None]
         slope = _criterion_slope(cost, count, data)
 
-        # At one frequency: the expressions do not grow with the number of frequencies.
+        # At one frequency: the expressions do not grow with the number of frequencies. Data that
+        # the parameters do not need are left out, since CasADi's map repeats its inputs.
+        used = np.flatnonzero(ca.which_depends(local, data, 1, False)).tolist()
+        constants, values = data[used], given[used]
         r = ca.densify(ca.vertcat(*mapped.formula(local, omega)))
         jacobian = ca.densify(ca.jacobian(r, z).T)
-        rows = ca.Function("rows", [z, data, omega], [r, jacobian])
+        rows = ca.Function("rows", [z, constants, omega], [r, jacobian])
         summed, _ = ca.hessian(ca.dot(factors, r), z)
-        curvature = ca.Function("curvature", [z, data, omega, factors], [summed])
+        curvature = ca.Function("curvature", [z, constants, omega, factors], [summed])
 
         # At all of them.
-        outputs: Any = _over(rows, mapped.omega)(point, given, frequencies)
+        outputs: Any = _over(rows, mapped.omega)(point, values, frequencies)
         r, jacobian = ca.vec(outputs[0]), outputs[1]
         along = slope.forward(1).map("along", "serial", z.numel(), [0, 1, 2, 3, 5, 6], [])
         pull: Any = slope(r, smoothing, given)
@@ -91,7 +95,7 @@ def lagrangian_hessian(
         total += weight * ca.mtimes(jacobian, curved)
         if summed.nnz():  # a formula that is linear in the parameters has none
             mapped_sum = curvature.map("curvatures", "serial", count, [0, 1], [0])
-            total += weight * mapped_sum(point, given, frequencies, ca.reshape(pull, 2, count))
+            total += weight * mapped_sum(point, values, frequencies, ca.reshape(pull, 2, count))
 
     multipliers = ca.SX.sym("multipliers", limits.numel())
     of_limits = ca.Function(

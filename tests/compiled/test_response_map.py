@@ -169,3 +169,12 @@ def test_two_hundred_parameters_need_no_large_expressions():
     assert float(
         nlp.program(nlp.scaling.to_solver(np.ones(count)), 0.0, nlp.data)[0]
     ) == pytest.approx(0, abs=1e-9)
+
+
+def test_the_memory_of_a_large_response_grows_with_its_points(as_large):
+    sizes = []
+    for count in (2000, 4000):
+        data = measured(LagLagDelay(), np.geomspace(0.1, 100, count), TWO_LAGS)
+        nlp = compile_problem(gb.Problem(LagLagDelay(), data))
+        sizes.append(nlp.programs[-1].derivatives["hess_lag"].sz_w())
+    assert sizes[1] < 2.2 * sizes[0]
