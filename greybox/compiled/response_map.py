@@ -35,9 +35,7 @@ class Mapped(NamedTuple):
     @property
     def work(self) -> float:
         """The approximate number of instructions of a Hessian."""
-        return (
-            float(self.formula.n_instructions()) * self.omega.size * (self.formula.numel_in(0) + 1)
-        )
+        return self.formula.n_instructions() * self.omega.size * (self.formula.numel_in(0) + 1)
 
     def function(self) -> ca.Function:
         """Return parameters -> real and imaginary part (n,)."""
@@ -113,8 +111,8 @@ def lagrangian_hessian(
 
 def _over(function: ca.Function, omega: Array) -> ca.Function:
     """Return the function mapped over all frequencies, its results side by side."""
-    *shared, _ = range(function.n_in())  # the frequency is the last input
-    return function.map(function.name(), "serial", omega.size, shared, [])
+    # All inputs but the last, the frequency, are shared.
+    return function.map(function.name(), "serial", omega.size, [*range(function.n_in() - 1)], [])
 
 
 def _criterion_slope(cost: Callable[[Complex, Any], Any], size: int, data: ca.SX) -> ca.Function:

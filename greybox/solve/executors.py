@@ -78,7 +78,7 @@ def run_all(
     """
     memory = memory or Memory()
     # Of more starts than one batch, few come first: Ctrl-C soon has an answer.
-    first = FIRST if count > solver.together else solver.together
+    first = min(FIRST if count > solver.together else count, solver.together)
     batches = _batches(numbered, first, solver.together)
     remaining = count
     for batch in batches:
@@ -149,7 +149,7 @@ unpickled = pickle.loads
 
 def _batches(numbered: Iterable[tuple[int, Array]], first: int, size: int) -> Iterator[Batch]:
     iterator = iter(numbered)
-    yield from filter(None, [[*islice(iterator, min(first, size))]])
+    yield from filter(None, [[*islice(iterator, first)]])
     while batch := list(islice(iterator, size)):
         yield batch
 
