@@ -535,8 +535,9 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
     ]
     # Where most of a response is left, no size or correlation of its errors excuses the model.
     signals = f"{part.data.output or 'the output'} to {part.data.input or 'the input'}"
-    way = "a path between both, or wider bounds"
-    path = Cause(f"a response of {signals}", way, 1.0, 0.0, 1.0, 0.0, 0.0)
+    path = Cause(
+        f"a response of {signals}", "a path between both, or wider bounds", 1.0, 0.0, 1.0, 0.0, 0.0
+    )
     measured, left = rows(part.data.response[:, None]), residuals(at_fit)
     return _Regression(
         measured,

@@ -16,7 +16,7 @@ def progress(study: Study) -> str:
     lines = [study.state]
     if left and len(ends) > 2:
         # The last members say how long the others take; the longest interval may be a pause.
-        seconds = np.mean(np.sort(np.diff(ends))[:-1])
+        seconds = float(np.mean(np.sort(np.diff(ends))[:-1]))
         lines.append(
             f"about {number(left * seconds / 60, 2)} min left, at {number(seconds, 2)} s a member; "
             f"the last one ended {number(time.time() - ends[-1], 2)} s ago."
