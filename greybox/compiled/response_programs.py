@@ -330,8 +330,8 @@ class ResponseCompiler:
         named = self.values_at(self.point, self.constants)
         return shared_responses(
             self.parts,
-            lambda *arguments: ca.SX(
-                self.weighted(self.costs(arguments[0], measured, arguments[1], choose))
+            lambda responses, smoothing: ca.SX(
+                self.weighted(self.costs(responses, measured, smoothing, choose))
             ),
             data,
             self.point,

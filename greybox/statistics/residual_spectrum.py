@@ -53,9 +53,9 @@ BLOCKS = (1, 24)
 # Shares of the slow part in the variance. A grid denser by 1.5 changes no standard error by 2 %.
 SHARES = np.array([0.01, 0.02, 0.04, 0.07, 0.12, 0.2, 0.35, 0.55, 0.75, 0.9, 1.0])
 
-# Correlations of process noise from one sample to the next: of white noise, and of time constants
-# of 4, 16, 64 and 256 samples. Between these the likelihood has no other maximum.
-GUSTS = (0.0, 0.78, 0.94, 0.984, 0.996)
+# Correlations of gusts from one sample to the next: time constants of 4, 16, 64 and 256 samples.
+# Between these and white noise the likelihood has no other maximum.
+GUSTS = (0.78, 0.94, 0.984, 0.996)
 
 TINY = 1e-300
 
@@ -406,7 +406,7 @@ class ResidualSpectra:
 
     def gain_of_gusts(self) -> float:
         """Return by how much gusts of the best time constant are likelier than white ones."""
-        parts = map(self._noise_parts, GUSTS)
+        parts = [self.noise_parts, *map(self._noise_parts, GUSTS)]
         scores = [self.process_noise(part).score for part in parts if part] or [0.0]
         # The time constant is an unknown, which the criterion of Akaike counts as 2.
         return max(scores[0] - min(scores) - 2, 0.0)
