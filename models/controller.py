@@ -1,5 +1,7 @@
 """The cascaded attitude controller in discrete time, which stabilizes the vehicle."""
 
+from collections.abc import Mapping
+
 import greybox as gb
 from greybox.experiment.controller import sensors_of
 from greybox.experiment.sampled_loop import linear_controller
@@ -113,6 +115,8 @@ class LinearLaw(gb.Controller):
 
     Raises
     ------
+    TypeError
+        For gains in place of a system.
     ValueError
         For another sampling time, or several inputs or outputs.
     """
@@ -121,6 +125,12 @@ class LinearLaw(gb.Controller):
 
     def __init__(self, system, *, rate, signals=None):
         control = required("control", "control", "LinearLaw")
+        # The command line and `loop_of_log` construct a controller from its gains.
+        if isinstance(system, Mapping):
+            raise TypeError(
+                "LinearLaw needs a linear system, not gains: on the command line name a class of "
+                "your own, derived from it, whose constructor passes on control.tf(...)."
+            )
 
         # A model is converted, which refuses delays.
         if not hasattr(system, "isdtime"):

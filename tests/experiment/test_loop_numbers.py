@@ -254,6 +254,8 @@ def test_a_system_of_python_control_and_a_transfer_function_are_controllers():
         LinearLaw(sampled, rate=50)
     with pytest.raises(ValueError, match="2 inputs"):
         LinearLaw(control.ss([[0.0]], [[1.0, 1.0]], [[1.0]], [[0.0, 0.0]]), rate=50)
+    with pytest.raises(TypeError, match="a class of your own"):
+        LinearLaw({"K_P": 0.1}, rate=50)
 
 
 def test_python_control_takes_controllers():
