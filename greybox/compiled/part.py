@@ -398,10 +398,6 @@ class Part(Portable, ABC):
         Of a record simulated outputs over the signals' spread, of a frequency response P/|P̂|.
         """
 
-    def excerpt(self, samples: int) -> "Part":
-        """Return the part on excerpts with about this total number of samples."""
-        return self
-
     def refined(self, factor: int) -> "Part":
         """Return the part with `factor` times the steps per sample."""
         return self

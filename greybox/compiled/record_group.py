@@ -144,14 +144,6 @@ class Groups:
         return [result[k] for k in range(len(self._all))]
 
 
-def excerpts(parts: Sequence[Part], samples: int) -> list[Any]:
-    """Return parts on excerpts with about this total number, every part by its share."""
-    total = sum(part.samples for part in parts)
-    if total <= samples:
-        return list(parts)
-    return [part.excerpt(max(samples * part.samples // total, 1)) for part in parts]
-
-
 def _kind(part: Part, number: int) -> Any:
     """Return a key that records have in common if they can be evaluated together."""
     if not isinstance(part, RecordPart) or part.gains:

@@ -30,10 +30,6 @@ class Strategies:
     """
     tolerance: float = 1e-8
     """Of half the squared length of a step in standard errors, and of the decrease of the cost."""
-    long_record: int = 20000
-    """Twice the samples of the longest excerpt on which runs from many starts are made."""
-    short_record: int = 2000
-    """Samples up to which runs from many starts are made on whole records, each by itself."""
 
 
 def with_options(settings: Strategies, options: Mapping[str, Any]) -> Strategies:

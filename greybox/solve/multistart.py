@@ -15,7 +15,6 @@ from greybox.files.arrays import Array
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.executors import run_all, value_fingerprint
 from greybox.solve.gauss_newton.driver import GaussNewton
-from greybox.solve.gauss_newton.shared_runs import SharedRuns
 from greybox.solve.interruption import stop_requested
 from greybox.solve.kept_runs import KeptRuns, Memory
 from greybox.solve.local_solver import LocalSolver
@@ -88,10 +87,6 @@ def multistart(
     screened = solver.screened(starts) if movable and few < len(starts) else None
     begins = {} if screened is None else dict(enumerate(screened.begins))
 
-    # Four screened runs, which begin near their ends, gain little from excerpts.
-    many = movable and screened is None and len(starts) > 1
-    shared = SharedRuns.of(solver) if many and isinstance(solver, GaussNewton) else None
-
     results: dict[int, tuple[Array, Outcome]] = {}
     runs, minima, lowest = Runs.of(()), (), math.inf
     waves: list[Sequence[int]] = [range(len(starts))]
@@ -99,20 +94,13 @@ def multistart(
         first = screened.order[:few].tolist()
         waves = [first, sorted({*range(len(starts))} - {*first})]
     for wave in waves:
-        # The first start of all always runs alone: a longer search then includes what a search from
-        # this start alone tries.
-        alone = len(wave) if shared is None else int(wave[0] == 0)
-        for runner, numbers in ((solver, wave[:alone]), (shared or solver, wave[alone:])):
-            if runner is shared and stop_requested():
-                break
-            numbered = ((number, points[number]) for number in numbers)
-            runs_made = run_all(runner, numbered, len(numbers), executor, memory, begins)
-            for number, start, ended in runs_made:
-                outcome = _continued(solver, ended, lowest, memory, number)
-                results[number] = start, outcome
-                lowest = min(lowest, outcome.cost) if outcome.converged else lowest
-                if progress is not None:
-                    progress(len(results), len(starts))
+        numbered = ((number, points[number]) for number in wave)
+        for number, start, ended in run_all(solver, numbered, len(wave), executor, memory, begins):
+            outcome = _continued(solver, ended, lowest, memory, number)
+            results[number] = start, outcome
+            lowest = min(lowest, outcome.cost) if outcome.converged else lowest
+            if progress is not None:
+                progress(len(results), len(starts))
         results, runs, minima = _certified(nlp, solver, results)
         if stop_requested() or len(agreeing_runs(nlp, runs, minima)) >= enough > 0:
             break

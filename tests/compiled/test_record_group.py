@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.compiled.record_group import Groups, RecordGroup, excerpts
+from greybox.compiled.record_group import Groups, RecordGroup
 
 TRUTH = {"a": 1.5, "b": 3.0, "c": 5.0, "delay": 0.031}
 
@@ -191,21 +191,6 @@ def mixed():
     ]
     problem = sum([*each[:2], gb.Problem(Spring(), response), each[2].with_(weight=2.0)])
     return compile_problem(problem, gb.MultipleShooting(segment=10, integrator=gb.RungeKutta(1)))
-
-
-def test_excerpts_share_the_samples_as_the_parts_have_them(mixed):
-    parts = mixed.parts
-    assert [part.samples for part in parts] == [150, 300, 0, 150]
-    assert all(one is other for one, other in zip(excerpts(parts, 600), parts, strict=True))
-    found = excerpts(parts, 240)
-    assert found[2] is parts[2]
-    wanted = [
-        part.excerpt(share).samples
-        for part, share in zip(parts, (60, 120, 0, 60), strict=True)
-        if part.samples
-    ]
-    assert [part.samples for part in found if part.samples] == wanted
-    assert len(set(wanted)) > 1
 
 
 def test_groups_give_back_what_they_were_given(mixed):

@@ -8,7 +8,7 @@ from greybox.compiled.strategies import Strategies, with_options
 
 
 def test_options_of_ipopt_are_settings_here():
-    settings = Strategies(long_record=7)
+    settings = Strategies(continued_runs=False)
     assert with_options(settings, {}) == settings
     assert with_options(settings, {"max_iter": 7}) == replace(settings, max_iterations=7)
     assert with_options(settings, {"tol": 3}) == replace(settings, tolerance=3)

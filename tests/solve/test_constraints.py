@@ -74,18 +74,12 @@ def test_a_start_that_misses_the_constraint_is_led_back_to_it(method, tied):
     assert fit.standard_error["a"] == pytest.approx(tied.standard_error["a"], rel=1e-3)
 
 
-@pytest.mark.parametrize("long_record", [20000, 1000])
-def test_a_curved_constraint_is_kept(long_record):
-    """On the circle a² + b² = 9 the cost is minimized by hand, over the angle.
-
-    A long record is solved in excerpts first.
-    """
+def test_a_curved_constraint_is_kept():
+    """On the circle a² + b² = 9 the cost is minimized by hand, over the angle."""
     data = record(1200)
-    strategies = gb.solve.Strategies(long_record=long_record)
     fit = gb.fit(
         gb.Problem(Lag(), data, HELD, constraints=[lambda p: 9 - p.a**2 - p.b**2]),
         starts=2,
-        method=gb.MultipleShooting(strategies=strategies),
         profiles=False,
     )
     angle = np.arctan2(fit.estimate["b"], fit.estimate["a"])

@@ -13,7 +13,6 @@ Begin with `iteration`.
 | `stability` | Kalman gains to begin with, and predictors that must be stable |
 | `polishing` | steps beyond the tolerance, and in directions that the Hessian lost in rounding |
 | `screening` | the promising ones among many starts |
-| `shared_runs` | runs that meet on excerpts of records and continue as one |
 
 **The problem.** Parameters z and the states at the beginning of short segments, the *nodes*,
 minimize the negative log-likelihood of the residuals of all records (and the cost of frequency
@@ -41,8 +40,7 @@ The nodes follow the data, so an unstable plant does not diverge, whatever the p
 shrinks in stages to zero; the first iterations move the nodes alone.
 
 **Many starts.** Of the default starts only the promising ones are run, from where short segments,
-evaluated for all starts at once, have led. Starts whose number the user chose are all run, on
-excerpts first; those that meet there continue as one.
+evaluated for all starts at once, have led. Starts whose number the user chose are all run.
 
 **Where Newton steps fail**, delays at which the cost jumps are held, and a stalled run begins once
 more near the data. `greybox.compiled.strategies` says what each strategy contributes.

@@ -66,12 +66,12 @@ class AllParts:
         """Yield every part with its trajectory, and with its member of the others."""
         return zip(self.parts, iterate.trajectories, *others, strict=True)
 
-    def first_progress(self, *, near_solution: bool = False) -> Progress:
+    def first_progress(self) -> Progress:
         """Return the progress of an iteration with nodes from the data; exact without nodes."""
         with_nodes = [bool(part.gains) for part in self.parts if part.has_nodes]
         if not with_nodes:
             return EXACT
-        return relaxed(near_solution=near_solution, predicts=all(with_nodes))
+        return relaxed(predicts=all(with_nodes))
 
     # --- judging an iterate
 

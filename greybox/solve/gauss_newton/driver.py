@@ -12,7 +12,6 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
-from greybox.compiled.record_group import excerpts
 from greybox.compiled.strategies import Strategies
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -41,8 +40,6 @@ class GaussNewton(LocalSolver):
         Those of the problem, with the options of the solver.
     limits : Limits
         Bounds and constraints.
-    samples : int
-        Samples of all records, or of their excerpts.
     """
 
     def __init__(
@@ -54,23 +51,16 @@ class GaussNewton(LocalSolver):
     ) -> None:
         """Build what every run shares.
 
-        `settings` replace those of the problem, and `parts`, excerpts or with other limits, its
-        parts.
+        `settings` replace those of the problem, and `parts` with other limits its parts.
         """
         self.nlp = nlp
         self.settings = settings or nlp.method.strategies
         self._parts = parts or AllParts(nlp.parts, nlp.free, _limits(nlp), self.settings)
-        self.limits, self.samples = self._parts.limits, self._parts.samples
+        self.limits = self._parts.limits
 
     def __reduce__(self) -> tuple[Callable[..., "GaussNewton"], tuple[Any, ...]]:
         """Return a recipe for the same solver, on the whole problem."""
         return partial(GaussNewton, settings=self.settings), (self.nlp,)
-
-    def on_excerpts(self, samples: int) -> "GaussNewton":
-        """Return the solver of the same problem on excerpts with this total number of samples."""
-        parts = excerpts(self.nlp.parts, samples)
-        all_parts = AllParts(parts, self.nlp.free, self.limits, self.settings)
-        return GaussNewton(self.nlp, settings=self.settings, parts=all_parts)
 
     def within(self, low: Array, high: Array, equation: ca.Function | None = None) -> "GaussNewton":
         """Return the solver with other bounds of z (p,), and an `equation` (z) -> 0."""
@@ -88,22 +78,13 @@ class GaussNewton(LocalSolver):
     @DIVERGING
     def run(self, start: Array) -> Outcome:
         """Solve from the parameters `start` (p,)."""
-        return self.run_from(self._nearest(start))[0]
-
-    @DIVERGING
-    def run_from(self, z: Array, *, near_solution: bool = False) -> tuple[Outcome, Array | None]:
-        """Solve from z (p,) and nodes from the data; return also the last Hessian (p, p).
-
-        Near a solution, continuity is exact from the first step of the parameters. The Hessian is
-        None without a step.
-        """
-        progress = self._parts.first_progress(near_solution=near_solution)
-        return self._solved(self._parts.at(z), progress)
+        begin = self._parts.at(self._nearest(start))
+        return self._solved(begin, self._parts.first_progress())
 
     @DIVERGING
     def solved_from(self, x: Array, nodes: Nodes, iterations: int | None = None) -> Outcome:
         """Solve from the parameters x (p,) and nodes that are near those of the solution."""
-        return self._solved(self._at(x, nodes), EXACT, iterations)[0]
+        return self._solved(self._at(x, nodes), EXACT, iterations)
 
     def continued(self, outcome: Outcome) -> Outcome:
         """Continue a run that did not converge, with many more iterations."""
@@ -111,7 +92,7 @@ class GaussNewton(LocalSolver):
             return outcome
         # Three million samples are a moment's work. Bennett5, the narrowest valley among NIST's
         # problems, takes 1300 iterations.
-        affordable = min(3_000_000 // max(self.samples, 1), 2000)
+        affordable = min(3_000_000 // max(self._parts.samples, 1), 2000)
         iterations = max(affordable, self.settings.max_iterations)
         later = self.solved_from(outcome.estimate, outcome.nodes, iterations)
         better = later if later.converged or later.cost < outcome.cost else outcome
@@ -120,7 +101,7 @@ class GaussNewton(LocalSolver):
 
     def _solved(
         self, iterate: Iterate, progress: Progress, iterations: int | None = None
-    ) -> tuple[Outcome, Array | None]:
+    ) -> Outcome:
         nlp, began = self.nlp, time.perf_counter()
         most = iterations or self.settings.max_iterations
         end = descend(self._parts, iterate, progress, most)
@@ -128,8 +109,7 @@ class GaussNewton(LocalSolver):
 
         # Only where it matters: exact derivatives take as long as several iterations.
         # Workers lack the information of some parts, and results must be the same in every process.
-        is_whole = self.samples == sum(part.samples for part in nlp.parts)
-        can_sharpen = is_whole and all(part.travels_whole for part in nlp.parts)
+        can_sharpen = all(part.travels_whole for part in nlp.parts)
         if status == CONVERGED and can_sharpen and is_blurred(end.hessian):
             iterate = sharpened(nlp, self._parts, iterate)
         if status == CONVERGED and self.limits.violation(iterate.z) > 0:
@@ -137,7 +117,7 @@ class GaussNewton(LocalSolver):
         if status == CONVERGED and not are_stable(self._parts, iterate):
             status = "unstable predictor"
         cost = self._parts.cost(iterate, 0.0)
-        outcome = Outcome(
+        return Outcome(
             self._estimate(iterate.z),
             status,
             end.iterations,
@@ -147,7 +127,6 @@ class GaussNewton(LocalSolver):
             self._parts.signature(iterate),
             tuple(self._parts.groups.nodes_by_part(iterate.nodes)),
         )
-        return outcome, end.hessian
 
     @DIVERGING
     def polished(self, search: Multistart) -> Multistart:

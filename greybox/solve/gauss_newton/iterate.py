@@ -191,15 +191,14 @@ class Progress:
 EXACT = Progress()
 
 
-def relaxed(*, near_solution: bool = False, predicts: bool = False) -> Progress:
+def relaxed(*, predicts: bool = False) -> Progress:
     """Return the progress of an iteration that begins with nodes from the data.
 
-    Near a solution, continuity is exact as soon as the nodes have moved. Predictors need only the
-    first stage: innovations correct their states.
+    Predictors need only the first stage: innovations correct their states.
     """
     # Continuity is a penalty, whose weight grows until it is an exact constraint: 70 % of runs end
     # at the best minimum with it, 62 % without; Lorenz 6 of 6 instead of none.
     stages = (1.0, 0.0) if predicts else (1.0, 0.1, 0.01, 0.001, 0.0)
     # The nodes move alone first, at held parameters. Only with this stage is the minimum of the
     # overflow problem reached; elsewhere it wins as many runs as it loses.
-    return Progress((1.0, *(stages[-1:] if near_solution else stages)), 3)
+    return Progress((1.0, *stages), 3)

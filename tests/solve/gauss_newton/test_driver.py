@@ -30,14 +30,6 @@ def record(seed, samples=300):
 HELD = gb.OutputError(inputs="held")
 
 
-def test_excerpts_are_taken_of_all_records_together():
-    nlp = compile_problem(gb.Problem(Lag(), record(0), HELD) + gb.Problem(Lag(), record(1), HELD))
-    excerpts = GaussNewton(nlp).on_excerpts(200)
-    assert excerpts.samples == pytest.approx(200, rel=0.15)
-    ends = [solver.run(np.array([1.0])).estimate[0] for solver in (excerpts, GaussNewton(nlp))]
-    assert ends == pytest.approx([2.0, 2.0], rel=0.1)
-
-
 def test_a_polished_minimum_is_the_same_to_nine_digits_wherever_it_began():
     """Of a record and a response, whose cost is told without what smooths it."""
     omega = np.array([0.5, 2.0, 8.0])
@@ -128,27 +120,27 @@ class Gain(gb.StateSpace):
 
 
 def test_within_other_bounds_and_an_equation_runs_keep_to_them():
-    """Also those on excerpts; the solver that they were asked of keeps its own limits."""
+    """The solver that they were asked of keeps its own limits."""
     nlp = compile_problem(gb.Problem(Gain(), record(0), HELD))
-    for solver in (GaussNewton(nlp), GaussNewton(nlp).on_excerpts(100)):
-        free = solver.run(np.array([1.0, 1.0]))
-        low, high = solver.limits.low.copy(), solver.limits.high.copy()
-        here = nlp.scaling.to_solver(free.estimate)
-        high[0] = here[0] - 0.02
-        bounded = solver.within(low, high)
-        end = bounded.run(np.array([1.0, 1.0]))
-        assert end.converged
-        assert nlp.scaling.to_solver(end.estimate)[0] == pytest.approx(high[0], abs=1e-9)
-        assert end.cost > free.cost
-        z = ca.SX.sym("z", 2)
-        sum_of = ca.Function("sum", [z], [z[0] + 2 * z[1] - (here[0] + 2 * here[1] + 0.03)])
-        held = solver.within(solver.limits.low, solver.limits.high, sum_of)
-        end = held.run(np.array([1.0, 1.0]))
-        assert end.converged
-        assert float(sum_of(nlp.scaling.to_solver(end.estimate))) == pytest.approx(0, abs=1e-7)
-        assert solver.limits.high[0] > here[0]
-        again = solver.run(np.array([1.0, 1.0]))
-        assert_allclose(again.estimate, free.estimate, rtol=1e-12)
+    solver = GaussNewton(nlp)
+    free = solver.run(np.array([1.0, 1.0]))
+    low, high = solver.limits.low.copy(), solver.limits.high.copy()
+    here = nlp.scaling.to_solver(free.estimate)
+    high[0] = here[0] - 0.02
+    bounded = solver.within(low, high)
+    end = bounded.run(np.array([1.0, 1.0]))
+    assert end.converged
+    assert nlp.scaling.to_solver(end.estimate)[0] == pytest.approx(high[0], abs=1e-9)
+    assert end.cost > free.cost
+    z = ca.SX.sym("z", 2)
+    sum_of = ca.Function("sum", [z], [z[0] + 2 * z[1] - (here[0] + 2 * here[1] + 0.03)])
+    held = solver.within(solver.limits.low, solver.limits.high, sum_of)
+    end = held.run(np.array([1.0, 1.0]))
+    assert end.converged
+    assert float(sum_of(nlp.scaling.to_solver(end.estimate))) == pytest.approx(0, abs=1e-7)
+    assert solver.limits.high[0] > here[0]
+    again = solver.run(np.array([1.0, 1.0]))
+    assert_allclose(again.estimate, free.estimate, rtol=1e-12)
 
 
 def test_states_are_smoothed_at_given_parameters_where_the_model_is_finite():

@@ -61,6 +61,3 @@ def test_variances_shrink_until_continuity_is_exact():
 
 def test_how_an_iteration_begins():
     assert EXACT.is_exact
-    near = relaxed(near_solution=True)
-    assert not near.is_exact  # the nodes move alone first
-    assert after(near, 1.0).is_exact
