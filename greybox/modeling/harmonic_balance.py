@@ -128,21 +128,18 @@ class HarmonicBalance:
     means of the other inputs, about the operating point, divided by the amplitude. Settings are
     parameters, operating point, omega and amplitude.
 
-    `newton` and `careful`, which searches along a line, take them as `x0` and `p`; `finish` gives
-    the response and whether the harmonics are a motion, `slopes` the derivatives of the response of
-    such a motion by the settings, (m, 2); `guess` finds harmonics from the settings alone.
+    `newton` takes them as `x0` and `p`; `finish` gives the response and whether the harmonics are a
+    motion, `slopes` the derivatives of the response of such a motion by the settings, (m, 2);
+    `guess` finds harmonics from the settings alone.
     """
 
     model: StateSpace
     sine: Sine
     trim: ca.Function
     newton: ca.Function
-    careful: ca.Function
     finish: ca.Function
     slopes: ca.Function
     guess: ca.Function
-    is_linear: bool
-    switches: bool
 
     def response(self, omega: Array) -> ca.Function:
         """Return the function from the parameter vector to real and imaginary part (n,)."""
@@ -198,7 +195,7 @@ def compiled_balance(
     trim = trim_of(model, at or {}).closed()
     start = ca.DM([q.start for q in model.parameters.values()])
     point = ca.vertcat(*trim(start))
-    unknown, settings, rows, slopes, size, response, is_linear, switches = _equations(
+    unknown, settings, rows, slopes, size, response, switches = _equations(
         model, sine, input, output, pade, start, point
     )
 
@@ -237,8 +234,7 @@ def compiled_balance(
     total = by_settings[-2:, :] - by_unknown[-2:, :] @ motion
     slopes = ca.Function("slopes", [unknown, settings], [ca.densify(total).T])
     guess = _guess(newton, careful, finish, switches=switches)
-    functions = newton, careful, finish, slopes, guess
-    return HarmonicBalance(model, sine, trim, *functions, is_linear, switches)
+    return HarmonicBalance(model, sine, trim, newton, finish, slopes, guess)
 
 
 def _equations(
@@ -249,8 +245,8 @@ def _equations(
     pade: int | None,
     start: ca.DM,
     trimmed: ca.DM,
-) -> tuple[Any, Any, Any, Any, int, Any, bool, bool]:
-    """Return unknowns, settings, equations, slopes, size, response, linearity, any switches.
+) -> tuple[Any, Any, Any, Any, int, Any, bool]:
+    """Return unknowns, settings, equations, slopes, size, response, any switches.
 
     The equations are a balance of this size, which must vanish, and conditions on the means, of
     which as many must vanish as the ODE leaves open. The response is real and imaginary part. The
@@ -291,7 +287,7 @@ def _equations(
         # At rest an orbit has no speed to compare with, but what drives it has one.
         gains = _gains(derivatives, z, parameters, trimmed, start)(point, p)
         sizes = width * ca.sqrt(sizes**2 + (gains @ _rms(series) / omega) ** 2)
-    linear, sampled, slopes, is_linear = _harmonics(
+    linear, sampled, slopes = _harmonics(
         formulas, z, parameters, ca.vertcat(unknown, settings), series, p, sizes, switches=switches
     )
 
@@ -322,7 +318,7 @@ def _equations(
     at_samples = ca.Function("at_samples", [unknown, settings, symbol], parts)
     rows, direct, by_samples = at_samples(unknown, settings, sampled)
     slopes, size = direct + by_samples @ slopes, equations.numel() - len(means)
-    return unknown, settings, rows[:-2], slopes, size, rows[-2:], is_linear, switches
+    return unknown, settings, rows[:-2], slopes, size, rows[-2:], switches
 
 
 def _all_coefficients(per_signal: list[ca.MX], columns: int, held: int | None) -> Any:
@@ -377,11 +373,11 @@ def _harmonics(
     sizes: Any,
     *,
     switches: bool,
-) -> tuple[Any, Any, Any, bool]:
+) -> tuple[Any, Any, Any]:
     """Return coefficients of `formulas` (k, 1): linear (k, 2h + 1), sampled (2h + 1, k), slopes.
 
     The slopes are those of the sampled ones by `every` symbol. `series` are the coefficients of the
-    signals z, and `sizes` (k, 1) their speeds by phase. Return at last whether all is linear.
+    signals z, and `sizes` (k, 1) their speeds by phase.
     """
     harmonics = series.size2() // 2
     # An odd number of samples: a kink such as that of |v| v, sampled at a symmetric orbit, then
@@ -426,7 +422,7 @@ def _harmonics(
             along = part.T @ ca.jacobian(others[column - 2 * count], every)
         of_samples[row] += along
     slopes = ca.vertcat(*[to_series.T @ rows for rows in of_samples])
-    return coefficients, (values @ to_series).T, slopes, curved.is_zero()
+    return coefficients, (values @ to_series).T, slopes
 
 
 def transforms(harmonics: int, points: int) -> tuple[ca.DM, ca.DM]:

@@ -357,13 +357,6 @@ def test_friction_with_stops_is_that_of_a_simulation_and_less_force_leaves_the_m
     assert abs(response[0] - exact) < (0.001 if error is None else error * abs(exact))
 
 
-def test_a_response_that_needs_more_harmonics_says_so():
-    sine = gb.modeling.Sine("F", 1.3, harmonics=3)
-    values = {"m": 1.0, "b": 0.5, "c": 1.0}
-    with pytest.warns(UserWarning, match="changes by up to .* between 1 and 3 harmonics"):
-        gb.modeling.harmonic_response(Rubbing(), values, 2.0, amplitude=sine)
-
-
 def test_a_fit_finds_the_friction_and_a_threshold_inside_a_condition():
     omega = np.geomspace(0.3, 20, 4)
     speed = 0.5
