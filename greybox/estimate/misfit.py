@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,10 +14,16 @@ from greybox.compiled.record_part import RecordPart
 from greybox.compiled.record_sensitivity import sensitivity
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.diagnostics.outlying_points import SIZE, largest_deviation
-from greybox.estimate.missing_terms import Formula, Term, terms_of_record, terms_of_response
+from greybox.estimate.missing_terms import (
+    Term,
+    signals_of_record,
+    terms_of_record,
+    terms_of_response,
+)
 from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.files.html_text import Printed
 from greybox.files.text_table import number, percent, some, text_table, with_error
+from greybox.modeling.added_terms import Formula
 from greybox.statistics.autoregressive_test import (
     Outputs,
     autoregressive_p_values,
@@ -51,6 +57,10 @@ COLUMNS = 2_000_000  # numbers in memory for all terms at once, 16 MB
 MOST = 3000
 FEWEST = 500  # of each
 REFIT = 30  # iterations of a response by itself
+KNOTS = 11  # of the shape of a term over a signal
+# Share of the best determined combination of knots below which one counts as not determined: it is
+# what parameters explain, or has too few samples.
+DETERMINED = 0.02
 ENOUGH = 0.3  # change of -2 log likelihood in one of these, far below what is significant
 
 Key = tuple[tuple[str, str, str], int]  # the family of a term, and its number in it
@@ -75,6 +85,8 @@ class Cause:
         The same if errors of neighboring points of a response may be correlated.
     alike : tuple of str
         Terms that have nearly the same effect, so that the data cannot tell them apart.
+    added : (str, Formula) or None
+        The state to whose derivative it adds, and the unit term; not stored with a fit.
     """
 
     text: str
@@ -85,6 +97,9 @@ class Cause:
     p_value: float
     p_correlated: float
     alike: tuple[str, ...] = ()
+    added: tuple[str, Formula] | None = field(
+        default=None, compare=False, metadata={"stored": False}
+    )
 
     @property
     def explained(self) -> str:
@@ -96,6 +111,32 @@ class Cause:
         """The term, how the model gets it, and what it cannot be told apart from."""
         also = f"; hardly distinct from {some(self.alike)}" if self.alike else ""
         return f"to add: {self.explained}: {self.code}{also}"
+
+
+@dataclass(frozen=True)
+class Shape:
+    """How the term that explains most depends on a signal, beside what the parameters explain.
+
+    Attributes
+    ----------
+    text, signal : str
+        The term in words, and the state, input, rate of an input, or time, over which the
+        residuals show it most clearly.
+    at : tuple of float
+        Values of the signal.
+    values, errors : tuple of float
+        What the model lacks there in the place of the term, such as the equation of a state,
+        whatever its form, and its standard errors.
+    by_term : tuple of float
+        The same if the term is all that is missing.
+    """
+
+    text: str
+    signal: str
+    at: tuple[float, ...]
+    values: tuple[float, ...]
+    errors: tuple[float, ...]
+    by_term: tuple[float, ...]
 
 
 @dataclass(frozen=True)
@@ -118,6 +159,8 @@ class Misfit(Printed):
         Share of the squares of the residuals of records that earlier samples predict.
     is_unstable : bool
         Whether the model is unstable, so that the inputs of a record answer to its errors.
+    shape : Shape or None
+        That of the best term of records, where it is significant.
     """
 
     left: float
@@ -127,6 +170,7 @@ class Misfit(Printed):
     p_common: float
     drift: float
     is_unstable: bool
+    shape: Shape | None = None
 
     @property
     def p_value(self) -> float:
@@ -196,7 +240,7 @@ class _Regression:
 
     All columns have N rows; `changes` returns those (N, c) of terms. `separate` returns the
     residuals and slopes of a response that is fitted alone; `outputs` has the rows of every output
-    of a record, by stretches.
+    of a record, by stretches, and `signals` those over which the shape of a term is drawn.
     """
 
     measured: Array
@@ -208,6 +252,7 @@ class _Regression:
     outputs: Outputs = ()
     causes: Sequence[Cause] = ()
     is_unstable: bool = False
+    signals: Mapping[str, Array] = field(default_factory=dict)
 
     def columns(self, keys: Sequence[Key]) -> Array:
         """Return the columns (N, c) of terms, zero for those that this part does not have."""
@@ -262,6 +307,7 @@ def assessed_misfit(
         tried=sum(group.tried for group in groups),
         causes=tuple(causes),
         p_common=min(group.p_common for group in groups),
+        shape=groups[-1].shape,
     )
 
 
@@ -313,15 +359,6 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
         p_common = p_value_of_scores(score, apart, len(residuals))
     is_common = p_common >= FALSE_ALARMS
 
-    measured = np.vstack([part.measured for part in parts])
-    both = residuals, beside(residuals, together)
-    # A record has several outputs, of which one may be the only one that follows a missing term.
-    shares = [
-        [float(np.sum(e[rows] ** 2) / (np.sum(measured[rows] ** 2) + TINY)) for e in both]
-        for rows in [np.concatenate(stretches) for stretches in outputs] or [...]
-    ]
-    left, noise = max(shares, key=lambda pair: pair[0] - pair[1])
-
     texts = [terms[key].described(test[2], test[3]) for test, key, _ in ranked]
     alike = _alike(beside(white(best_columns), white_fitted), texts) if ranked else []
     causes = []
@@ -336,20 +373,73 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
             beside_it = correlated_score([(residuals, columns, lengths)])
             p_correlated = max(p_value, p_value_of_scores(score, beside_it, len(residuals)))
         shares = np.minimum([decrease / explained, tried * p_value, tried * p_correlated], 1.0)
-        causes.append(Cause(*texts[k], value, error, *shares.tolist(), alike=alike[k]))
+        formula = terms[key].added
+        added = (terms[key].b, formula) if formula else None
+        causes.append(Cause(*texts[k], value, error, *shares.tolist(), alike=alike[k], added=added))
 
+    shape = None
+    if in_time and causes and causes[0].p_value < FALSE_ALARMS:
+        shape = _shape(parts, ranked[0], texts[0][0], white, white_residuals, white_fitted)
     causes += [cause for part in parts for cause in part.causes]
     squares = float(np.sum(residuals**2)) + TINY
     white_squares = [len(residuals) / float(row[0]) ** 2 for row in filters]
     return Misfit(
-        left,
-        noise,
+        *_shares(parts, (residuals, beside(residuals, together)), outputs),
         tried,
         tuple(causes),
         p_common,
         1 - min(white_squares, default=squares) / squares,
         any(part.is_unstable for part in parts),
+        shape,
     )
+
+
+def _shares(
+    parts: Sequence[_Regression], residuals: tuple[Array, Array], outputs: Outputs
+) -> tuple[float, float]:
+    """Return the shares of the squares of the outputs that the model and noise leave."""
+    measured = np.vstack([part.measured for part in parts])
+    # A record has several outputs, of which one may be the only one that follows a missing term.
+    shares = [
+        [float(np.sum(e[rows] ** 2) / (np.sum(measured[rows] ** 2) + TINY)) for e in residuals]
+        for rows in [np.concatenate(stretches) for stretches in outputs] or [...]
+    ]
+    left, noise = max(shares, key=lambda pair: pair[0] - pair[1])
+    return left, noise
+
+
+def _shape(
+    parts: Sequence[_Regression],
+    test: tuple[list[float], Key, Array],
+    text: str,
+    white: Callable[[Array], Array],
+    residuals: Array,
+    fitted: Array,
+) -> Shape | None:
+    """Return the shape of a term over the signal that explains most of white residuals (N, 1)."""
+    (_, _, value, _), key, column = test
+    best, least = None, np.inf
+    # A value that one record needs has no place in the others.
+    terms = [part.terms[key] for part in parts if key in part.terms]
+    for name in parts[0].signals if len(terms) == len(parts) else ():
+        signals = [part.signals[name] for part in parts]
+        knots = np.linspace(np.min(np.hstack(signals)), np.max(np.hstack(signals)) + TINY, KNOTS)
+        hats = np.eye(KNOTS)
+        columns = [
+            part.changes([replace(term, values=np.interp(row, knots, hat)) for hat in hats])
+            for part, term, row in zip(parts, terms, signals, strict=True)
+        ]
+        # What the parameters explain is determined neither here nor in the shape of the term.
+        effects = beside(white(np.vstack(columns)), fitted)
+        inverse = np.linalg.pinv(effects, rcond=DETERMINED)
+        values = inverse @ residuals
+        size = float(np.std(residuals - effects @ values))
+        if size < least:
+            errors = size * np.linalg.norm(inverse, axis=1)
+            by_term = inverse @ beside(white(value * column), fitted)
+            rows = (np.ravel(row).tolist() for row in (knots, values, errors, by_term))
+            best, least = Shape(text, name, *map(tuple, rows)), size
+    return best
 
 
 def _alike(effects: Array, texts: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
@@ -440,10 +530,11 @@ def _of_record(
         rows(residuals[:, None]),
         rows(np.einsum("ab,bpn->apn", noise, slopes.weighted)),
         _numbered(terms_of_record(record, candidates, along_data)),
-        lambda terms: rows(record.followed_by(term.effect() for term in terms)),
+        lambda terms: rows(record.followed_by(t.place(t.values) for t in terms if t.place)),
         outputs=outputs,
         causes=tuple(_offsets(part, residuals, record.present)),
         is_unstable=record.is_unstable,
+        signals=signals_of_record(record),
     )
 
 
@@ -526,7 +617,7 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
 
     at_fit, slope = values[: len(free)], part.sensitivity(values)
     own = [
-        Term(kind, lambda k=k, size=size: slope[:, k] / response * size, name, b)
+        Term(kind, slope[:, k] / response * size, a=name, b=b)
         for k, name in enumerate(free)
         for kind, b, size in (
             ("own", part.name, 1.0),
@@ -544,7 +635,7 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
         left,
         slopes(at_fit),
         _numbered([*terms_of_response(part.data.omega), *own]) if order.size else {},
-        lambda terms: rows(np.column_stack([response * term.effect() for term in terms])),
+        lambda terms: rows(np.column_stack([response * term.values for term in terms])),
         separate if order.size else None,
         causes=() if np.sum(left**2) < np.sum(measured**2) / 2 else (path,),
     )

@@ -6,6 +6,7 @@ steps of the gain.
 """
 
 import itertools
+import operator
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache, partial
@@ -14,16 +15,16 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.disturbances import DisturbedRecord
+from greybox.compiled.disturbances import DisturbedRecord, Effect
 from greybox.compiled.record_part import RecordPart
 from greybox.files.arrays import Array
 from greybox.files.text_table import number
 from greybox.formulation.input_assumptions import is_stated
+from greybox.modeling.added_terms import Formula
 from greybox.modeling.colored_disturbance import undisturbed
+from greybox.modeling.functions import maximum, minimum, tanh
 from greybox.modeling.model import Names
 from greybox.modeling.state_space import StateSpace
-
-Formula = Callable[[Names, Names, Names], Any]
 
 # A term in words, also for a negative factor if that differs, and the code that adds it.
 TEXTS = {
@@ -134,24 +135,30 @@ class Term:
     ----------
     kind : str
         Key of `TEXTS`. Terms of one kind, and of the same signals `a` and `b`, are one cause.
-    effect : function
-        Returns the effect of the unit term on a record, or the factor (n,) on a response.
+    values : (n,) array
+        The unit term at the samples of a record, or its factor on a response.
+    place : function
+        Returns the effect on a record of values there, such as in the equation of a state.
     scale : float
         The size of the term is the size of the factor times this.
     largest : float
         Size beyond which the model hardly responds to the signal `a`, which is then the cause.
     half_step : float, s
         Half of the step between samples if nobody states how the input runs between them.
+    added : function or None
+        The unit term, if it adds to the derivative of the state `b`.
     """
 
     kind: str
-    effect: Callable[[], Any]
+    values: Any
+    place: Callable[[Array], Effect] | None = None
     a: str = ""
     b: str = ""
     level: float = 0.0
     scale: float = 1.0
     largest: float = np.inf
     half_step: float = np.inf
+    added: Formula | None = None
 
     @property
     def family(self) -> tuple[str, str, str]:
@@ -187,11 +194,11 @@ def terms_of_record(
     for k, (y, b) in enumerate(zip(record.outputs, part.outputs, strict=True)):
         if len(part.outputs) > 1:
             for row, T in _delays(record, y):
-                yield Term("sensor", lambda k=k, row=row: record.by_output(k, row), b=b, scale=T)
+                yield Term("sensor", row, partial(record.by_output, k), b=b, scale=T)
         for u, a in zip(record.inputs, part.system.inputs, strict=True):
             # A controller responds at once: the noise of a sample is in the input at the same time.
             past = record.by_stretch(_delayed, u, part.data.stretches[0].step)
-            yield Term("direct", lambda k=k, past=past: record.by_output(k, past), a, b)
+            yield Term("direct", past, partial(record.by_output, k), a, b)
 
     is_state_space = isinstance(part.problem.model, StateSpace)
     if is_state_space:
@@ -200,6 +207,16 @@ def terms_of_record(
     else:
         yield from _of_feedback(record)
     yield from _of_parameters(record)
+
+
+def signals_of_record(record: DisturbedRecord) -> dict[str, Array]:
+    """Return the states, inputs with their rates, and the time of a record, (samples,)."""
+    part = record.part
+    signals = dict(zip(part.system.states, record.states, strict=True))
+    for u, a in zip(record.inputs, part.system.inputs, strict=True):
+        signals |= {a: u, f"rate of {a}": record.by_stretch(_backward, u)}
+    times = [part.model.record.time[None, stretch.rows] for stretch in part.data.stretches]
+    return signals | {"time, s": part.data.padded(times, None)[0]}
 
 
 def _of_parameters(record: DisturbedRecord) -> Iterator[Term]:
@@ -218,8 +235,8 @@ def _of_parameters(record: DisturbedRecord) -> Iterator[Term]:
         if part.model.parameters[k] in gains:
             continue
         for kind, row, b in changes:
-            effect = partial(record.by_parameter, place, row)
-            yield Term(kind, effect, part.model.outside_names[k], b)
+            by_parameter = partial(record.by_parameter, place)
+            yield Term(kind, row, by_parameter, part.model.outside_names[k], b)
 
 
 def _delays(record: DisturbedRecord, row: Array) -> Iterator[tuple[Array, float]]:
@@ -237,8 +254,10 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
     model = record.part.model
     half_step = np.inf if is_stated(model.criterion.inputs, a, model.record) else step / 2
 
+    by_input = partial(record.by_input, j)
+
     def term(kind: str, row: Array, level: float = 0.0, scale: float = 1.0) -> Term:
-        return Term(kind, lambda: record.by_input(j, row), a, "", level, scale, longest, half_step)
+        return Term(kind, row, by_input, a, "", level, scale, longest, half_step)
 
     for row, T in _delays(record, u):
         yield term("timing", row, scale=T)
@@ -250,11 +269,11 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
 
 
 def _of_feedback(record: DisturbedRecord) -> Iterator[Term]:
+    by_input, name = partial(record.by_input, 0), record.part.system.inputs[0]
     for y, b in zip(record.outputs, record.part.outputs, strict=True):
-        shapes = _shapes(b, y) | _shapes(f"{b}'", _rate(record, y))
-        for a, row in shapes.items():
-            name = record.part.system.inputs[0]
-            yield Term("feedback", lambda row=row: record.by_input(0, row), a, name)
+        for signal, row in ((b, y), (f"{b}'", _rate(record, y))):
+            for a, form in _forms(signal, row).items():
+                yield Term("feedback", form(row), by_input, a, name)
 
 
 def _of_equations(
@@ -264,43 +283,50 @@ def _of_equations(
     x = dict(zip(system.states, states, strict=True))
     u = dict(zip(system.inputs, record.inputs, strict=True))
     p = dict(zip(record.part.model.parameters, record.parameters, strict=True))
-    own = {}
-    for name, formula in candidates.items():
-        values = np.asarray(formula(Names(x), Names(u), Names(p)), dtype=float)
-        own[name] = np.broadcast_to(values, record.part.samples)
+    signals = (Names(x), Names(u), Names(p))
 
     # Equations of a small model have the same neighbors, and so the same functions of them.
     @cache
-    def shapes_of(names: frozenset[str]) -> dict[str, Array]:
-        near = {name: row for name, row in (x | u).items() if name in names}
-        pairs = itertools.combinations(near.items(), 2)
-        shapes = {**x, **u}
-        shapes |= {f"{a} * {b}": row * other for (a, row), (b, other) in pairs if a in x}
-        for name, row in near.items():
-            shapes |= _shapes(name, row) if name in x else {}
-        return shapes | own
+    def shapes_of(names: frozenset[str]) -> dict[str, tuple[Array, Formula]]:
+        near = [name for name in (*x, *u) if name in names]
+        formulas = {name: _formula(lambda a: a, name) for name in (*x, *u)}
+        for a, b in itertools.combinations(near, 2):
+            if a in x:
+                formulas[f"{a} * {b}"] = _formula(operator.mul, a, b)
+        for name in near:
+            forms = _forms(name, x[name]) if name in x else {}
+            formulas |= {text: _formula(form, name) for text, form in forms.items()}
+        return {
+            text: (np.zeros(record.part.samples) + formula(*signals), formula)
+            for text, formula in (formulas | {**candidates}).items()
+        }
 
     for i, (names, present) in dynamic_equations(record.part).items():
-        for a, row in shapes_of(names).items():
+        b, by_state = system.states[i], partial(record.by_state, i)
+        for a, (row, formula) in shapes_of(names).items():
             if a not in present:
-                yield Term("equation", partial(record.by_state, i, row), a, [*x][i])
-        near = {name: row for name, row in x.items() if name in names}
-        for (a, row), share in itertools.product(near.items(), STOPS):
-            level = float(np.quantile(row, share))
-            over = (np.maximum if share > 0.5 else np.minimum)(row - level, 0.0)
-            yield Term("limit", partial(record.by_state, i, over), a, [*x][i], level=level)
+                yield Term("equation", row, by_state, a, b, added=formula)
+        for a, share in itertools.product([name for name in x if name in names], STOPS):
+            level, bound = float(np.quantile(x[a], share)), maximum if share > 0.5 else minimum
+            formula = _formula(lambda a, level=level, bound=bound: bound(a - level, 0.0), a)
+            yield Term("limit", formula(*signals), by_state, a, b, level, added=formula)
 
 
-def _shapes(name: str, row: Array) -> dict[str, Array]:
-    """Return functions of a signal by their code."""
+def _formula(form: Callable[..., Any], *names: str) -> Formula:
+    """Return a function of these states and inputs as a term of a model."""
+    return lambda x, u, p: form(*({**x, **u}[name] for name in names))
+
+
+def _forms(name: str, row: Array) -> dict[str, Callable[[Any], Any]]:
+    """Return functions of a signal (samples,), also of its symbol, by their code."""
     # Where the model is wrong, its signal crosses zero too early or too late, or creeps.
     creep = CREEP * max(float(np.abs(row).max()), 1e-300)
     return {
-        name: row,
-        f"abs({name}) * {name}": np.abs(row) * row,
-        f"{name}**2": row**2,
-        f"{name}**3": row**3,
-        f"sign({name})": np.tanh(row / creep),
+        name: lambda a: a,
+        f"abs({name}) * {name}": lambda a: abs(a) * a,
+        f"{name}**2": lambda a: a**2,
+        f"{name}**3": lambda a: a**3,
+        f"sign({name})": lambda a: tanh(a / creep),
     }
 
 
@@ -358,17 +384,17 @@ def _lagged(piece: Array, step: float, T: float) -> Array:
 def terms_of_response(omega: Array) -> Iterator[Term]:
     """Yield the terms that the model of a response at `omega` (n,) may lack."""
     s, low, high = 1j * omega, float(omega.min()), float(omega.max())
-    yield Term("zero", lambda: s / high)
+    yield Term("zero", s / high)
     for T in np.array([0.5, 1.0, 2.0]) / high:
-        yield Term("delay", lambda T=T: np.exp(-s * T) - 1, scale=T)
+        yield Term("delay", np.exp(-s * T) - 1, scale=T)
         # A delay in the model absorbs the phase of a zero.
-        yield Term("zero", lambda T=T: np.abs(1 + s * T) - 1)
+        yield Term("zero", np.abs(1 + s * T) - 1)
     for a in np.geomspace(low / 2, 2 * high, 9):
-        yield Term("pole", lambda a=a: 1 / (1 + s / a) - 1, level=a)
+        yield Term("pole", 1 / (1 + s / a) - 1, level=a)
     for w in np.geomspace(low, high, 16):
         for top in (w**2, s * w):
             below = s**2 + 2 * DAMPING * w * s + w**2
-            yield Term("mode", lambda top=top, below=below: top / below, level=w)
+            yield Term("mode", top / below, level=w)
     edges = np.sqrt(omega[1:] * omega[:-1])
     for edge in edges[:: max(len(edges) // EDGES, 1)]:
-        yield Term("step", lambda edge=edge: 1.0 * (omega > edge), level=edge)
+        yield Term("step", 1.0 * (omega > edge), level=edge)

@@ -20,7 +20,7 @@ from greybox.modeling.transfer_function import TransferFunction
 from greybox.plotting.bode import bode_figure
 from greybox.plotting.nyquist import nyquist_figures
 from greybox.plotting.profile import profile_figures
-from greybox.plotting.residuals import residual_figures
+from greybox.plotting.residuals import residual_figures, shape_figures
 from greybox.plotting.spectrum import spectrum_figure
 from greybox.plotting.starts import starts_figure
 from greybox.plotting.time_history import history_figure
@@ -58,7 +58,8 @@ def _verdict_box(fit: Fit) -> Element:
 
 
 def _warnings(fit: Fit) -> list[Element]:
-    items = [tag("li", text, class_="warning") for text in fit.warnings]
+    items = [tag("li", cause.remedy) for cause in (fit.misfit.likely if fit.misfit else ())]
+    items += [tag("li", text, class_="warning") for text in fit.warnings]
     items += [tag("li", text, class_="note") for text in fit.notes]
     return [tag("ul", items, class_="warnings")] if items else []
 
@@ -129,4 +130,5 @@ def _histories(fit: Fit) -> Iterator[Element]:
     labels = [f"fit of {part.label}" for part in fit.records]
     yield figure_grid([history_figure([fit], k, labels[k : k + 1], COLUMNS) for k in chosen])
     if fit.converged:
-        yield figure_grid([figure for k in chosen for figure in residual_figures(fit.records[k])])
+        figures = [figure for k in chosen for figure in residual_figures(fit.records[k])]
+        yield figure_grid([*shape_figures(fit), *figures])

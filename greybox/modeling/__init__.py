@@ -20,6 +20,7 @@ Begin with `model`.
 | `integrators`, `implicit_integrators`, `step_size` | explicit and implicit steps, and how many |
 | `held_inputs` | the exact step of a linear system with held inputs |
 | `known_systems` | linear models with known numbers, such as a filter |
+| `added_terms` | an ODE with further terms in its derivatives |
 | `colored_disturbance` | an ODE with gusts on its derivatives |
 | `model_reference`, `model_file` | a model by name in a stored result, or in a file of your own |
 """

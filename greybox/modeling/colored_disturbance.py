@@ -1,16 +1,17 @@
 """An ODE with disturbances of first-order color on its derivatives, such as gusts."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
+from greybox.modeling.added_terms import ExtendedModel
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import as_list
 
 
-class ColoredDisturbance(StateSpace):
+class ColoredDisturbance(ExtendedModel):
     """An ODE whose derivatives have disturbances with states of their own.
 
     The disturbance ``gust_<state>`` adds to the derivative of the state, and follows
@@ -35,20 +36,11 @@ class ColoredDisturbance(StateSpace):
             f"T_{gust_on(state)}": gust_time(bounds, f"derivative of {state}")
             for state, bounds in disturbed
         }
-        self.model = model
-        self.inputs, self.outputs = tuple(model.inputs), tuple(model.outputs)
-        self.delays, self.units = model.delays, model.units
-        self.states = (*model.states, *self.gusts)
-        self.parameters = {**model.parameters, **times}
+        super().__init__(model, self.gusts, times)
         # A name of the model would be overwritten silently.
         for name in (*self.gusts, *times):
             if name in (*model.parameters, *model.states, *model.inputs):
                 raise ValueError(f"{model.label} already has {name!r}: rename it there.")
-
-    @property
-    def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
-        """Derived quantities of the model."""
-        return self.model.derived
 
     @property
     def label(self) -> str:
@@ -61,10 +53,6 @@ class ColoredDisturbance(StateSpace):
         for state, gust in zip(self.disturbed, self.gusts, strict=True):
             rates[state] = rates[state] + x[gust]
         return [*rates.values(), *(-x[gust] / p[f"T_{gust}"] for gust in self.gusts)]
-
-    def output(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
-        """Return the outputs of the model."""
-        return self.model.output(x, u, p)
 
 
 def gust_time(bounds: tuple[float, float], place: str) -> Parameter:

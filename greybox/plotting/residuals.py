@@ -58,7 +58,7 @@ def residuals(
     # One row for each output, so that its panels stand side by side.
     figures = residual_figures(part)
     return draw(
-        figures,
+        [*figures, *shape_figures(fit)],
         axes,
         columns=len(figures) // len(part.outputs),
         size=(3.1, 2.4),
@@ -95,6 +95,29 @@ def residual_figures(part: FittedRecord) -> list[Figure]:
             )
 
     return figures
+
+
+def shape_figures(fit: Fit) -> list[Figure]:
+    """Return what the model lacks over the signal that shows it, beside the best term."""
+    shape = fit.misfit and fit.misfit.shape
+    if not shape:
+        return []
+    x, values, errors = np.array([shape.at, shape.values, shape.errors])
+    points = Series(
+        "whatever its form", "points", x, values, low=values - 2 * errors, high=values + 2 * errors
+    )
+    line = Series(shape.text, "line", x, np.array(shape.by_term), 1)
+    panel = Panel("What is missing", [rule(), line, points], title=shape.text)
+    name = in_greek(shape.signal)
+    return [
+        Figure(
+            f"What the model lacks over {name}",
+            name,
+            [panel],
+            caption=f"Line: {shape.text}. Points: whatever its form, with two standard errors. "
+            "What the parameters explain is missing in both.",
+        )
+    ]
 
 
 def _means(part: FittedRecord, output: str, name: str, values: Array) -> Figure:

@@ -10,16 +10,20 @@ correction of Bonferroni.
 """
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.estimate.fit import fit as fit_problem
+from greybox.estimate.misfit import Misfit
 from greybox.estimate.result import Fit
 from greybox.files.text_table import counted, listed, number, one_line, text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Sobol
+from greybox.modeling.added_terms import AddedTerms
 from greybox.modeling.model import require_known
+from greybox.modeling.state_space import StateSpace
 from greybox.validation.comparison import EQUAL_AIC, SIGNIFICANT, p_text
 from greybox.validation.nested_models import NestedTest, cost_scale, f_tail, nested_test_at
 
@@ -121,7 +125,7 @@ class StepwiseSelection:
 
 def stepwise(
     problem: AnyProblem,
-    candidates: Sequence[str] | Mapping[str, float],
+    candidates: Sequence[str] | Mapping[str, float] | Misfit,
     *,
     starts: int = 4,
 ) -> StepwiseSelection:
@@ -133,9 +137,10 @@ def stepwise(
     ----------
     problem : Problem or Sum
         With a model that has all candidates.
-    candidates : sequence of str, or mapping of name to value
+    candidates : sequence of str, mapping of name to value, or Misfit
         Parameters, by their names in the problem, and the value of each where its term is absent:
-        zero by default.
+        zero by default. Of a misfit those terms are added to the model that are significant and
+        belong into the equation of a state: `Fit.misfit`, or `gb.misfit` with terms of your own.
     starts : int
         Sobol points from which every structure is fitted, beside the previous estimate.
 
@@ -145,6 +150,8 @@ def stepwise(
         For candidates that are not parameters of the problem, or a structure without any candidate
         that has no fit.
     """
+    if isinstance(candidates, Misfit):
+        problem, candidates = _with_causes(problem, candidates)
     absent = dict(candidates) if isinstance(candidates, Mapping) else dict.fromkeys(candidates, 0.0)
     require_known(absent, problem.parameters, "parameter", repr(problem.name))
     fits = _Fits(problem, absent, starts, {})
@@ -188,6 +195,28 @@ def stepwise(
         alike=fits.alike(current),
         doubtful=fits.doubtful(current),
     )
+
+
+def _with_causes(problem: AnyProblem, misfit: Misfit) -> tuple[AnyProblem, list[str]]:
+    """Return the problem with the terms of a misfit, and the names of their factors."""
+    terms = {
+        re.sub(r"\W+", "_", cause.text.replace("the equation of ", "")): (*cause.added, cause.value)
+        for cause in misfit.causes
+        if cause.added and cause.p_value < SIGNIFICANT
+    }
+    if not terms:
+        raise ValueError(
+            "no significant cause of this misfit can be added to the equation of a state: change "
+            "the model as the misfit says; for a fit that was loaded, give gb.misfit(fit)."
+        )
+    parts = [
+        part.with_(model=AddedTerms(part.model, terms))
+        if isinstance(part.model, StateSpace)
+        and {*part.model.states} >= {state for state, *_ in terms.values()}
+        else part
+        for part in problem.parts
+    ]
+    return problem.with_parts(parts), [*terms]
 
 
 @dataclass(frozen=True, eq=False)

@@ -290,10 +290,53 @@ def test_terms_of_the_user_are_tried():
     assert cubic.share == pytest.approx(by_fit[cubic.text], rel=0.1)
 
 
-def test_misfit_is_stored_with_the_fit(tmp_path):
-    fit = fitted(Late)
+@pytest.mark.parametrize("plant", [Cubic, Late])
+def test_misfit_is_stored_with_the_fit(plant, tmp_path):
+    fit = fitted(plant)
     gb.save(fit, tmp_path / "fit.h5")
     assert gb.load(tmp_path / "fit.h5").misfit == fit.misfit
+
+
+class Clipped(Spring):
+    """A command that saturates."""
+
+    def derivative(self, x, u, p):
+        v, a = super().derivative(x, u, p)
+        return (v, a + p.b * (gb.minimum(gb.maximum(u.u, -0.5), 0.5) - u.u))
+
+
+@pytest.mark.parametrize(
+    ("plant", "signal", "form"),
+    [
+        (Cubic, "x", lambda x: -20 * x**3),
+        (Late, "rate of u", lambda rate: -0.12 * rate),
+        (Clipped, "u", lambda u: np.clip(u, -0.5, 0.5) - u),
+    ],
+)
+def test_the_shape_of_what_is_missing_is_that_of_the_truth(plant, signal, form):
+    shape = fitted(plant).misfit.shape
+    assert shape.signal == signal
+    at, values, errors = np.array([shape.at, shape.values, shape.errors])
+    # Parameters explain what is linear.
+    lines = np.vander(at, 2) / errors[:, None]
+    missing = [form(at) / errors, values / errors, np.array(shape.by_term) / errors]
+    truth, measured, term = (row - lines @ np.linalg.lstsq(lines, row)[0] for row in missing)
+    if plant is Late:  # a line itself
+        truth, measured, term = missing
+    assert np.corrcoef(truth, measured)[0, 1] > 0.8
+    assert np.corrcoef(truth, term)[0, 1] > 0.8
+
+
+def test_the_shape_is_drawn_with_the_best_term(tmp_path):
+    fit = fitted(Cubic)
+    page = tmp_path / "page.html"
+    gb.report(fit, page)
+    assert fit.misfit.likely[0].code in page.read_text()
+    panel = gb.plotting.residuals(fit)[-1]
+    assert panel.get_xlabel() == "x"
+    assert fit.misfit.shape.text.startswith("x**3")
+    line = max(panel.lines, key=lambda line: len(line.get_xdata()))
+    assert tuple(line.get_xdata()) == fit.misfit.shape.at
 
 
 def test_an_output_that_turbulence_moves_has_its_criterion():

@@ -60,7 +60,9 @@ def test_what_the_model_lacks_shows():
     stiff = gb.fit(
         gb.Problem(Spring(), record, fixed={"stiffness": 4.6}), starts=[{}], progress=False
     )
-    assert "p < 0.0001" in gb.plotting.residuals(stiff)[-1].get_title()
+    panels = gb.plotting.residuals(stiff)
+    assert "p < 0.0001" in panels[-2].get_title()
+    assert panels[-1].get_xlabel() == "position"
     line, chance = coherences(stiff)
     assert line.y[line.x < 4].max() > 2 * chance
 

@@ -1,5 +1,7 @@
 """Terms are chosen as by textbook regression, none from noise, and what cannot be told apart is said."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from declared_models import measured
@@ -190,3 +192,56 @@ def test_a_term_that_correlated_errors_bring_in_is_doubted(rho, zero, doubtful):
     assert selection.terms == ("c",)
     assert list(selection.doubtful) == doubtful
     assert ("c may be there by chance" in selection.verdict) == bool(doubtful)
+
+
+class Spring(gb.StateSpace):
+    """x'' = b u - k x - d x'."""
+
+    states, inputs, outputs = ("x", "v"), ("u",), ("x",)
+    k = gb.Parameter(20.0, bounds=(0, 200))
+    d = gb.Parameter(1.0, bounds=(0, 50))
+    b = gb.Parameter(20.0, bounds=(0, 200))
+
+    def derivative(self, x, u, p):
+        return (x.v, p.b * u.u - p.k * x.x - p.d * x.v)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+class Hardening(Spring):
+    def derivative(self, x, u, p):
+        v, a = super().derivative(x, u, p)
+        return (v, a - 20 * x.x**3)
+
+
+def flown(plant):
+    random, time = np.random.default_rng(0), 0.04 * np.arange(500)
+    u = sum(np.sin(w * time + random.uniform(0, 6)) for w in (1, 2, 3.3, 4.7, 6.1, 9)) / 2.5
+    record = gb.Record(time, {"u": u}, hold={"u": np.inf})
+    x = gb.simulate(plant(), {"k": 25.0, "d": 2.0, "b": 25.0}, record)["x"]
+    record = record.with_signals(x=x + 0.02 * random.normal(size=500))
+    return gb.Problem(Spring(), record)
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_the_causes_of_a_misfit_are_candidates(own):
+    wrong = flown(Hardening)
+    misfit = (plain := gb.fit(wrong, starts=1, progress=False)).misfit
+    if own:
+        misfit = gb.misfit(plain, candidates={"hardening": lambda x, u, p: x.x**3 - x.x})
+    found = gb.stepwise(wrong, misfit, starts=1)
+    (term,) = found.terms
+    assert term == ("hardening_in_v" if own else "x_3_in_v")
+    assert found.fit.misfit.explains
+    for name, truth in {term: -20.0, "d": 2.0}.items():
+        assert found.fit.estimate[name] == pytest.approx(
+            truth, abs=3 * found.fit.standard_error[name]
+        )
+
+
+def test_a_misfit_without_a_significant_term_has_no_candidates():
+    right = flown(Spring)
+    misfit = replace(gb.fit(right, starts=1, progress=False).misfit, causes=())
+    with pytest.raises(ValueError, match="no significant cause"):
+        gb.stepwise(right, misfit)
