@@ -341,8 +341,8 @@ class ResidualSpectra:
             for average in candidates
         ]
 
-        if self.noise_parts is not None:
-            candidates.append(self.process_noise(self.noise_parts))
+        if self.white_process_noise is not None:
+            candidates.append(self.white_process_noise)
 
         fields = ("score", "density", "typical", "taken", "uncertainty")
         score, density, typical, taken, within = (
@@ -406,10 +406,16 @@ class ResidualSpectra:
 
     def gain_of_gusts(self) -> float:
         """Return by how much gusts of the best time constant are likelier than white ones."""
-        parts = [self.noise_parts, *map(self._noise_parts, GUSTS)]
-        scores = [self.process_noise(part).score for part in parts if part] or [0.0]
+        if self.white_process_noise is None:
+            return 0.0
+        scores = [self.process_noise(part).score for part in map(self._noise_parts, GUSTS) if part]
         # The time constant is an unknown, which the criterion of Akaike counts as 2.
-        return max(scores[0] - min(scores) - 2, 0.0)
+        return max(self.white_process_noise.score - min(scores) - 2, 0.0)
+
+    @cached_property
+    def white_process_noise(self) -> AveragedSpectrum | None:
+        """White sensor noise with white process noise, which does not depend on corrections."""
+        return None if self.noise_parts is None else self.process_noise(self.noise_parts)
 
     @cached_property
     def noise_parts(self) -> "_NoiseParts | None":
@@ -422,38 +428,48 @@ class ResidualSpectra:
         if self.shocks is None or self.counts.max() > 10_000:
             return None
 
-        k = len(self.counts)
-        grid = self.grid
-        transforms = np.fft.rfft(self.shocks() / self.deviation[:, None, None], grid.size)
-        transforms = transforms / np.fft.rfft([1.0, -correlation], grid.size)
-        spectra = [
-            np.diag(row)[:, :, None] * np.ones(len(grid.weight), dtype=complex) for row in np.eye(k)
-        ]
+        filtered = self._shock_transforms / np.fft.rfft([1.0, -correlation], self.grid.size)
+        parts = list(self._sensor_parts)
 
         # A state that no output shows has no process noise that could be estimated.
-        for H in transforms.transpose(1, 0, 2):
+        for H in filtered.transpose(1, 0, 2):
             spectrum = np.einsum("if,jf->ijf", H, H.conj())
-            power = float(np.einsum("iif->f", spectrum).real @ grid.weight) / k
+            power = float(np.einsum("iif->f", spectrum).real @ self.grid.weight) / len(H)
             if power > TINY:
-                spectra.append(spectrum / power)
+                parts.append(self._noise_part(spectrum / power))
 
-        if len(spectra) == k:
+        if len(parts) == len(self._sensor_parts):
             return None
-
-        # A missing sample reduces the expected covariance at every lag at which it is missing.
-        masks = [np.fft.rfft((e != 0).astype(float), grid.size) for e in self.residuals]
-        pairs = np.fft.irfft(sum(mask[:, None] * mask.conj() for mask in masks), grid.size)
-        pairs /= np.sqrt(self.counts * self.counts[:, None])[:, :, None]
-        density = []
-        of_residuals = []
-
-        for spectrum in spectra:
-            expected = np.fft.rfft(np.fft.irfft(spectrum, grid.size) * pairs, grid.size)
-            density.append(grid.banded(spectrum))
-            left = grid.banded(expected) - self.taken_power(density[-1])[1]
-            of_residuals.append(_positive(left.transpose(2, 0, 1)))
-
+        density, of_residuals = zip(*parts, strict=True)
         return _NoiseParts(np.array(density), np.array(of_residuals))
+
+    @cached_property
+    def _shock_transforms(self) -> ComplexArray:
+        assert self.shocks is not None
+        return np.fft.rfft(self.shocks() / self.deviation[:, None, None], self.grid.size)
+
+    @cached_property
+    def _sensor_parts(self) -> list[tuple[ComplexArray, ComplexArray]]:
+        flat = np.ones(len(self.grid.weight), dtype=complex)
+        return [
+            self._noise_part(np.diag(row)[:, :, None] * flat) for row in np.eye(len(self.counts))
+        ]
+
+    def _noise_part(self, spectrum: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return the density (k, k, b) of a part, and its expected periodogram (b, k, k)."""
+        size = self.grid.size
+        expected = np.fft.rfft(np.fft.irfft(spectrum, size) * self._measured_pairs, size)
+        density = self.grid.banded(spectrum)
+        left = self.grid.banded(expected) - self.taken_power(density)[1]
+        return density, _positive(left.transpose(2, 0, 1))
+
+    @cached_property
+    def _measured_pairs(self) -> Array:
+        """Shares (k, k, lags) of pairs of samples of which neither is missing."""
+        # A missing sample reduces the expected covariance at every lag at which it is missing.
+        masks = [np.fft.rfft((e != 0).astype(float), self.grid.size) for e in self.residuals]
+        pairs = np.fft.irfft(sum(mask[:, None] * mask.conj() for mask in masks), self.grid.size)
+        return pairs / np.sqrt(self.counts * self.counts[:, None])[:, :, None]
 
     def one_output(self, i: int, r: Array, banded: Array) -> AveragedSpectrum:
         """Average the spectra of one output, of autocovariances r (lags,) and periodogram (b,)."""
