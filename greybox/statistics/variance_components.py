@@ -20,7 +20,7 @@ from greybox.files.arrays import Array, ComplexArray
 # Share of the first part in the variance at the beginning; any from 0.1 to 0.9 ends at the same
 # variances.
 WHITE = 0.7
-ITERATIONS = 50  # five to fifteen are needed
+ITERATIONS = 50  # five to twenty are needed
 LONGEST_STEP = 1.5  # of the logarithm of a variance
 # Tolerance on -2 log likelihood: a ten-thousandth of the errors of the variances.
 CLOSE = 1e-8
@@ -100,8 +100,9 @@ def variance_components(
     gradient, information = slopes(variance)
     damping = DAMPING
     for _ in range(ITERATIONS):
-        # Scaled by its diagonal, damping does not depend on the units of the parts.
-        curvature = information + np.diag(damping * information.diagonal() + LEAST)
+        # Scaled by its diagonal, damping does not depend on the units of the parts. The rest is for
+        # a part that is not seen. A larger one would slow variances that tend to zero.
+        curvature = information + np.diag(damping * information.diagonal() + LEAST**2)
         step = np.clip(-np.linalg.solve(curvature, gradient), -LONGEST_STEP, LONGEST_STEP)
         # Steps of the logarithm keep variances positive.
         trial = np.maximum(variance * np.exp(step), LEAST**2)
