@@ -2,20 +2,17 @@
 
 import argparse
 import shlex
-from collections.abc import Sequence
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from greybox.cli.measurement_options import MEASUREMENT_OPTIONS, stated_choices
-from greybox.cli.options import option_words
 from greybox.cli.orders_command import selection_json
 from greybox.cli.output import Answer, attributes, require_figure, require_writable, save_figure
 from greybox.cli.response_command import response_json
 from greybox.data.response_file import write_response
 from greybox.estimate.storage import save
 from greybox.identification.identify import STARTS, Identification, identify
-from greybox.identification.measurement import Settings
 from greybox.identification.structure_fit import Structure
 from greybox.logs.flight_controllers import axis_of
 from greybox.logs.readers import read
@@ -79,10 +76,7 @@ def run(options: argparse.Namespace) -> Answer:
         **attributes(options, "all_points", "starts", "seed"),
         **stated_choices(options),
     )
-    # Printed even after a refusal: a user can change one step and run the others as they are.
-    lines = commands(identification, options, prefix)
-    answer = _json(identification) | {"commands": lines}
-    text = [str(identification), "", "The same in single commands:", *(f"  {x}" for x in lines)]
+    answer, text = _json(identification), [str(identification)]
     selection, fit = identification.selection, identification.fit
     # Nothing is written for data that cannot be trusted: the next command would take the files.
     if identification.refusals or selection is None:
@@ -121,60 +115,6 @@ def _response_files(prefix: str, count: int) -> list[Path]:
 def _structure(word: str) -> Structure:
     name, *free = word.split("+")
     return Structure(find_model(name), name, free)
-
-
-def commands(result: Identification, options: argparse.Namespace, prefix: str) -> list[str]:
-    """Return the commands that do the same step by step; files are named after `prefix`."""
-    reading = option_words({"columns": options.columns})
-    # Commands name the files of one another, so that they can be pasted in this order.
-    files = [str(path) for path in _response_files(prefix, len(options.logs))]
-    lines = []
-    for log, measurement, file in zip(options.logs, result.measurements, files, strict=True):
-        settings = measurement.settings
-        usual = Settings(settings.input, settings.output)
-        # A command with every default written out would hide what was chosen.
-        chosen = {
-            field.name: getattr(settings, field.name)
-            for field in fields(Settings)
-            if getattr(settings, field.name) != getattr(usual, field.name)
-        }
-        finding = attributes(settings, "announced", "fields", "setpoint")
-        lines.append(["inspect", log, *option_words(finding), *reading])
-        signals = {"input": settings.input, "output": settings.output}
-        lines.append(["response", log, *option_words({**signals, **chosen, "out": file}), *reading])
-
-    if result.selection is not None and result.selection.chosen is not None:
-        lines.append([*_fitting(result, options, files), "--out", f"{prefix}_fit.h5"])
-    return [shlex.join(["greybox", *words]) for words in lines]
-
-
-def _fitting(
-    result: Identification, options: argparse.Namespace, files: Sequence[str]
-) -> list[str]:
-    """Return the command that fits the chosen structure, or that selects the orders again."""
-    assert result.selection is not None
-    assert result.selection.chosen is not None
-    through = {"through": result.through}
-    stated = attributes(options, "fix", "bounds", "start")
-    if not options.structures:
-        return ["orders", *files, *option_words({**through, **stated})]
-
-    # Only what differs from the declaration of the model has to be on the command line.
-    chosen = result.selection.chosen
-    declared = find_model(chosen.label).parameters
-    # Filters in front of the model have parameters that `--through` states, not these options.
-    free = [q for q in chosen.fit.quantities if q.kind == "free" and q.name in declared]
-    bounds = {q.name: q.bounds for q in free if q.bounds != declared[q.name].bounds}
-    changes = {
-        "free": [q.name for q in free if declared[q.name].fixed],
-        "bounds": bounds,
-        "fix": {name: x for name, x in options.fix.items() if name in declared},
-        "start": {name: x for name, x in options.start.items() if name in declared},
-        "criterion": chosen.fit.criterion,
-        **attributes(options, "starts", "seed"),
-    }
-    data = {"model": chosen.label, "data": files}
-    return ["fit", *option_words({**data, **through, **changes})]
 
 
 def _json(result: Identification) -> dict[str, Any]:

@@ -161,24 +161,14 @@ def by_name(words: Sequence[str], flag: str, form: str) -> dict[str, Any]:
 # --- how options are written, and how messages name them
 
 
-def option_words(values: Mapping[str, Any]) -> list[str]:
-    """Return the words that state these options; options without a value are left out."""
+def option_words(values: Mapping[str, str | Mapping[str, str]]) -> list[str]:
+    """Return the words that state texts, or texts by name; empty ones are left out."""
     words: list[str] = []
     for name, value in values.items():
-        if isinstance(value, Mapping):
-            texts = [f"{key}={_word(text)}" for key, text in value.items()]
-        elif isinstance(value, tuple | list):
-            texts = list(map(_word, value))
-        else:
-            texts = [] if value is True else [str(value)]
-        if value or (value == 0 and value is not False):  # zero is a value
-            words += [f"--{name.replace('_', '-')}", *texts]
+        texts = [value] if isinstance(value, str) else [f"{k}={text}" for k, text in value.items()]
+        words += [f"--{name}", *texts] if value else []
 
     return words
-
-
-def _word(value: Any) -> str:
-    return ":".join(map(str, value)) if isinstance(value, tuple) else str(value)
 
 
 def as_options(text: str, options: argparse.Namespace) -> str:

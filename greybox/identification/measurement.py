@@ -322,8 +322,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
         )
     choices = _choices(settings, used, controller, signals, response)
     return Measurement(
-        # Only a response that was refined needs the option when it is measured again.
-        replace(settings, refined=bool(linear)),
+        settings,
         tests,
         tuple(used),
         signals,

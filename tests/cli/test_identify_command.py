@@ -1,7 +1,6 @@
 """`greybox identify`: from a log to a model."""
 
 import json
-import shlex
 from importlib.resources import files
 
 import pytest
@@ -119,30 +118,3 @@ def test_a_log_of_px4_from_response_to_model(capsys, tmp_path, monkeypatch):
     for name, truth in (("K_phi", 60.0), ("a", 2.0), ("T_rotor", 0.05)):
         fit = answer["fit"]
         assert abs(fit["estimate"][name] - truth) < 3 * fit["standard_error"][name]
-
-
-def test_the_single_commands_of_structures_give_the_same(capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    family = (*STRUCTURES, "--fix", "T_rotor=0.05", "--starts", "2")
-    answer = json.loads(run(capsys, "identify", LOG, *family, "--json")[1])
-    fitting = shlex.split(answer["commands"][-1])[1:]
-    assert fitting[0] == "fit"
-    again = json.loads(run(capsys, *fitting, "--force", "--json")[1])
-    assert again["estimate"] == pytest.approx(answer["fit"]["estimate"], rel=1e-5)
-
-
-@pytest.mark.usefixtures("few_structures")
-def test_the_single_commands_say_what_was_stated(capsys, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    stated = ["--axis", "pitch", "--settle", "1.0", "--band", "1.5", "15"]
-    values = ["--fix", "T_delay=0.002"]
-    out = run(capsys, "identify", LOG, *stated, *values, "--out", "my flight.h5", "--json")[1]
-    found, measured, fitted = json.loads(out)["commands"]
-    assert found == f"greybox inspect {LOG} --announced SINE"
-    assert measured == (
-        f"greybox response {LOG} --input u=RATE.POut --output theta=ATT.Pitch --announced SINE "
-        "--band 1.5 15.0 --settle 1.0 --drop-warned --out 'my flight_response.csv'"
-    )
-    assert fitted == (
-        "greybox orders 'my flight_response.csv' --fix T_delay=0.002 --out 'my flight_fit.h5'"
-    )

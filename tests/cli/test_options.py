@@ -118,8 +118,8 @@ def test_arguments_become_options(text, option):
 
 
 def test_the_words_of_options_are_read_as_they_were():
-    shared = "--fix a=-0.1 b=2.0 --bounds c=0.0:inf --fields omega=W --rate 50.0 --force --seed 0"
-    text = f"{SHARED}\n--seed K\n    seed"
-    values = vars(parsed(shared, text))
-    assert parsed(" ".join(option_words({"force": True, **values})), text) == parsed(shared, text)
-    assert option_words({"settle": 0.0, "rate": None, "axis": "", "fix": {}}) == ["--settle", "0.0"]
+    shared = "--announced SINE --fields omega=W axis=Ax --columns time=1"
+    read = parsed(shared)
+    stated = {name: vars(read)[name] for name in ("announced", "fields", "columns", "setpoint")}
+    assert parsed(" ".join(option_words(stated))) == read
+    assert option_words({"axis": "", "fields": {}}) == []
