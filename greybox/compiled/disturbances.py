@@ -79,26 +79,47 @@ class DisturbedRecord:
         """Return the effect of values (samples,) that add to the derivative of a state."""
         derivatives = np.zeros_like(self.states)
         derivatives[place] = values
-        return self._by_derivatives(derivatives), np.zeros(self.present.shape)
+        outputs = self.measured_derivatives[:, [place]] * values
+        return self._by_derivatives(derivatives), self.part.segments.columns(outputs)
 
     def by_input(self, place: int, values: Array) -> Effect:
         """Return the effect of values (samples,) that add to an input."""
         n = self.part.states
-        changes = self._through_inputs[:, place] * values
+        changes = self._slopes_of_formulas[:, place - self.inputs.shape[0]] * values
         is_held = self.part.model.between[place].held
         effect = self._by_derivatives(changes[:n], is_held)
         return effect, self.part.segments.columns(changes[n:])
 
     @cached_property
-    def _through_inputs(self) -> Array:
-        """The derivatives of the states' derivatives and the outputs by the inputs."""
+    def measured_derivatives(self) -> Array:
+        """The factors (k, n) of the derivatives of states in outputs: of accelerations, say.
+
+        An output has the derivative in it if all parameters and inputs of the derivative change
+        both alike. A term that the derivative lacks is then missing in the output, too.
+        """
+        n = self.part.states
+        factors = np.zeros((len(self.outputs), n))
+        rates, outputs = np.split(self._slopes_of_formulas, [n])
+        for i, slopes in enumerate(rates):
+            used = slopes.any(axis=1)
+            rate, changes = slopes[used], outputs[:, used]
+            factor = np.einsum("cs,kcs->k", rate, changes) / max(float(np.sum(rate**2)), 1e-300)
+            rest = np.abs(changes - factor[:, None, None] * rate).max(axis=2)
+            alike = np.all(rest <= 1e-9 * np.abs(changes).max(axis=2), axis=1)
+            factors[:, i] = np.where(alike, factor, 0.0)
+        return factors
+
+    @cached_property
+    def _slopes_of_formulas(self) -> Array:
+        """The slopes of derivatives and outputs (n + k, parameters and inputs, samples)."""
         system = self.part.system
         x, u, p = system.symbols
         rows = [system.outputs.index(name) for name in self.part.outputs]
-        through = ca.vertcat(system.derivative(x, u, p), system.output(x, u, p)[rows])
-        slope = ca.Function("slope", [x, u, p], [ca.vec(ca.densify(ca.jacobian(through, u)))])
+        formulas = ca.vertcat(system.derivative(x, u, p), system.output(x, u, p)[rows])
+        by = ca.vertcat(p, u)
+        slope = ca.Function("slope", [x, u, p], [ca.vec(ca.densify(ca.jacobian(formulas, by)))])
         slopes = slope(self.states, self.inputs, self._placed.q[: p.numel()]).full()
-        return slopes.reshape(u.numel(), through.numel(), -1).swapaxes(0, 1)
+        return slopes.reshape(by.numel(), formulas.numel(), -1).swapaxes(0, 1)
 
     def _by_derivatives(self, derivatives: Array, is_held: bool = False) -> Array:
         """Return the mean of additional derivatives over a step, propagated over half of it."""

@@ -8,7 +8,7 @@ steps of the gain.
 import itertools
 import operator
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cache, partial
 from typing import Any
 
@@ -147,6 +147,8 @@ class Term:
         Half of the step between samples if nobody states how the input runs between them.
     added : function or None
         The unit term, if it adds to the derivative of the state `b`.
+    outputs : mapping of str to float
+        Outputs that have this derivative in them, such as accelerations, and its factor there.
     """
 
     kind: str
@@ -159,6 +161,7 @@ class Term:
     largest: float = np.inf
     half_step: float = np.inf
     added: Formula | None = None
+    outputs: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def family(self) -> tuple[str, str, str]:
@@ -175,7 +178,12 @@ class Term:
         size, deviation = (number(abs(x) * self.scale, 2) for x in (factor, error))
         level = number(self.level, 2)
         values = {"a": self.a, "b": self.b, "level": level, "size": size, "error": deviation}
-        return text.format(**values), code.format(**values)
+        factors = {name: number(factor, 3) for name, factor in self.outputs.items()}
+        also = [
+            f", and so does the output {name}{f', {times} times' * (times != '1')}"
+            for name, times in factors.items()
+        ]
+        return text.format(**values), code.format(**values) + "".join(also)
 
 
 def terms_of_record(
@@ -303,13 +311,16 @@ def _of_equations(
 
     for i, (names, present) in dynamic_equations(record.part).items():
         b, by_state = system.states[i], partial(record.by_state, i)
+        factors = zip(record.part.outputs, record.measured_derivatives[:, i].tolist(), strict=True)
+        outputs = {name: factor for name, factor in factors if factor}
         for a, (row, formula) in shapes_of(names).items():
             if a not in present:
-                yield Term("equation", row, by_state, a, b, added=formula)
+                yield Term("equation", row, by_state, a, b, added=formula, outputs=outputs)
         for a, share in itertools.product([name for name in x if name in names], STOPS):
             level, bound = float(np.quantile(x[a], share)), maximum if share > 0.5 else minimum
             formula = _formula(lambda a, level=level, bound=bound: bound(a - level, 0.0), a)
-            yield Term("limit", formula(*signals), by_state, a, b, level, added=formula)
+            row = formula(*signals)
+            yield Term("limit", row, by_state, a, b, level, added=formula, outputs=outputs)
 
 
 def _formula(form: Callable[..., Any], *names: str) -> Formula:

@@ -29,21 +29,25 @@ class ExtendedModel(StateSpace):
 
 
 class AddedTerms(ExtendedModel):
-    """An ODE whose derivatives get terms.
+    """An ODE whose derivatives get terms, and outputs that have these derivatives in them.
 
     Parameters
     ----------
     model : StateSpace
-    terms : mapping of parameter to (state, Formula, float)
-        The factor of each term, in which derivative it is, and the size of the factor: starts are
-        drawn up to twice it.
+    terms : mapping of parameter to (state, Formula, mapping of str to float, float)
+        The factor of each term, in which derivative it is, how often it is in outputs, such as
+        accelerations, and the size of the factor: starts are drawn up to twice it.
     """
 
-    def __init__(self, model: StateSpace, terms: Mapping[str, tuple[str, Formula, float]]) -> None:
+    def __init__(
+        self,
+        model: StateSpace,
+        terms: Mapping[str, tuple[str, Formula, Mapping[str, float], float]],
+    ) -> None:
         self.terms = terms
         factors = {
             name: Parameter(0.0, starts=(-2 * abs(size), 2 * abs(size)))
-            for name, (_, _, size) in terms.items()
+            for name, (*_, size) in terms.items()
         }
         super().__init__(model, (), factors)
 
@@ -55,6 +59,14 @@ class AddedTerms(ExtendedModel):
     def derivative(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
         """Return the derivatives of the model with the terms."""
         rates = dict(zip(self.states, as_list(self.model.derivative(x, u, p)), strict=True))
-        for name, (state, formula, _) in self.terms.items():
+        for name, (state, formula, *_) in self.terms.items():
             rates[state] = rates[state] + p[name] * formula(x, u, p)
         return [*rates.values()]
+
+    def output(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
+        """Return the outputs of the model with the terms."""
+        outputs = dict(zip(self.outputs, as_list(super().output(x, u, p)), strict=True))
+        for parameter, (_, formula, factors, _) in self.terms.items():
+            for name, factor in factors.items():
+                outputs[name] = outputs[name] + factor * p[parameter] * formula(x, u, p)
+        return [*outputs.values()]

@@ -240,6 +240,43 @@ def test_the_causes_of_a_misfit_are_candidates(own):
         )
 
 
+class Accelerometer(Spring):
+    """The position and, in units of 10 m/s², the acceleration, which has all forces in it."""
+
+    outputs = ("x", "acc")
+
+    def output(self, x, u, p):
+        return (x.x, self.derivative(x, u, p)[1] / 10)
+
+
+class HardeningAccelerometer(Accelerometer):
+    def derivative(self, x, u, p):
+        v, a = super().derivative(x, u, p)
+        return (v, a - 20 * x.x**3)
+
+
+def test_a_force_that_is_missing_is_missing_in_the_measured_acceleration_too():
+    time, random = 0.04 * np.arange(500), np.random.default_rng(1)
+    u = sum(np.sin(w * time + w**2) for w in (1, 2, 3.3, 4.7, 6.1, 9)) / 2.5
+    record = gb.Record(time, {"u": u}, hold={"u": np.inf})
+    clean = gb.simulate(HardeningAccelerometer(), {"k": 25.0, "d": 2.0, "b": 25.0}, record)
+    noisy = {name: clean[name] + 0.02 * random.normal(size=500) for name in ("x", "acc")}
+    wrong = gb.Problem(Accelerometer(), record.with_signals(**noisy))
+    misfit = gb.fit(wrong, starts=1, progress=False).misfit
+    assert not misfit.explains
+    cause = misfit.causes[0]
+    assert "x**3 in the equation of v" in cause.text
+    assert "and so does the output acc, 0.1 times" in cause.code
+    assert cause.value == pytest.approx(-20, abs=4 * cause.error)
+
+    selected = gb.stepwise(wrong, misfit, starts=1)
+    assert selected.terms == ("x_3_in_v",)
+    assert selected.fit.misfit.explains
+    for name, truth in {"x_3_in_v": -20.0, "k": 25.0, "d": 2.0}.items():
+        error = selected.fit.standard_error[name]
+        assert selected.fit.estimate[name] == pytest.approx(truth, abs=3 * error)
+
+
 def test_a_misfit_without_a_significant_term_has_no_candidates():
     right = flown(Spring)
     misfit = replace(gb.fit(right, starts=1, progress=False).misfit, causes=())
