@@ -616,9 +616,11 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
         ).x
         return residuals(x), slopes(x), (order.size, order.size)
 
-    at_fit, slope = values[: len(free)], part.sensitivity(values)
+    at_fit = values[: len(free)]
+    # Where a response is zero, `used` leaves out what has no relative change.
+    relative = part.sensitivity(values) / np.where(response == 0, np.inf, response)[:, None]
     own = [
-        Term(kind, slope[:, k] / response * size, a=name, b=b)
+        Term(kind, relative[:, k] * size, a=name, b=b)
         for k, name in enumerate(free)
         for kind, b, size in (
             ("own", part.name, 1.0),
