@@ -1,6 +1,8 @@
 """A frequency response with its model: cost, exact derivatives, and real residuals."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import casadi as ca
@@ -105,7 +107,7 @@ class ResponsePart(Part):
         self.data = problem.response
         self.numbers = 2 * len(self.data)
         self.functions, self.inputs, self.is_open = functions, inputs, is_open
-        self._results: dict[int, tuple[Array, ComplexArray]] = {}
+        self._results: dict[str, tuple[Array, Any]] = {}
         size = np.abs(self.data.response)
         # Points that are nearly zero must not dominate the signature of a run.
         self.magnitude = np.maximum(size, 1e-12 * size.max() + 1e-150)
@@ -144,18 +146,25 @@ class ResponsePart(Part):
 
     def _latest(self, is_slope: bool, values: Array) -> ComplexArray:
         """Return the response at all values x (k,), or its derivatives."""
+        functions = self.functions
+        system = functions.system
+        if system is not None:
+            both = self.stored("both", values, lambda: system.responses(values[:, None]))
+            return both[is_slope][0, :, 0]
+        function = functions.slope if is_slope else functions.response
+        return self.stored(
+            function.name(),
+            values,
+            lambda: complex_array(*np.asarray(ca.DM(function(values))).reshape(2, -1)),
+        )
+
+    def stored(self, name: str, values: Array, compute: Callable[[], Any]) -> Any:
+        """Return a result at all values x (k,), computed again only at other values."""
         # Covariance, outliers and misfit ask at one point.
-        stored = self._results.get(is_slope)
-        if stored is None or not np.array_equal(values, stored[0]):
-            functions, values = self.functions, values.copy()
-            if functions.system is not None:
-                both = functions.system.responses(values[:, None])
-                self._results = {k: (values, result[0, :, 0]) for k, result in enumerate(both)}
-            else:
-                function = functions.slope if is_slope else functions.response
-                parts = np.asarray(ca.DM(function(values))).reshape(2, -1)
-                self._results[is_slope] = values, complex_array(*parts)
-        return self._results[is_slope][1]
+        point, _ = self._results.get(name, (None, None))
+        if point is None or not np.array_equal(values, point):
+            self._results[name] = values.copy(), compute()
+        return self._results[name][1]
 
     def noise_ratio(self, trajectory: Trajectory) -> float:
         """Return the squared residuals over the given variances, or else their mean."""
@@ -220,8 +229,12 @@ class ResponsePart(Part):
             shift = bread * jacobian.T @ common
             return shift @ shift.T
 
+        @cache
+        def gradient_spread(correction: float) -> tuple[float, Array]:
+            return criterion.spread(response, data, correction)
+
         def spread(correction: float) -> tuple[float, Array]:
-            bread, meat = criterion.spread(response, data, correction)
+            bread, meat = gradient_spread(correction)
             weighted = (independent * meat)[:, None] * jacobian
             return bread, jacobian.T @ weighted + common_meat(bread)
 
@@ -236,9 +249,10 @@ class ResponsePart(Part):
             if neighbors is None:
                 return None
             order = np.argsort(data.omega, kind="stable")
-            bread, meat = criterion.spread(response, data, correction)
+            bread, meat = gradient_spread(correction)
             # Neighbors in frequency are neighbors in correlation: the order matters here alone.
-            scores = _complex(np.sqrt(independent * meat)[:, None] * jacobian)[order]
+            halves = np.split(np.sqrt(independent * meat)[:, None] * jacobian, 2)
+            scores = complex_array(*halves)[order]
             constants = np.zeros((jacobian.shape[1] - len(root), root.shape[1]))
             middle, remaining_dof, scale = averaged_meat(
                 scores, np.vstack([root, constants]), neighbors, criterion.score_correlation, dof
@@ -302,9 +316,3 @@ class ResponseProgram(Program):
     def outcome(self, z: Array, unknowns: Array, w: Array) -> tuple[float, Array, bool]:
         """Return the cost without smoothing, and w as it is."""
         return float(self._part.objective(z, 0.0)), w, True
-
-
-def _complex(stacked: Array) -> ComplexArray:
-    """Return real rows (2n, k), real parts first, as complex rows (n, k)."""
-    n = len(stacked) // 2
-    return complex_array(stacked[:n], stacked[n:])

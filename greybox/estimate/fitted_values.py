@@ -109,8 +109,11 @@ def refined_curve(
 
 
 def _rounded(values: Array, digits: int) -> Array:
-    """Return values (n,) with this number of significant digits."""
-    return np.array([float(f"{value:.{digits}g}") for value in values.tolist()])
+    """Return values (n,) with this number of significant digits, large ones as whole numbers."""
+    # A whole number over a power of ten has the shortest text. Zero has no logarithm.
+    places = digits - 1 - np.floor(np.log10(np.abs(values) + 1e-290))
+    unit = 10.0 ** np.maximum(places, 0)
+    return np.rint(values * unit) / unit
 
 
 @fitted_part.register

@@ -9,6 +9,8 @@ from greybox.modeling.function_of_s import FunctionOfS, is_casadi, is_whole, who
 from greybox.modeling.functions import arctan2, cos, exp, log, sin, sqrt
 from greybox.modeling.pade_delay import pade_exponential
 
+REAL = 0.0  # the imaginary part of a real divisor, which saves operations in every derivative
+
 
 class Complex(FunctionOfS):
     """A complex number, or a column of them, kept as real and imaginary part.
@@ -74,6 +76,8 @@ class Complex(FunctionOfS):
 
 
 def _quotient(a: Any, b: Any, c: Any, d: Any) -> tuple[Any, Any]:
+    if d is REAL:
+        return a / c, b / c
     size = c * c + d * d
     return (a * c + b * d) / size, (b * c - a * d) / size
 
@@ -81,8 +85,8 @@ def _quotient(a: Any, b: Any, c: Any, d: Any) -> tuple[Any, Any]:
 def _complex(value: Any) -> Complex:
     if isinstance(value, Complex):
         return value
-    if is_casadi(value):
-        return Complex(value, 0.0)
-    if np.asarray(value).dtype.kind not in "fiuc":
+    if is_casadi(value) or np.asarray(value).dtype.kind in "fiu":
+        return Complex(value, REAL)
+    if np.asarray(value).dtype.kind != "c":
         raise TypeError(f"{value!r:.60} in a formula of s: give numbers or expressions.")
     return Complex(np.real(value), np.imag(value))

@@ -11,6 +11,7 @@ take twice as long: memory is released and requested again and again. Start them
 --nthreads 1``.
 """
 
+import copyreg
 import hashlib
 import io
 import math
@@ -112,25 +113,23 @@ def require_executor(executor: Any) -> None:
         )
 
 
-# Problems of the same formulas share functions, and to serialize them takes a millisecond.
+# Problems of the same formulas share functions, and to serialize them takes a millisecond: their
+# text is represented by a short key.
 _serialized: WeakKeyDictionary[ca.Function, str] = WeakKeyDictionary()
 
 
-class _FingerprintPickler(pickle.Pickler):
-    """Serializes each function once."""
-
-    def reducer_override(self, value: Any) -> Any:
-        if not isinstance(value, ca.Function):
-            return NotImplemented
-        if value not in _serialized:
-            _serialized[value] = value.serialize()
-        return str, (_serialized[value],)
+def _reduced(function: ca.Function) -> tuple[type[str], tuple[str]]:
+    """Return a function for a pickle of which only the key matters; serialize it once."""
+    if function not in _serialized:
+        _serialized[function] = hashlib.sha256(function.serialize().encode()).hexdigest()
+    return str, (_serialized[function],)
 
 
 def value_fingerprint(value: Any) -> str:
     """Return a key of a value, such as a runner, that is the same in every process."""
     text = io.BytesIO()
-    pickler = _FingerprintPickler(text)
+    pickler = pickle.Pickler(text)
+    pickler.dispatch_table = {**copyreg.dispatch_table, ca.Function: _reduced}
     # References to earlier objects would distinguish equal strings from identical ones.
     pickler.fast = True
     pickler.dump(value)

@@ -214,7 +214,8 @@ def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[floa
     and has the variance of the average: such variances add over the parts of a problem. From four
     degrees of freedom on, the 95 % interval of Student's t is within 2 % of that of its variance.
     """
-    from scipy.special import stdtr, stdtrit  # noqa: PLC0415  (takes a tenth of a second to import)
+    from scipy.optimize import brentq  # noqa: PLC0415  (takes a tenth of a second to import)
+    from scipy.special import stdtr, stdtrit  # noqa: PLC0415
 
     if variance.size == 1 or not variance.min() > 0 or math.isinf(dof):
         return float(weight @ variance), dof
@@ -223,23 +224,19 @@ def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[floa
     deviation = np.sqrt(variance)
     tails = (1 - np.array(LEVELS)) / 2
     unit = -stdtrit(dof, tails)
-    inner, outer = _bisected(
-        lambda size: stdtr(dof, -size[:, None] / deviation) @ weight > tails,
-        deviation.min() * unit,
-        deviation.max() * unit,
+    inner, outer = (
+        brentq(
+            lambda size, tail=tail: stdtr(dof, -size / deviation) @ weight - tail,
+            0.99 * deviation.min() * size,
+            1.01 * deviation.max() * size,
+        )
+        for tail, size in zip(tails, unit, strict=True)
     )
 
     # The ratio of both intervals falls as the degrees of freedom rise.
-    def is_narrow(few: Array) -> Array:
-        quantiles = stdtrit(1 / few, tails)
-        return quantiles[1] / quantiles[0] < outer / inner
-
-    dof = 1 / float(_bisected(is_narrow, np.array(1 / dof), np.array(1.0)))
-    return float((outer / stdtrit(dof, 1 - tails[1])) ** 2), dof
-
-
-def _bisected(is_below: Callable[[Array], Array], low: Array, high: Array) -> Array:
+    few, most = 1 / dof, 1.0
     for _ in range(BISECTIONS):
-        middle = (low + high) / 2
-        low, high = np.where(is_below(middle), [middle, high], [low, middle])
-    return low
+        middle = (few + most) / 2
+        narrow, wide = stdtrit(1 / middle, tails)
+        few, most = (middle, most) if wide / narrow < outer / inner else (few, middle)
+    return float((outer / stdtrit(1 / few, 1 - tails[1])) ** 2), 1 / few

@@ -246,7 +246,7 @@ class _WholeMembers(Runner):
 def _by_workers(members: Sequence[Member], executor: Executor | None) -> Iterator[Any]:
     """Yield what every member stores; nothing if it is large, or if a worker ended by it."""
     # In a worker, classes of the user's script have another module, and members another key.
-    rows = ((k, np.array([pickled((m, _keys(m)[1]))])) for k, m in enumerate(members))
+    rows = ((k, np.array([pickled((m, _key(m)))])) for k, m in enumerate(members))
     for number, _, outcome in run_all(_WholeMembers(), rows, len(members), executor):
         changes = [] if outcome.status else outcome.estimate
         if not (changes or number):
@@ -299,7 +299,7 @@ def _fit_member(
     if is_search_over():  # its runs are stored, and the next call resumes it
         return
 
-    marks = {"fingerprint": runs.fingerprint, "stated": key or _keys(member)[1]}
+    marks = {"fingerprint": runs.fingerprint, "stated": key or _key(member)}
     marks |= {"asked": _asked(member), "finished": time.time()}
     answer = {**(summary(result) if result else _stated(member.problem)), **marks}
     if member.held and result:
@@ -319,25 +319,18 @@ def _stated(problem: AnyProblem) -> dict[str, Any]:
     }
 
 
-def _keys(member: Member) -> tuple[str, str]:
-    """Return keys of the formulas of a member and of all that it states; empty with a lambda."""
+def _key(member: Member, *, formulas_alone: bool = False) -> str:
+    """Return a key of all that a member states, or of its formulas; empty with a lambda."""
     parts, by = member.problem.parts, member.by
     formulas = [
-        (
-            p.model,
-            p.criterion,
-            p.tied,
-            p.constraints,
-            getattr(p.data, "output", ""),
-        )
-        for p in parts
+        (p.model, p.criterion, p.tied, p.constraints, getattr(p.data, "output", "")) for p in parts
     ]
-    stated = [[getattr(p, field.name) for field in fields(p)] for p in parts]
     with suppress(Exception):
-        options = by.method, by.search, dict(by.options)
-        first, second = map(value_fingerprint, (formulas, (formulas, stated, options)))
-        return first, second
-    return "", ""
+        if formulas_alone:
+            return value_fingerprint(formulas)
+        stated = [[getattr(p, field.name) for field in fields(p)] for p in parts]
+        return value_fingerprint((formulas, stated, (by.method, by.search, dict(by.options))))
+    return ""
 
 
 def _is_done(member: Member, stored: StudyMember, compiled: set[str]) -> bool:
@@ -355,7 +348,7 @@ def _is_done(member: Member, stored: StudyMember, compiled: set[str]) -> bool:
     # A failed member is tried again: the cause, such as a missing file, may be gone.
     if stored.status != "done":
         return False
-    formulas, stated = _keys(member)
+    formulas, stated = _key(member, formulas_alone=True), _key(member)
     is_same = stated and formulas in compiled and stored.answer.get("stated") == stated
     if not is_same and stored.answer.get("fingerprint") != fingerprint(member.problem, member.by):
         raise ValueError(

@@ -140,6 +140,11 @@ def largest_deviation(part: ResponsePart, values: Array, free: int) -> Deviation
     Where the data give variances of few degrees of freedom, a residual is a bivariate Student's t
     and is judged as such. None if no point can be judged.
     """
+    # The misfit leaves this point out, and a warning names it.
+    return part.stored("deviation", values, lambda: _largest_deviation(part, values, free))
+
+
+def _largest_deviation(part: ResponsePart, values: Array, free: int) -> Deviation | None:
     data, criterion = part.data, part.criterion
     model = part.response(values)
     size = criterion.error_size(model, data)
