@@ -13,11 +13,12 @@ def finite(value: float) -> float | None:
 
 
 def plain(value: Any) -> Any:
-    """Return a value for JSON: dataclasses by field, arrays as lists, None for NaN."""
+    """Return a value for JSON: dataclasses by stored field, arrays as lists, None for NaN."""
     if isinstance(value, float):
         return finite(value)
     if is_dataclass(value):
-        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+        stored = [field.name for field in fields(value) if field.metadata.get("stored", True)]
+        return {name: plain(getattr(value, name)) for name in stored}
     if isinstance(value, Mapping):
         return {str(name): plain(item) for name, item in value.items()}
     if isinstance(value, Path):
