@@ -7,9 +7,9 @@ Begin with `multistart`.
 | `multistart` | the solver of a problem, the order of its starts, and its runs from them |
 | `local_solver` | what every solver answers |
 | `response_solver` | frequency responses: many starts improved at once, minima confirmed by IPOPT |
-| `shared_solver` | many responses that share one solve: starts by equation error, no IPOPT |
+| `shared_solver` | many responses that share one solve: starts with process noise, no IPOPT |
 | `batched_newton`, `newton_iteration` | Newton's method from many points, and its iteration |
-| `equation_error_start` | starts of state spaces by regression |
+| `process_noise_start` | starts of state spaces by output error with process noise |
 | `zero_response` | a wall around a response of zero, where searches would end |
 | `gauss_newton/` | Gauss-Newton steps on records |
 | `transcribed_program` | records as one sparse program for IPOPT |

@@ -190,8 +190,9 @@ class ResponseSolver(LocalSolver):
         limits = {**self.limits, **limits}
         first, *others = self.batches
         ends = self._away_from_zero(z, first.minimize(z, **limits))
+        limits["from_near"] = True
         for batch in others:
-            iterations, ends = ends.iterations, batch.minimize(ends.z, **limits, from_near=True)
+            iterations, ends = ends.iterations, batch.minimize(ends.z, **limits)
             ends.iterations[:] += iterations
         return ends
 

@@ -1,7 +1,7 @@
 """The solver of large problems whose responses share one solve a frequency.
 
-Three of four starts move to a minimum of the equation error first, except those of sine tests; then
-all are improved together by Newton's method. The cost is that of
+All starts but the first of a batch move to a minimum with process noise, except those of sine
+tests; then all are improved together by Newton's method. The cost is that of
 `greybox.compiled.shared_response`, whose gradient is exact: a minimum counts where it vanishes, and
 IPOPT need not confirm it.
 """
@@ -15,25 +15,27 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.shared_response import SineTest
 from greybox.files.arrays import Array
 from greybox.solve.batched_newton import BatchedNewton, Ends
-from greybox.solve.equation_error_start import EquationErrors
 from greybox.solve.minima import Minimum
-from greybox.solve.response_solver import NO_OPTIONS, TOLERANCE, ResponseSolver
+from greybox.solve.process_noise_start import FIRST, STAGES, ProcessNoise
+from greybox.solve.response_solver import NO_OPTIONS, ResponseSolver
 from greybox.solve.runs import Outcome, Run, Runs
 
 # Iterations of a start that did not move, over those of the others where they are at a minimum, and
-# at most. From measured states they take 12, such a start takes up to 250, and its time is that of
-# the whole fit.
+# at most: such a start takes up to 250, and its time is that of the whole fit.
 TIMES, MOST = 4, 100
+STAGE = 60  # iterations with one ratio of process noise: a helicopter with a rotor takes 20 to 50
+ROUGH = 1e-6  # tolerance on the projected gradient of a stage
 UNFINISHED = "Maximum_Iterations_Exceeded"
 
 
 class SharedSolver(ResponseSolver):
-    """Newton's method on the shared cost, from starts by equation error."""
+    """Newton's method on the shared cost, from starts with process noise."""
 
     # All are run where the promising ones disagree, as with states that the outputs hardly show:
     # with 200, a helicopter with a rotor takes a minute.
     starts = 32
     together = 16  # more do not become cheaper
+    fewest = 1  # a fit of the mirror from one start took three times as long by IPOPT
     polished_to = 1e-11  # as the equations of periodic motions: beyond, steps are rounding
 
     def __init__(self, problem: CompiledProblem, *arguments: Any, **options: Any) -> None:
@@ -44,7 +46,7 @@ class SharedSolver(ResponseSolver):
         self._shared = shared
         self._is_sine_test = any(isinstance(system, SineTest) for system in shared.systems)
         if self._is_sine_test:
-            self.together, self.fewest = 2, 1
+            self.together = 2
 
     @staticmethod
     def serves(problem: CompiledProblem) -> bool:
@@ -55,18 +57,31 @@ class SharedSolver(ResponseSolver):
         """Return the ends of searches from the columns of z (p, m)."""
         if self._is_sine_test:
             return super().improved(z, **limits)
-        # One start in four stays: the others end alike, and might agree on a wrong minimum.
-        moved = np.arange(z.shape[1]) % 4 > 0
-        errors = BatchedNewton(EquationErrors(self._shared, z), self.lower, self.upper)
-        near = errors.minimize(z, max_iterations=50, tolerance=TOLERANCE, from_near=True).z
+        # The first start of a batch stays: others end alike, and might agree on a wrong minimum.
+        moved = np.arange(z.shape[1]) > 0
+        near, stages = z[:, moved], np.zeros(z.shape[1], int)
+        ratios = np.array(FIRST)[np.arange(near.shape[1]) // 2 % 2]
+        search = BatchedNewton(ProcessNoise(self._shared, z), self.lower, self.upper)
+        for stage in STAGES:
+            ends = search.minimize(
+                near,
+                max_iterations=STAGE,
+                tolerance=ROUGH,
+                from_near=stage < STAGES[0],
+                given=stage * ratios[None],
+            )
+            near, stages[moved] = ends.z, stages[moved] + ends.iterations
         at_minimum, iterations = np.zeros(z.shape[1], bool), np.zeros(z.shape[1], int)
-        z = np.where(moved, near, z)
+        z = z.copy()
+        z[:, moved] = near
         for columns in (moved, ~moved):
-            ends = super().improved(z[:, columns], **limits)
+            if not columns.any():
+                continue
+            ends = super().improved(z[:, columns], **limits, from_near=columns is moved)
             z[:, columns], at_minimum[columns] = ends.z, ends.at_minimum
-            iterations[columns] = ends.iterations
+            iterations[columns] = ends.iterations + stages[columns]
             if ends.at_minimum.any():
-                typical = int(np.median(ends.iterations[ends.at_minimum]))
+                typical = int(np.median(iterations[columns][ends.at_minimum]))
                 limits = {"max_iterations": min(TIMES * typical, MOST)}
         return Ends(z, at_minimum, iterations)
 

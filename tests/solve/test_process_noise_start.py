@@ -1,10 +1,12 @@
-"""Many responses from wide boxes: starts by equation error, held against SciPy from the truth."""
+"""Many responses from wide boxes: starts with process noise, held against SciPy from the truth."""
 
 import numpy as np
 from numpy.testing import assert_allclose
 from scipy.optimize import least_squares
 
 import greybox as gb
+from greybox.compiled.compiled_problem import compile_problem
+from greybox.solve.process_noise_start import ProcessNoise
 
 OMEGA = np.geomspace(0.5, 20, 12)
 FREE = [(0, 0), (0, 1), (1, 0), (1, 1), (1, 2), (2, 0), (2, 1), (2, 2), (0, 3), (0, 4), (1, 3)]
@@ -116,7 +118,7 @@ def rotor_by_numpy(values):
     return np.linalg.solve(pencil, np.broadcast_to(B, (OMEGA.size, 4, 2)))[:, :2]
 
 
-def test_states_that_no_output_shows_follow_from_their_own_equations():
+def test_the_default_search_finds_states_that_no_output_shows():
     truth = np.array([*FLAPPING.values()])
     exact = rotor_by_numpy(truth)
     for seed in range(2):
@@ -136,3 +138,42 @@ def test_states_that_no_output_shows_follow_from_their_own_equations():
         problem = gb.Problem(Rotor(), data, criterion=gb.SquaredRelativeError())
         fit = gb.fit(problem, profiles=False, progress=False)
         assert_allclose(fit.cost, reference, rtol=1e-6)
+
+
+def test_the_error_with_process_noise_is_the_least_over_all_states():
+    random = np.random.default_rng(3)
+    truth, other = random.uniform(0.5, 4.0, (2, len(FREE) + 3))
+    truth[-3:], other[-3:] = random.uniform(0.01, 0.06, (2, 3))
+    measured = by_numpy(truth)
+    data = {
+        (output, input): gb.FrequencyResponse(OMEGA, measured[:, k, i])
+        for i, input in enumerate(Axes.inputs)
+        for k, output in enumerate(Axes.outputs)
+        if (i, k) != (2, 1)
+    }
+    nlp = compile_problem(gb.Problem(Axes(), data, criterion=gb.SquaredRelativeError()))
+    z, ratio = nlp.scaling.to_solver(other)[:, None], np.array([[0.7]])
+    error = ProcessNoise(nlp.programs[-1].shared, z)
+    [cost], gradient, _ = error(z, ratio, ratio)
+
+    system = gb.modeling.linearize(Axes(), dict(zip(nlp.free, other, strict=True)))
+    A, B, C, D = (np.asarray(matrix) for matrix in (system.A, system.B, system.C, system.D))
+    squares, numbers = 0.0, 0
+    for i, delay in enumerate(other[-3:]):
+        present = [k for k in range(3) if (i, k) != (2, 1)]
+        for w, omega in enumerate(OMEGA):
+            lag, pencil = np.exp(-1j * omega * delay), 1j * omega * np.eye(4) - A
+            size = 0.7 * omega * np.abs(np.linalg.solve(pencil, B[:, i]))
+            y = measured[w, present, i]
+            rows = np.vstack([pencil / size[:, None], C[present] / np.abs(y)[:, None]])
+            right = np.concatenate([B[:, i] * lag / size, (y - D[present, i] * lag) / np.abs(y)])
+            x = np.linalg.lstsq(rows, right, rcond=None)[0]
+            squares += np.sum(np.abs(rows @ x - right) ** 2)
+            numbers += 2 * len(present)
+    assert_allclose(cost, squares / numbers, rtol=1e-8)
+
+    steps = 1e-6 * np.eye(len(z))
+    higher, lower = (
+        error(z + s * steps, ratio.repeat(21, 1), ratio.repeat(21, 1)) for s in (1, -1)
+    )
+    assert_allclose(gradient[:, 0], (higher[0] - lower[0]) / 2e-6, rtol=1e-5, atol=1e-7)

@@ -1,0 +1,126 @@
+"""Starts of many responses by output error with process noise, which has few minima.
+
+Noise w in the state equations, jωx = A x + B u + w, adds Y w to the responses of a model, where
+Y = C (jωI - A)⁻¹. With a covariance Q of w and R of the measured responses, the squared errors are
+
+    rᴴ (R + Y Q Yᴴ)⁻¹ r,
+
+the least sum of squared errors of all equations over the states x. Without noise they are the
+output error, whose minima are many in wide boxes. With much noise the states follow from the
+measured responses, as far as these show them, and the errors are those of the state equations,
+which are linear in most parameters. A start passes from much noise to little, first behind a strong
+barrier at its bounds, so that most starts meet.
+
+Derivatives are those at the best states (the envelope theorem): with S = [[A, B], [C, D]] and a
+whitening W of R + Y Q Yᴴ they are those of -W [Y, I] dS [x; u].
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from greybox.compiled.shared_response import SharedResponses, SharedSystem, resolvents
+from greybox.files.arrays import Array, ComplexArray
+
+# Noise over the derivatives of the states, with relative errors of one in the responses: at first,
+# for every second pair of starts, and over that, stage by stage. Those that begin with much noise
+# and with less miss different minima of two flexible modes.
+FIRST = 30.0, 3.0
+STAGES = 1.0, 0.1, 0.01
+
+# Of noise over errors: beyond, the sum of both is no definite matrix in double precision.
+LARGEST = 1e7
+
+
+class ProcessNoise:
+    """The mean squared error with process noise, with gradient and Gauss-Newton Hessian."""
+
+    def __init__(self, responses: SharedResponses, points: Array) -> None:
+        """Scale the noise by the derivatives of the states at the points z (p, k)."""
+        systems = [s for s in responses.systems if isinstance(s, SharedSystem)]
+        self._terms = [
+            (system, *_measured(system, responses.data), _sizes(system, points))
+            for system in systems
+        ]
+        self._numbers = 2 * sum(np.count_nonzero(weight) for _, _, weight, _ in self._terms)
+
+    def __call__(self, z: Array, smoothing: Array, data: Array) -> tuple[Array, Array, Array]:
+        """Return cost (k,), gradient (p, k) and Hessian (p * p, k) at z (p, k).
+
+        The `data` (1, k) are the ratios of noise to errors.
+        """
+        p, k = z.shape
+        cost, gradient, hessian = np.zeros(k), np.zeros((p, k)), np.zeros((p * p, k))
+        for system, measured, weight, sizes in self._terms:
+            noise = data[0, :, None, None, None] * sizes
+            n, inputs = system.states, np.arange(system.inputs)
+            S, delays, slopes, delay_slopes = system.matrices(z)
+            s = 1j * system.omega[:, None]
+            lag = np.exp(-s * delays[:, None])
+            with np.errstate(all="ignore"):
+                errors, left, x = _whitened(system, S, lag, measured, weight, noise)
+                by_input = (left @ S[:, None, :, n:].swapaxes(2, 3)[..., None])[..., 0]
+            right = np.concatenate([x, lag[..., None] * np.eye(len(inputs))], axis=-1)
+            by_delay = np.zeros((len(inputs), *errors.shape), complex)
+            by_delay[inputs, :, :, inputs] = np.moveaxis((s * lag)[..., None] * by_input, 2, 0)
+
+            # Only the entries that depend on z; rows (entry, frequency, input, output).
+            moving = np.flatnonzero(np.any(slopes != 0, axis=(0, 2)))
+            i, j = system.rows[moving].T
+            slopes = np.concatenate([slopes[:, moving], delay_slopes], axis=1)
+            left, right = np.moveaxis(left, -1, 0), np.moveaxis(right, -1, 0)[..., None]
+            for c in range(k):
+                rows = np.concatenate([-left[i, c] * right[j, c], by_delay[:, c]])
+                numbers = rows.reshape(len(rows), -1).view(float)
+                error = errors[c].ravel().view(float)
+                cost[c] += error @ error
+                gradient[:, c] += 2 * slopes[c].T @ (numbers @ error)
+                hessian[:, c] += 2 * (slopes[c].T @ (numbers @ numbers.T) @ slopes[c]).ravel()
+        return cost / self._numbers, gradient / self._numbers, hessian / self._numbers
+
+
+def _measured(system: SharedSystem, data: Sequence[ComplexArray]) -> tuple[ComplexArray, Array]:
+    """Return the measured responses (w, m, l) and their weights, zero where nothing is measured."""
+    measured = np.zeros((len(system.omega), system.inputs, system.outputs), complex)
+    for part, output, input, at in system.pairs:
+        measured[at, input, output] = data[part]
+    size = np.abs(measured)
+    return measured, np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
+
+
+def _sizes(system: SharedSystem, points: Array) -> Array:
+    """Return typical derivatives of the states (w, m, n) at the points z (p, k)."""
+    n, (S, *_) = system.states, system.matrices(points)
+    with np.errstate(all="ignore"):
+        states = resolvents(S[:, :n, :n], system.omega) @ S[:, None, :n, n:]
+        sizes = np.median(np.abs(states), axis=0) * system.omega[:, None, None]
+    return np.nan_to_num(sizes, posinf=0.0).swapaxes(1, 2)
+
+
+def _whitened(
+    system: SharedSystem,
+    S: Array,
+    lag: ComplexArray,
+    measured: ComplexArray,
+    weight: Array,
+    noise: Array,
+) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+    """Return the whitened errors (k, w, m, l), W [Y, I] (..., l, n + l), and x (k, w, m, n)."""
+    n, outputs = system.states, system.outputs
+    inverse = resolvents(S[:, :n, :n], system.omega)
+    states = (inverse @ S[:, None, :n, n:] * lag[:, :, None]).swapaxes(2, 3)
+    C, D = S[:, None, n:, :n], S[:, None, n:, n:].swapaxes(2, 3)
+    errors = weight * (measured - states @ C.swapaxes(2, 3) - lag[..., None] * D)
+    by_noise = weight[..., None] * (C @ inverse)[:, :, None]
+    scaled = by_noise * noise[..., None, :]
+    # A pole at a frequency: such trials are refused.
+    refused = ~(np.abs(scaled).max(axis=(-2, -1)) < LARGEST)
+    scaled[refused], errors[refused] = 0, np.nan
+
+    root = np.linalg.cholesky(np.eye(outputs) + scaled @ scaled.conj().swapaxes(-1, -2))
+    ends = np.broadcast_to(weight[..., None] * np.eye(outputs), (*errors.shape, outputs))
+    right = np.concatenate([errors[..., None], by_noise, ends], axis=-1)
+    solved = np.linalg.solve(root, right)
+    errors, left = solved[..., 0], solved[..., 1:]
+    driven = noise**2 * (left[..., :n].conj().swapaxes(-1, -2) @ errors[..., None])[..., 0]
+    return errors, left, states + (inverse[:, :, None] @ driven[..., None])[..., 0]
