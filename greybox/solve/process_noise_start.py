@@ -118,9 +118,8 @@ def _whitened(
     scaled[refused], errors[refused] = 0, np.nan
 
     root = np.linalg.cholesky(np.eye(outputs) + scaled @ scaled.conj().swapaxes(-1, -2))
-    ends = np.broadcast_to(weight[..., None] * np.eye(outputs), (*errors.shape, outputs))
-    right = np.concatenate([errors[..., None], by_noise, ends], axis=-1)
-    solved = np.linalg.solve(root, right)
-    errors, left = solved[..., 0], solved[..., 1:]
+    whitening = np.linalg.inv(root)
+    errors = (whitening @ errors[..., None])[..., 0]
+    left = np.concatenate([whitening @ by_noise, whitening * weight[..., None, :]], axis=-1)
     driven = noise**2 * (left[..., :n].conj().swapaxes(-1, -2) @ errors[..., None])[..., 0]
     return errors, left, states + (inverse[:, :, None] @ driven[..., None])[..., 0]
