@@ -141,20 +141,19 @@ def solve_continuity(
     transition = np.where(linked, transition * size / size[:, None], 0.0)
     gaps = np.where(linked, continuity / size[:, None], 0.0)
 
-    block = np.zeros((s, 2 * n, 2 * n))
-    block[:, :n, :n] = hessian * size * size[:, None] + RIDGE * np.eye(n)
-    block[:, n:, :n] = transition
-    block[:, :n, n:] = transition.transpose(0, 2, 1)
-    block[:, range(n, 2 * n), range(n, 2 * n)] = np.where(
-        coupled[:, None], -variance / size**2, 1.0
-    )
-
     # Row i of column j is entry (j, 2 width + i - j) of the transposed bands. LAPACK takes matrices
-    # by column, and keeps `width` more rows for its factors.
+    # by column, and keeps `width` more rows for its factors. The bands of a long record are large:
+    # they are filled in place.
     width = 2 * n - 1
     bands = np.zeros((s, 2 * n, 3 * width + 1))
-    for column in range(2 * n):
-        bands[:, column, 2 * width - column : 2 * width - column + 2 * n] = block[:, :, column]
+    for column in range(n):
+        first = 2 * width - column
+        state, multiplier = bands[:, column, first:], bands[:, n + column, first - n :]
+        state[:, :n] = hessian[:, :, column] * size * size[column]
+        state[:, column] += RIDGE
+        state[:, n : 2 * n] = transition[:, :, column]
+        multiplier[:, :n] = transition[:, column]
+        multiplier[:, n + column] = np.where(coupled, -variance[column] / size[column] ** 2, 1.0)
     link = np.where(coupled, -1.0, 0.0)[:, None]
     bands[:, n:, 2 * width + n] = link  # of a multiplier, in the row of the next state
     bands[1:, :n, 2 * width - n] = link[:-1]

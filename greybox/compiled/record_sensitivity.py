@@ -13,6 +13,7 @@ from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Linearization
 from greybox.files.arrays import Array
+from greybox.statistics.residual_spectrum import LONGEST_CORRECTED
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +30,8 @@ class Sensitivity:
         WᵀJ.
     by_initial : (k, m, samples) array
         The same by m directions of unit variance of the initial states of every stretch, at known
-        parameters.
+        parameters; by none (m = 0) of records of more than `LONGEST_CORRECTED` samples, whose
+        spectra are not corrected for them.
     shocks : function
         Returns (k, s, samples), the residuals of the longest stretch after unit jumps of s states.
     reach : (p,) array
@@ -54,7 +56,9 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     placed: Placed = trajectory.detail
     linearization = part.linearize(trajectory, weight)
     by_nodes = part.condense(linearization, trajectory, np.zeros(n)).node_sensitivity
-    initial_directions = _initial_directions(part, linearization)
+    initial_directions = np.zeros((data.segments, n, 0))
+    if data.samples <= LONGEST_CORRECTED:
+        initial_directions = _initial_directions(part, linearization)
     curvature = linearization.node_hessian.diagonal(axis1=1, axis2=2)
     noticed = np.sqrt(np.maximum(curvature, 0.0).sum(axis=0))
     del linearization, curvature  # of a long record, a tenth of what fits into memory

@@ -119,12 +119,14 @@ class SegmentedPart(Part):
         whole = np.floor(self.data.by_stretch(delays) / steps[:, None] + 1e-9)
         if self._placed_data is None or not np.array_equal(self._placed_data[0], whole):
             inputs = self.segments.columns(np.vstack(self.data.delayed_inputs(delays)))
-            self._placed_data = (whole, np.vstack([inputs, self._measured]))
+            # Measured outputs, which stay, are in the last rows.
+            measured = (
+                self._placed_data[1][len(inputs) :]
+                if self._placed_data
+                else self.segments.columns(self.data.measured_rows)
+            )
+            self._placed_data = (whole, np.vstack([inputs, measured]))
         return self._placed_data[1]
-
-    @cached_property
-    def _measured(self) -> Array:
-        return self.segments.columns(self.data.measured_rows)
 
     @cached_property
     def known_states(self) -> BoolArray:

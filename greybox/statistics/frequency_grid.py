@@ -12,6 +12,7 @@ from greybox.files.arrays import Array, ComplexArray, IntArray
 from greybox.statistics.residual_autocorrelation import HIGHEST_ORDER
 
 LOWEST = 256  # lowest frequencies, each of which is a band of its own
+MOST_PADDING = 50_000  # zeros after records of up to 200 000 samples; after longer ones a quarter
 COLUMNS = 65536  # frequencies at once in memory: 25 MB for three outputs and eight parameters
 
 
@@ -40,9 +41,10 @@ class FrequencyGrid:
 
     @classmethod
     def of(cls, longest: int) -> "FrequencyGrid":
-        """Return the grid of transforms without wrap-around of up to `longest` samples."""
-        # Twice the samples: products of both ends would otherwise wrap around.
-        size = fast_length(2 * longest)
+        """Return the grid of transforms of up to `longest` samples, padded with zeros."""
+        # Products of both ends would otherwise wrap around. Errors stay correlated for less than a
+        # quarter of a long record, see `FEWEST_TIMES`.
+        size = fast_length(longest + min(longest, max(MOST_PADDING, longest // 4)))
         count = size // 2 + 1
         # Zero and half of the sampling rate occur once, all others with both signs.
         weight = np.where(np.arange(count) % (size // 2) == 0, 1.0, 2.0) / size
@@ -122,7 +124,8 @@ class FrequencyGrid:
         share = 1 - math.exp(-1)
         times = []
         for spectrum in spectra:
-            covariances = np.fft.irfft(self.spread_out(spectrum), self.size)[: self.longest]
+            covariances = np.fft.irfft(self.spread_out(spectrum), self.size)
+            covariances = covariances[: min(self.longest, self.size // 2)]
             total = np.cumsum(np.abs(covariances))
             times.append(float(np.sum(total < share * total[-1])))
         return np.array(times)

@@ -642,6 +642,20 @@ def test_correlation_times_are_the_time_constants_of_exponentials():
     assert_allclose(found, [4.0, 25.0], atol=1)
 
 
+def test_long_records_need_few_zeros_against_products_of_their_ends():
+    """Offset and trend under errors correlated over a twentieth of the record, against the sums over time."""
+    n, phi = 300_000, np.exp(-20 / 300_000)
+    grid = FrequencyGrid.of(n)
+    assert 1.25 * n <= grid.size < 1.6 * n
+    J = np.array([np.ones(n), np.linspace(-1, 1, n)])
+    density = (1 - phi**2) / np.abs(1 - phi * np.exp(-1j * grid.omega)) ** 2
+    transforms = grid.transform(J[None], np.ones(1))
+    found = grid.score_covariance([transforms], density[None, None].astype(complex))
+    past = lfilter([1.0], [1.0, -phi], J, axis=1) @ J.T  # of sums over earlier samples and this one
+    assert_allclose(np.diag(found), np.diag(past + past.T - J @ J.T), rtol=0.01)
+    assert_allclose(grid.correlation_times(np.array([density])), n / 20, rtol=0.02)
+
+
 def test_the_penalty_is_that_of_aicc():
     """2 k + 2 k (k + 1) / (n - k - 1), and beyond any score where the unknowns are as many as the numbers."""
     assert aicc_penalty(3, 20) == pytest.approx(6 + 24 / 16)
