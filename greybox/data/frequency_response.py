@@ -4,14 +4,13 @@ import hashlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from greybox.data.checked_array import checked_array, finite_array, require, require_size
 from greybox.data.intersample import HOLD, NO_HOLD
-from greybox.data.magnitude_phase import angular_frequency, complex_response
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.units import known_unit, to_si
 from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
@@ -162,51 +161,6 @@ class FrequencyResponse:
         errors.setflags(write=False)
 
         return errors if len(errors) else None
-
-    @classmethod
-    def from_magnitude_phase(
-        cls,
-        frequency: ArrayLike,
-        magnitude: ArrayLike,
-        phase: ArrayLike,
-        *,
-        frequency_unit: str = "rad/s",
-        magnitude_unit: str = "absolute",
-        phase_unit: str = "deg",
-        **others: Any,
-    ) -> Self:
-        """Return the response of magnitudes and phases, as most instruments give them.
-
-        Parameters
-        ----------
-        frequency, magnitude, phase : (n,) arrays
-        frequency_unit : "rad/s" or "Hz"
-        magnitude_unit : "absolute" or "dB"
-            Decibels are 20 log10.
-        phase_unit : "deg" or "rad"
-        others
-            `input`, `output`, `coherence`, `name` and the rest of a `FrequencyResponse`; a
-            `variance` is absolute.
-
-        Raises
-        ------
-        ValueError
-            For other units, a negative absolute magnitude, and whatever a `FrequencyResponse`
-            refuses.
-
-        Examples
-        --------
-        >>> import greybox as gb
-        >>> data = gb.FrequencyResponse.from_magnitude_phase(
-        ...     [0.5, 1.0, 2.0],
-        ...     [-3.0, -6.1, -12.2],
-        ...     [-40, -62, -80],
-        ...     frequency_unit="Hz",
-        ...     magnitude_unit="dB",
-        ... )
-        """
-        response = complex_response(magnitude, phase, magnitude_unit, phase_unit)
-        return cls(angular_frequency(frequency, frequency_unit), response, **others)
 
     def __len__(self) -> int:
         return self.omega.size
