@@ -250,19 +250,20 @@ def fit_keeping(
     by = by or SolverChoice()
     nlp, solver = by.compiled(problem)
     rule = as_starts(solver.starts if starts is None else starts, seed)
-    points = rule.draw({name: nlp.problem.parameters[name] for name in nlp.free})
-    run = partial(
-        multistart,
-        nlp,
-        solver,
-        points,
-        movable=not isinstance(rule, Listed),
-        executor=executor,
-        kept=kept,
-        promising=solver.promising if starts is None else None,
-    )
 
     with responding(Response.STOP):
+        # SciPy prints a traceback of an interrupt while it loads the numbers of Sobol points.
+        points = rule.draw({name: nlp.problem.parameters[name] for name in nlp.free})
+        run = partial(
+            multistart,
+            nlp,
+            solver,
+            points,
+            movable=not isinstance(rule, Listed),
+            executor=executor,
+            kept=kept,
+            promising=solver.promising if starts is None else None,
+        )
         # A bar would be in the way of a function that reports progress in another form.
         if callable(progress) or not progress:
             search = run(progress=progress or None)

@@ -78,10 +78,14 @@ def test_it_ends_whenever_the_signal_comes(press_ctrl_c, problem, method, solver
 
 
 def test_before_the_first_start_there_is_no_fit(press_ctrl_c):
+    """The draw is finished: SciPy prints a traceback of an interrupt while it loads its numbers."""
+    drawn = []
+
     class Pressing(gb.Starts):
         def draw(self, parameters):
             press_ctrl_c()
-            return np.ones((1, len(parameters)))
+            drawn.append(np.ones((1, len(parameters))))
+            return drawn[0]
 
         def __str__(self):
             return "none"
@@ -89,6 +93,7 @@ def test_before_the_first_start_there_is_no_fit(press_ctrl_c):
     with pytest.raises(KeyboardInterrupt, match="before the first start") as stopped:
         gb.fit(RESPONSE_PROBLEM, Pressing())
     assert stopped.value.fit is None
+    assert drawn
 
 
 def test_while_it_is_judged_the_fit_is_finished(press_ctrl_c, monkeypatch):
