@@ -16,6 +16,7 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.segments import Linearization
 from greybox.files.arrays import Array
+from greybox.modeling.added_terms import factors_of_derivatives
 
 # Numbers of the effects in memory at once: 40 MB. A rod of 100 states has 2700 terms, 300 MB.
 BATCH = 5_000_000
@@ -94,20 +95,10 @@ class DisturbedRecord:
     def measured_derivatives(self) -> Array:
         """The factors (k, n) of the derivatives of states in outputs: of accelerations, say.
 
-        An output has the derivative in it if all parameters and inputs of the derivative change
-        both alike. A term that the derivative lacks is then missing in the output, too.
+        A term that such a derivative lacks is then missing in the output, too.
         """
         n = self.part.states
-        factors = np.zeros((len(self.outputs), n))
-        rates, outputs = np.split(self._slopes_of_formulas, [n])
-        for i, slopes in enumerate(rates):
-            used = slopes.any(axis=1)
-            rate, changes = slopes[used], outputs[:, used]
-            factor = np.einsum("cs,kcs->k", rate, changes) / max(float(np.sum(rate**2)), 1e-300)
-            rest = np.abs(changes - factor[:, None, None] * rate).max(axis=2)
-            alike = np.all(rest <= 1e-9 * np.abs(changes).max(axis=2), axis=1)
-            factors[:, i] = np.where(alike, factor, 0.0)
-        return factors
+        return factors_of_derivatives(self._slopes_of_formulas[:n], self._slopes_of_formulas[n:])
 
     @cached_property
     def _slopes_of_formulas(self) -> Array:

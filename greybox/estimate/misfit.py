@@ -85,9 +85,8 @@ class Cause:
         The same if errors of neighboring points of a response may be correlated.
     alike : tuple of str
         Terms that have nearly the same effect, so that the data cannot tell them apart.
-    added : (str, Formula, mapping of str to float) or None
-        The state to whose derivative it adds, the unit term, and its factors in outputs that have
-        this derivative in them; not stored with a fit.
+    added : (str, Formula) or None
+        The state to whose derivative it adds, and the unit term; not stored with a fit.
     """
 
     text: str
@@ -98,7 +97,7 @@ class Cause:
     p_value: float
     p_correlated: float
     alike: tuple[str, ...] = ()
-    added: tuple[str, Formula, Mapping[str, float]] | None = field(
+    added: tuple[str, Formula] | None = field(
         default=None, compare=False, metadata={"stored": False}
     )
 
@@ -375,7 +374,7 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
             p_correlated = max(p_value, p_value_of_scores(score, beside_it, len(residuals)))
         shares = np.minimum([decrease / explained, tried * p_value, tried * p_correlated], 1.0)
         term = terms[key]
-        added = (term.b, term.added, term.outputs) if term.added else None
+        added = (term.b, term.added) if term.added else None
         causes.append(Cause(*texts[k], value, error, *shares.tolist(), alike=alike[k], added=added))
 
     shape = None

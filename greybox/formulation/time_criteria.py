@@ -254,6 +254,10 @@ class PredictionError(TimeCriterion):
         state per √s, as in `virtual_flight`. The noise of the sensors is white, too, with a
         standard deviation ``v_<output>``. The filter is that of the linearization about the means
         of the record; a sample at which an output is missing is not compared.
+    disturbance : mapping of str to 'colored'
+        The states whose derivatives have a gust, a further state ``gust_<state>`` that white noise
+        of intensity ``w_gust_<state>`` drives with the time constant ``T_gust_<state>``. An output
+        that has such a derivative in it, such as an acceleration, has the gust in it, too.
 
     Examples
     --------

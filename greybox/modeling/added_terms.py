@@ -3,16 +3,31 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import casadi as ca
+import numpy as np
+
+from greybox.files.arrays import Array
+from greybox.modeling.one_thread import once
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.state_space import StateSpace
-from greybox.modeling.symbolic_reading import as_list
+from greybox.modeling.symbolic_reading import (
+    as_list,
+    derivative_function,
+    symbols,
+    traced_output,
+)
 
 Formula = Callable[[Any, Any, Any], Any]
 """A term as a function of states, inputs and parameters, ``lambda x, u, p: ...``."""
 
+POINTS = 8  # at which formulas are compared: at one of them, slopes may be zero by chance
+
 
 class ExtendedModel(StateSpace):
-    """An ODE with further states and parameters."""
+    """An ODE with further states and parameters, which add to its derivatives.
+
+    What adds to a derivative adds to the outputs that have it in them, such as accelerations.
+    """
 
     def __init__(
         self, model: StateSpace, states: Sequence[str], parameters: Mapping[str, Parameter]
@@ -23,31 +38,85 @@ class ExtendedModel(StateSpace):
         self.delays, self.units = model.delays, model.units
         self.parameters = {**model.parameters, **parameters}
 
+    def additions(self, x: Any, u: Any, p: Any) -> Mapping[str, Any]:
+        """Return what adds to derivatives of the model, by state."""
+        return {}
+
+    def derivative(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
+        """Return the derivatives of the model with what adds to them."""
+        more, rates = self.additions(x, u, p), as_list(self.model.derivative(x, u, p))
+        return [
+            rate + more.get(state, 0.0)
+            for state, rate in zip(self.model.states, rates, strict=True)
+        ]
+
     def output(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
-        """Return the outputs of the model."""
-        return self.model.output(x, u, p)
+        """Return the outputs of the model with what adds to the derivatives in them."""
+        more, outputs = self.additions(x, u, p), as_list(self.model.output(x, u, p))
+        for state, column in zip(self.model.states, _factors(self.model).T.tolist(), strict=True):
+            if state in more:
+                outputs = [y + k * more[state] for y, k in zip(outputs, column, strict=True)]
+        return outputs
+
+
+def factors_of_derivatives(derivatives: Array, outputs: Array) -> Array:
+    """Return the factors (k, n) with which outputs have derivatives of states in them.
+
+    An output has a derivative in it if all parameters and inputs of the derivative change both
+    alike.
+
+    Parameters
+    ----------
+    derivatives : (n, m, s) array
+        Slopes of the derivatives by m parameters and inputs, at s points.
+    outputs : (k, m, s) array
+        Those of the outputs.
+    """
+    factors = np.zeros((len(outputs), len(derivatives)))
+    for i, slopes in enumerate(derivatives):
+        used = slopes.any(axis=1)
+        rate, changes = slopes[used], outputs[:, used]
+        factor = np.einsum("cs,kcs->k", rate, changes) / max(float(np.sum(rate**2)), 1e-300)
+        rest = np.abs(changes - factor[:, None, None] * rate).max(axis=2)
+        alike = np.all(rest <= 1e-9 * np.abs(changes).max(axis=2), axis=1)
+        factors[:, i] = np.where(alike, np.round(factor, 12), 0.0)
+    return factors
+
+
+@once
+def _factors(model: StateSpace) -> Array:
+    z, p = symbols(model)
+    n = len(model.states)
+    formulas = ca.vertcat(derivative_function(model)(z, p), traced_output(model, z, p))
+    by = ca.vertcat(p, z[n:])
+    slope = ca.Function("slope", [z, p], [ca.vec(ca.densify(ca.jacobian(formulas, by)))])
+
+    random = np.random.default_rng(0)
+    start = np.array([parameter.start for parameter in model.parameters.values()])
+    near = random.uniform(0.9, 1.1, (len(start), POINTS)) * start[:, None]
+    slopes = slope(random.normal(size=(z.numel(), POINTS)), near).full()
+    # A formula may have no value at some of the points, as a root has none below zero.
+    slopes = slopes[:, np.isfinite(slopes).all(axis=0)]
+    slopes = slopes.reshape(by.numel(), formulas.numel(), -1).swapaxes(0, 1)
+    return factors_of_derivatives(slopes[:n], slopes[n:])
 
 
 class AddedTerms(ExtendedModel):
-    """An ODE whose derivatives get terms, and outputs that have these derivatives in them.
+    """An ODE whose derivatives get terms.
 
     Parameters
     ----------
     model : StateSpace
-    terms : mapping of parameter to (state, Formula, mapping of str to float, float)
-        The factor of each term, in which derivative it is, how often it is in outputs, such as
-        accelerations, and the size of the factor: starts are drawn up to twice it.
+    terms : mapping of parameter to (state, Formula, float)
+        The factor of each term, in which derivative it is, and the size of the factor: starts are
+        drawn up to twice it.
     """
 
-    def __init__(
-        self,
-        model: StateSpace,
-        terms: Mapping[str, tuple[str, Formula, Mapping[str, float], float]],
-    ) -> None:
+    def __init__(self, model: StateSpace, terms: Mapping[str, tuple[str, Formula, float]]) -> None:
         self.terms = terms
         factors = {
             name: Parameter(0.0, starts=(-2 * abs(size), 2 * abs(size)))
-            for name, (*_, size) in terms.items()
+            for name, (_, _, size) in terms.items()
         }
         super().__init__(model, (), factors)
 
@@ -56,17 +125,9 @@ class AddedTerms(ExtendedModel):
         """The model and what is added."""
         return f"{self.model.label} with {', '.join(self.terms)}"
 
-    def derivative(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
-        """Return the derivatives of the model with the terms."""
-        rates = dict(zip(self.states, as_list(self.model.derivative(x, u, p)), strict=True))
-        for name, (state, formula, *_) in self.terms.items():
-            rates[state] = rates[state] + p[name] * formula(x, u, p)
-        return [*rates.values()]
-
-    def output(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
-        """Return the outputs of the model with the terms."""
-        outputs = dict(zip(self.outputs, as_list(super().output(x, u, p)), strict=True))
-        for parameter, (_, formula, factors, _) in self.terms.items():
-            for name, factor in factors.items():
-                outputs[name] = outputs[name] + factor * p[parameter] * formula(x, u, p)
-        return [*outputs.values()]
+    def additions(self, x: Any, u: Any, p: Any) -> Mapping[str, Any]:
+        """Return the terms of every derivative."""
+        sums: dict[str, Any] = {}
+        for name, (state, formula, _) in self.terms.items():
+            sums[state] = sums.get(state, 0.0) + p[name] * formula(x, u, p)
+        return sums

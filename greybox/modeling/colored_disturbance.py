@@ -1,20 +1,20 @@
 """An ODE with disturbances of first-order color on its derivatives, such as gusts."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from greybox.modeling.added_terms import ExtendedModel
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.state_space import StateSpace
-from greybox.modeling.symbolic_reading import as_list
 
 
 class ColoredDisturbance(ExtendedModel):
     """An ODE whose derivatives have disturbances with states of their own.
 
-    The disturbance ``gust_<state>`` adds to the derivative of the state, and follows
+    The disturbance ``gust_<state>`` adds to the derivative of the state, and to outputs that have
+    this derivative in them, such as an acceleration. It follows
     T d' = -d + white noise, with the time constant ``T_gust_<state>``. White noise through a first
     order lag is the simplest spectrum of turbulence (Dryden's, along the flight path).
 
@@ -47,12 +47,14 @@ class ColoredDisturbance(ExtendedModel):
         """The model and which states are disturbed."""
         return f"{self.model.label}, disturbed {', '.join(self.disturbed)}"
 
+    def additions(self, x: Any, u: Any, p: Any) -> Mapping[str, Any]:
+        """Return the disturbance of every derivative."""
+        return {state: x[gust] for state, gust in zip(self.disturbed, self.gusts, strict=True)}
+
     def derivative(self, x: Any, u: Any, p: Any) -> Sequence[Any]:
         """Return the derivatives of the model's states, then those of the disturbances."""
-        rates = dict(zip(self.model.states, as_list(self.model.derivative(x, u, p)), strict=True))
-        for state, gust in zip(self.disturbed, self.gusts, strict=True):
-            rates[state] = rates[state] + x[gust]
-        return [*rates.values(), *(-x[gust] / p[f"T_{gust}"] for gust in self.gusts)]
+        decays = [-x[gust] / p[f"T_{gust}"] for gust in self.gusts]
+        return [*super().derivative(x, u, p), *decays]
 
 
 def gust_time(bounds: tuple[float, float], place: str) -> Parameter:

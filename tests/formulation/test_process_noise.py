@@ -254,6 +254,35 @@ class WithAcceleration(Spring):
         return (x.x, x.v, self.derivative(x, u, p)[1])
 
 
+class Pushed(WithAcceleration):
+    """The spring with a further force per mass."""
+
+    inputs = ("F", "push")
+
+    def derivative(self, x, u, p):
+        v, a = super().derivative(x, u, p)
+        return (v, a + u.push)
+
+
+def test_a_gust_is_in_the_measured_acceleration_too():
+    random, step, n = np.random.default_rng(3), 0.02, 600
+    (force,) = doublets(1, n, 1.0, 1)
+    change = np.exp(-step / 0.5)
+    push = lfilter([np.sqrt(1 - change**2)], [1, -change], random.normal(size=n))
+    forces = gb.Record(
+        step * np.arange(n), {"F": force, "push": push}, hold=dict.fromkeys(("F", "push"), np.inf)
+    )
+    clean = gb.simulate(Pushed(), TRUTH, forces, initial={"x": 0.0, "v": 0.0})
+    size = {"x": 0.02, "v": 0.05, "a": 0.1}
+    noisy = {name: clean[name] + s * random.normal(size=n) for name, s in size.items()}
+    record = forces.with_signals(**noisy)
+    found = fit(gb.Problem(WithAcceleration(), record, GUSTY), starts=[TRUTH])
+    noise = {f"v_{name}": s for name, s in size.items()}
+    assert_true(found, TRUTH | noise | {"w_gust_v": 2.0}, 3.5)
+    # Without the gust in its model, the acceleration would look ten times as noisy.
+    assert found.standard_error["w_gust_v"] < 0.2
+
+
 def test_accelerations_without_noise_leave_errors_of_the_size_of_the_spread():
     """Almost all information is in the difference of outputs that the states and inputs give."""
     sensors, deviations = dict.fromkeys("xva", 1e-4), []
