@@ -48,12 +48,11 @@ def condense(
         node_hessian, b.transition, data.coupled, stationarity, continuity, variance
     )
 
-    # The last segment of a stretch continues nowhere: no multiplier acts on its end.
-    linked = np.where(data.coupled[:, None, None], b.parameter_sensitivity, 0.0)
     hessian, gradient = b.parameter_hessian.copy(), b.parameter_gradient.copy()
     for record, rows in enumerate(segments.record_rows):
         change = np.tensordot(b.cross_hessian[rows], x[rows], ((0, 1), (0, 1)))
-        change += np.tensordot(linked[rows], multiplier[rows], ((0, 1), (0, 1)))
+        # The last segment of a stretch continues nowhere: its multiplier is zero.
+        change += np.tensordot(b.parameter_sensitivity[rows], multiplier[rows], ((0, 1), (0, 1)))
         hessian[record] += change[:, 1:]
         gradient[record] += change[:, 0]
 

@@ -56,9 +56,7 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     placed: Placed = trajectory.detail
     linearization = part.linearize(trajectory, weight)
     by_nodes = part.condense(linearization, trajectory, np.zeros(n)).node_sensitivity
-    initial_directions = np.zeros((data.segments, n, 0))
-    if data.samples <= LONGEST_CORRECTED:
-        initial_directions = _initial_directions(part, linearization)
+    initial_directions = _initial_directions(part, linearization)
     curvature = linearization.node_hessian.diagonal(axis1=1, axis2=2)
     noticed = np.sqrt(np.maximum(curvature, 0.0).sum(axis=0))
     del linearization, curvature  # of a long record, a tenth of what fits into memory
@@ -121,8 +119,8 @@ def _initial_directions(part: SegmentedPart, b: Linearization) -> Array:
     from the first one.
     """
     data, s, n = part.data, part.data.segments, part.states
-    if not n:
-        return np.zeros((s, 0, 0))
+    if not n or data.samples > LONGEST_CORRECTED:
+        return np.zeros((s, n, 0))
     given = part.known_states
     # Any R of full rank is suitable; a fixed one makes the result reproducible.
     R = np.random.default_rng(0).normal(size=(s, n, n))

@@ -118,14 +118,8 @@ class SegmentedPart(Part):
         steps = np.array([stretch.step for stretch in self.data.stretches])
         whole = np.floor(self.data.by_stretch(delays) / steps[:, None] + 1e-9)
         if self._placed_data is None or not np.array_equal(self._placed_data[0], whole):
-            inputs = self.segments.columns(np.vstack(self.data.delayed_inputs(delays)))
-            # Measured outputs, which stay, are in the last rows.
-            measured = (
-                self._placed_data[1][len(inputs) :]
-                if self._placed_data
-                else self.segments.columns(self.data.measured_rows)
-            )
-            self._placed_data = (whole, np.vstack([inputs, measured]))
+            rows = np.vstack([*self.data.delayed_inputs(delays), self.data.measured_rows])
+            self._placed_data = (whole, self.segments.columns(rows))
         return self._placed_data[1]
 
     @cached_property

@@ -124,9 +124,8 @@ class FrequencyGrid:
         share = 1 - math.exp(-1)
         times = []
         for spectrum in spectra:
-            covariances = np.fft.irfft(self.spread_out(spectrum), self.size)
-            covariances = covariances[: min(self.longest, self.size // 2)]
-            total = np.cumsum(np.abs(covariances))
+            covariances = np.abs(np.fft.irfft(self.spread_out(spectrum), self.size))
+            total = np.cumsum(covariances[: min(self.longest, self.size // 2)])
             times.append(float(np.sum(total < share * total[-1])))
         return np.array(times)
 

@@ -289,15 +289,14 @@ class ResidualSpectra:
     @cached_property
     def power(self) -> ComplexArray:
         """Power (k, k, b) of the sensitivities, whose mean product with a spectrum is tr(B⁻¹ M)."""
-        k = len(self.counts)
-        power = np.zeros((k, k, len(self.grid.omega)), dtype=complex)
-        for rows in self.transforms():
-            for i, H in enumerate(rows):
-                # As pairs of reals, in place: transforms of long records fill the memory.
-                G = (self.inverse @ H.view(float)).view(complex)
-                np.conj(G, out=G)
-                power[i] += [self.grid.banded(np.einsum("pf,pf->f", G, row)) for row in rows]
-        return power
+
+        def banded(H: ComplexArray, rows: ComplexArray) -> list[ComplexArray]:
+            # As pairs of reals, in place: transforms of long records fill the memory.
+            G = (self.inverse @ H.view(float)).view(complex)
+            np.conj(G, out=G)
+            return [self.grid.banded(np.einsum("pf,pf->f", G, row)) for row in rows]
+
+        return np.sum([[banded(H, rows) for H in rows] for rows in self.transforms()], axis=0)
 
     @cached_property
     def slow(self) -> Array:

@@ -104,6 +104,7 @@ def test_where_no_start_is_finite_the_sentence_names_what_when_and_the_cure(prob
         f"bound the parameters to where {label} has finite values, or give known states, initial={{{state!r}"
         in said
     )
+    assert "gb.sqrt(gb.maximum(h, 0))" in said
     assert said in str(found)
 
 

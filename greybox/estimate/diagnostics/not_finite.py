@@ -1,5 +1,6 @@
 """Where and why a model has no finite value: which response, state or output, and what helps."""
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -13,7 +14,7 @@ from greybox.files.arrays import Array
 from greybox.modeling.integrators import RungeKutta
 from greybox.solve.ipopt import INVALID
 from greybox.solve.minima import Multistart
-from greybox.solve.runs import NOT_FINITE, Runs
+from greybox.solve.runs import NOT_FINITE, Run, Runs
 
 
 @dataclass(frozen=True)
@@ -37,8 +38,8 @@ def explained(nlp: CompiledProblem, search: Multistart) -> Multistart:
     """Return the search with a reason for every run that met a value that is not finite."""
     reasons = search.runs.reason.copy()
     for run in _not_finite(search.runs):
-        trouble = _trouble(nlp, run.start) or _trouble(nlp, run.estimate)
-        reasons[run.index] = run.reason if trouble is None else trouble.what
+        if trouble := _trouble(nlp, run):
+            reasons[run.index] = trouble.what
     return replace(search, runs=replace(search.runs, reason=reasons))
 
 
@@ -47,8 +48,8 @@ def not_finite_warnings(nlp: CompiledProblem, search: Multistart) -> Iterator[st
     # A few starts outside the domain of a formula are normal, and say nothing about the answer.
     failed = [run for run in _not_finite(search.runs) if run.reason]
     if failed and search.converged < 0.5 * len(search.brought):
-        trouble = _trouble(nlp, failed[0].start)
-        if trouble is not None and trouble.cure:
+        trouble = _trouble(nlp, failed[0])
+        if trouble and trouble.cure:
             yield f"at the start of run {failed[0].index} {trouble.why}: {trouble.cure}."
         elif not np.isfinite(search.runs.cost).any():
             yield (
@@ -61,14 +62,16 @@ def _not_finite(runs: Runs) -> Runs:
     return runs[~runs.converged & ((runs.status == NOT_FINITE) | (runs.status == INVALID))]
 
 
-def _trouble(nlp: CompiledProblem, x: Array) -> Trouble | None:
-    """Return the trouble of the first part that has one at the parameters x (p,)."""
-    if not np.all(np.isfinite(x)):
-        return None
-    z = nlp.scaling.to_solver(np.clip(x, nlp.lower, nlp.upper))
+def _trouble(nlp: CompiledProblem, run: Run) -> Trouble | None:
+    """Return the trouble of the first part that has one where a run began, or else ended."""
+    # Screening moves starts: a run may begin elsewhere, and then it ends there.
+    points = [x for x in (run.start, run.estimate) if np.all(np.isfinite(x))]
     with np.errstate(all="ignore"):
-        troubles = (_trouble_of(part, z) for part in nlp.parts)
-        return next((trouble for trouble in troubles if trouble is not None), None)
+        for x, part in itertools.product(points, nlp.parts):
+            z = nlp.scaling.to_solver(np.clip(x, nlp.lower, nlp.upper))
+            if trouble := _trouble_of(part, z):
+                return trouble
+    return None
 
 
 def _trouble_of(part: Part, z: Array) -> Trouble | None:
@@ -110,7 +113,10 @@ def _of_record(part: RecordPart, trajectory: Trajectory) -> Trouble | None:
     label, method = part.problem.model.label, part.model.method
     cure = f"start elsewhere, or bound the parameters to where {label} has finite values"
     if part.states:
-        cure += f", or give known states, initial={{{system.states[0]!r}: ...}}"
+        cure += (
+            f", or give known states, initial={{{system.states[0]!r}: ...}}, or guard roots, "
+            "logarithms and quotients of states, as by gb.sqrt(gb.maximum(h, 0))"
+        )
 
     names = [
         *(f"the derivative of {name}" for name in system.states),
