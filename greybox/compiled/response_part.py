@@ -147,8 +147,7 @@ class ResponsePart(Part):
     def _latest(self, is_slope: bool, values: Array) -> ComplexArray:
         """Return the response at all values x (k,), or its derivatives."""
         functions = self.functions
-        system = functions.system
-        if system is not None:
+        if (system := functions.system) is not None:
             both = self.stored("both", values, lambda: system.responses(values[:, None]))
             return both[is_slope][0, :, 0]
         function = functions.slope if is_slope else functions.response

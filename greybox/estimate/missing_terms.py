@@ -404,8 +404,8 @@ def terms_of_response(omega: Array) -> Iterator[Term]:
         yield Term("pole", 1 / (1 + s / a) - 1, level=a)
     modes = np.geomspace(low, high, 16)[:, None]
     for [w], below in zip(modes, s**2 + 2 * DAMPING * modes * s + modes**2, strict=True):
-        yield Term("mode", w**2 / below, level=w)
-        yield Term("mode", s * w / below, level=w)
+        for top in (w**2, s * w):
+            yield Term("mode", top / below, level=w)
     edges = np.sqrt(omega[1:] * omega[:-1])
     for edge in edges[:: max(len(edges) // EDGES, 1)]:
         yield Term("step", 1.0 * (omega > edge), level=edge)

@@ -223,14 +223,13 @@ def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[floa
     # The interval of the average lies between those of the narrowest and the widest distribution.
     deviation = np.sqrt(variance)
     tails = (1 - np.array(LEVELS)) / 2
-    unit = -stdtrit(dof, tails)
+    ends = 0.99 * deviation.min(), 1.01 * deviation.max()
     inner, outer = (
         brentq(
             lambda size, tail=tail: stdtr(dof, -size / deviation) @ weight - tail,
-            0.99 * deviation.min() * size,
-            1.01 * deviation.max() * size,
+            *(-stdtrit(dof, tail) * end for end in ends),
         )
-        for tail, size in zip(tails, unit, strict=True)
+        for tail in tails
     )
 
     # The ratio of both intervals falls as the degrees of freedom rise.
