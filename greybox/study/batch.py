@@ -299,8 +299,12 @@ def _fit_member(
     if is_search_over():  # its runs are stored, and the next call resumes it
         return
 
-    marks = {"fingerprint": runs.fingerprint, "stated": key or _key(member)}
-    marks |= {"asked": _asked(member), "finished": time.time()}
+    marks = {
+        "fingerprint": runs.fingerprint,
+        "stated": key or _key(member),
+        "asked": _asked(member),
+        "finished": time.time(),
+    }
     answer = {**(summary(result) if result else _stated(member.problem)), **marks}
     if member.held and result:
         answer["held_out"] = held_out_error(result, member.held)
@@ -329,7 +333,7 @@ def _key(member: Member, *, formulas_alone: bool = False) -> str:
         if formulas_alone:
             return value_fingerprint(formulas)
         stated = [[getattr(p, field.name) for field in fields(p)] for p in parts]
-        return value_fingerprint((formulas, stated, (by.method, by.search, dict(by.options))))
+        return value_fingerprint((formulas, stated, by.method, by.search, dict(by.options)))
     return ""
 
 
