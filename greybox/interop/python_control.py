@@ -101,8 +101,6 @@ def from_control(
     *,
     inputs: Sequence[str] = (),
     outputs: Sequence[str] = (),
-    prefix: str = "",
-    name: str = "",
 ) -> Any:
     """Return a system of python-control as a frequency response or as a model.
 
@@ -117,10 +115,6 @@ def from_control(
         several pairs are a tuple, by output, then by input.
     inputs, outputs : sequence of str
         Names of the signals, by default those of the system.
-    prefix : str
-        Begins the names of the parameters of a transfer function, so that two can be connected.
-    name : str
-        Name of a response.
 
     Raises
     ------
@@ -145,7 +139,7 @@ def from_control(
     y = _signal_names(outputs, system.output_labels)
     if isinstance(system, control.FrequencyResponseData):
         matrix = np.asarray(system.frdata if hasattr(system, "frdata") else system.fresp)
-        name = name or (system.name or "")
+        name = system.name or ""
         first, *others = (
             FrequencyResponse(system.omega, matrix[k, i], input=u[i], output=y[k], name=name)
             for k in range(len(y))
@@ -162,7 +156,7 @@ def from_control(
         numerator, denominator = (
             polynomial[0][0].tolist() for polynomial in (system.num, system.den)
         )
-        return KnownTransferFunction(numerator, denominator, u[0], y[0], prefix)
+        return KnownTransferFunction(numerator, denominator, u[0], y[0])
 
     x = _signal_names((), system.state_labels)
     return KnownStateSpace(system.A, system.B, system.C, system.D, states=x, inputs=u, outputs=y)
