@@ -8,8 +8,9 @@ Each is a static model with rows without a time, fitted by `gb.fit` from the fir
 second of NIST's starts alone. Where one of them leads to another minimum, the table continues with
 the default starts (20, seed 0), drawn between zero and that start. A digit is -log10 of the largest
 relative difference to the certified values of a problem; they are given to eleven. Lanczos1 has no
-meaningful certified standard errors: its residuals are the rounding of its data. Source: NIST,
-Statistical Reference Datasets, https://www.itl.nist.gov/div898/strd/.
+meaningful certified standard errors: its residuals are the rounding of its data. Two naive rows
+stand below: the starts as they are, and the mean of the data, which estimates no parameter. Source:
+NIST, Statistical Reference Datasets, https://www.itl.nist.gov/div898/strd/.
 """
 
 import argparse
@@ -37,6 +38,12 @@ def digits(values: dict[str, float], reference: dict[str, float]) -> float:
         float(-np.log10(max(abs(values[name] / value - 1), 1e-15)))
         for name, value in reference.items()
     )
+
+
+def mean_squares(case: Certified) -> float:
+    """Return the sum of squares that the mean of the data leaves."""
+    record, (output,) = case.problem.data, case.problem.model.outputs
+    return float(len(record) * np.var(record[output]))
 
 
 def line(name: str, which: str, case: Certified, **options: Any) -> tuple[str, bool]:
@@ -80,13 +87,19 @@ def main() -> None:
     )
     say(f"27 problems of NIST; {versions}, {dt.datetime.now(tz=dt.UTC):%Y-%m-%d}")
     say(f"{'':10} {'from start':10} rows  p   digits: estimate   errors   agreeing       s")
+    starts, means = [], []
     for name in [options.only] if options.only else list(FORMULAS):
         case = certified(name)
+        starts += [digits(start, case.values) for start in case.starts]
+        means.append(mean_squares(case) / case.squares)
         for k, start in enumerate(case.starts):
             text, right = line(name, str(k + 1), case, starts=[start])
             say(text)
             if not right:
                 say(line(name, "1, default", case, seed=0)[0])
+    say(f"naive: a start as it is has {min(starts):.1f} to {max(starts):.1f} digits")
+    multiples = f"{min(means):.2g} to {max(means):.2g}, median {np.median(means):.2g}"
+    say(f"naive: the mean of the data, over the certified sum of squares: {multiples}")
     if options.output:
         options.output.write_text("\n".join(lines) + "\n", encoding="utf-8")
 

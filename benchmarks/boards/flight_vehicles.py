@@ -294,10 +294,10 @@ def rows(case: Case) -> list[str]:
         stated = case.problem(case.fitted, rule)
         fit = fits[label] = gb.fit(stated, STARTS, progress=False, profiles=False)
         spent = time.process_time() - begin
-        foot.append(
-            f"{label}: {fit.agreeing} of {STARTS} starts at the best minimum, {spent:.0f} s; "
-            + ("explains its data" if fit.misfit is None or fit.misfit.explains else "misfit")
-        )
+        foot += [
+            f"{label}: {fit.agreeing} of {STARTS} starts at the best minimum, {spent:.0f} s",
+            *(f"  {sentence}" for sentence in fit.to_dict()["verdict"]["sentences"]),
+        ]
 
     head = f"{'':8}{'published':>10}{'equation error':>16}"
     lines = [case.name, head + "".join(f"{label:>22}" for label in fits)]

@@ -364,7 +364,7 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
     causes = []
     for k, ((decrease, _, value, error), key, column) in enumerate(ranked):
         p_value = p_correlated = p_values[k]
-        if terms[key].kind in ("own", "schedule") and not is_common:
+        if terms[key].kind in ("own", "schedule", "trim") and not is_common:
             # Residuals that other values could explain, too, are not noise.
             share_apart = noise_apart / (noise_apart + decrease * without / len(residuals))
             p_value = p_correlated = float(chance(share_apart, len(residuals) - apart[1]))
@@ -551,8 +551,8 @@ def _offsets(part: RecordPart, residuals: Array, present: BoolArray) -> Iterator
         value, error = float(np.mean(means)), float(np.std(means)) + TINY
         p_value = float(chance(1 / (1 + (value / error) ** 2 / PIECES), PIECES - 1))
         share = value**2 / float(np.mean(row[measured] ** 2) + TINY)
-        text, code = f"an offset of {name} by {number(value, 2)}", f"the output {name} + p.offset"
-        yield Cause(text, code, value, error, share, p_value, p_value)
+        text = f"an offset of {name} by {number(value, 2)}"
+        yield Cause(text, f"the output {name} + p.offset", value, error, share, p_value, p_value)
 
 
 def _lines(measured: BoolArray) -> Array:
@@ -572,8 +572,9 @@ def _on_excerpts(
     for stretch, row in zip(part.data.stretches, in_order, strict=True):
         states[:, stretch.rows] = row
 
-    pieces = [states[:, stretch.rows] for stretch in excerpt.data.stretches]
-    nodes = excerpt.data.padded(pieces, None)[:, :: excerpt.data.segment_length].T
+    data = excerpt.data
+    pieces = [states[:, stretch.rows] for stretch in data.stretches]
+    nodes = data.padded(pieces, None)[:, :: data.segment_length].T
     return excerpt, excerpt.trajectory(trajectory.z, nodes)
 
 
@@ -593,13 +594,14 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
         scaled = columns[order] / (at * size[order] / np.abs(at))[:, None]
         return np.vstack([scaled.real, scaled.imag])
 
+    def all_values(x: Array) -> Array:
+        return np.append(x, values[len(free) :])
+
     def residuals(x: Array) -> Array:
-        model = part.response(np.append(x, values[len(free) :]))
-        return rows((part.data.response - model)[:, None])
+        return rows((part.data.response - part.response(all_values(x)))[:, None])
 
     def slopes(x: Array) -> Array:
-        full = np.append(x, values[len(free) :])
-        return rows(part.sensitivity(full)[:, : len(free)])
+        return rows(part.sensitivity(all_values(x))[:, : len(free)])
 
     def separate() -> tuple[Array, Array, tuple[int, int]]:
         from scipy.optimize import least_squares  # noqa: PLC0415  (slow to import)
@@ -618,19 +620,21 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
     at_fit = values[: len(free)]
     # Where a response is zero, `used` leaves out what has no relative change.
     relative = part.sensitivity(values) / np.where(response == 0, np.inf, response)[:, None]
+    states = getattr(part.problem.model, "states", ())
     own = [
         Term(kind, relative[:, k] * size, a=name, b=b)
         for k, name in enumerate(free)
         for kind, b, size in (
             ("own", part.name, 1.0),
-            *(("schedule", signal, size) for signal, size in part.problem.at.items()),
+            *(
+                ("trim" if signal in states else "schedule", signal, size)
+                for signal, size in part.problem.at.items()
+            ),
         )
     ]
     # Where most of a response is left, no size or correlation of its errors excuses the model.
-    signals = f"{part.data.output or 'the output'} to {part.data.input or 'the input'}"
-    path = Cause(
-        f"a response of {signals}", "a path between both, or wider bounds", 1.0, 0.0, 1.0, 0.0, 0.0
-    )
+    text = f"a response of {part.data.output or 'the output'} to {part.data.input or 'the input'}"
+    path = Cause(text, "a path between both, or wider bounds", 1.0, 0.0, 1.0, 0.0, 0.0)
     measured, left = rows(part.data.response[:, None]), residuals(at_fit)
     return _Regression(
         measured,

@@ -86,6 +86,11 @@ TEXTS = {
         "{a} falls with {b}, by {size} ± {error} per unit",
         "{b} as an input, and p.{a} + p.{a}_by_{b} * u.{b} in place of p.{a}",
     ),
+    "trim": (
+        "{a} grows with {b}, by {size} ± {error} per unit",
+        "{a} falls with {b}, by {size} ± {error} per unit",
+        "p.{a} + p.{a}_by_{b} * x.{b} in place of p.{a}",
+    ),
     "delay": (
         "a delay of {size} s",
         "a lead of {size} s",
@@ -174,16 +179,15 @@ class Term:
         if kind == "timing" and abs(factor * self.scale / self.half_step - 1) < NEAR_HALF:
             kind = "hold"
         *texts, code = TEXTS[kind]
-        text = texts[-1 if factor < 0 else 0]
         size, deviation = (number(abs(x) * self.scale, 2) for x in (factor, error))
-        level = number(self.level, 2)
-        values = {"a": self.a, "b": self.b, "level": level, "size": size, "error": deviation}
-        factors = {name: number(factor, 3) for name, factor in self.outputs.items()}
+        values = {"a": self.a, "b": self.b, "level": number(self.level, 2)}
+        values |= {"size": size, "error": deviation}
         also = [
-            f", and so does the output {name}{f', {times} times' * (times != '1')}"
-            for name, times in factors.items()
+            f", and so does the output {name}" + f", {factor:.3g} times" * (f"{factor:.3g}" != "1")
+            for name, factor in self.outputs.items()
         ]
-        return text.format(**values), code.format(**values) + "".join(also)
+        text = texts[-1 if factor < 0 else 0].format(**values)
+        return text, "".join([code.format(**values), *also])
 
 
 def terms_of_record(
@@ -208,8 +212,7 @@ def terms_of_record(
             past = record.by_stretch(_delayed, u, part.data.stretches[0].step)
             yield Term("direct", past, partial(record.by_output, k), a, b)
 
-    is_state_space = isinstance(part.problem.model, StateSpace)
-    if is_state_space:
+    if isinstance(part.problem.model, StateSpace):
         for states in (record.states, record.states_along_data)[: 1 + along_data]:
             yield from _of_equations(record, states, candidates)
     else:
@@ -243,8 +246,8 @@ def _of_parameters(record: DisturbedRecord) -> Iterator[Term]:
         if part.model.parameters[k] in gains:
             continue
         for kind, row, b in changes:
-            by_parameter = partial(record.by_parameter, place)
-            yield Term(kind, row, by_parameter, part.model.outside_names[k], b)
+            name = part.model.outside_names[k]
+            yield Term(kind, row, partial(record.by_parameter, place), name, b)
 
 
 def _delays(record: DisturbedRecord, row: Array) -> Iterator[tuple[Array, float]]:
@@ -256,16 +259,15 @@ def _delays(record: DisturbedRecord, row: Array) -> Iterator[tuple[Array, float]
 
 
 def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Term]:
-    # Where a gain is nearly zero, only a term longer than the record would explain anything.
     step = record.part.data.stretches[0].step
-    longest = len(u) * step
     model = record.part.model
     half_step = np.inf if is_stated(model.criterion.inputs, a, model.record) else step / 2
 
     by_input = partial(record.by_input, j)
 
     def term(kind: str, row: Array, level: float = 0.0, scale: float = 1.0) -> Term:
-        return Term(kind, row, by_input, a, "", level, scale, longest, half_step)
+        # Where a gain is nearly zero, only a term longer than the record would explain anything.
+        return Term(kind, row, by_input, a, "", level, scale, len(u) * step, half_step)
 
     for row, T in _delays(record, u):
         yield term("timing", row, scale=T)
@@ -358,10 +360,12 @@ def dynamic_equations(part: RecordPart) -> dict[int, tuple[frozenset[str], set[s
 
     # With twenty states, the products of all pairs in all equations are thousands of terms, among
     # which a true one is not found.
-    is_small, present = len(names) <= LARGE, slopes.sparsity()
+    present = slopes.sparsity()
     return {
         i: (
-            frozenset(n for k, n in enumerate(names) if is_small or present.has_nz(i, k)),
+            frozenset(
+                n for k, n in enumerate(names) if len(names) <= LARGE or present.has_nz(i, k)
+            ),
             {n for k, n in enumerate(names) if ca.depends_on(slopes[i, k], p)},
         )
         for i in dynamic or own

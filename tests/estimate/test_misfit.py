@@ -123,6 +123,7 @@ def test_operating_points_of_responses_order_a_parameter():
         parts.append(gb.Problem(Spring(), data, at={"x": angle}, name=f"{angle} rad"))
     (first, *_) = gb.fit(sum(parts[1:], parts[0]), starts=2, progress=False).misfit.likely
     assert first.text.startswith("k falls with x")
+    assert first.code == "p.k + p.k_by_x * x.x in place of p.k"  # x is a state
     assert first.value == pytest.approx(-12, rel=0.1)  # a line through 25 cos(angle)
 
 
