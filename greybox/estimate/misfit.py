@@ -572,9 +572,8 @@ def _on_excerpts(
     for stretch, row in zip(part.data.stretches, in_order, strict=True):
         states[:, stretch.rows] = row
 
-    data = excerpt.data
-    pieces = [states[:, stretch.rows] for stretch in data.stretches]
-    nodes = data.padded(pieces, None)[:, :: data.segment_length].T
+    pieces = [states[:, stretch.rows] for stretch in excerpt.data.stretches]
+    nodes = excerpt.data.padded(pieces, None)[:, :: excerpt.data.segment_length].T
     return excerpt, excerpt.trajectory(trajectory.z, nodes)
 
 
@@ -594,14 +593,11 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
         scaled = columns[order] / (at * size[order] / np.abs(at))[:, None]
         return np.vstack([scaled.real, scaled.imag])
 
-    def all_values(x: Array) -> Array:
-        return np.append(x, values[len(free) :])
-
     def residuals(x: Array) -> Array:
-        return rows((part.data.response - part.response(all_values(x)))[:, None])
+        return rows((part.data.response - part.response(np.append(x, others)))[:, None])
 
     def slopes(x: Array) -> Array:
-        return rows(part.sensitivity(all_values(x))[:, : len(free)])
+        return rows(part.sensitivity(np.append(x, others))[:, : len(free)])
 
     def separate() -> tuple[Array, Array, tuple[int, int]]:
         from scipy.optimize import least_squares  # noqa: PLC0415  (slow to import)
@@ -617,7 +613,7 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
         ).x
         return residuals(x), slopes(x), (order.size, order.size)
 
-    at_fit = values[: len(free)]
+    at_fit, others = np.split(values, [len(free)])
     # Where a response is zero, `used` leaves out what has no relative change.
     relative = part.sensitivity(values) / np.where(response == 0, np.inf, response)[:, None]
     states = getattr(part.problem.model, "states", ())

@@ -180,14 +180,14 @@ class Term:
             kind = "hold"
         *texts, code = TEXTS[kind]
         size, deviation = (number(abs(x) * self.scale, 2) for x in (factor, error))
-        values = {"a": self.a, "b": self.b, "level": number(self.level, 2)}
-        values |= {"size": size, "error": deviation}
+        level = number(self.level, 2)
+        values = {"a": self.a, "b": self.b, "level": level, "size": size, "error": deviation}
         also = [
             f", and so does the output {name}" + f", {factor:.3g} times" * (f"{factor:.3g}" != "1")
             for name, factor in self.outputs.items()
         ]
         text = texts[-1 if factor < 0 else 0].format(**values)
-        return text, "".join([code.format(**values), *also])
+        return text, code.format(**values) + "".join(also)
 
 
 def terms_of_record(
