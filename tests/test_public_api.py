@@ -37,7 +37,7 @@ NAMESPACES = {
     "logs": "find_manoeuvres find_segments horizontal_velocity prepare read",
     "modeling": "ImplicitIntegrator Integrator LinearSystem Model Parameter Radau RungeKutta Sine StateSpace "
     "TransferFunction feedback frequency_response harmonic_response linearize rational",
-    "plotting": "bode ends estimates gains loop nyquist pairs plot profiles recording residuals "
+    "plotting": "bode estimates gains loop nyquist pairs plot profiles recording residuals "
     "spectrum starts structures time_history traces trend",
     "regression": "EquationErrorEstimate equation_error levy order_path",
     "simulation": "Prediction predict simulate",

@@ -7,6 +7,7 @@ parameter. No other model is compiled, and models that are unstable without feed
 import itertools
 from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -57,7 +58,7 @@ class DisturbedRecord:
             for name, row in zip(self.part.outputs, errors, strict=True)
         )
 
-    def by_stretch(self, function: Callable[..., Array], row: Array, *arguments: float) -> Array:
+    def by_stretch(self, function: Callable[..., Array], row: Array, *arguments: Any) -> Array:
         """Return a function of the samples and the step of every stretch, segments filled up."""
         data = self.part.data
         pieces = zip(data.unpadded(row), data.stretches, strict=True)
@@ -109,7 +110,9 @@ class DisturbedRecord:
         formulas = ca.vertcat(system.derivative(x, u, p), system.output(x, u, p)[rows])
         by = ca.vertcat(p, u)
         slope = ca.Function("slope", [x, u, p], [ca.vec(ca.densify(ca.jacobian(formulas, by)))])
-        slopes = slope(self.states, self.inputs, self._placed.q[: p.numel()]).full()
+        # A gain that ended at zero would hide every term of its input.
+        q = self._placed.q[: p.numel()]
+        slopes = slope(self.states, self.inputs, np.where(q == 0, 1e-12, q)).full()
         return slopes.reshape(by.numel(), formulas.numel(), -1).swapaxes(0, 1)
 
     def _by_derivatives(self, derivatives: Array, is_held: bool = False) -> Array:

@@ -39,7 +39,6 @@ from greybox.plotting.pairs import pairs as pairs
 from greybox.plotting.profile import profiles as profiles
 from greybox.plotting.residuals import residuals as residuals
 from greybox.plotting.spectrum import spectrum as spectrum
-from greybox.plotting.starts import ends as ends
 from greybox.plotting.starts import starts as starts
 from greybox.plotting.study import estimates as estimates
 from greybox.plotting.study import structures as structures

@@ -1,6 +1,6 @@
-"""The costs that the starts reached, and where they ended."""
+"""The costs that the starts reached."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -8,8 +8,7 @@ from matplotlib.axes import Axes
 from greybox.estimate.result import Fit
 from greybox.files.text_table import counted
 from greybox.plotting.figure import CROSS, GRAY, INK, Figure, Limits, Panel, Series
-from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
-from greybox.plotting.signals import with_unit
+from greybox.plotting.matplotlib_figure import draw
 from greybox.solve.runs import SCREENED, Run
 
 COLORED = 5  # minima with a color of their own; the others are gray
@@ -46,8 +45,7 @@ def starts_figure(fit: Fit) -> Figure:
     is_logarithmic = bool(costs) and costs[0] > 0 and costs[-1] > 30 * costs[0]
     limits = _limits(costs, is_logarithmic)
 
-    places = {run.index: k for k, run in enumerate(converged, 1)}
-    series = _minima(fit, lambda run: places[run.index], lambda run: run.cost)
+    series = _minima(fit, converged)
     if failed:
         low, high = limits
         # Failed runs have no cost that could be compared: they are drawn near the top.
@@ -79,42 +77,8 @@ def starts_figure(fit: Fit) -> Figure:
     )
 
 
-def ends(fit: Fit, axes: GivenAxes | None = None) -> AxesArray:
-    """Draw where the runs ended over where they began, a panel for every free parameter.
-
-    Runs that agree end on one horizontal line, wherever they began. Colors are those of `starts`;
-    failed runs are left out.
-
-    Parameters
-    ----------
-    fit : Fit
-    axes : array-like of Axes, optional
-        One for each free parameter. By default a new figure is made.
-
-    Raises
-    ------
-    ValueError
-        If no start converged.
-
-    Returns
-    -------
-    numpy.ndarray of Axes, shape (p,)
-    """
-    fit.require_estimate()
-    figures = [ends_figure(fit, k) for k in range(len(fit.free))]
-    return draw(figures, axes, columns=min(3, len(figures)), size=(3.8, 2.8))
-
-
-def ends_figure(fit: Fit, k: int) -> Figure:
-    """Return the ends of the k-th free parameter over its starts."""
-    series = _minima(fit, lambda run: run.start[k], lambda run: run.estimate[k])
-    name = fit.free[k]
-    start, end = (with_unit(text, fit.by_name[name].unit) for text in (f"Start of {name}", "End"))
-    return Figure("Starts and ends", start, [Panel(end, series)])
-
-
-def _minima(fit: Fit, x: Callable[[Run], float], y: Callable[[Run], float]) -> list[Series]:
-    """Return the runs of every minimum as points at `x` and `y` of a run."""
+def _minima(fit: Fit, converged: Sequence[Run]) -> list[Series]:
+    """Return the costs of the sorted runs by minimum."""
     # Five colors can be distinguished; nobody needs to distinguish twenty minima.
     groups = [
         (f"minimum {k}: {len(minimum.runs)} × cost {minimum.cost:.5g}", minimum.runs)
@@ -126,22 +90,20 @@ def _minima(fit: Fit, x: Callable[[Run], float], y: Callable[[Run], float]) -> l
         minima = counted(len(further), "further minimum", "further minima")
         groups.append((f"{counted(len(runs), 'run')} in {minima}", runs))
 
-    by_index = {run.index: run for run in fit.runs}
     series = []
     for color, (name, indices) in enumerate(groups):
-        members = sorted((by_index[index] for index in indices), key=x)
+        members = [(k, run) for k, run in enumerate(converged, 1) if run.index in indices]
         series.append(
             Series(
                 name,
                 "points",
-                np.array([*map(x, members)], dtype=float),
-                np.array([*map(y, members)]),
-                color if color < COLORED else GRAY,
+                *np.array([(k, run.cost) for k, run in members], dtype=float).reshape(-1, 2).T,
+                color=color if color < COLORED else GRAY,
                 style=color % COLORED,
                 notes=[
                     f"start {run.index}, cost {run.cost:.6g}, "
                     f"{counted(run.iterations, 'iteration')}"
-                    for run in members
+                    for _, run in members
                 ],
             )
         )

@@ -128,18 +128,3 @@ def test_failed_runs_stand_below_the_upper_end_of_their_axis(fit, dearest):
     above, top = panel.limits[1], panel.series[-1].y
     assert panel.is_logarithmic is (dearest > 100)
     assert dearest < top[0] < above
-
-
-def test_ends_of_all_runs_stand_over_their_starts(pitch):
-    axes = gb.plotting.ends(pitch)
-    assert len(axes) == len(pitch.free)
-    for k, (ax, name) in enumerate(zip(axes, pitch.free, strict=True)):
-        assert ax.get_xlabel().startswith(f"Start of {name}, ")
-        drawn = np.concatenate([line.get_xydata() for line in ax.lines])
-        expected = [(run.start[k], run.estimate[k]) for run in pitch.runs]
-        assert sorted(map(tuple, drawn)) == sorted(expected)
-
-
-def test_a_fit_without_an_estimate_has_no_ends(failed):
-    with pytest.raises(ValueError, match="no start converged"):
-        gb.plotting.ends(failed)
