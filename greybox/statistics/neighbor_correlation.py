@@ -22,6 +22,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -224,13 +225,14 @@ def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[floa
     deviation = np.sqrt(variance)
     tails = (1 - np.array(LEVELS)) / 2
     ends = 0.99 * deviation.min(), 1.01 * deviation.max()
-    inner, outer = (
+    roots: Any = (
         brentq(
             lambda size, tail=tail: stdtr(dof, -size / deviation) @ weight - tail,
             *(-stdtrit(dof, tail) * end for end in ends),
         )
         for tail in tails
     )
+    inner, outer = roots
 
     # The ratio of both intervals falls as the degrees of freedom rise.
     few, most = 1 / dof, 1.0
