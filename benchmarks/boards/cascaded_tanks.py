@@ -22,7 +22,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from command import estimates, heading, parser, show
+from command import estimates, heading, judged, parser, show
 
 import greybox as gb
 
@@ -145,9 +145,7 @@ def board(folder: Path) -> list[str]:
     lines += [f"{label:42}{value:6.3f}" for label, value in PUBLISHED.items()]
     lines += [f"{'chosen: ' + best:42}{error(fit, test):6.3f}", ""]
     lines += estimates(fit, Tanks().parameters)
-    if fit.misfit is not None and not fit.misfit.explains:
-        lines += ["", "greybox says that the chosen model does not explain its data."]
-    return lines
+    return [*lines, "", *(line for item in fits.items() for line in judged(*item))]
 
 
 if __name__ == "__main__":

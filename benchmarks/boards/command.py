@@ -32,6 +32,17 @@ def estimates(fit: gb.Fit, names: Collection[str]) -> list[str]:
     ]
 
 
+def judged(label: str, fit: gb.Fit) -> list[str]:
+    """Return what a fit says of its model, and the first cause of a misfit."""
+    misfit = fit.misfit
+    if misfit is None:
+        return [f"{label}: not tested for missing terms"]
+    return [
+        f"{label}: the model {misfit.verdict}",
+        *(f"  {cause.explained}" for cause in misfit.likely[:1]),
+    ]
+
+
 def show(board: Callable[[Path], list[str]], options: argparse.Namespace) -> None:
     """Print the table of a board, and write it to a file on request."""
     text = "\n".join(board(options.folder))

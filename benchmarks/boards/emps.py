@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 
 import numpy as np
-from command import heading, parser, show
+from command import heading, judged, parser, show
 from scipy.io import loadmat
 
 import greybox as gb
@@ -94,6 +94,8 @@ def board(folder: Path) -> list[str]:
     begin = time.process_time()
     fit = gb.fit(gb.Problem(Drive(), first), STARTS, progress=False, profiles=False)
     spent = time.process_time() - begin
+    smooth = gb.Problem(Drive(), first, fixed={"F_c": 0.0})
+    without = gb.fit(smooth, STARTS, progress=False, profiles=False)
     lines = [heading(), "", f"{'':8}{'published':>10}{'equation error':>16}{'output error':>20}"]
     for name, value in PUBLISHED.items():
         cell = f"{fit.estimate[name]:.4g} ± {fit.standard_error[name]:.2g}"
@@ -105,6 +107,9 @@ def board(folder: Path) -> list[str]:
         f"{fit.agreeing} of {STARTS} starts at the best minimum, {spent:.0f} s",
         f"{'error on the second half, mm: mean of the first':50}{mean:8.2f}",
         *(f"{name:50}{error(values, second):8.2f}" for name, values in errors.items()),
+        "",
+        *judged("output error", fit),
+        *judged("without Coulomb friction", without),
     ]
 
 

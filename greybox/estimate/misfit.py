@@ -41,6 +41,7 @@ from greybox.statistics.score_test import (
 # Largest share of correct models for which a misfit may be reported: many fits are made, and
 # misfits of the size of the noise have far smaller probabilities.
 FALSE_ALARMS = 0.001
+POSSIBLE = 0.05  # the same where drift alone would excuse the model
 NAMED = 3  # causes that are printed with a fit
 # Terms that together explain all of the misfit: more would fit noise.
 TOGETHER = 5
@@ -51,6 +52,7 @@ ALIKE = 0.95  # correlation of effects beyond which two terms count as one
 # seldom so slow. And of the output, what a reader would see.
 DRIFTING, NOTICED = 0.99, 0.01
 PIECES = 10  # of a record, whose means show an offset
+LARGE = 10  # times what noise leaves, beyond which a model describes nothing
 TINY = 1e-300
 COLUMNS = 2_000_000  # numbers in memory for all terms at once, 16 MB
 # Samples of all records that are tested, in excerpts: with more, a fit would wait for the test.
@@ -77,7 +79,9 @@ class Cause:
     value, error : float
         The factor on the term that a fit would estimate, to first order, and its standard error.
     share : float
-        Share of the misfit that it explains, to first order.
+        Share of the misfit that it explains, to first order, as far as earlier samples do not
+        predict it. Where the misfit of records is far above the noise, the share of all of it
+        counts if that is larger.
     p_value : float
         Probability of such a share if the model explains the data, times the number of terms that
         were tried for records, or for responses.
@@ -189,27 +193,33 @@ class Misfit(Printed):
     @property
     def is_large(self) -> bool:
         """Whether the model leaves more than ten times what noise would."""
-        return not self.explains and self.left > 10 * self.noise
+        return not self.explains and self.left > LARGE * self.noise
 
     @property
     def likely(self) -> tuple[Cause, ...]:
         """The causes that are named: up to three, where the model may not explain the data."""
-        return tuple([cause for cause in self.causes if cause.p_value < FALSE_ALARMS][:NAMED])
+        limit = POSSIBLE if self.is_drifting else FALSE_ALARMS
+        return tuple([cause for cause in self.causes if cause.p_value < limit][:NAMED])
+
+    @property
+    def is_drifting(self) -> bool:
+        """Whether large, slow residuals are all that is wrong, and no term is certain."""
+        return self.explains and self.drift > DRIFTING and self.left > NOTICED
 
     @property
     def verdict(self) -> str:
         """Whether the model explains the data, in a few words."""
         left = f"{percent(self.left)} % of their variance is left and follows"
         noise = f"noise alone would leave about {percent(self.noise)} %"
+        if self.is_drifting:
+            return (
+                f"explains the data only if errors drift: {left} from earlier samples, but for "
+                f"certain from none of {self.tried} missing terms"
+            )
         if self.explains and self.likely:
             return (
                 "explains the data only if errors of neighboring points are correlated, or larger "
                 f"at one end: otherwise, {left} what drove the test; {noise}"
-            )
-        if self.explains and self.drift > DRIFTING and self.left > NOTICED:
-            return (
-                f"explains the data only if errors drift: {left} from earlier samples, but from "
-                f"none of {self.tried} missing terms"
             )
         if self.explains:
             return f"explains the data: the residuals follow none of {self.tried} missing terms"
@@ -343,6 +353,12 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
         for columns in (fitted, together)
     )
     explained = len(white_residuals) * (1 - remainder / (without + TINY)) + TINY
+    left, noise = _shares(parts, (residuals, beside(residuals, together)), outputs)
+    shares = [decrease / explained for (decrease, *_), *_ in ranked]
+    if left > LARGE * noise:
+        # Residuals without noise are whitened by what the misfit is like: slow parts count little.
+        alone = score_tests(residuals[:, 0], fitted, best_columns)[0] / len(residuals)
+        shares = np.maximum(shares, alone).tolist()
     p_values = [p_value for (_, p_value, *_), *_ in ranked]
     if in_time and ranked:
         p_values = autoregressive_p_values(residuals[:, 0], fitted, best_columns, outputs).tolist()
@@ -357,14 +373,13 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
         blocks = [part.separate() for part in parts if part.separate]
         apart, noise_apart = correlated_score(blocks), sum(np.sum(rows**2) for rows, *_ in blocks)
         p_common = p_value_of_scores(score, apart, len(residuals))
-    is_common = p_common >= FALSE_ALARMS
 
     texts = [terms[key].described(test[2], test[3]) for test, key, _ in ranked]
     alike = _alike(beside(white(best_columns), white_fitted), texts) if ranked else []
     causes = []
     for k, ((decrease, _, value, error), key, column) in enumerate(ranked):
         p_value = p_correlated = p_values[k]
-        if terms[key].kind in ("own", "schedule", "trim") and not is_common:
+        if terms[key].kind in ("own", "schedule", "trim") and p_common < FALSE_ALARMS:
             # Residuals that other values could explain, too, are not noise.
             share_apart = noise_apart / (noise_apart + decrease * without / len(residuals))
             p_value = p_correlated = float(chance(share_apart, len(residuals) - apart[1]))
@@ -372,26 +387,31 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
             columns = np.hstack([fitted, column])
             beside_it = correlated_score([(residuals, columns, lengths)])
             p_correlated = max(p_value, p_value_of_scores(score, beside_it, len(residuals)))
-        shares = np.minimum([decrease / explained, tried * p_value, tried * p_correlated], 1.0)
+        numbers = np.minimum([shares[k], tried * p_value, tried * p_correlated], 1.0).tolist()
         term = terms[key]
         added = (term.b, term.added) if term.added else None
-        causes.append(Cause(*texts[k], value, error, *shares.tolist(), alike=alike[k], added=added))
+        causes.append(Cause(*texts[k], value, error, *numbers, alike=alike[k], added=added))
 
-    shape = None
-    if in_time and causes and causes[0].p_value < FALSE_ALARMS:
-        shape = _shape(parts, ranked[0], texts[0][0], white, white_residuals, white_fitted)
+    shape, k = None, int(np.argmax([*shares, 0.0]))
+    if in_time and causes and causes[k].p_value < FALSE_ALARMS:
+        shape = _shape(parts, ranked[k], texts[k][0], white, white_residuals, white_fitted)
     causes += [cause for part in parts for cause in part.causes]
-    squares = float(np.sum(residuals**2)) + TINY
-    white_squares = [len(residuals) / float(row[0]) ** 2 for row in filters]
     return Misfit(
-        *_shares(parts, (residuals, beside(residuals, together)), outputs),
+        left,
+        noise,
         tried,
         tuple(causes),
         p_common,
-        1 - min(white_squares, default=squares) / squares,
+        _drift(residuals, filters),
         any(part.is_unstable for part in parts),
         shape,
     )
+
+
+def _drift(residuals: Array, filters: Sequence[Array]) -> float:
+    """Return the share of the squares of the residuals (N, 1) that earlier samples predict."""
+    squares = float(np.sum(residuals**2)) + TINY
+    return 1 - min((len(residuals) / float(w[0]) ** 2 for w in filters), default=squares) / squares
 
 
 def _shares(

@@ -42,6 +42,10 @@ TEXTS = {
         "a lead of {a} by {size} s, one more zero",
         "a state {a}_lag with the derivative (u.{a} - x.{a}_lag) / p.T_lag",
     ),
+    "flexible": (
+        "a lightly damped mode of {a} near {level} rad/s",
+        "a flexible part: states of a mass on a spring that {a} moves",
+    ),
     "curve": (
         "a saturation of {a} near ±{level}",
         "a dead zone of {a} near ±{level}",
@@ -127,6 +131,7 @@ NEAR_HALF = 0.6
 STOPS = (0.05, 0.15, 0.85, 0.95)
 CREEP = 0.2  # of the largest value of a signal, below which its sign counts less
 DAMPING = 0.05  # of modes
+MODES = 24  # frequencies of the modes that are tried in records
 LARGE = 10  # states and inputs beyond which an equation is tried with its own alone
 # Steps of the gain that are tried. With a step at a wrong point, errors would look correlated.
 EDGES = 32
@@ -259,6 +264,8 @@ def _delays(record: DisturbedRecord, row: Array) -> Iterator[tuple[Array, float]
 
 
 def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Term]:
+    from scipy.signal import bilinear  # noqa: PLC0415  (takes a tenth of a second to import)
+
     step = record.part.data.stretches[0].step
     model = record.part.model
     half_step = np.inf if is_stated(model.criterion.inputs, a, model.record) else step / 2
@@ -272,7 +279,13 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
     for row, T in _delays(record, u):
         yield term("timing", row, scale=T)
         if T != 1:
-            yield term("lag", record.by_stretch(_lagged, u, T) - u, scale=T)
+            decay = float(np.exp(-step / T))  # of a lag; the input itself is taken off
+            lagged = record.by_stretch(_filtered, u, [-decay, decay], [1, -decay])
+            yield term("lag", lagged, scale=T)
+    # From one period in the record to three samples in a radian.
+    for w in (np.geomspace(6.3 / len(u), 0.3, MODES) / step).tolist():
+        mode = bilinear([1.0, 0.0, 0.0], [1.0, 2 * DAMPING * w, w**2], 1 / step)
+        yield term("flexible", record.by_stretch(_filtered, u, *mode), w)
     about = u - np.median(u)
     for level in float(np.abs(about).max()) * np.array(LEVELS):
         yield term("curve", np.clip(about, -level, level), level)
@@ -389,11 +402,10 @@ def _delayed(piece: Array, step: float, T: float) -> Array:
     return np.interp(samples - T / step, samples, piece)
 
 
-def _lagged(piece: Array, step: float, T: float) -> Array:
+def _filtered(piece: Array, step: float, b: Any, a: Any) -> Array:
     from scipy.signal import lfilter  # noqa: PLC0415  (takes a tenth of a second to import)
 
-    a = float(np.exp(-step / T))
-    return lfilter([1 - a], [1, -a], piece, zi=[a * piece[0]])[0]
+    return np.asarray(lfilter(b, a, piece - piece[0]))
 
 
 def terms_of_response(omega: Array) -> Iterator[Term]:

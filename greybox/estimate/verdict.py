@@ -53,7 +53,9 @@ def verdict(fit: Any) -> Verdict:
     sentences = [_minimum(fit), _determined(fit)]
     misfit = fit.misfit
     if misfit is not None:
-        sentences.insert(0, (misfit.explains, f"The model {misfit.verdict}."))
+        sentences.insert(
+            0, (misfit.explains and not misfit.is_drifting, f"The model {misfit.verdict}.")
+        )
     is_good = all(is_good for is_good, _ in sentences) and not fit.warnings
     grade: Grade = "good" if is_good else "doubt"
     # No start agrees on the minimum of a model that explains nothing, wherever they end.

@@ -9,6 +9,7 @@ from scipy.signal import lfilter
 
 import greybox as gb
 from greybox.estimate.misfit import Cause, Misfit
+from greybox.estimate.verdict import verdict
 from greybox.models.rate import DampedAngle
 from greybox.problems import pitch_5deg, pitch_hover
 
@@ -417,6 +418,21 @@ def test_a_stop_is_named():
     assert any("a stop or an overflow of x" in cause.text for cause in fit.misfit.likely[:2])
 
 
+def test_a_flexible_part_is_named():
+    class Flexible(Spring):
+        """A command through a mass on a spring, 12 rad/s with a damping of 5 %."""
+
+        states = ("x", "v", "z", "w")
+
+        def derivative(self, x, u, p):
+            spring = -p.k * x.x - p.d * x.v
+            return (x.v, p.b * x.z + spring, x.w, 144 * (u.u - x.z) - 1.2 * x.w)
+
+    misfit = fitted(Flexible).misfit
+    assert not misfit.explains
+    assert any("a lightly damped mode of u" in cause.text for cause in misfit.likely[:2])
+
+
 def test_an_offset_is_named_and_drift_is_none():
     shifted = problem()
     record = shifted.data
@@ -443,10 +459,41 @@ def test_slow_errors_of_any_size_are_a_condition_of_the_verdict():
     slow = problem()
     walk = np.cumsum(lfilter([0.01], [1, -0.9], np.random.default_rng(6).normal(size=SAMPLES)))
     slow = slow.with_(data=slow.data.with_signals(x=slow.data["x"] + walk))
-    misfit = gb.fit(slow, starts=1, progress=False).misfit
+    fit = gb.fit(slow, starts=1, progress=False)
+    misfit = fit.misfit
     assert misfit.explains
     assert misfit.drift > 0.99
     assert "only if errors drift" in misfit.verdict
+    assert verdict(fit).grade == "doubt"
+
+
+def test_a_cause_far_above_the_noise_explains_what_a_fit_would_remove():
+    """A drive whose friction is far above the noise of its encoder, moved back and forth."""
+
+    class Drive(gb.StateSpace):
+        states, inputs, outputs = ("x", "v"), ("u",), ("x",)
+        d, b = gb.Parameter(2.0, bounds=(0, 50)), gb.Parameter(1.0, bounds=(0, 50))
+
+        def derivative(self, x, u, p):
+            return (x.v, p.b * u.u - p.d * x.v)
+
+        def output(self, x, u, p):
+            return (x.x,)
+
+    class Rubbing(Drive):
+        def derivative(self, x, u, p):
+            return (x.v, p.b * u.u - p.d * x.v - 0.2 * gb.tanh(x.v / 5e-3))
+
+    random, time = np.random.default_rng(0), 0.01 * np.arange(2000)
+    u = np.sin(2 * time) + 0.5 * np.sin(3.3 * time) + 0.1 * np.sin(40 * time)
+    record = gb.Record(time, {"u": u}, hold={"u": np.inf})
+    x = gb.simulate(Rubbing(), {}, record)["x"]
+    record = record.with_signals(x=x + 1e-4 * random.normal(size=2000))
+    misfit = gb.fit(gb.Problem(Drive(), record), starts=1, progress=False).misfit
+    assert misfit.is_large
+    # The residuals of the true model are the noise: 3e-5 of those without friction.
+    friction = next(cause for cause in misfit.likely[:2] if "sign(v)" in cause.text)
+    assert friction.share == pytest.approx(1.0, abs=0.03)
 
 
 @pytest.mark.parametrize("offset", [0.0, 0.3])
