@@ -376,9 +376,11 @@ class TransientPart(Part):
         jacobian = np.vstack([mean.reshape(-1, len(values)), variance])
         # The errors may be larger at some frequencies than at others, as in turbulence, and
         # correlated between outputs: their covariance is that of the errors at lines nearby. What
-        # the fit took from them is put back: MacKinnon and White (1985), Journal of Econometrics
-        # 29 (HC3).
+        # the fit took from them is put back, for parameters line by line: MacKinnon and White
+        # (1985), Journal of Econometrics 29 (HC3); for the end term on average.
+        numbers = self.numbers - len(self.states)
         weighted = at.covariance.weight(at.errors @ at.errors.T) @ at.errors
+        weighted *= math.sqrt(self.numbers / numbers)
         remaining = beside(np.eye(weighted.size), mean.reshape(-1, len(values))).diagonal()
         shape = len(self.outputs), 2, len(self.data)
         errors = (weighted.ravel() / np.maximum(remaining, LEAST_LEFT)).reshape(shape)
@@ -394,7 +396,7 @@ class TransientPart(Part):
         return Information(
             self,
             jacobian,
-            self.numbers - len(self.states),
+            numbers,
             lambda correction: (1.0, meat),
             reach,
             doubtful=() if trajectory is None else tuple(self.doubtful(trajectory.z)),

@@ -5,17 +5,17 @@ from typing import Any
 
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
 from greybox.compiled.transcription.method import Transcription
-from greybox.estimate.fitted_part import FittedRecord, FittedResponse
+from greybox.estimate.fitted_part import FittedResponse, FittedSpectrum
 from greybox.estimate.harmonic_numbers import with_enough_harmonics
 from greybox.estimate.result import Fit
-from greybox.formulation.included_criteria import CRITERIA, TIME_CRITERIA
+from greybox.formulation.included_criteria import CRITERIA, SPECTRUM_CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
-from greybox.formulation.time_criteria import TimeCriterion
 from greybox.solve.robust_errors import with_pseudo_values
 
 # Only classes of greybox are looked up: a file must not name code that is then run.
-KINDS: dict[str, Any] = {c.class_path: type(c) for c in (*CRITERIA, *TIME_CRITERIA)}
+ALL = (*CRITERIA, *TIME_CRITERIA, *SPECTRUM_CRITERIA)
+KINDS: dict[str, Any] = {criterion.class_path: type(criterion) for criterion in ALL}
 
 
 def compiled_again(
@@ -79,14 +79,12 @@ def problem_of(fit: Fit) -> AnyProblem:
                 )
         model = fit.model_of(k)
         criterion = KINDS[part.criterion_class](**part.settings)
-        declared = dict(model.parameters)
         at: dict[str, Any] = {}
-        if isinstance(criterion, TimeCriterion):
-            assert isinstance(part, FittedRecord)
-            declared |= criterion.parameters(model, part.data)
-        else:
-            assert isinstance(part, FittedResponse)
-            at = {"at": part.at, "amplitude": part.sine}
+        if isinstance(part, FittedResponse | FittedSpectrum):
+            at["at"] = part.at
+        if isinstance(part, FittedResponse):
+            at["amplitude"] = part.sine
+        declared = Problem(model, part.data, criterion, **at).declared
         outside = {name: part.outside(name) for name in declared}
 
         def inside(

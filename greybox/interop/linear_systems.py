@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.estimate.fitted_part import FittedResponse
+from greybox.estimate.fitted_part import FittedResponse, FittedSpectrum
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
 from greybox.modeling.linearization import LinearSystem, linearize
@@ -139,7 +139,7 @@ def given_model(
             if name in model.parameters
         }
         if at is None:
-            at = fitted.at if isinstance(fitted, FittedResponse) else {}
+            at = fitted.at if isinstance(fitted, FittedResponse | FittedSpectrum) else {}
         return GivenModel(model, values, at, thing.name)
 
     if isinstance(thing, Model):

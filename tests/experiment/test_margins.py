@@ -331,3 +331,34 @@ def test_the_uncertainty_holds_the_true_loop_and_grows_outside_the_data(fit):
     assert np.mean(np.abs(truth / loop - 1) < 1.5 * radius) > 0.9
     assert radius[-1] > 2 * radius[np.searchsorted(omega, 10)]
     assert np.isnan(gb.margins(RateDynamics(), RateLoop()).uncertainty(omega)).all()
+
+
+class Drag(gb.StateSpace):
+    """Yaw rate under a torque and quadratic drag."""
+
+    states, inputs, outputs = ("q",), ("u",), ("q",)
+    drag = gb.Parameter(0.2, bounds=(0.01, 2))
+
+    def derivative(self, x, u, p):
+        return (5 * u.u - p.drag * abs(x.q) * x.q,)
+
+    def output(self, x, u, p):
+        return (x.q,)
+
+
+def test_a_fitted_manoeuvre_is_closed_about_the_point_of_its_fit():
+    t, spin = 0.05 * np.arange(200), {"q": 5.0}
+    u = 1.5 + 0.02 * np.sign(np.sin(0.9 * t)) * (t < 8)
+    flown = gb.Record(t, {"u": u})
+    clean = gb.simulate(Drag(), {"drag": 0.3}, flown, initial=spin)["q"]
+    noise = 2e-3 * np.random.default_rng(1).normal(size=len(t))
+    flown = flown.with_signals(q=clean + noise)
+    spectrum = gb.spectral.transient_spectrum(flown, "u", "q", (0.6, 6.0))
+    fit = gb.fit(gb.Problem(Drag(), spectrum, at=spin), [{}], profiles=False, progress=False)
+    answer, expected = (
+        gb.margins(fit, RateLoop()),
+        gb.margins(Drag(), RateLoop(), fit.estimate, at=spin),
+    )
+    at_rest = gb.margins(Drag(), RateLoop(), fit.estimate)
+    assert answer["phase margin"].value == pytest.approx(expected["phase margin"].value)
+    assert expected["phase margin"].value != pytest.approx(at_rest["phase margin"].value, rel=0.1)

@@ -209,3 +209,28 @@ def test_a_delayed_input_rests_at_the_operating_point(control, pade):
     there = gb.interop.to_control(SquareLag(), {}, kind="state-space", pade=pade, at=at)
     wanted = gb.frequency_response(SquareLag(), {}, [0.5, 4.0], at=at, delay=f"pade:{pade}")
     np.testing.assert_allclose(there(1j * np.array([0.5, 4.0])), wanted.response, rtol=1e-9)
+
+
+class Drag(gb.StateSpace):
+    """Velocity under thrust and quadratic drag."""
+
+    states, inputs, outputs = ("v",), ("thrust",), ("v",)
+    drag = gb.Parameter(0.2, bounds=(0.01, 2))
+
+    def derivative(self, x, u, p):
+        return (u.thrust - p.drag * abs(x.v) * x.v,)
+
+    def output(self, x, u, p):
+        return (x.v,)
+
+
+def test_a_fitted_manoeuvre_is_converted_about_the_point_of_its_fit():
+    """At a speed of 5 m/s the pole lies at -2 · 0.3 · 5 rad/s, at rest in the origin."""
+    t, cruise = 0.05 * np.arange(200), {"v": 5.0}
+    thrust = 0.1 * np.sign(np.sin(0.9 * t)) * (t < 8)
+    flown = gb.Record(t, {"thrust": 7.5 + thrust})
+    speed = gb.simulate(Drag(), {"drag": 0.3}, flown, initial=cruise)["v"]
+    spectrum = gb.spectral.transient_spectrum(flown.with_signals(v=speed), "thrust", "v", (0.6, 6))
+    problem = gb.Problem(Drag(), spectrum, at=cruise)
+    fit = gb.fit(problem, [{}], profiles=False, progress=False)
+    assert given_model(fit, None, None).matrices(None).A.item() == pytest.approx(-3.0, rel=0.02)
