@@ -5,7 +5,6 @@ from typing import Any
 
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
 from greybox.compiled.transcription.method import Transcription
-from greybox.estimate.fitted_part import FittedResponse, FittedSpectrum
 from greybox.estimate.harmonic_numbers import with_enough_harmonics
 from greybox.estimate.result import Fit
 from greybox.formulation.included_criteria import CRITERIA, SPECTRUM_CRITERIA, TIME_CRITERIA
@@ -79,12 +78,19 @@ def problem_of(fit: Fit) -> AnyProblem:
                 )
         model = fit.model_of(k)
         criterion = KINDS[part.criterion_class](**part.settings)
-        at: dict[str, Any] = {}
-        if isinstance(part, FittedResponse | FittedSpectrum):
-            at["at"] = part.at
-        if isinstance(part, FittedResponse):
-            at["amplitude"] = part.sine
-        declared = Problem(model, part.data, criterion, **at).declared
+        # A record has no operating point, and only a response an amplitude.
+        problem = Problem(
+            model,
+            part.data,
+            criterion,
+            delay=part.delay,
+            rename=part.rename,
+            weight=part.weight,
+            name=part.name,
+            at=getattr(part, "at", {}),
+            amplitude=getattr(part, "sine", None),
+        )
+        declared = problem.declared
         outside = {name: part.outside(name) for name in declared}
 
         def inside(
@@ -93,22 +99,14 @@ def problem_of(fit: Fit) -> AnyProblem:
             return {name: values[o] for name, o in outside.items() if o in values}
 
         problems.append(
-            Problem(
-                model,
-                part.data,
-                criterion,
+            problem.with_(
                 fixed=inside(held),
                 # What the model declares fixed and the fit estimated was freed by its problem.
                 free=[
                     name for name, p in declared.items() if p.fixed and outside[name] not in held
                 ],
-                delay=part.delay,
-                rename=part.rename,
-                weight=part.weight,
-                name=part.name,
                 bounds=inside(bounds),
                 starts=inside(boxes),
-                **at,
             )
         )
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.data.intersample import NO_HOLD
 from greybox.estimate.draws import drawn_values
-from greybox.estimate.fitted_part import FittedResponse, FittedSpectrum
+from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.result import Fit
 from greybox.experiment.controller import Controller
 from greybox.experiment.sampled_loop import SampledLoop, sampled_loop
@@ -52,12 +52,11 @@ def drawn_loops(
 
     model, fitted = plant.model_of(part), plant.parts[part]
     has_hold = isinstance(fitted, FittedResponse) and NO_HOLD not in fitted.data.about
-    is_linearized = isinstance(fitted, FittedResponse | FittedSpectrum)
     return sampled_loop(
         model,
         _plants(plant, [fitted.rename.get(name, name) for name in model.parameters]),
         controller,
-        at=fitted.at if is_linearized and not at else at,
+        at=at or getattr(fitted, "at", {}),
         delay_has="hold" if has_hold else "nothing",
     )
 

@@ -7,7 +7,6 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.estimate.fitted_part import FittedResponse, FittedSpectrum
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
 from greybox.modeling.linearization import LinearSystem, linearize
@@ -139,7 +138,7 @@ def given_model(
             if name in model.parameters
         }
         if at is None:
-            at = fitted.at if isinstance(fitted, FittedResponse | FittedSpectrum) else {}
+            at = getattr(fitted, "at", {})  # a record has none
         return GivenModel(model, values, at, thing.name)
 
     if isinstance(thing, Model):
