@@ -5,6 +5,7 @@ from typing import Any
 
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
 from greybox.compiled.transcription.method import Transcription
+from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.harmonic_numbers import with_enough_harmonics
 from greybox.estimate.result import Fit
 from greybox.formulation.included_criteria import CRITERIA, SPECTRUM_CRITERIA, TIME_CRITERIA
@@ -88,8 +89,9 @@ def problem_of(fit: Fit) -> AnyProblem:
             weight=part.weight,
             name=part.name,
             at=getattr(part, "at", {}),
-            amplitude=getattr(part, "sine", None),
         )
+        if isinstance(part, FittedResponse):
+            problem = problem.with_(amplitude=part.sine)
         declared = problem.declared
         outside = {name: part.outside(name) for name in declared}
 

@@ -138,7 +138,7 @@ def given_model(
             if name in model.parameters
         }
         if at is None:
-            at = getattr(fitted, "at", {})  # a record has none
+            at = dict(getattr(fitted, "at", {}))  # a record has none
         return GivenModel(model, values, at, thing.name)
 
     if isinstance(thing, Model):
