@@ -453,10 +453,9 @@ class ResidualSpectra:
 
     @cached_property
     def _sensor_parts(self) -> list[tuple[ComplexArray, ComplexArray]]:
-        flat = np.ones(len(self.grid.weight), dtype=complex)
-        return [
-            self._noise_part(np.diag(row)[:, :, None] * flat) for row in np.eye(len(self.counts))
-        ]
+        flat = np.ones(len(self.grid.weight))
+        units = np.eye(len(self.counts), dtype=complex)
+        return [self._noise_part(np.diag(unit)[:, :, None] * flat) for unit in units]
 
     def _noise_part(self, spectrum: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
         """Return the density (k, k, b) of a part, and its expected periodogram (b, k, k)."""
