@@ -453,11 +453,12 @@ class ResidualSpectra:
 
     @cached_property
     def _sensor_parts(self) -> list[tuple[ComplexArray, ComplexArray]]:
-        flat = np.ones(len(self.grid.weight))
-        units = np.eye(len(self.counts), dtype=complex)
-        return [self._noise_part(np.diag(unit)[:, :, None] * flat) for unit in units]
+        flat = np.ones(len(self.grid.weight), dtype=complex)
+        return [
+            self._noise_part(np.diag(row)[:, :, None] * flat) for row in np.eye(len(self.counts))
+        ]
 
-    def _noise_part(self, spectrum: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    def _noise_part(self, spectrum: NDArray) -> tuple[ComplexArray, ComplexArray]:
         """Return the density (k, k, b) of a part, and its expected periodogram (b, k, k)."""
         size = self.grid.size
         expected = np.fft.rfft(np.fft.irfft(spectrum, size) * self._measured_pairs, size)
