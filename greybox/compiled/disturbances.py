@@ -86,9 +86,12 @@ class DisturbedRecord:
 
     def by_input(self, place: int, values: Array) -> Effect:
         """Return the effect of values (samples,) that add to an input."""
-        n = self.part.states
-        changes = self._slopes_of_formulas[:, place - self.inputs.shape[0]] * values
         is_held = self.part.model.between[place].held
+        return self.by_formulas(place - self.inputs.shape[0], values, is_held)
+
+    def by_formulas(self, place: int, values: Array, is_held: bool = False) -> Effect:
+        """Return the effect of values (samples,) that add to a parameter, also to a fixed one."""
+        changes, n = self._slopes_of_formulas[:, place] * values, self.part.states
         effect = self._by_derivatives(changes[:n], is_held)
         return effect, self.part.segments.columns(changes[n:])
 

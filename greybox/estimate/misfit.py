@@ -392,9 +392,8 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
         added = (term.b, term.added) if term.added else None
         causes.append(Cause(*texts[k], value, error, *numbers, alike=alike[k], added=added))
 
-    shape, k = None, int(np.argmax([*shares, 0.0]))
-    if in_time and causes and causes[k].p_value < FALSE_ALARMS:
-        shape = _shape(parts, ranked[k], texts[k][0], white, white_residuals, white_fitted)
+    tests = [*zip(ranked, causes, strict=True)]
+    shape = _shape(parts, tests, white, white_residuals, white_fitted) if in_time else None
     causes += [cause for part in parts for cause in part.causes]
     return Misfit(
         left,
@@ -430,14 +429,19 @@ def _shares(
 
 def _shape(
     parts: Sequence[_Regression],
-    test: tuple[list[float], Key, Array],
-    text: str,
+    tests: Sequence[tuple[tuple[list[float], Key, Array], Cause]],
     white: Callable[[Array], Array],
     residuals: Array,
     fitted: Array,
 ) -> Shape | None:
-    """Return the shape of a term over the signal that explains most of white residuals (N, 1)."""
-    (_, _, value, _), key, column = test
+    """Return the shape of the best term over the signal that explains most of residuals (N, 1)."""
+    # A wrong value has no shape; the next best term shows what it stands for.
+    drawn = [
+        pair for pair in tests if pair[0][1][0][0] != "fixed" and pair[1].p_value < FALSE_ALARMS
+    ]
+    if not drawn:
+        return None
+    ((_, _, value, _), key, column), cause = max(drawn, key=lambda pair: pair[1].share)
     best, least = None, np.inf
     # A value that one record needs has no place in the others.
     terms = [part.terms[key] for part in parts if key in part.terms]
@@ -458,7 +462,7 @@ def _shape(
             errors = size * np.linalg.norm(inverse, axis=1)
             by_term = inverse @ beside(white(value * column), fitted)
             rows = (np.ravel(row).tolist() for row in (knots, values, errors, by_term))
-            best, least = Shape(text, name, *map(tuple, rows)), size
+            best, least = Shape(cause.text, name, *map(tuple, rows)), size
     return best
 
 

@@ -7,6 +7,7 @@ steps of the gain.
 
 import itertools
 import operator
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cache, partial
@@ -66,7 +67,7 @@ TEXTS = {
     ),
     "equation": (
         "{a} in the equation of {b}",
-        "the derivative of {b} gets + p.c * {a}",
+        "the derivative of {b} gets + p.c * {code}",
     ),
     "limit": (
         "a stop or an overflow of {a} near {level} in the equation of {b}",
@@ -79,6 +80,11 @@ TEXTS = {
     "change": (
         "{a} changes along the record",
         "two records, rename={{'{a}': '{a}_later'}} for the second",
+    ),
+    "fixed": (
+        "a value of {a} that is larger by {size} ± {error} than its fixed one",
+        "a value of {a} that is smaller by {size} ± {error} than its fixed one",
+        "free=['{a}'] in the problem, and no fixed value of it",
     ),
     "own": (
         "a value of {a} that is larger by {size} ± {error} in '{b}' than elsewhere",
@@ -157,6 +163,8 @@ class Term:
         Half of the step between samples if nobody states how the input runs between them.
     added : function or None
         The unit term, if it adds to the derivative of the state `b`.
+    code : str
+        The unit term as a model has it, if it is not the text `a`.
     outputs : mapping of str to float
         Outputs that have this derivative in them, such as accelerations, and its factor there.
     """
@@ -171,6 +179,7 @@ class Term:
     largest: float = np.inf
     half_step: float = np.inf
     added: Formula | None = None
+    code: str = ""
     outputs: Mapping[str, float] = field(default_factory=dict)
 
     @property
@@ -187,6 +196,7 @@ class Term:
         size, deviation = (number(abs(x) * self.scale, 2) for x in (factor, error))
         level = number(self.level, 2)
         values = {"a": self.a, "b": self.b, "level": level, "size": size, "error": deviation}
+        values["code"] = self.code or self.a
         also = [
             f", and so does the output {name}" + f", {factor:.3g} times" * (f"{factor:.3g}" != "1")
             for name, factor in self.outputs.items()
@@ -253,6 +263,10 @@ def _of_parameters(record: DisturbedRecord) -> Iterator[Term]:
         for kind, row, b in changes:
             name = part.model.outside_names[k]
             yield Term(kind, row, partial(record.by_parameter, place), name, b)
+    for k in range(part.system.symbols[2].numel()):
+        if k not in part.model.active:
+            name = part.model.outside_names[k]
+            yield Term("fixed", np.ones_like(samples), partial(record.by_formulas, k), name)
 
 
 def _delays(record: DisturbedRecord, row: Array) -> Iterator[tuple[Array, float]]:
@@ -308,6 +322,10 @@ def _of_equations(
     p = dict(zip(record.part.model.parameters, record.parameters, strict=True))
     signals = (Names(x), Names(u), Names(p))
 
+    def in_model(word: re.Match[str]) -> str:
+        place = "x." if word[0] in x else "u." if word[0] in u else "gb." * (word[0] == "sign")
+        return place + word[0]
+
     # Equations of a small model have the same neighbors, and so the same functions of them.
     @cache
     def shapes_of(names: frozenset[str]) -> dict[str, tuple[Array, Formula]]:
@@ -330,7 +348,10 @@ def _of_equations(
         outputs = {name: factor for name, factor in factors if factor}
         for a, (row, formula) in shapes_of(names).items():
             if a not in present:
-                yield Term("equation", row, by_state, a, b, added=formula, outputs=outputs)
+                code = a if a in candidates else re.sub(r"\w+", in_model, a)
+                yield Term(
+                    "equation", row, by_state, a, b, added=formula, code=code, outputs=outputs
+                )
         for a, share in itertools.product([name for name in x if name in names], STOPS):
             level, bound = float(np.quantile(x[a], share)), maximum if share > 0.5 else minimum
             formula = _formula(lambda a, level=level, bound=bound: bound(a - level, 0.0), a)

@@ -69,7 +69,8 @@ def facts(fit: Any) -> list[tuple[str, str]]:
         for part in fit.responses
         if part.pade_error is not None
     )
-    correlated = correlations(fit)
+    pairs = () if fit.directions is None else fit.identifiability.correlated
+    correlated = ", ".join(f"{a} and {b} ({value:.2f})" for a, b, value in pairs)
 
     return [
         (
@@ -80,7 +81,7 @@ def facts(fit: Any) -> list[tuple[str, str]]:
         ("cost", f"{fit.cost:.6g}  ({fit.rule})"),
         *_magnitude_phase_costs(fit.responses),
         ("delay", f"{fit.delay}{pade}"),
-        *([("correlated", f"beyond 0.9: {correlated}")] if correlated else []),
+        *([("correlated", f"beyond 0.9: {correlated.replace('-', '−')}")] if correlated else []),
         ("time", f"{fit.seconds:.2f} s"),
     ]
 
@@ -91,21 +92,16 @@ def _magnitude_phase_costs(responses: Sequence[FittedResponse]) -> list[tuple[st
     if not costs or not all(math.isfinite(cost) for cost, _ in costs):
         return []
     mean = number(sum(cost for cost, _ in costs) / len(costs), 3)
-    text = f"{mean} by magnitude and phase (guideline: at most 100)"
-    if len(costs) > 1:
-        by_pair = some([f"{name} {number(cost, 3)}" for cost, name in costs], 3)
-        text = f"{mean} on average by magnitude and phase (guideline: at most 100); {by_pair} (200)"
+    by_pair = some([f"{name} {number(cost, 3)}" for cost, name in costs], 3)
+    average, pairs = (" on average", f"; {by_pair} (200)") if len(costs) > 1 else ("", "")
+    text = f"{mean}{average} by magnitude and phase (guideline: at most 100){pairs}"
     return [("agreement", text)]
-
-
-def correlations(fit: Any) -> str:
-    """Return the correlations beyond 0.9, by name; without any, an empty text."""
-    pairs = () if fit.directions is None else fit.identifiability.correlated
-    return ", ".join(f"{a} and {b} ({value:.2f})" for a, b, value in pairs).replace("-", "−")
 
 
 def closeness(fit: Any) -> list[tuple[str, str]]:
     """Return data, priors, inputs and how closely the model follows, as labels with texts."""
+    rows = [part for part in fit.records if not part.data.has_time]
+    untested = [part.name for part in (*rows, *fit.spectra)]
     texts = (
         ("data", [data_text(fit)]),
         ("prior", _prior_texts(fit)),
@@ -113,7 +109,7 @@ def closeness(fit: Any) -> list[tuple[str, str]]:
         ("output", _output_texts(fit.records)),
         ("response", _response_texts(fit.responses)),
         ("output", _spectrum_texts(fit.spectra)),
-        ("model", ["not tested for missing terms"] if fit.misfit is None else []),
+        ("model", [f"not tested for missing terms in {some(untested)}"] if untested else []),
     )
     return [(label, line) for label, lines in texts for line in lines]
 

@@ -6,7 +6,6 @@ from textwrap import dedent
 from typing import Any
 from xml.etree.ElementTree import Element
 
-from greybox.estimate.printed import correlations
 from greybox.estimate.profiles import Profiles
 from greybox.estimate.result import Fit
 from greybox.estimate.verdict import verdict
@@ -65,7 +64,7 @@ def _warnings(fit: Fit) -> list[Element]:
 
 
 def remarks(fit: Fit) -> list[Element]:
-    """Return what the columns of the table mean, correlations, and combinations."""
+    """Return what the columns of the table mean, and combinations."""
     # Without a covariance there is nothing to remark.
     if fit.directions is None:
         return []
@@ -75,8 +74,6 @@ def remarks(fit: Fit) -> list[Element]:
         "most 20 %). Insensitivity is the same if all other parameters were known (at most 10 %). "
         "! marks larger values."
     ]
-    if correlated := correlations(fit):
-        texts.append(f"Correlated beyond 0.9: {correlated}.")
     if combinations := fit.identifiability.combinations:
         texts.append(f"Determined in combination: {'; '.join(map(str, combinations))}.")
     return [tag("p", text, class_="soft") for text in texts]

@@ -5,8 +5,8 @@ import shlex
 from collections.abc import Mapping
 from xml.etree.ElementTree import Element
 
+from greybox.estimate import printed
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
-from greybox.estimate.printed import data_text, error_statement
 from greybox.estimate.result import Fit
 from greybox.files.text_table import counted, number
 from greybox.html_report.elements import Child, tag
@@ -19,12 +19,11 @@ def data_summary(fit: Fit) -> str:
     """Say in one sentence which model was fitted to which data."""
     models = ", ".join(dict.fromkeys(part.label for part in fit.parts))
     free = counted(len(fit.free), "free parameter")
-    return f"{models} with {free}, fitted to {data_text(fit)} by {fit.rule}."
+    return f"{models} with {free}, fitted to {printed.data_text(fit)} by {fit.rule}."
 
 
 def provenance(fit: Fit) -> list[Element]:
     """Return how a fit was made, and where its data come from."""
-    converged = sum(run.converged for run in fit.runs)
     versions = (f"{name} {version}" for name, version in fit.versions.items())
     # A publication may state the cost of another criterion than the one that was minimized.
     other_costs = [
@@ -36,16 +35,13 @@ def provenance(fit: Fit) -> list[Element]:
     facts: dict[str, Child] = {}
     if fit.command:
         facts["made by"] = tag("code", shlex.join(["greybox", *fit.command]))
+    facts |= printed.facts(fit)
     facts |= {
-        "cost": f"{number(fit.cost, 6)} ({fit.rule})",
-        "delay": fit.delay,
-        "starts": f"{fit.starts}; {len(fit.runs)} runs, {converged} converged",
         "seed": "none" if fit.seed is None else str(fit.seed),
-        "time taken": f"{fit.seconds:.2f} s",
         "versions": ", ".join(versions),
     }
     if fit.dof > 0:
-        facts["standard errors"] = error_statement(fit)
+        facts["standard errors"] = printed.error_statement(fit)
     if other_costs:
         facts["other criteria"] = f"{', '.join(other_costs)} at this estimate"
 

@@ -1,5 +1,6 @@
 """A fit says whether its model explains the data, and what it lacks."""
 
+import re
 from functools import cache
 
 import numpy as np
@@ -580,3 +581,46 @@ def test_a_model_that_leaves_a_response_of_ten_points_does_not_explain_it(criter
     misfit = gb.fit(problem, starts=5, profiles=False).misfit
     assert not misfit.explains
     assert 0.9 < misfit.left <= 1.0
+
+
+class Rubbing(Spring):
+    """A spring with dry friction."""
+
+    def derivative(self, x, u, p):
+        v, a = super().derivative(x, u, p)
+        return (v, a - 5 * gb.tanh(x.v / 0.05))
+
+
+@pytest.mark.parametrize(("plant", "sign"), [(Cubic, -20), (Rubbing, -5)])
+def test_the_code_of_a_term_can_be_pasted_into_the_model(plant, sign):
+    for cause in fitted(plant).misfit.likely:
+        found = re.fullmatch(r"the derivative of (\w) gets \+ (.*)", cause.code)
+        if found is None:
+            continue
+
+        class Pasted(Spring):
+            c = gb.Parameter(0.0, bounds=(-100, 100))
+
+            def derivative(self, x, u, p, place=found[1], term=found[2]):
+                added = eval(term, {"gb": gb, "x": x, "u": u, "p": p})
+                rates = Spring.derivative(self, x, u, p)
+                return [r + added * (s == place) for s, r in zip("xv", rates, strict=True)]
+
+        record = problem(plant).record
+        again = gb.fit(gb.Problem(Pasted(), record), starts=1, progress=False)
+        assert again.cost < 0.5 * fitted(plant).cost
+        if cause.text[:4] in ("x**3", "sign"):
+            assert again.estimate["c"] == pytest.approx(sign, rel=0.1)
+            return
+    raise AssertionError("the term that is missing is not among the causes")
+
+
+def test_a_parameter_that_is_fixed_at_a_wrong_value_is_named():
+    record = problem(k=29.0).record
+    fit = gb.fit(gb.Problem(Spring(), record, fixed={"k": 25.0}), starts=1, progress=False)
+    first = fit.misfit.likely[0]
+    assert not fit.misfit.explains
+    assert first.text.startswith("a value of k that is larger by")
+    assert first.value == pytest.approx(4.0, rel=0.1)
+    free = gb.fit(gb.Problem(Spring(), record), starts=1, progress=False)
+    assert free.misfit.explains

@@ -314,3 +314,20 @@ def test_several_tables_share_a_slope():
     assert fit.standard_error["b"] == pytest.approx(
         error, rel=0.1
     )  # each variance has degrees of freedom of its own
+
+
+def test_parts_that_are_not_tested_for_missing_terms_are_named():
+    class Slope(gb.TransferFunction):
+        b = gb.Parameter(1.0, bounds=(0, 10))
+
+        def response(self, s, p):
+            return p.b / (1 + 0.1 * s)
+
+    table = gb.Problem(Line(), rows(), gb.OutputError(noise={"y": 0.1}), name="bench")
+    omega = np.logspace(-1, 1, 12)
+    flown = gb.FrequencyResponse(
+        omega, 3 / (1 + 0.1j * omega), variance=np.full(12, 1e-4), name="flight"
+    )
+    fit = gb.fit(table + gb.Problem(Slope(), flown, gb.MaximumLikelihood()), starts=1)
+    assert fit.misfit.explains
+    assert "not tested for missing terms in bench" in str(fit)

@@ -111,14 +111,9 @@ def test_of_many_records_the_worst_are_drawn(fit):
     assert [element.tag for element in few["Time history"]] == ["div", "div"]
 
 
-def test_remarks_name_what_is_correlated(fit):
+def test_remarks_explain_the_columns(fit):
     texts = [element.text for element in dict(fit_section(Entry("lag", fit)))["Parameters"][1:]]
     assert texts[0].startswith("CR is the Cramér-Rao bound")
-    judged = fit.identifiability
-    pairs = [f"{a} and {b} ({value:.2f})" for a, b, value in judged.correlated]
-    assert [text for text in texts if text.startswith("Correlated")] == (
-        [f"Correlated beyond 0.9: {', '.join(pairs).replace('-', '−')}."] if pairs else []
-    )
 
 
 def test_a_page_without_some_of_the_details_says_how_to_see_them(fit):
