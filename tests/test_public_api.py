@@ -41,7 +41,7 @@ NAMESPACES = {
     "spectrum starts structures time_history traces trend",
     "regression": "EquationErrorEstimate equation_error levy order_path",
     "simulation": "Prediction predict simulate",
-    "solve": "Listed Sobol Starts Strategies WorkerPool",
+    "solve": "Listed Sobol Starts WorkerPool",
     "spectral": "FiniteFrequency Quality check finite_frequency periodic_response response_matrix "
     "spectral_response transient_spectrum",
     "study": "Bootstrap Member Study StudyMember batch bootstrap grid read_study",

@@ -29,7 +29,6 @@ Begin with `compiled_problem`.
 | `colored_errors` | residuals that are correlated in time |
 | `record_program` | a record as expressions for IPOPT |
 | `transcription` | the methods by which the states of a record become unknowns |
-| `strategies` | the settings of the record solver |
 | `scaling`, `limits` | between parameters and the solver's variables; the constraints |
 | `vectorized` | CasADi functions over many columns |
 | `alike_terms` | costs of terms that differ in constants |

@@ -86,8 +86,8 @@ class DisturbedRecord:
 
     def by_input(self, place: int, values: Array) -> Effect:
         """Return the effect of values (samples,) that add to an input."""
-        is_held = self.part.model.between[place].held
-        return self.by_formulas(place - self.inputs.shape[0], values, is_held)
+        way = self.part.model.between[place]
+        return self.by_formulas(place - self.inputs.shape[0], values, way.held)
 
     def by_formulas(self, place: int, values: Array, is_held: bool = False) -> Effect:
         """Return the effect of values (samples,) that add to a parameter, also to a fixed one."""

@@ -164,7 +164,7 @@ class Term:
     added : function or None
         The unit term, if it adds to the derivative of the state `b`.
     code : str
-        The unit term as a model has it, if it is not the text `a`.
+        Such a term as a model has it.
     outputs : mapping of str to float
         Outputs that have this derivative in them, such as accelerations, and its factor there.
     """
@@ -195,8 +195,8 @@ class Term:
         *texts, code = TEXTS[kind]
         size, deviation = (number(abs(x) * self.scale, 2) for x in (factor, error))
         level = number(self.level, 2)
-        values = {"a": self.a, "b": self.b, "level": level, "size": size, "error": deviation}
-        values["code"] = self.code or self.a
+        values = {"a": self.a, "b": self.b, "code": self.code}
+        values |= {"level": level, "size": size, "error": deviation}
         also = [
             f", and so does the output {name}" + f", {factor:.3g} times" * (f"{factor:.3g}" != "1")
             for name, factor in self.outputs.items()
@@ -263,7 +263,7 @@ def _of_parameters(record: DisturbedRecord) -> Iterator[Term]:
         for kind, row, b in changes:
             name = part.model.outside_names[k]
             yield Term(kind, row, partial(record.by_parameter, place), name, b)
-    for k in range(part.system.symbols[2].numel()):
+    for k in range(len(part.system.parameters)):
         if k not in part.model.active:
             name = part.model.outside_names[k]
             yield Term("fixed", np.ones_like(samples), partial(record.by_formulas, k), name)
@@ -278,8 +278,6 @@ def _delays(record: DisturbedRecord, row: Array) -> Iterator[tuple[Array, float]
 
 
 def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Term]:
-    from scipy.signal import bilinear  # noqa: PLC0415  (takes a tenth of a second to import)
-
     step = record.part.data.stretches[0].step
     model = record.part.model
     half_step = np.inf if is_stated(model.criterion.inputs, a, model.record) else step / 2
@@ -297,9 +295,11 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
             lagged = record.by_stretch(_filtered, u, [-decay, decay], [1, -decay])
             yield term("lag", lagged, scale=T)
     # From one period in the record to three samples in a radian.
-    for w in (np.geomspace(6.3 / len(u), 0.3, MODES) / step).tolist():
-        mode = bilinear([1.0, 0.0, 0.0], [1.0, 2 * DAMPING * w, w**2], 1 / step)
-        yield term("flexible", record.by_stretch(_filtered, u, *mode), w)
+    for w in np.geomspace(6.3 / len(u), 0.3, MODES).tolist():
+        # Of s² / (s² + 2 ζ ω s + ω²) by Tustin's rule, where ω times the step is w.
+        poles = [4 + w * (4 * DAMPING + w), 2 * w**2 - 8, 4 + w * (w - 4 * DAMPING)]
+        mode = record.by_stretch(_filtered, u, [4.0, -8.0, 4.0], poles)
+        yield term("flexible", mode, w / step)
     about = u - np.median(u)
     for level in float(np.abs(about).max()) * np.array(LEVELS):
         yield term("curve", np.clip(about, -level, level), level)
@@ -322,9 +322,7 @@ def _of_equations(
     p = dict(zip(record.part.model.parameters, record.parameters, strict=True))
     signals = (Names(x), Names(u), Names(p))
 
-    def in_model(word: re.Match[str]) -> str:
-        place = "x." if word[0] in x else "u." if word[0] in u else "gb." * (word[0] == "sign")
-        return place + word[0]
+    prefixes = {**dict.fromkeys(x, "x."), **dict.fromkeys(u, "u."), "sign": "gb."}
 
     # Equations of a small model have the same neighbors, and so the same functions of them.
     @cache
@@ -348,7 +346,7 @@ def _of_equations(
         outputs = {name: factor for name, factor in factors if factor}
         for a, (row, formula) in shapes_of(names).items():
             if a not in present:
-                code = a if a in candidates else re.sub(r"\w+", in_model, a)
+                code = re.sub(r"\w+", lambda word: prefixes.get(word[0], "") + word[0], a)
                 yield Term(
                     "equation", row, by_state, a, b, added=formula, code=code, outputs=outputs
                 )

@@ -24,7 +24,6 @@ def data_summary(fit: Fit) -> str:
 
 def provenance(fit: Fit) -> list[Element]:
     """Return how a fit was made, and where its data come from."""
-    versions = (f"{name} {version}" for name, version in fit.versions.items())
     # A publication may state the cost of another criterion than the one that was minimized.
     other_costs = [
         f"{name} {number(cost)}"
@@ -38,16 +37,14 @@ def provenance(fit: Fit) -> list[Element]:
     facts |= printed.facts(fit)
     facts |= {
         "seed": "none" if fit.seed is None else str(fit.seed),
-        "versions": ", ".join(versions),
+        "versions": ", ".join(f"{name} {version}" for name, version in fit.versions.items()),
     }
     if fit.dof > 0:
         facts["standard errors"] = printed.error_statement(fit)
     if other_costs:
         facts["other criteria"] = f"{', '.join(other_costs)} at this estimate"
 
-    restrictions = _restrictions(fit)
-    lists = [_description(restrictions)] if restrictions else []
-    return [_description(facts), _data_table(fit), *lists]
+    return [_description(facts), _data_table(fit), *_restrictions(fit)]
 
 
 def _description(facts: Mapping[str, Child]) -> Element:
@@ -94,24 +91,27 @@ def _span(part: FittedResponse | FittedRecord | FittedSpectrum) -> str:
     )
 
 
-def _restrictions(fit: Fit) -> dict[str, Child]:
-    """Return ties, constraints, names and settings."""
+def _restrictions(fit: Fit) -> list[Element]:
+    """Return ties, constraints, names and settings, if there are any."""
     # What a reader needs to repeat the fit, beside data, model and criterion.
     facts: dict[str, Child] = {}
     for part in fit.parts:
         place = f" of {part.name}" if len(fit.parts) > 1 else ""
         facts |= {f"tied {name}{place}": tag("code", text) for name, text in part.tied.items()}
         if part.constraints:
-            constraints = [tag("div", tag("code", text)) for text in part.constraints]
-            facts[f"constraints{place}"] = constraints
+            facts[f"constraints{place}"] = [
+                tag("div", tag("code", text)) for text in part.constraints
+            ]
         if part.rename:
-            names = (f"{inside} is {outside}" for inside, outside in part.rename.items())
-            facts[f"names{place}"] = ", ".join(names)
+            facts[f"names{place}"] = ", ".join(
+                f"{inside} is {outside}" for inside, outside in part.rename.items()
+            )
         if isinstance(part, FittedRecord):
             facts[f"solved by{place}"] = part.method
             facts |= {f"input {name}{place}": text for name, text in part.between.items()}
         elif part.at:
-            at = (f"{name} = {value:.5g}" for name, value in part.at.items())
-            facts[f"operating point{place}"] = ", ".join(at)
+            facts[f"operating point{place}"] = ", ".join(
+                f"{name} = {value:.5g}" for name, value in part.at.items()
+            )
 
-    return facts
+    return [_description(facts)] if facts else []

@@ -23,7 +23,6 @@ Begin with `multistart`.
 | `cost` | the cost at given parameters |
 """
 
-from greybox.compiled.strategies import Strategies as Strategies
 from greybox.formulation.starts import Listed as Listed
 from greybox.formulation.starts import Sobol as Sobol
 from greybox.formulation.starts import Starts as Starts

@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.compiled.strategies import with_options
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.executors import run_all, value_fingerprint
 from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.gauss_newton.settings import settings
 from greybox.solve.interruption import stop_requested
 from greybox.solve.kept_runs import KeptRuns, Memory
 from greybox.solve.local_solver import LocalSolver
@@ -52,7 +52,7 @@ def solver_for(
         return kind(nlp, options, batched=batched)
     if nlp.method.by_ipopt:
         return TranscribedProgram(nlp, GaussNewton(nlp), options)
-    return GaussNewton(nlp, settings=with_options(nlp.method.strategies, options))
+    return GaussNewton(nlp, settings=settings(options))
 
 
 def multistart(

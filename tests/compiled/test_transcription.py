@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import greybox as gb
-from greybox.compiled.strategies import Strategies, with_options
 
 
 class Cart(gb.StateSpace):
@@ -154,24 +153,6 @@ def test_constraints_ties_bounds_and_known_states_hold_for_all(method, constrain
 def test_bad_options_are_named(make, words):
     with pytest.raises((ValueError, TypeError), match=words):
         make()
-
-
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"max_iter": 0}, "'max_iter' is 0: give a whole number of iterations"),
-        ({"max_iter": 2.5}, "'max_iter' is 2.5: give a whole number of iterations"),
-        ({"tol": 0.0}, "'tol' is 0.0: give a number above 0"),
-        ({"tol": -1e-9}, "'tol' is -1e-09: give a number above 0"),
-        ({"tol": "small"}, "'tol' is 'small': give a number above 0"),
-        ({"mu_init": 1.0}, "'mu_init' is not an option"),
-    ],
-)
-def test_options_of_the_solver_are_checked(options, words):
-    with pytest.raises(ValueError, match=words):
-        with_options(Strategies(), options)
-    changed = with_options(Strategies(), {"max_iter": 1, "tol": 1})
-    assert (changed.max_iterations, changed.tolerance) == (1, 1)
 
 
 def test_a_warning_names_what_was_chosen_and_what_is_to_be_changed():

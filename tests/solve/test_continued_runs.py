@@ -6,6 +6,7 @@ from hard_models import THRUST, Lanczos, conversion, thrust
 from nist import certified
 
 import greybox as gb
+from greybox.solve.gauss_newton.driver import GaussNewton
 
 
 def lanczos():
@@ -45,25 +46,32 @@ def test_a_run_that_ends_unfinished_and_lowest_goes_on_to_the_minimum():
         profiles=False,
     )
     assert after.runs[1].status == "iterations exceeded"  # at a higher cost than the first
-    stopped = gb.MultipleShooting(
-        strategies=gb.solve.Strategies(max_iterations=30, continued_runs=False)
-    )
-    left = gb.fit(
-        case.problem, starts=[start, case.starts[1]], method=stopped, progress=False, profiles=False
-    )
+    starts = [start, case.starts[1]]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(GaussNewton, "continued", lambda _, outcome: outcome)
+        left = gb.fit(
+            case.problem,
+            starts=starts,
+            solver_options={"max_iter": 30},
+            progress=False,
+            profiles=False,
+        )
     assert [run.status for run in left.runs] == ["iterations exceeded", "converged"]
 
 
 def test_an_unfinished_run_below_the_answer_is_named():
     case = certified("Bennett5")
-    stopped = gb.MultipleShooting(
-        strategies=gb.solve.Strategies(max_iterations=150, continued_runs=False)
-    )
     held = case.problem.with_(fixed={"b2": 40.0})
     (answer,) = gb.fit(held, starts=[{}], progress=False, profiles=False).runs
-    fit = gb.fit(
-        case.problem, starts=[case.starts[1]], method=stopped, progress=False, profiles=False
-    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(GaussNewton, "continued", lambda _, outcome: outcome)
+        fit = gb.fit(
+            case.problem,
+            starts=[case.starts[1]],
+            solver_options={"max_iter": 150},
+            progress=False,
+            profiles=False,
+        )
     assert not fit.converged
     assert fit.runs[0].cost < answer.cost
 

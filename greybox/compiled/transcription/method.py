@@ -2,14 +2,13 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
 import casadi as ca
 
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
-from greybox.compiled.strategies import Strategies
 from greybox.files.arrays import Array
 from greybox.files.text_table import counted
 from greybox.modeling.implicit_integrators import Radau
@@ -61,8 +60,6 @@ class Transcription(ABC):
 
     segment: int | None = None
     hessian: Literal["gauss-newton", "exact"] = "gauss-newton"
-    strategies: ClassVar[Strategies] = Strategies()
-    """Of the Gauss-Newton solver, which also gives IPOPT its first states."""
     label: ClassVar[str]
 
     def __post_init__(self) -> None:
@@ -106,13 +103,12 @@ class Transcription(ABC):
         return self._option(integrator=replace(self.scheme, substeps=substeps))
 
     def _option(self, **changes: Any) -> str:
-        """Return the option of `fit` with these changes and all other choices but strategies."""
+        """Return the option of `fit` with these changes and all other choices."""
         changed = replace(self, **changes)
         usual = type(self)()
-        chosen = (f.name for f in fields(self) if f.name != "strategies")
         arguments = (
             f"{k}={getattr(changed, k)!r}"
-            for k in chosen
+            for k in vars(self)
             if k in changes or getattr(self, k) != getattr(usual, k)
         )
 

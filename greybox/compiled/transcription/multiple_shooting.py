@@ -1,6 +1,6 @@
 """Multiple shooting: states at the nodes of short segments are unknowns, gaps are constraints."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import casadi as ca
@@ -8,7 +8,6 @@ import numpy as np
 
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
-from greybox.compiled.strategies import Strategies
 from greybox.compiled.transcription.method import Shooting, Transcribed
 
 
@@ -28,8 +27,6 @@ class MultipleShooting(Shooting):
         need.
     ipopt : bool
         Solve one sparse problem by IPOPT instead.
-    strategies : Strategies
-        Of the Gauss-Newton solver: each can be switched off.
 
     Examples
     --------
@@ -42,16 +39,7 @@ class MultipleShooting(Shooting):
     """
 
     ipopt: bool = False
-    strategies: Strategies = field(default_factory=Strategies)  # type: ignore[misc]
     label: ClassVar[str] = "multiple shooting"
-
-    def __post_init__(self) -> None:
-        """Check the options."""
-        super().__post_init__()
-        if not isinstance(self.strategies, Strategies):
-            raise TypeError(
-                f"strategies is {self.strategies!r:.60}: give gb.solve.Strategies(...)."
-            )
 
     @property
     def by_ipopt(self) -> bool:

@@ -43,7 +43,7 @@ shrinks in stages to zero; the first iterations move the nodes alone.
 evaluated for all starts at once, have led. Starts whose number the user chose are all run.
 
 **Where Newton steps fail**, delays at which the cost jumps are held, and a stalled run begins once
-more near the data. `greybox.compiled.strategies` says what each strategy contributes.
+more near the data. `settings` has the limits of a run.
 `greybox.solve.multistart` has the search over the runs.
 
 **Kalman gains** (`PredictionError`) begin with those of steady Kalman filters once continuity is

@@ -11,10 +11,10 @@ from greybox.compiled.kalman_gain import kalman_gain
 from greybox.compiled.part import ASSUMED_ERROR, Part
 from greybox.compiled.record_group import Groups
 from greybox.compiled.response_part import SMOOTHING
-from greybox.compiled.strategies import Strategies
 from greybox.files.arrays import Array
 from greybox.solve.constraints import Limits
 from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Nodes, Progress, Step, relaxed
+from greybox.solve.gauss_newton.settings import Settings
 
 COST_ROUNDING = 1e-9  # relative change of the cost that counts as rounding
 GAP_CLOSINGS = 5  # iterations of the second-order correction
@@ -27,7 +27,7 @@ class AllParts:
     """
 
     def __init__(
-        self, parts: Sequence[Part], free: Sequence[str], limits: Limits, settings: Strategies
+        self, parts: Sequence[Part], free: Sequence[str], limits: Limits, settings: Settings
     ) -> None:
         """Group the parts; `free` are the names of the solver's variables."""
         self.groups = Groups(parts)

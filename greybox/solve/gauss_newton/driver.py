@@ -12,7 +12,6 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
-from greybox.compiled.strategies import Strategies
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.constraints import Limits
@@ -21,6 +20,7 @@ from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Nodes, Progress, 
 from greybox.solve.gauss_newton.iteration import CONVERGED, SINGULAR, descend
 from greybox.solve.gauss_newton.polishing import is_blurred, polished, sharpened
 from greybox.solve.gauss_newton.screening import can_screen, distinct, improved
+from greybox.solve.gauss_newton.settings import USUAL, Settings
 from greybox.solve.gauss_newton.stability import are_stable
 from greybox.solve.local_solver import LocalSolver, Profile, Screened
 from greybox.solve.minima import Multistart, same_cost
@@ -36,8 +36,7 @@ class GaussNewton(LocalSolver):
     Attributes
     ----------
     nlp : CompiledProblem
-    settings : Strategies
-        Those of the problem, with the options of the solver.
+    settings : Settings
     limits : Limits
         Bounds and constraints.
     """
@@ -46,16 +45,16 @@ class GaussNewton(LocalSolver):
         self,
         nlp: CompiledProblem,
         *,
-        settings: Strategies | None = None,
+        settings: Settings = USUAL,
         parts: AllParts | None = None,
     ) -> None:
         """Build what every run shares.
 
-        `settings` replace those of the problem, and `parts` with other limits its parts.
+        `parts` with other limits replace those of the problem.
         """
         self.nlp = nlp
-        self.settings = settings or nlp.method.strategies
-        self._parts = parts or AllParts(nlp.parts, nlp.free, _limits(nlp), self.settings)
+        self.settings = settings
+        self._parts = parts or AllParts(nlp.parts, nlp.free, _limits(nlp), settings)
         self.limits = self._parts.limits
 
     def __reduce__(self) -> tuple[Callable[..., "GaussNewton"], tuple[Any, ...]]:
@@ -88,12 +87,12 @@ class GaussNewton(LocalSolver):
 
     def continued(self, outcome: Outcome) -> Outcome:
         """Continue a run that did not converge, with many more iterations."""
-        if outcome.nodes is None or not self.settings.continued_runs:
+        if outcome.nodes is None:
             return outcome
         # Three million samples are a moment's work. Bennett5, the narrowest valley among NIST's
         # problems, takes 1300 iterations.
         affordable = min(3_000_000 // max(self._parts.samples, 1), 2000)
-        iterations = max(affordable, self.settings.max_iterations)
+        iterations = max(affordable, self.settings.max_iter)
         later = self.solved_from(outcome.estimate, outcome.nodes, iterations)
         better = later if later.converged or later.cost < outcome.cost else outcome
         # Both runs count, whichever end is taken.
@@ -103,7 +102,7 @@ class GaussNewton(LocalSolver):
         self, iterate: Iterate, progress: Progress, iterations: int | None = None
     ) -> Outcome:
         nlp, began = self.nlp, time.perf_counter()
-        most = iterations or self.settings.max_iterations
+        most = iterations or self.settings.max_iter
         end = descend(self._parts, iterate, progress, most)
         iterate, status = end.iterate, end.status
 
@@ -193,7 +192,7 @@ class GaussNewton(LocalSolver):
             iterate, converged = self._at(x, nodes), True
         else:
             first = self._parts.at(self.nlp.scaling.to_solver(x))
-            progress, most = self._parts.first_progress(), self.settings.max_iterations
+            progress, most = self._parts.first_progress(), self.settings.max_iter
             end = descend(self._parts, first, progress, most, states_only=True)
             iterate, converged = end.iterate, end.status == CONVERGED
 

@@ -102,7 +102,7 @@ def _iterated(
 
         # Converged?
         settled = _is_settled(parts, iterate, step, start, progress, states_only=nodes_alone)
-        if settled and step.distance <= settings.tolerance:
+        if settled and step.distance <= settings.tol:
             return End(iterate, CONVERGED, count, hessian)
         # Most runs take fewer iterations in all than pass between two of these looks.
         looks = not nodes_alone and (count + 1) % 50 == 0
@@ -113,7 +113,7 @@ def _iterated(
 
         # Line search.
         trial, length = line_search(parts, iterate, step, merit, start)
-        if trial is None and settled and step.distance <= 1e3 * settings.tolerance:
+        if trial is None and settled and step.distance <= 1e3 * settings.tol:
             return End(iterate, CONVERGED, count, hessian)  # the merit function shows only rounding
         if trial is None and progress.damping <= LARGEST_DAMPING:
             progress = replace(progress, damping=after_failure(progress.damping))
@@ -144,7 +144,7 @@ def _is_settled(
     states_only: bool,
 ) -> bool:
     """Return whether little is left to gain, also by a step that is not damped."""
-    negligible = max(parts.settings.tolerance, COST_ROUNDING * abs(merit))
+    negligible = max(parts.settings.tol, COST_ROUNDING * abs(merit))
     little = (1 + progress.damping) * step.decrease <= negligible
     if not (progress.is_exact and little and parts.is_continuous(iterate)):
         return False

@@ -94,7 +94,7 @@ def sharpened(nlp: CompiledProblem, parts: AllParts, iterate: Iterate) -> Iterat
         normals, bounds = parts.limits.linearized(iterate.z)
 
         # Where a bound stops the step, the quadratic program has found the end.
-        if step.decrease <= parts.settings.tolerance or np.any(normals @ step.dz < bounds):
+        if step.decrease <= parts.settings.tol or np.any(normals @ step.dz < bounds):
             break
         progress = progress.with_penalties(step)
         merit = merit_function(parts, parts.residual_weights(iterate), progress)

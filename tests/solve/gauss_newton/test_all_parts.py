@@ -15,6 +15,7 @@ from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.iterate import Iterate
+from greybox.solve.gauss_newton.settings import Settings
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +38,7 @@ def made():
         + gb.Problem(Spring(), data, gb.RelativeLikelihood(), weight=3.0)
     )
     nlp = compile_problem(problem)
-    parts = AllParts(nlp.parts, nlp.free, GaussNewton(nlp).limits, nlp.method.strategies)
+    parts = AllParts(nlp.parts, nlp.free, GaussNewton(nlp).limits, Settings())
     z = nlp.scaling.to_solver(np.array([SPRING[name] for name in nlp.free]))
     start, random = parts.at(z), np.random.default_rng(0)
     return parts, parts.at(

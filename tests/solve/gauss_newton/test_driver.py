@@ -15,6 +15,7 @@ from rate_lag import Lag
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.solve.gauss_newton.driver import GaussNewton
+from greybox.solve.gauss_newton.settings import Settings
 from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.runs import Runs
 
@@ -65,8 +66,7 @@ def test_a_polished_minimum_is_the_same_to_nine_digits_wherever_it_began():
 def test_an_unfinished_run_is_continued_to_its_minimum():
     nlp = compile_problem(gb.Problem(Lag(), record(0), HELD))
     solver = GaussNewton(nlp)
-    short = replace(nlp.method.strategies, max_iterations=2)
-    unfinished = GaussNewton(nlp, settings=short).run(np.array([20.0]))
+    unfinished = GaussNewton(nlp, settings=Settings(max_iter=2)).run(np.array([20.0]))
     assert unfinished.status == "iterations exceeded"
     outcome = solver.continued(unfinished)
     assert outcome.converged

@@ -13,7 +13,6 @@ from spring_lag_tilt import HELD, Spring, spring
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.compiled.part import Condensed
-from greybox.solve import Strategies
 from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.iterate import EXACT, relaxed
@@ -23,13 +22,14 @@ from greybox.solve.gauss_newton.normal_equations import (
     gauss_newton_step,
     largest_multiplier,
 )
+from greybox.solve.gauss_newton.settings import Settings
 
 
 def prepared(values, **options):
     """The parts of a spring, an iterate with exact continuity, and its linearizations."""
     nlp = compile_problem(gb.Problem(Spring(), spring(200), HELD, **options))
     solver = GaussNewton(nlp)
-    parts = AllParts(nlp.parts, nlp.free, solver.limits, nlp.method.strategies)
+    parts = AllParts(nlp.parts, nlp.free, solver.limits, Settings())
     z = nlp.scaling.to_solver(np.array([values[name] for name in nlp.free]))
     start = parts.at(z)
     pairs = zip(parts.parts, start.nodes, strict=True)
@@ -83,7 +83,7 @@ def test_nodes_alone_do_not_move_the_parameters():
 
 def test_held_delays_do_not_move():
     nlp = compile_problem(direct_delay())
-    parts = AllParts(nlp.parts, nlp.free, GaussNewton(nlp).limits, nlp.method.strategies)
+    parts = AllParts(nlp.parts, nlp.free, GaussNewton(nlp).limits, Settings())
     iterate = parts.at(
         nlp.scaling.to_solver(np.array([p.start for p in direct_delay().parameters.values()]))
     )
@@ -210,7 +210,7 @@ def test_damping_of_nodes_shortens_a_step_and_is_no_part_of_what_it_promises():
 
     systems = [system(A, g) for A, g in zip(curvatures, slopes, strict=True)]
     parts = SimpleNamespace(
-        settings=Strategies(),
+        settings=Settings(),
         parts=[SimpleNamespace(condense=lambda *_, one=one: one) for one in systems],
         weights=[1.0, 4.0],
         is_discontinuous=np.zeros(1, dtype=bool),

@@ -10,7 +10,6 @@ from sampled_lag import lag_problem
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.compiled.strategies import Strategies
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.screening import (
     Points,
@@ -22,6 +21,7 @@ from greybox.solve.gauss_newton.screening import (
     improved,
     lower,
 )
+from greybox.solve.gauss_newton.settings import Settings
 from greybox.solve.multistart import multistart
 
 VALUES = {"Z_alpha": -1.2, "M_alpha": -6.0, "M_q": -2.0, "M_de": -8.0, "b_q": 0.02, "b_az": -0.5}
@@ -109,7 +109,7 @@ def test_points_lead_to_the_minimum_over_short_segments(aircraft, solver):
 
 def test_the_search_finds_what_plain_starts_miss(aircraft, solver):
     best = solver.run(np.array(list(VALUES.values()))).cost
-    short = GaussNewton(solver.nlp, settings=Strategies(max_iterations=30))
+    short = GaussNewton(solver.nlp, settings=Settings(max_iter=30))
     plain = [short.run(start) for start in drawn(aircraft, 4, 0)]
     assert sum(run.converged and run.cost < best + 0.1 for run in plain) < 4
     starts = drawn(aircraft, 20, 0)
