@@ -7,7 +7,9 @@ recognized, among those whose misfit exceeds the noise, how often the right caus
 first two, the right models that are called wrong in white, colored and drifting noise, and the
 time over that of the fit alone. Records last 10 to 300 s, of plants with time constants of 0.3 to
 1 s; the noise is 0.5 to 10 % of the signal. Errors of right responses are independent, correlated
-along frequency, or ten times larger at the highest frequencies. One draw takes ten minutes.
+along frequency, or ten times larger at the highest frequencies. Fits have two starts, so that the
+test is a larger share of their time than of a fit with the default ones. One draw takes three
+minutes.
 """
 
 # ruff: noqa: D102  (formulas of models)

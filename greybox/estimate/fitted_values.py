@@ -84,8 +84,8 @@ def refined_curve(
     response: Callable[[Array], FrequencyResponse], omega: Array
 ) -> FrequencyResponse:
     """Evaluate a response over the band of `omega` for figures, in finer steps at a resonance."""
-    # 60 points draw most curves: a periodic motion takes milliseconds at each. Near a lightly damped
-    # peak the grid is refined until a step is 2 % of the figure or 5 degrees of phase.
+    # 60 points draw most curves, and a periodic motion takes milliseconds at each. Near a lightly
+    # damped peak the grid is refined until a step is 2 % of the figure or 5 degrees of phase.
     grid = omega
     if omega.size > 1:
         grid = np.geomspace(omega.min(), omega.max(), 60)
