@@ -3,17 +3,16 @@
 import argparse
 import contextlib
 import io
-import re
 import sys
 import traceback
 import warnings
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any
 
 from greybox.cli.options import UsageError, as_options
 from greybox.cli.output import BAD_INPUT, FAILED, INTERRUPTED, USABLE, write_answer
 from greybox.cli.terminal import write
+from greybox.files.error_place import error_place
 from greybox.modeling.model_reference import UnknownModelError
 from greybox.solve.interruption import Response, ended_status, listening, responding, take_interrupt
 from greybox.solve.worker_pool import ExecutorLostError
@@ -59,13 +58,13 @@ def _answer(
             if isinstance(error, ExecutorLostError):
                 stored = "; the same command continues with the stored runs" if options.out else ""
                 return {"error": f"{str(error).rstrip('.')}{stored}."}, "", FAILED
-            sentence, status = _explain(error, arguments)
+            sentence, status = _explain(error)
             if not isinstance(error, UsageError):
                 sentence = as_options(sentence, options)
             return {"error": sentence}, "", status
 
 
-def _explain(error: Exception, arguments: Sequence[str]) -> tuple[str, int]:
+def _explain(error: Exception) -> tuple[str, int]:
     """Return an exception as one sentence with an exit status.
 
     For an error inside a user's own file the sentence names file and line.
@@ -78,31 +77,12 @@ def _explain(error: Exception, arguments: Sequence[str]) -> tuple[str, int]:
     if isinstance(error, UsageError):
         return sentence, BAD_INPUT
 
-    # Python reports full paths; a user recognizes the file as it was written on the command line.
-    files = {
-        _full_path(m[1]): m[1] for word in arguments if (m := re.match(r"(.+\.py)(?:$|[:(])", word))
-    }
-    if isinstance(error, SyntaxError) and error.filename and _full_path(error.filename) in files:
-        return f"{files[_full_path(error.filename)]}, line {error.lineno}: {error.msg}.", BAD_INPUT
-
-    # An error in a user's file may be raised anew, with the original as its cause.
-    causes = [error, *([error.__cause__] if error.__cause__ else [])]
-    frames = [frame for cause in causes for frame in traceback.extract_tb(cause.__traceback__)]
-    last = next((frame for frame in reversed(frames) if _full_path(frame.filename) in files), None)
-    if last is not None:
-        place = f"{files[_full_path(last.filename)]}, line {last.lineno}"
-        return f"{place}: {type(error).__name__}: {sentence}", BAD_INPUT
+    if place := error_place(error):
+        name = "" if isinstance(error, SyntaxError) else f"{type(error).__name__}: "
+        return f"{place}{name}{sentence}", BAD_INPUT
 
     # The library raises these for what a user gave; anything else is a defect of greybox.
     if isinstance(error, (ValueError, TypeError, LookupError, OSError, ModuleNotFoundError)):
         return sentence, BAD_INPUT
     sentence = f"internal error, {type(error).__name__}: {sentence}"
     return f"{sentence}; run again with --debug and report it.", FAILED
-
-
-def _full_path(path: str) -> Path:
-    """Return the full path; the path itself if the working directory does not exist."""
-    try:
-        return Path(path).resolve()
-    except FileNotFoundError:
-        return Path(path)

@@ -12,6 +12,7 @@ Begin with `text_table`.
 | `json_numbers` | values in JSON, without NaN and infinity |
 | `packed` | compressed bytes |
 | `progress` | progress bars |
+| `error_place` | where an error arose in a file of the user |
 | `optional_package` | imports of optional packages |
 | `safe_files` | atomic writes, and clear errors of reading |
 | `sealed_files` | HDF5 files of one text with a checksum |

@@ -20,6 +20,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fit import SolverChoice, fingerprint, fit_keeping
 from greybox.estimate.storage import to_bytes
 from greybox.estimate.summary import summary
+from greybox.files.error_place import error_place
 from greybox.files.progress import bar
 from greybox.files.text_table import counted, printable
 from greybox.formulation.problem import Problem
@@ -296,6 +297,7 @@ def _fit_member(
         message = " ".join(str(raised).split())
         is_sentence = message and isinstance(raised, SENTENCES)
         error = message if is_sentence else f"{type(raised).__name__}: {message}".rstrip(": ")
+        error = error_place(raised) + error
     if is_search_over():  # its runs are stored, and the next call resumes it
         return
 

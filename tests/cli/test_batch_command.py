@@ -7,6 +7,7 @@ import signal
 import sqlite3
 import sys
 from contextlib import closing
+from unittest.mock import Mock
 
 import pytest
 
@@ -237,10 +238,7 @@ def test_a_study_that_its_time_limit_ends_goes_on(study, capsys):
     ],
 )
 def test_a_batch_that_ends_says_how_it_goes_on(study, capsys, monkeypatch, error, status, said):
-    def ends(*arguments, **more):
-        raise error
-
-    monkeypatch.setattr("greybox.cli.batch_command.batch", ends)
+    monkeypatch.setattr("greybox.cli.batch_command.batch", Mock(side_effect=error))
     study.write_text('[[member]]\nproblem = "rotors"\n')
     got, found, _ = answer(capsys, "batch", study, "--out", "out")
     assert (got, found["error"]) == (status, said)

@@ -208,7 +208,8 @@ def test_too_many_starts_or_too_little_memory_end_their_member_only(tmp_path):
     ]
     study = gb.batch(listed, tmp_path, progress=False)
     assert [member.status for member in study.members] == ["failed", "failed", "done"]
-    assert study["huge"].error == "MemoryError"
+    assert study["huge"].error.startswith("test_batch.py, line ")
+    assert study["huge"].error.endswith(": MemoryError")
     assert "give at most 1048576" in study["many"].error
 
 
@@ -386,3 +387,22 @@ def test_runs_of_every_kind_come_back_as_they_were(tmp_path, problem):
     found.clear()
     require_same(fit_keeping(Noted(tmp_path, "fit"), problem, 4, progress=False), fit)
     assert found == {}
+
+
+def test_an_error_in_the_model_of_a_member_names_file_and_line(tmp_path):
+    class Misspelled(gb.StateSpace):
+        states, inputs, outputs = ("x",), ("u",), ("x",)
+        K = gb.Parameter(1.0)
+
+        def derivative(self, x, u, p):
+            return (p.K * u.u - x.y,)
+
+        def output(self, x, u, p):
+            return (x.x,)
+
+    time = [0.1 * k for k in range(20)]
+    problem = gb.Problem(Misspelled(), gb.Record(time, {"u": time, "x": time}), name="misspelled")
+    study = gb.batch([problem], tmp_path, progress=False)
+    line = Misspelled.derivative.__code__.co_firstlineno + 1
+    wrong = "AttributeError: Misspelled.states has no 'y'; it has x."
+    assert study["misspelled"].error == f"test_batch.py, line {line}: {wrong}"
