@@ -381,8 +381,9 @@ def _harmonics(
     """
     harmonics = series.size2() // 2
     # An odd number of samples: a kink such as that of |v| v, sampled at a symmetric orbit, then
-    # counts as if sampled twice as often. With 257, a relay and a saturation are exact to 1e-4.
-    points = max(257 if switches else 33, 4 * harmonics + 1)
+    # counts as if sampled twice as often. With 129, a relay and a saturation are exact to 1.5e-4,
+    # and dry friction to 7e-4, which its truncation exceeds.
+    points = max(129, 10 * harmonics + 1) if switches else max(33, 4 * harmonics + 1)
     to_samples, to_series = transforms(harmonics, points)
     speeds_to_samples = phase_derivative(harmonics) @ to_samples
     slope = ca.SX.sym("slope", z.numel())
@@ -408,21 +409,21 @@ def _harmonics(
         for value in (sampled, ca.vec(partials.nz[:]))
     )
 
-    # The slopes of the samples of a formula, then of its coefficients.
+    # The slopes of coefficients by those of the signals, which are few, come first.
     count = z.numel()
     waves = to_samples.T, speeds_to_samples.T
     others = ca.vertcat(sizes, p)
-    of_samples = [ca.MX(points, every.numel()) for _ in range(formulas.numel())]
+    slopes = [ca.MX(to_series.size2(), every.numel()) for _ in range(formulas.numel())]
     places = partials.sparsity().get_triplet()
     for part, row, column in zip(ca.vertsplit(parts), *places, strict=True):
         kind, k = divmod(column, count)
         if kind < len(waves):
-            along = ca.diag(part) @ waves[kind] @ ca.jacobian(series[k, :].T, every)
+            by_signal = to_series.T @ (ca.diag(part) @ waves[kind])
+            along = by_signal @ ca.jacobian(series[k, :].T, every)
         else:
-            along = part.T @ ca.jacobian(others[column - 2 * count], every)
-        of_samples[row] += along
-    slopes = ca.vertcat(*[to_series.T @ rows for rows in of_samples])
-    return coefficients, (values @ to_series).T, slopes
+            along = (part @ to_series).T @ ca.jacobian(others[column - 2 * count], every)
+        slopes[row] += along
+    return coefficients, (values @ to_series).T, ca.vertcat(*slopes)
 
 
 def transforms(harmonics: int, points: int) -> tuple[ca.DM, ca.DM]:
