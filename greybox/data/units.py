@@ -9,7 +9,6 @@ Units (Taylor and Thompson, NIST Special Publication 811, 2008).
 
 import re
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import NamedTuple
@@ -23,10 +22,11 @@ class _Unit(NamedTuple):
     zero: float = 0.0  # of its scale, in SI
 
 
-def _units(table: Mapping[str, str], zero: float = 0.0) -> dict[str, _Unit]:
+def _units(table: str, zero: float = 0.0) -> dict[str, _Unit]:
     """Return units by name; every line of the table has the names of a unit and its value in SI."""
     units = {}
-    for names, value in table.items():
+    for line in table.strip().splitlines():
+        names, _, value = line.partition(" = ")
         factor, _, si = value.partition(" ")
         units |= dict.fromkeys(names.split(), _Unit(float(factor), si, zero))
     return units
@@ -34,31 +34,31 @@ def _units(table: Mapping[str, str], zero: float = 0.0) -> dict[str, _Unit]:
 
 CELSIUS, FAHRENHEIT = 273.15, 459.67 * 5 / 9  # K, zeros of these scales
 # Those that take prefixes.
-PREFIXED = _units({
-    "m meter meters metre metres": "1 m",
-    "s sec second seconds": "1 s",
-    "rad radian radians": "1 rad",
-    "deg degree degrees ° º degheading deglatitude deglongitude": "0.017453292519943295 rad",
-    "gram grams": "1e-3 kg",
-    "K": "1 K",
-    "N": "1 N",
-    "Nm": "1 N m",
-    "Pa": "1 Pa",
-    "bar": "1e5 Pa",
-    "J": "1 J",
-    "W Watt watt": "1 W",
-    "Wh": "3600 J",
-    "A amp": "1 A",
-    "Ah": "3600 A s",
-    "V volt": "1 V",
-    "Ohm ohm Ω": "1 Ω",
-    "T": "1 T",
-    "gauss Gauss": "1e-4 T",
-    "Hz": "1 Hz",
-    "l L liter litre": "1e-3 m3",
-    "% pct percent": "0.01 1",
-    "G": "9.80665 m/s2",
-}) | _units({"degC °C ºC degc": "1 K"}, CELSIUS)  # fmt: skip
+PREFIXED = _units("""
+m meter meters metre metres = 1 m
+s sec second seconds = 1 s
+rad radian radians = 1 rad
+deg degree degrees ° º degheading deglatitude deglongitude = 0.017453292519943295 rad
+gram grams = 1e-3 kg
+K = 1 K
+N = 1 N
+Nm = 1 N m
+Pa = 1 Pa
+bar = 1e5 Pa
+J = 1 J
+W Watt watt = 1 W
+Wh = 3600 J
+A amp = 1 A
+Ah = 3600 A s
+V volt = 1 V
+Ohm ohm Ω = 1 Ω
+T = 1 T
+gauss Gauss = 1e-4 T
+Hz = 1 Hz
+l L liter litre = 1e-3 m3
+% pct percent = 0.01 1
+G = 9.80665 m/s2
+""") | _units("degC °C ºC degc = 1 K", CELSIUS)
 PREFIXES = {
     "M": 1e6,
     "k": 1e3,
@@ -71,47 +71,47 @@ PREFIXES = {
     "μ": 1e-6,
 }
 
-NAMED = {
-    **PREFIXED,
-    **_units({"C": "1 K"}, CELSIUS),
-    **_units({"degF °F ºF": "0.5555555555555556 K"}, FAHRENHEIT),
-    **_units({
-        "kg": "1 kg",
-        "ns": "1e-9 s",
-        "min minute minutes": "60 s",
-        "h hr hrs hour hours": "3600 s",
-        "ft foot feet": "0.3048 m",
-        "in inch inches": "0.0254 m",
-        "yd": "0.9144 m",
-        "mi mile miles": "1609.344 m",
-        "NM nm nmi": "1852 m",
-        "fps": "0.3048 m/s",
-        "fpm": "0.00508 m/s",
-        "mph": "0.44704 m/s",
-        "kph kmh": "0.2777777777777778 m/s",
-        "kt kts kn knot knots KIAS KCAS KEAS KTAS": "0.5144444444444445 m/s",
-        "g": "9.80665 m/s2",
-        "lbm": "0.45359237 kg",
-        "slug slugs": "14.593902937206364 kg",
-        "lbf": "4.4482216152605 N",
-        "kgf": "9.80665 N",
-        "psf": "47.88025898033584 Pa",
-        "psi": "6894.757293168361 Pa",
-        "mb": "100 Pa",
-        "atm": "101325 Pa",
-        "inHg": "3386.389 Pa",
-        "hp": "745.6998715822702 W",
-        "degR °R": "0.5555555555555556 K",
-        "degK °K": "1 K",
-        "rpm": "0.10471975511965977 rad/s",
-        "rps": "6.283185307179586 rad/s",
-        "rev revs revolution revolutions": "6.283185307179586 rad",
-        "degE5": "1.7453292519943295e-07 rad",
-        "degE7": "1.7453292519943295e-09 rad",
-        "ppm": "1e-6 1",
-        "1 - none unitless dimensionless": "1 1",
-    }),
-}  # fmt: skip
+NAMED = (
+    PREFIXED
+    | _units("C = 1 K", CELSIUS)
+    | _units("degF °F ºF = 0.5555555555555556 K", FAHRENHEIT)
+    | _units("""
+kg = 1 kg
+ns = 1e-9 s
+min minute minutes = 60 s
+h hr hrs hour hours = 3600 s
+ft foot feet = 0.3048 m
+in inch inches = 0.0254 m
+yd = 0.9144 m
+mi mile miles = 1609.344 m
+NM nm nmi = 1852 m
+fps = 0.3048 m/s
+fpm = 0.00508 m/s
+mph = 0.44704 m/s
+kph kmh = 0.2777777777777778 m/s
+kt kts kn knot knots KIAS KCAS KEAS KTAS = 0.5144444444444445 m/s
+g = 9.80665 m/s2
+lbm = 0.45359237 kg
+slug slugs = 14.593902937206364 kg
+lbf = 4.4482216152605 N
+kgf = 9.80665 N
+psf = 47.88025898033584 Pa
+psi = 6894.757293168361 Pa
+mb = 100 Pa
+atm = 101325 Pa
+inHg = 3386.389 Pa
+hp = 745.6998715822702 W
+degR °R = 0.5555555555555556 K
+degK °K = 1 K
+rpm = 0.10471975511965977 rad/s
+rps = 6.283185307179586 rad/s
+rev revs revolution revolutions = 6.283185307179586 rad
+degE5 = 1.7453292519943295e-07 rad
+degE7 = 1.7453292519943295e-09 rad
+ppm = 1e-6 1
+1 - none unitless dimensionless = 1 1
+""")
+)
 NAMED |= {"deg C": NAMED["degC"], "deg F": NAMED["degF"], "r/min": NAMED["rpm"]}
 
 # Units that may be written in capitals, such as RPM and KTS. Shorter names would then be other
