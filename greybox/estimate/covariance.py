@@ -209,7 +209,7 @@ def assess(
     accuracy = replace(accuracy, combinations=(*combinations, *reported))
     # No interval is better than one that is too narrow.
     if any(part.doubtful for part in parts):
-        accuracy.covariance.fill(np.nan)
+        return replace(accuracy, covariance=np.full_like(accuracy.covariance, np.nan))
     return accuracy
 
 

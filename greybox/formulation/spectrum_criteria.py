@@ -81,7 +81,8 @@ def outputs_in_spectrum(
         )
 
     for option in ("inputs", "biases", "initial", "errors"):
-        if (getattr(criterion, option, ()) or ()) not in ("record", "normal", ()):
+        value = getattr(criterion, option, None)
+        if value and value not in ("record", "normal"):
             raise ValueError(
                 f"{option} of {kind} is for records and the data are a TransientSpectrum, which "
                 "knows how its inputs ran and has no samples: leave it out."

@@ -24,7 +24,7 @@ from greybox.formulation.starts import Sobol
 from greybox.modeling.added_terms import AddedTerms
 from greybox.modeling.model import require_known
 from greybox.modeling.state_space import StateSpace
-from greybox.validation.comparison import EQUAL_AIC, SIGNIFICANT, p_text
+from greybox.validation.comparison import EQUAL_AIC, SIGNIFICANT
 from greybox.validation.nested_models import NestedTest, cost_scale, f_tail, nested_test_at
 
 Terms = frozenset[str]
@@ -110,7 +110,7 @@ class StepwiseSelection:
     def __str__(self) -> str:
         rows = []
         for trial in self.trials:
-            p = trial.why_not or p_text(trial.p_value)[2:].removeprefix("= ")
+            p = trial.why_not or number(trial.p_value, 2)
             outcome = {"add": "added", "remove": "removed"}[trial.change] if trial.done else ""
             change = [str(trial.step), trial.change, trial.term]
             rows.append([*change, number(trial.cost, 4), p, f"{trial.limit:.2g}", outcome])
