@@ -116,7 +116,9 @@ def work(kind, count, by):
             from distributed import Client, LocalCluster  # noqa: PLC0415
 
             limits = {"MALLOC_TRIM_THRESHOLD_": 2**27, "MALLOC_MMAP_THRESHOLD_": 2**25}
-            dask.config.set({"distributed.nanny.pre-spawn-environ": limits})
+            # Dask's own settings keep the matrix routines of a worker to one thread.
+            key = "distributed.nanny.pre-spawn-environ"
+            dask.config.set({key: {**dask.config.get(key), **limits}})
             cluster = LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None)
             executor = Client(cluster).get_executor()
         # The first members build what later ones share, and start the workers.
