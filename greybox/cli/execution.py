@@ -78,8 +78,9 @@ def _explain(error: Exception) -> tuple[str, int]:
         return sentence, BAD_INPUT
 
     if place := error_place(error):
-        name = "" if isinstance(error, SyntaxError) else f"{type(error).__name__}: "
-        return f"{place}{name}{sentence}", BAD_INPUT
+        if isinstance(error, SyntaxError):  # its sentence ends with the place
+            return f"{place}{error.msg}.", BAD_INPUT
+        return f"{place}{type(error).__name__}: {sentence}", BAD_INPUT
 
     # The library raises these for what a user gave; anything else is a defect of greybox.
     if isinstance(error, (ValueError, TypeError, LookupError, OSError, ModuleNotFoundError)):

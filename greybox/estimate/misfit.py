@@ -439,11 +439,13 @@ def _shape(
     """Return the shape of the best term over the signal that explains most of residuals (N, 1)."""
     # A wrong value has no shape; the next best term shows what it stands for.
     drawn = [
-        pair for pair in tests if pair[0][1][0][0] != "fixed" and pair[1].p_value < FALSE_ALARMS
+        (cause, value, key, column)
+        for ((_, _, value, _), key, column), cause in tests
+        if key[0][0] != "fixed" and cause.p_value < FALSE_ALARMS
     ]
     if not drawn:
         return None
-    ((_, _, value, _), key, column), cause = max(drawn, key=lambda pair: pair[1].share)
+    cause, value, key, column = max(drawn, key=lambda test: test[0].share)
     best, least = None, np.inf
     # A value that one record needs has no place in the others.
     terms = [part.terms[key] for part in parts if key in part.terms]

@@ -1,16 +1,24 @@
 """Where an error arose in a file of the user."""
 
-import sys
+import site
 import traceback
 from pathlib import Path
 
-OTHERS = (sys.prefix, sys.base_prefix, "<")  # beginnings of files of Python and packages
+# Beginnings of the files of packages and of Python, and of code without a file. Their common prefix
+# may be /usr, where users have files, too.
+OTHERS = (
+    *site.getsitepackages(),
+    site.getusersitepackages(),
+    str(Path(traceback.__file__).parent),
+    "<",
+)
 
 
 def error_place(error: BaseException) -> str:
     """Return the file and the line of an error, for the beginning of a sentence; else ""."""
-    if isinstance(error, SyntaxError) and error.filename:
-        return f"{Path(error.filename).name}, line {error.lineno}: "
+    file = getattr(error, "filename", None) or "<"
+    if isinstance(error, SyntaxError) and not file.startswith(OTHERS):
+        return f"{Path(file).name}, line {error.lineno}: "
     # An error in a user's file may be raised anew, with the original as its cause.
     places = [
         f"{Path(frame.f_code.co_filename).name}, line {line}: "

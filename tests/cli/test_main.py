@@ -100,6 +100,13 @@ def test_an_error_in_a_users_file_names_file_and_line(capsys, own, old, new, wor
     assert words in sentence
 
 
+def test_a_file_that_is_not_python_names_its_line_once(capsys, own):
+    name = own("import greybox as gb\n\nclass Broken(gb.StateSpace:\n    pass\n")
+    sentence = refused(capsys, "fit", name)
+    assert sentence.endswith("line 3: invalid syntax.\n")
+    assert sentence.count("line 3") == 1
+
+
 def test_debug_shows_the_traceback(capsys):
     status, _, err = run(capsys, "fit", "pitch_hoover", "--debug")
     assert status == 2

@@ -624,3 +624,11 @@ def test_a_parameter_that_is_fixed_at_a_wrong_value_is_named():
     assert first.value == pytest.approx(4.0, rel=0.1)
     free = gb.fit(gb.Problem(Spring(), record), starts=1, progress=False)
     assert free.misfit.explains
+
+
+def test_a_response_of_zero_is_not_tested_and_that_is_said():
+    omega = np.geomspace(0.3, 30, 10)
+    data = gb.FrequencyResponse(omega, 2 / (0.3j * omega + 1), name="hover")
+    fit = gb.fit(gb.Problem(Lag(), data, fixed={"K": 0.0}), starts=2, progress=False)
+    assert fit.misfit is None
+    assert "not tested for missing terms in " in str(fit)
