@@ -1,10 +1,9 @@
 """A fit that failed says why, what came closest, what blocks it and what to try."""
 
 import numpy as np
-import pytest
+from unfinished_runs import without_continued_runs
 
 import greybox as gb
-from greybox.solve.gauss_newton.driver import GaussNewton
 
 N, STEP = 200, 0.1
 TIME = STEP * np.arange(N)
@@ -47,8 +46,7 @@ def unfinished():
     problem = gb.Problem(
         Lag(), gb.Record(TIME, {"u": U, "x": clean + NOISE}), gb.OutputError(inputs="held")
     )
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(GaussNewton, "continued", lambda _, outcome: outcome)
+    with without_continued_runs():
         return gb.fit(problem, starts=[{}], solver_options={"max_iter": 4}, progress=False)
 
 

@@ -6,6 +6,7 @@ Starts that miss them, curved ones, and every method the same answer.
 import casadi as ca
 import numpy as np
 import pytest
+from unfinished_runs import without_continued_runs
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
@@ -98,8 +99,7 @@ def test_constraints_that_contradict_one_another_are_no_answer():
     nothing = [lambda p: p.a - 3, lambda p: 2 - p.a]
     # Two thousand more iterations would find no point either.
     problem = gb.Problem(Lag(), record(), HELD, constraints=nothing)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(GaussNewton, "continued", lambda _, outcome: outcome)
+    with without_continued_runs():
         fit = gb.fit(problem, starts=1)
     assert not fit.converged
 

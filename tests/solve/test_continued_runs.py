@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from hard_models import THRUST, Lanczos, conversion, thrust
 from nist import certified
+from unfinished_runs import without_continued_runs
 
 import greybox as gb
-from greybox.solve.gauss_newton.driver import GaussNewton
 
 
 def lanczos():
@@ -47,8 +47,7 @@ def test_a_run_that_ends_unfinished_and_lowest_goes_on_to_the_minimum():
     )
     assert after.runs[1].status == "iterations exceeded"  # at a higher cost than the first
     starts = [start, case.starts[1]]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(GaussNewton, "continued", lambda _, outcome: outcome)
+    with without_continued_runs():
         left = gb.fit(
             case.problem,
             starts=starts,
@@ -63,8 +62,7 @@ def test_an_unfinished_run_below_the_answer_is_named():
     case = certified("Bennett5")
     held = case.problem.with_(fixed={"b2": 40.0})
     (answer,) = gb.fit(held, starts=[{}], progress=False, profiles=False).runs
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(GaussNewton, "continued", lambda _, outcome: outcome)
+    with without_continued_runs():
         fit = gb.fit(
             case.problem,
             starts=[case.starts[1]],
