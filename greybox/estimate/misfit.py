@@ -54,6 +54,7 @@ ALIKE = 0.95  # correlation of effects beyond which two terms count as one
 DRIFTING, NOTICED = 0.99, 0.01
 PIECES = 10  # of a record, whose means show an offset
 LARGE = 10  # times what noise leaves, beyond which a model describes nothing
+NOISY = 0.25  # of the variance: residuals of half the standard deviation of an output
 TINY = 1e-300
 COLUMNS = 2_000_000  # numbers in memory for all terms at once, 16 MB
 # Samples of all records that are tested, in excerpts: with more, a fit would wait for the test.
@@ -223,7 +224,10 @@ class Misfit(Printed):
                 f"at one end: otherwise, {left} what drove the test; {noise}"
             )
         if self.explains:
-            return f"explains the data: the residuals follow none of {self.tried} missing terms"
+            size = f" ({percent(self.left)} % of the variance)" * (self.left > NOISY)
+            return (
+                f"explains the data: the residuals{size} follow none of {self.tried} missing terms"
+            )
         common = self.p_common < FALSE_ALARMS
         return (
             f"does not explain the data: {left} what drove the test ({_chance(self.p_value)}); "

@@ -254,6 +254,14 @@ def test_parts_may_disagree_without_a_cause():
     assert "one set of values" in misfit.verdict
 
 
+@pytest.mark.parametrize(("left", "size"), [(0.24, ""), (0.83, " (83 % of the variance)")])
+def test_large_residuals_are_named_where_nothing_is_missing(left, size):
+    misfit = Misfit(left, left, 3, (), p_common=1.0, drift=0.0, is_unstable=False)
+    assert (
+        misfit.verdict == f"explains the data: the residuals{size} follow none of 3 missing terms"
+    )
+
+
 def test_one_set_of_values_does_not_serve_both_tables_of_the_paper():
     # Chapter 4: the stiffness a1 and the speed stability a3 differ between hover and 5 degrees.
     both = pitch_hover.problem() + pitch_5deg.problem()
