@@ -7,13 +7,13 @@ Both are at 12.5 Hz. The wind of the simulator was off (SIM_WIND_SPD 0).
 
 Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, section 4.2, which
 takes a5 from the measured velocity. The drag of the simulated vehicle is computed in
-`tests/problems/test_sitl_drag.py`: 0.24 1/s and 0.034 1/m. Each estimate is within 1.1 standard
-errors of it.
+`tests/problems/test_sitl_drag.py`: 0.24 1/s and 0.034 1/m. Each estimate is
+within 1.1 standard errors of it.
 
-Fitted to the first 60 % of the flight about 5° and to the rest, the bias of the angle seems to move,
-from 0.0040 to -0.0016 rad. It is no wind: with the drag of the simulator it is 0.0061 and 0.0059
-rad. At one speed a bias and a drag have the same effect, so that the drag takes what the bias
-leaves; an estimate of the bias alone should not be used.
+Fitted to the first 60 % of the flight about 5° and to the rest, the bias of the angle seems to
+move, from 0.0040 to -0.0016 rad. It is no wind: with the drag of the simulator it is 0.0061 and
+0.0059 rad. At one speed a bias and a drag have the same effect, and the drag takes what the bias
+leaves, so do not use an estimate of the bias alone.
 """
 
 from pathlib import Path
