@@ -348,12 +348,10 @@ def _values(part: Problem, named: Named) -> Any:
 
 
 def _formula(part: Problem) -> Trimmed | ca.Function:
-    data = part.response
-    options: Any = {"input": data.input, "output": data.output, "at": part.at}
-    options["pade"] = delay_order(part.delay)
+    omega = part.response.omega
     if part.amplitude is not None:
-        return harmonic_function(part.model, data.omega, part.amplitude, **options)
-    return response_formula(part.model, data.omega, **options)
+        return harmonic_function(part.model, omega, part.amplitude, **part.signals)
+    return response_formula(part.model, omega, **part.signals)
 
 
 def _mapped(parts: Sequence[Problem]) -> list[Mapped]:

@@ -28,7 +28,6 @@ from greybox.modeling.harmonic_balance import compiled_balance
 from greybox.modeling.linearization import jacobians
 from greybox.modeling.model import pick_signals
 from greybox.modeling.one_thread import one_thread_at_a_time
-from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.trim import trim_of
 
@@ -245,13 +244,10 @@ def shared_systems(
 
 
 def _sine_test(k: int, part: Problem, local: ca.Function) -> SineTest:
-    data, z = part.response, ca.MX.sym("z", local.numel_in(0))
+    omega, z = part.response.omega, ca.MX.sym("z", local.numel_in(0))
     sine: Any = part.amplitude
-    signals: Any = {"input": data.input, "output": data.output, "at": part.at}
-    balance = compiled_balance(
-        part.model, data.omega, sine, **signals, pade=delay_order(part.delay)
-    )
-    function = balance.response_with_slopes(local(z), z, data.omega)
+    balance = compiled_balance(part.model, omega, sine, **part.signals)
+    function = balance.response_with_slopes(local(z), z, omega)
     return SineTest(function, ((k, 0, 0, slice(None)),))
 
 

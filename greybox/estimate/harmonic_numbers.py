@@ -6,7 +6,6 @@ A fit warns if the estimate needs more, see `greybox.estimate.diagnostics.harmon
 from greybox.compiled.compiled_problem import AnyProblem
 from greybox.formulation.problem import Problem
 from greybox.modeling.harmonic_balance import enough_harmonics
-from greybox.modeling.pade_delay import delay_order
 
 
 def with_enough_harmonics(problem: AnyProblem) -> AnyProblem:
@@ -18,18 +17,14 @@ def with_enough_harmonics(problem: AnyProblem) -> AnyProblem:
 def _with_enough(part: Problem) -> Problem:
     if part.amplitude is None or part.amplitude.harmonics is not None:
         return part
-    data = part.response
     # The start values, not the estimate: the number of harmonics must not change during a fit.
     starts = {name: parameter.start for name, parameter in part.parameters.items()}
     sine = enough_harmonics(
         part.model,
-        data.omega,
+        part.response.omega,
         part.amplitude,
         dict(part.local_values(starts)),
-        input=data.input,
-        output=data.output,
-        at=part.at,
-        pade=delay_order(part.delay),
+        **part.signals,
     )
 
     return part.with_(amplitude=sine)

@@ -437,6 +437,13 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         return self.data
 
     @property
+    def signals(self) -> dict[str, Any]:
+        """The input and output of the response, the operating point and the order of the delay."""
+        data = self.response
+        signals = {"input": data.input, "output": data.output, "at": self.at}
+        return {**signals, "pade": delay_order(self.delay)}
+
+    @property
     def record(self) -> Record:
         """The data, if they are a record."""
         assert isinstance(self.data, Record)

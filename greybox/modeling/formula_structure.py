@@ -6,30 +6,47 @@ evenly: a ramp as wide as that motion.
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import casadi as ca
 
 SWITCHES = {ca.OP_SIGN, ca.OP_LT, ca.OP_LE, ca.OP_FMIN, ca.OP_FMAX}
+KINKS = {ca.OP_FABS, ca.OP_FMIN, ca.OP_FMAX}
 JUMPS = {ca.OP_FLOOR, ca.OP_CEIL, ca.OP_FMOD, ca.OP_REMAINDER, ca.OP_COPYSIGN}
+# Operations by their terms; of a switch also by the mean sign, or magnitude, of a, or of a - b.
+MEANS: dict[int, Callable[..., ca.SX]] = {
+    ca.OP_SIGN: lambda a, sign: sign,
+    ca.OP_FABS: lambda a, magnitude: magnitude,
+    ca.OP_FMIN: lambda a, b, magnitude: (a + b - magnitude) / 2,
+    ca.OP_FMAX: lambda a, b, magnitude: (a + b + magnitude) / 2,
+    ca.OP_LT: lambda a, b, sign: (1 - sign) / 2,
+    ca.OP_LE: lambda a, b, sign: (1 - sign) / 2,
+    # Conditions are shares of the interval now, no longer 0 or 1.
+    ca.OP_NOT: lambda a: 1 - a,
+    ca.OP_AND: lambda a, b: a * b,
+    ca.OP_OR: lambda a, b: a + b - a * b,
+    ca.OP_IF_ELSE_ZERO: lambda share, a: ca.if_else(share == 0, 0, share * a),
+}
 
 
-def applied(operation: int, terms: Sequence[ca.SX]) -> ca.SX:
+def applied(operation: int, terms: Sequence[Any]) -> Any:
     """Return the result of one of CasADi's operations on one or two terms."""
-    return ca.SX.unary(operation, *terms) if len(terms) == 1 else ca.SX.binary(operation, *terms)
+    kind = type(terms[0])
+    return kind.unary(operation, *terms) if len(terms) == 1 else kind.binary(operation, *terms)
 
 
 def walk(
     program: ca.Function,
-    inputs: Sequence[ca.SX],
-    constant: Callable[[float], ca.SX] = ca.SX,
-    operate: Callable[[int, list[ca.SX]], ca.SX] = applied,
-) -> list[ca.SX]:
+    inputs: Sequence[Any],
+    constant: Callable[[float], Any] = ca.SX,
+    operate: Callable[[int, list[Any]], Any] = applied,
+) -> list[Any]:
     """Evaluate an SX function with a dense result (k, 1) operation by operation.
 
     `constant` is applied to its numbers, in their order.
     """
-    registers: dict[int, ca.SX] = {}
-    results = [ca.SX(0)] * program.numel_out(0)
+    registers: dict[int, Any] = {}
+    results: list[Any] = [ca.SX(0)] * program.numel_out(0)
     for k in range(program.n_instructions()):
         operation = program.instruction_id(k)
         sources, targets = program.instruction_input(k), program.instruction_output(k)
@@ -64,48 +81,43 @@ def interval_means(formula: ca.SX, z: ca.SX, slopes: ca.SX, sizes: ca.SX, interv
         For a rounding or a remainder, which have many jumps.
     """
 
-    def reach(argument: ca.SX) -> ca.SX:
-        gradient = ca.gradient(argument, z)
-        least = ca.sumsqr(gradient * sizes / 20)
-        # A negligible number avoids a division by zero where nothing moves; the products of smaller
-        # ones overflow in derivatives.
-        return interval / 2 * ca.sqrt(ca.dot(gradient, slopes) ** 2 + least + 1e-100)
+    def operate(operation: int, rows: list[ca.SX]) -> ca.SX:
+        # Gradients go from operation to operation: derived anew for every switch, from switches
+        # within its argument, they would be five times as many operations.
+        values, gradients = ca.horzsplit(ca.vertcat(*rows), [0, 1, 1 + z.numel()])
+        is_moving = gradients.nnz() > 0
+        if is_moving and operation in JUMPS:
+            raise ValueError(
+                "a rounding, a remainder or a copied sign has no response at finite amplitude: "
+                "write it with gb.sign or gb.where."
+            )
+        if is_moving and operation in SWITCHES | KINKS:
+            signs = ca.SX([1, -1][: len(rows)]).T
+            argument, gradient = signs @ values, signs @ gradients
+            least = ca.sumsqr(gradient * sizes.T / 20)
+            # A negligible number avoids a division by zero where nothing moves; the products of
+            # smaller ones overflow in derivatives.
+            width = interval / 2 * ca.sqrt((gradient @ slopes) ** 2 + least + 1e-100)
+            mean = slope = ca.fmax(ca.fmin(argument / width, 1), -1)
+            if operation in KINKS:
+                # The mean of |a| over a ramp that crosses zero is a parabola.
+                mean = slope * argument + width * (1 - slope**2) / 2
+            else:
+                slope = (ca.fabs(argument) < width) / width
+            values, gradients = ca.vertcat(values, mean), ca.vertcat(gradients, slope * gradient)
 
-    def sign(a: ca.SX) -> ca.SX:
-        return ca.fmax(ca.fmin(a / reach(a), 1), -1)
-
-    def magnitude(a: ca.SX) -> ca.SX:
-        # The mean of |a| over a ramp that crosses zero is a parabola.
-        width = reach(a)
-        return ca.if_else(ca.fabs(a) < width, (a**2 / width + width) / 2, ca.fabs(a))
-
-    means: dict[int, Callable[..., ca.SX]] = {
-        ca.OP_SIGN: sign,
-        ca.OP_FABS: magnitude,
-        ca.OP_FMIN: lambda a, b: (a + b - magnitude(a - b)) / 2,
-        ca.OP_FMAX: lambda a, b: (a + b + magnitude(a - b)) / 2,
-        ca.OP_LT: lambda a, b: (1 + sign(b - a)) / 2,
-        ca.OP_LE: lambda a, b: (1 + sign(b - a)) / 2,
-        # Conditions are shares of the interval now, no longer 0 or 1.
-        ca.OP_NOT: lambda a: 1 - a,
-        ca.OP_AND: lambda a, b: a * b,
-        ca.OP_OR: lambda a, b: a + b - a * b,
-        ca.OP_IF_ELSE_ZERO: lambda share, a: ca.if_else(share == 0, 0, share * a),
-    }
-
-    def operate(operation: int, terms: list[ca.SX]) -> ca.SX:
-        if ca.depends_on(ca.vertcat(*terms), z):
-            if operation in JUMPS:
-                raise ValueError(
-                    "a rounding, a remainder or a copied sign has no response at finite amplitude: "
-                    "write it with gb.sign or gb.where."
-                )
-            if operation in means:
-                return means[operation](*terms)
-
-        return applied(operation, terms)
+        terms = ca.SX.sym("terms", values.numel())
+        plain: Any = MEANS.get(operation) if is_moving else None
+        parts = ca.vertsplit(terms)
+        result = plain(*parts) if plain else applied(operation, parts)
+        row = ca.horzcat(result, ca.jacobian(result, terms))
+        [row] = ca.substitute([row], [terms], [values])
+        return ca.horzcat(row[0], row[1:] @ gradients)
 
     # A CasADi function has no free symbols: the others are its second input.
-    inputs = [z, ca.vertcat(*[s for s in ca.symvar(formula) if not ca.depends_on(s, z)])]
-    program = ca.Function("formula", inputs, [ca.densify(formula)])
-    return ca.vertcat(*walk(program, inputs, operate=operate))
+    others = ca.vertcat(*[s for s in ca.symvar(formula) if not ca.depends_on(s, z)])
+    program = ca.Function("formula", [z, others], [ca.densify(formula)])
+    gradients = ca.SX.eye(z.numel()), ca.SX(others.numel(), z.numel())
+    inputs = [ca.vertsplit(ca.horzcat(*pair)) for pair in zip((z, others), gradients, strict=True)]
+    rows = walk(program, inputs, lambda c: ca.horzcat(c, ca.SX(1, z.numel())), operate)
+    return ca.vertcat(*rows)[:, 0]

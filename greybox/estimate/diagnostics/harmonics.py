@@ -15,7 +15,6 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.files.arrays import Array
 from greybox.files.text_table import counted
 from greybox.modeling.harmonic_balance import directly_found
-from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.sine import MOST_HARMONICS
 from greybox.statistics.metrics import rms
 
@@ -40,10 +39,7 @@ def harmonic_warnings(nlp: CompiledProblem, x: Array) -> Iterator[str]:
             dict(problem.local_values(named)),
             part.data.omega,
             replace(sine, harmonics=more),
-            input=part.data.input,
-            output=part.data.output,
-            at=problem.at,
-            pade=delay_order(problem.delay),
+            **problem.signals,
         )
         # NaN where no motion was found.
         change = np.abs(many / few - 1)
