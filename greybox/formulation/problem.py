@@ -440,8 +440,8 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     def signals(self) -> dict[str, Any]:
         """The input and output of the response, the operating point and the order of the delay."""
         data = self.response
-        signals = {"input": data.input, "output": data.output, "at": self.at}
-        return {**signals, "pade": delay_order(self.delay)}
+        pade = delay_order(self.delay)
+        return {"input": data.input, "output": data.output, "at": self.at, "pade": pade}
 
     @property
     def record(self) -> Record:

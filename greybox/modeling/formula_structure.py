@@ -110,14 +110,14 @@ def interval_means(formula: ca.SX, z: ca.SX, slopes: ca.SX, sizes: ca.SX, interv
         plain: Any = MEANS.get(operation) if is_moving else None
         parts = ca.vertsplit(terms)
         result = plain(*parts) if plain else applied(operation, parts)
-        row = ca.horzcat(result, ca.jacobian(result, terms))
-        [row] = ca.substitute([row], [terms], [values])
-        return ca.horzcat(row[0], row[1:] @ gradients)
+        result, slope = ca.substitute([result, ca.jacobian(result, terms)], [terms], [values])
+        return ca.horzcat(result, slope @ gradients)
 
     # A CasADi function has no free symbols: the others are its second input.
     others = ca.vertcat(*[s for s in ca.symvar(formula) if not ca.depends_on(s, z)])
     program = ca.Function("formula", [z, others], [ca.densify(formula)])
-    gradients = ca.SX.eye(z.numel()), ca.SX(others.numel(), z.numel())
-    inputs = [ca.vertsplit(ca.horzcat(*pair)) for pair in zip((z, others), gradients, strict=True)]
+    moving = ca.horzcat(z, ca.SX.eye(z.numel()))
+    constant = ca.horzcat(others, ca.SX(others.numel(), z.numel()))
+    inputs = ca.vertsplit(moving), ca.vertsplit(constant)
     rows = walk(program, inputs, lambda c: ca.horzcat(c, ca.SX(1, z.numel())), operate)
     return ca.vertcat(*rows)[:, 0]

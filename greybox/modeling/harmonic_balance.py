@@ -86,10 +86,8 @@ def directly_found(
     The response is NaN where no periodic motion is found.
     """
     vector = list(model.values(values).values())
-    numbers = [sine.harmonics or 0]
-    if sine.harmonics is None:
-        numbers = [number for number in HARMONICS if least <= number <= most]
-
+    numbers = [number for number in HARMONICS if least <= number <= most]
+    numbers = [sine.harmonics] if sine.harmonics else numbers
     response = np.zeros(0, dtype=complex)
     previous = 0
     for number in numbers:
@@ -211,11 +209,14 @@ def compiled_balance(
     chosen = [*range(size), *(size + k for k in conditions)]
     equations, jacobian = rows[chosen], by_unknown[chosen, :]
     statement = {"x": unknown, "p": settings, "g": equations}
-    options = {"error_on_fail": False, "abstol": 1e-11, "max_iter": 30, "show_eval_warnings": False}
-    # A function with both.
-    options["jacobian_function"] = ca.Function(
-        "jacobian", [unknown, settings], [jacobian, equations]
-    )
+    options = {
+        "error_on_fail": False,
+        "abstol": 1e-11,
+        "max_iter": 30,
+        "show_eval_warnings": False,
+        # A function with both.
+        "jacobian_function": ca.Function("both", [unknown, settings], [jacobian, equations]),
+    }
     # Twice as fast; `careful` is for guesses far from the solution.
     newton = ca.rootfinder("newton", "newton", statement, {**options, "line_search": False})
     careful = ca.rootfinder("careful", "newton", statement, options)
@@ -311,8 +312,7 @@ def _equations(
     equations = ca.vertcat(ca.vertcat(*balance) / amplitude, *means)
     rows = ca.vertcat(equations, response.re, response.im)
     parts = [rows, *(ca.jacobian(rows, x) for x in (ca.vertcat(unknown, settings), symbol))]
-    at_samples = ca.Function("at_samples", [unknown, settings, symbol], parts)
-    rows, direct, by_samples = at_samples(unknown, settings, sampled)
+    rows, direct, by_samples = ca.substitute(parts, [symbol], [sampled])
     slopes, size = direct + by_samples @ slopes, equations.numel() - len(means)
     return unknown, settings, rows[:-2], slopes, size, rows[-2:], switches
 
@@ -381,7 +381,7 @@ def _harmonics(
     # and dry friction to 7e-4, which its truncation exceeds.
     points = max(129, 10 * harmonics + 1) if switches else max(33, 4 * harmonics + 1)
     to_samples, to_series = transforms(harmonics, points)
-    speeds_to_samples = phase_derivative(harmonics) @ to_samples
+    speeds_to_samples = phase_derivative(harmonics).full() @ to_samples
     slope = ca.SX.sym("slope", z.numel())
     size = ca.SX.sym("size", z.numel())
     if switches:
@@ -400,28 +400,26 @@ def _harmonics(
     # The slopes of coefficients by those of the signals, which are few, come first.
     count = z.numel()
     # A product of two waves has one or two of twice as many harmonics.
-    double, to_double = (matrix.full() for matrix in transforms(2 * harmonics, points))
-    blocks = [
-        np.einsum("kt,ta,bt->kba", double, to_series.full(), waves.full(), optimize=True)
-        for waves in (to_samples, speeds_to_samples)
-    ]
-    blocks = [ca.sparsify(ca.DM(block.reshape(len(double), -1)), 1e-9) for block in blocks]
-    others = ca.vertcat(sizes, p)
-    slopes = [ca.MX(to_series.size2(), every.numel()) for _ in range(formulas.numel())]
+    double, to_double = transforms(2 * harmonics, points)
+    blocks = []
+    for waves in (to_samples, speeds_to_samples):
+        block = np.einsum("kt,ta,bt->kba", double, to_series, waves, optimize=True)
+        blocks.append(ca.sparsify(block.reshape(len(double), -1), 1e-9))
+    slopes = [ca.MX(series.size2(), every.numel()) for _ in range(formulas.numel())]
     places = partials.sparsity().get_triplet()
     for part, row, column in zip(parts, *places, strict=True):
         kind, k = divmod(column, count)
         if kind < len(blocks):
-            by_signal = part @ to_double @ blocks[kind]
-            by_signal = ca.reshape(by_signal, series.size2(), -1)
+            by_signal = ca.reshape(part @ to_double @ blocks[kind], series.size2(), -1)
             along = by_signal @ ca.jacobian(series[k, :].T, every)
         else:
-            along = (part @ to_series).T @ ca.jacobian(others[column - 2 * count], every)
+            others = ca.jacobian(ca.vertcat(sizes, p), every)
+            along = (part @ to_series).T @ others[column - 2 * count, :]
         slopes[row] += along
     return (values @ to_series).T, ca.vertcat(*slopes)
 
 
-def transforms(harmonics: int, points: int) -> tuple[ca.DM, ca.DM]:
+def transforms(harmonics: int, points: int) -> tuple[Array, Array]:
     """Return the matrices, from the right, from coefficients to samples over one period and back.
 
     Four samples a harmonic allow products of three signals without aliasing.
@@ -432,7 +430,7 @@ def transforms(harmonics: int, points: int) -> tuple[ca.DM, ca.DM]:
     to_samples = np.array([np.ones(points), *waves])
     to_series = to_samples.T * 2 / points
     to_series[:, 0] /= 2
-    return ca.DM(to_samples), ca.DM(to_series)
+    return to_samples, to_series
 
 
 def _mean_conditions(*slopes: Array) -> list[int] | None:
