@@ -340,8 +340,7 @@ class Fit(Printed):
         self.require_estimate()
         if self.directions is None:
             raise ValueError(
-                f"the fit {self.name!r} has no covariance: its data leave no degrees of freedom, "
-                "or have errors like turbulence, as its warnings say; add data or fix parameters."
+                f"the fit {self.name!r} has no covariance: its warnings say why, and what to do."
             )
         return self.directions.of([self.names.index(name) for name in names])
 

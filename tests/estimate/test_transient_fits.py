@@ -213,6 +213,8 @@ def test_turbulence_is_named_and_its_color_estimated(clean, fit):
     blind = gb.fit(gb.Problem(ShortPeriod(), spectrum), starts=[SHORT_PERIOD], progress=False)
     assert "turbulence" in " ".join(blind.warnings)
     assert all(np.isnan(error) for error in blind.standard_error.values())
+    with pytest.raises(ValueError, match="has no covariance: its warnings say why"):
+        gb.draws(blind, 10)
     assert "turbulence" not in " ".join(fit.warnings)
 
     start = {**SHORT_PERIOD, "T_gust": 1.0}
