@@ -110,6 +110,10 @@ class CompiledProblem(Portable):
         constants = np.broadcast_to(self.constant_values, (*x.shape[:-1], len(self.constants)))
         return np.concatenate([x, constants], axis=-1)
 
+    def estimate_at(self, z: Array) -> Array:
+        """Return the unknowns (..., p) at the solver's variables z (..., p), within the bounds."""
+        return np.clip(self.scaling.to_parameters(z), self.lower, self.upper)
+
     # --- frequency responses alone, many points at once
 
     def cost(self, values: Array) -> float:

@@ -19,6 +19,7 @@ from greybox.compiled.sampled_data import joined
 from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Segments
 from greybox.files.arrays import Array, IntArray
+from greybox.files.grouping import grouped
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 
 
@@ -109,11 +110,8 @@ class Groups:
 
     def __init__(self, parts: Sequence[Part]) -> None:
         """Group the parts; a record with a Kalman gain stays alone, because it must be stable."""
-        lots: dict[Any, list[int]] = {}
-        for k, part in enumerate(parts):
-            lots.setdefault(_kind(part, k), []).append(k)
         self._all: Any = tuple(parts)
-        self._lots = list(lots.values())
+        self._lots = grouped(range(len(parts)), lambda k: _kind(parts[k], k))
         self.parts: tuple[Part, ...] = tuple(
             RecordGroup([self._all[k] for k in lot]) if len(lot) > 1 else parts[lot[0]]
             for lot in self._lots

@@ -22,6 +22,7 @@ from greybox.compiled.segments import Segments
 from greybox.compiled.step_size import drawn_parameters, pole_samples, substeps_and_segment
 from greybox.compiled.transcription.method import Transcription
 from greybox.files.arrays import Array
+from greybox.files.grouping import grouped
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.step_size import MOST_SUBSTEPS
@@ -301,15 +302,14 @@ def compile_records(
         float(sampled.steps.max()) if model.record.is_irregular else model.record.step
         for model, sampled in zip(models, data, strict=True)
     ]
-    lots: dict[Any, list[int]] = {}
     drawn = [drawn_parameters(problem) for problem in problems]
-    for k, (model, points) in enumerate(zip(models, drawn, strict=True)):
+
+    def kind(k: int) -> tuple[Any, ...]:
         # Steps of a log are known to a thousandth, see `sampled_data`.
-        key = id(model.steps), f"{longest[k]:.3g}", points.tobytes()
-        lots.setdefault(key, []).append(k)
+        return id(models[k].steps), f"{longest[k]:.3g}", drawn[k].tobytes()
 
     parts: dict[int, RecordPart] = {}
-    for lot in lots.values():
+    for lot in grouped(range(len(models)), kind):
         model, every = models[lot[0]], joined([data[k] for k in lot])
         count = pole_samples(len(model.system.states))
         looks = at_samples(every, max(every.segments // count, 1), spread=True)

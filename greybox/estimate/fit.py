@@ -3,7 +3,6 @@
 import math
 import platform
 import time
-import traceback
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import contextmanager
@@ -207,10 +206,9 @@ class SolverChoice:
                 nlp = compile_problem(with_enough_harmonics(problem), self.method)
                 return nlp, solver_for(nlp, self.options, self.search)
         except ZeroDivisionError as error:
-            place = traceback.extract_tb(error.__traceback__)[-1]
+            # The command line and studies name the line; in Python the traceback shows it.
             raise ValueError(
-                f"a formula of {problem.name!r} divides by zero, in line {place.lineno} of "
-                f"{place.filename}: change the constants in it."
+                f"a formula of {problem.name!r} divides by zero: change the constants in it."
             ) from error
 
 

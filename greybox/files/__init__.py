@@ -8,6 +8,7 @@ Begin with `text_table`.
 | `text_table` | tables and numbers as people read them |
 | `html_text` | the same tables for notebooks |
 | `delimited_text` | tables of numbers in files: separator, decimal mark, comments, facts |
+| `grouping` | items in groups that are alike |
 | `heading` | name and unit of a column |
 | `json_numbers` | values in JSON, without NaN and infinity |
 | `packed` | compressed bytes |

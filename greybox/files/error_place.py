@@ -14,6 +14,11 @@ OTHERS = (
 )
 
 
+def _name(file: Path) -> str:
+    # The file of a notebook's cell is temporary, and its name a random number.
+    return "cell of the notebook" if file.parent.name.startswith("ipykernel_") else file.name
+
+
 def error_place(error: BaseException) -> str:
     """Return the file and the line of an error, for the beginning of a sentence; else ""."""
     file = getattr(error, "filename", None) or "<"
@@ -21,7 +26,7 @@ def error_place(error: BaseException) -> str:
         return f"{Path(file).name}, line {error.lineno}: "
     # An error in a user's file may be raised anew, with the original as its cause.
     places = [
-        f"{Path(frame.f_code.co_filename).name}, line {line}: "
+        f"{_name(Path(frame.f_code.co_filename))}, line {line}: "
         for cause in (error, error.__cause__)
         for frame, line in traceback.walk_tb(cause and cause.__traceback__)
         if not frame.f_globals.get("__name__", "").startswith("greybox.")

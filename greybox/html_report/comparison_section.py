@@ -5,6 +5,7 @@ from typing import Any
 from xml.etree.ElementTree import Element
 
 from greybox.estimate.result import Fit
+from greybox.files.grouping import grouped
 from greybox.html_report.elements import tag
 from greybox.html_report.entry import Entry
 from greybox.html_report.figure import COLUMNS, figure_grid
@@ -74,11 +75,9 @@ def _estimates(entries: Sequence[Entry]) -> Iterator[Element]:
     names = dict.fromkeys(name for entry in estimated for name in entry.answer["standard_error"])
     if names:
         yield tag("h3", "Estimates with standard errors")
-    groups: dict[tuple[str, ...], list[Entry]] = {}
-    for entry in estimated:
-        own = entry.answer["standard_error"] if len(names) > WIDE else names
-        groups.setdefault(tuple(own), []).append(entry)
-    for columns, group in groups.items():
+    is_wide = len(names) > WIDE
+    for group in grouped(estimated, lambda e: is_wide and tuple(e.answer["standard_error"])):
+        columns = group[0].answer["standard_error"] if is_wide else names
         rows = [[Cell(e.label), *_estimate_cells(e.answer, columns)] for e in group]
         yield table(["result", *columns], rows)
 

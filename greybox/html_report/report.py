@@ -7,6 +7,7 @@ import numpy as np
 
 from greybox.estimate.result import Fit
 from greybox.experiment.margins import Margins
+from greybox.files.grouping import grouped
 from greybox.files.safe_files import write_text
 from greybox.files.text_table import counted, number
 from greybox.html_report.entry import Entry
@@ -94,13 +95,14 @@ def report(
 
 def members_of(study: Study) -> list[Entry]:
     """Return the members of a study, those with the same answer as one; the first with fits."""
-    alike: dict[tuple[str, ...], list[StudyMember]] = {}
-    for member in study.members:
+
+    def seen(member: StudyMember) -> tuple[str, ...]:
         # Neither a seed nor an approximation of the delay need change an answer.
         unseen = ("seed", "delay")
         factors = [f"{n} {value}" for n, value in member.factors.items() if n not in unseen]
         identity = member.answer["cost"] if member.status == "done" else member.number
-        alike.setdefault((*factors, number(identity, 6)), []).append(member)
+        return *factors, number(identity, 6)
+
     # Only the first ones are loaded: a page about a hundred fits would take minutes and megabytes.
     return [
         Entry(
@@ -109,5 +111,5 @@ def members_of(study: Study) -> list[Entry]:
             first.answer,
             first.reason,
         )
-        for k, (first, *others) in enumerate(alike.values())
+        for k, (first, *others) in enumerate(grouped(study.members, seen))
     ]

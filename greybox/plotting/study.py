@@ -202,10 +202,11 @@ def _evidence(comparison: Comparison) -> dict[tuple[str, str], float]:
 def _shares(study: Study) -> dict[tuple[str, str], float]:
     """Return the least share of agreeing starts by data set and structure."""
     shares: dict[tuple[str, str], float] = {}
+    structure = study.structures
     for member in study.members:
         factors, agreeing = member.factors, member.answer.get("agreeing", 0)
-        if {"data", "model"} <= factors.keys():
-            key = factors["data"], factors["model"]
+        if {"data", structure} <= factors.keys():
+            key = factors["data"], factors[structure]
             shares[key] = min(agreeing / max(member.runs, 1), shares.get(key, 1.0))
     return shares
 

@@ -194,7 +194,7 @@ class FiniteStarts:
         away = nlp.scaling.to_solver(start) - home
         for halvings in range(1, 7):
             z = home + 0.5**halvings * away
-            point = np.clip(nlp.scaling.to_parameters(z), nlp.lower, nlp.upper)
+            point = nlp.estimate_at(z)
             if self._solver.is_finite_at(point):
                 return point
         return start

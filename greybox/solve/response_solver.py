@@ -127,7 +127,7 @@ class ResponseSolver(LocalSolver):
                 break
 
         # IPOPT respects bounds to a tolerance only.
-        [estimate] = self._estimates(z[:, None])
+        estimate = problem.estimate_at(z)
         converged = status in CONVERGED or (located and status == ROUNDED)
         return Outcome(estimate, status, iterations, time.perf_counter() - began, converged)
 
@@ -175,7 +175,12 @@ class ResponseSolver(LocalSolver):
         ends = self.improved(self.problem.scaling.to_solver(starts).T)
         seconds = (time.perf_counter() - began) / len(starts)
         outcomes = []
-        ended = zip(self._estimates(ends.z), ends.iterations.tolist(), ends.at_minimum, strict=True)
+        ended = zip(
+            self.problem.estimate_at(ends.z.T),
+            ends.iterations.tolist(),
+            ends.at_minimum,
+            strict=True,
+        )
         for x, count, at_minimum in ended:
             if at_minimum:
                 outcome = Outcome(x, AT_MINIMUM, count, seconds, converged=True, stage=IMPROVED)
@@ -334,7 +339,7 @@ class ResponseSolver(LocalSolver):
             from_near=True,
             smoothing=smoothing,
         )
-        return self._estimates(ends.z)[0], int(ends.iterations[0])
+        return self.problem.estimate_at(ends.z[:, 0]), int(ends.iterations[0])
 
     def _unless_dearer(self, best: Minimum, estimate: Array) -> Minimum | None:
         """Return the minimum with this estimate; None if its cost is higher."""
@@ -343,11 +348,6 @@ class ResponseSolver(LocalSolver):
         if not cost <= best.cost + 1e-13 * abs(best.cost):
             return None
         return replace(best, cost=cost, estimate=estimate)
-
-    def _estimates(self, z: Array) -> Array:
-        """Return the parameters (m, p) at the columns of z (p, m), within their bounds."""
-        problem = self.problem
-        return np.clip(problem.scaling.to_parameters(z.T), problem.lower, problem.upper)
 
 
 def _batch_size(program: ca.Function) -> int:

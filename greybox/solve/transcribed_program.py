@@ -135,7 +135,7 @@ class TranscribedProgram(LocalSolver):
         else:
             status = "relaxations exceeded"
 
-        estimate = np.clip(scaling.to_parameters(solution[:p]), self._nlp.lower, self._nlp.upper)
+        estimate = self._nlp.estimate_at(solution[:p])
         converged = status in CONVERGED and math.isfinite(cost)
         signature = None
         if converged:

@@ -178,7 +178,10 @@ def batch(
         stored = add_members(folder, [member.name for member in listed])
         runs = StoredRuns(folder)
         try:
-            shown = bar(is_shown=progress, total=len(listed), unit="fit")
+            # A notebook stores every picture of the bar: two a second suffice.
+            shown = bar(
+                is_shown=progress, total=len(listed), unit="fit", miniters=0, mininterval=0.5
+            )
             with listening(), shown:
                 try:
                     new = {m: None for m in listed if executor and not stored[m.name].runs}
@@ -273,7 +276,9 @@ def _fit_member(
     runs.begin(member.name, is_new=not stored.stored_runs)
 
     def report(done: int, count: int) -> None:
-        bar.set_description_str(f"{member.name}: {done} of {counted(count, 'start')}")
+        text = f"{member.name}: {done} of {counted(count, 'start')}"
+        bar.set_description_str(text, refresh=False)
+        bar.update(0)  # shows it if the last picture is old
 
     # The runs are written whatever ends the fit, but an answer only if the search was not cut: the
     # next call would take it for the answer from all starts.

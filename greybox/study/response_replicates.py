@@ -195,7 +195,7 @@ class ResponseReplicates(Replicates):
         return self._outcome(*self._ipopt.solve(self._begin, p, bounds))
 
     def _outcome(self, z: Array, status: str, iterations: int, **stage: Any) -> Outcome:
-        estimate = np.clip(self.nlp.scaling.to_parameters(z), self.nlp.lower, self.nlp.upper)
+        estimate = self.nlp.estimate_at(z)
         converged = status in (AT_MINIMUM, *CONVERGED)
         return Outcome(estimate, status, iterations, 0.0, converged, **stage)
 

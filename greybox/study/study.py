@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from greybox.data.pandas_frames import Frame
+from greybox.files.grouping import grouped
 from greybox.files.html_text import Printed
 from greybox.files.optional_package import required
 from greybox.files.text_table import (
@@ -122,7 +123,13 @@ class Study(Printed):
         """
         return "\n\n".join(_latex(members) for members in _alike(self.done))
 
-    def ranking(self, by: str = "model") -> Comparison:
+    @property
+    def structures(self) -> str:
+        """The factor of structures: ``model``, or ``fixed`` where all members have one model."""
+        models = {member.factors.get("model") for member in self.members}
+        return "model" if len(models) > 1 else "fixed"
+
+    def ranking(self, by: str = "") -> Comparison:
         """Compare structures, or another factor, over the data sets; ``gb.compare(study)``.
 
         For every data set the table has BIC less the least: of each structure that of its best
@@ -136,8 +143,9 @@ class Study(Printed):
         Parameters
         ----------
         by : str
-            The factor whose values are compared; see `select`.
+            The factor whose values are compared, see `select`; by default `structures`.
         """
+        by = by or self.structures
         self._require_factor(by)
         # Among members that differ in their seeds or delays, only the best counts: reading a fit
         # takes longer than comparing it.
@@ -162,13 +170,10 @@ class Study(Printed):
     def failed(self) -> list[list[str]]:
         """The rows of `failures`: how many members, their names, the reason and cure."""
         # Reasons that differ only in their numbers are one, with those of the first member.
-        reasons: dict[str, list[StudyMember]] = {}
-        for member in self.members:
-            if member.status == "failed":
-                reasons.setdefault(re.sub(r"[-\d.]+", "", member.reason), []).append(member)
+        failed = [member for member in self.members if member.status == "failed"]
         return [
             [str(len(members)), some([member.name for member in members]), members[0].reason]
-            for members in reasons.values()
+            for members in grouped(failed, lambda member: re.sub(r"[-\d.]+", "", member.reason))
         ]
 
     def __repr__(self) -> str:
@@ -263,10 +268,7 @@ def _rows(member: StudyMember) -> list[dict[str, Any]]:
 
 def _alike(members: Sequence[StudyMember]) -> list[list[StudyMember]]:
     """Return the members in groups that have the same quantities."""
-    groups: dict[tuple[str, ...], list[StudyMember]] = {}
-    for member in members:
-        groups.setdefault(tuple(member.answer["standard_error"]), []).append(member)
-    return [*groups.values()]
+    return grouped(members, lambda member: tuple(member.answer["standard_error"]))
 
 
 def _estimates(members: Sequence[StudyMember]) -> str:

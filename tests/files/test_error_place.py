@@ -29,6 +29,12 @@ def test_errors_in_packages_have_no_place(folder):
     assert of("/usr/src/app/mine.py") == "mine.py, line 2: "
 
 
+def test_a_cell_of_a_notebook_has_no_number_as_its_name():
+    with pytest.raises(ZeroDivisionError) as raised:
+        exec(compile("\n1 / 0", "/tmp/ipykernel_77/1062490660.py", "exec"))
+    assert error_place(raised.value) == "cell of the notebook, line 2: "
+
+
 def test_a_file_that_is_not_python_names_its_line():
     with pytest.raises(SyntaxError) as raised:
         compile("a = (", "/home/me/mine.py", "exec")

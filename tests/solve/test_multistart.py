@@ -177,8 +177,8 @@ def finite_below(limit, asked):
 
 def of_logarithms():
     """The solver's variables are the logarithms of the parameters, which are within 0.01 and 60."""
-    scaling = SimpleNamespace(to_solver=np.log, to_parameters=np.exp)
-    return SimpleNamespace(scaling=scaling, lower=np.full(1, 0.01), upper=np.full(1, 60.0))
+    scaling = SimpleNamespace(to_solver=np.log)
+    return SimpleNamespace(scaling=scaling, estimate_at=lambda z: np.clip(np.exp(z), 0.01, 60.0))
 
 
 def test_starts_at_which_the_model_is_not_finite_move_toward_the_first_at_which_it_is():

@@ -44,6 +44,18 @@ def test_another_factor_is_ranked(small_study):
         small_study.ranking("colour")
 
 
+def test_structures_of_one_model_differ_in_what_is_fixed(tmp_path):
+    """The data have a lag of 0.35 s: one that is fixed at 4 s does not fit."""
+    problem = gb.Problem(Lag(), data("slow"))
+    members = [
+        gb.study.Member(problem.with_(fixed=fixed), 3, name=str(fixed))
+        for fixed in ({}, {"T_lag": 4.0})
+    ]
+    comparison = gb.compare(gb.batch(members, tmp_path, progress=False))
+    assert comparison.labels == ("nothing", "T_lag = 4")
+    assert comparison.supported == "nothing"
+
+
 class RateLag(Lag):
     """The lag as a rate: the response times s."""
 

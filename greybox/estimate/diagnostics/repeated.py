@@ -1,7 +1,9 @@
 """One sentence in place of many alike, where a finding applies to many records."""
 
 from collections.abc import Iterable, Iterator
+from operator import itemgetter
 
+from greybox.files.grouping import grouped
 from greybox.files.text_table import some
 
 Finding = tuple[str, str, str]
@@ -10,15 +12,12 @@ Finding = tuple[str, str, str]
 
 def once(findings: Iterable[Finding]) -> Iterator[str]:
     """Yield up to three sentences of each kind; of more, the first with the names of the names."""
-    kinds: dict[str, list[tuple[str, str]]] = {}
-    for kind, name, text in findings:
-        kinds.setdefault(kind, []).append((name, text))
-    for alike in kinds.values():
+    for alike in grouped(findings, itemgetter(0)):
         if len(alike) <= 3:
-            yield from (text for _, text in alike)
+            yield from (text for *_, text in alike)
             continue
-        names = list(dict.fromkeys(repr(name) for name, _ in alike[1:]))
+        names = list(dict.fromkeys(repr(name) for _, name, _ in alike[1:]))
         yield (
-            f"{alike[0][1].removesuffix('.')}; the same applies to {len(alike) - 1} more "
+            f"{alike[0][2].removesuffix('.')}; the same applies to {len(alike) - 1} more "
             f"({some(names)})."
         )

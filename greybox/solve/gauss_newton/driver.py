@@ -117,7 +117,7 @@ class GaussNewton(LocalSolver):
             status = "unstable predictor"
         cost = self._parts.cost(iterate, 0.0)
         return Outcome(
-            self._estimate(iterate.z),
+            self.nlp.estimate_at(iterate.z),
             status,
             end.iterations,
             time.perf_counter() - began,
@@ -147,7 +147,7 @@ class GaussNewton(LocalSolver):
         highest = best.cost + COST_ROUNDING * max(1.0, abs(best.cost))
         if not best.cost - same_cost(self.nlp, best.cost) <= cost <= highest:
             return search
-        minimum = replace(best, cost=min(cost, best.cost), estimate=self._estimate(end.z))
+        minimum = replace(best, cost=min(cost, best.cost), estimate=self.nlp.estimate_at(end.z))
         nodes = tuple(self._parts.groups.nodes_by_part(end.nodes))
         return replace(search, minima=(minimum, *search.minima[1:]), nodes=nodes)
 
@@ -175,7 +175,7 @@ class GaussNewton(LocalSolver):
         order = distinct(points)
         promising = [k + 1 for k in order]
         begins = starts.copy()
-        begins[promising] = self._estimate(points.z)[order]
+        begins[promising] = self.nlp.estimate_at(points.z)[order]
         untried = sorted(set(range(1, len(starts))) - set(promising))
 
         # Declared values may be good ones: they are always among the first.
@@ -239,10 +239,6 @@ class GaussNewton(LocalSolver):
     def _nearest(self, start: Array) -> Array:
         """Return the point z (p,) nearest to the parameters `start` within all limits."""
         return self.limits.nearest(self.nlp.scaling.to_solver(start))
-
-    def _estimate(self, z: Array) -> Array:
-        """Return the parameters at z, within their bounds."""
-        return np.clip(self.nlp.scaling.to_parameters(z), self.nlp.lower, self.nlp.upper)
 
     def _at(self, x: Array, nodes: Nodes) -> Iterate:
         """Return the iterate at the parameters x (p,) with these nodes of every part."""
