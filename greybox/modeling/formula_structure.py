@@ -118,6 +118,6 @@ def interval_means(formula: ca.SX, z: ca.SX, slopes: ca.SX, sizes: ca.SX, interv
     program = ca.Function("formula", [z, others], [ca.densify(formula)])
     moving = ca.horzcat(z, ca.SX.eye(z.numel()))
     constant = ca.horzcat(others, ca.SX(others.numel(), z.numel()))
-    inputs = ca.vertsplit(moving), ca.vertsplit(constant)
+    inputs = [*map(ca.vertsplit, (moving, constant))]
     rows = walk(program, inputs, lambda c: ca.horzcat(c, ca.SX(1, z.numel())), operate)
     return ca.vertcat(*rows)[:, 0]

@@ -94,7 +94,7 @@ def directly_found(
     for number in numbers:
         function = harmonic_function(model, omega, replace(sine, harmonics=number), **signals)
         few = response
-        response = complex_array(*(np.asarray(part).ravel() for part in function(vector)))
+        response = complex_array(*(part.full().ravel() for part in function(vector)))
         response[~np.isfinite(response)] = np.nan
         if previous and np.allclose(few, response, rtol=ENOUGH, atol=0, equal_nan=True):
             return response, previous
@@ -150,7 +150,7 @@ class HarmonicBalance:
 
         # A missing motion becomes infinite, so that the run fails instead of using it.
         response = response / ca.repmat(converged, 2, 1)
-        return ca.Function("response", [p], [response[0, :].T, response[1, :].T])
+        return ca.Function("response", [p], [row.T for row in ca.vertsplit(response)])
 
     def response_with_slopes(self, p: ca.MX, z: ca.MX, omega: Array) -> ca.Function:
         """Return the function z (q,) -> response, real, imaginary parts in turn, and slopes by z.
@@ -190,7 +190,7 @@ def compiled_balance(
     trim = trim_of(model, at or {}).closed()
     start = ca.DM([q.start for q in model.parameters.values()])
     point = ca.vertcat(*trim(start))
-    unknown, settings, rows, slopes, size, response, switches = _equations(
+    unknown, settings, rows, slopes, size, switches = _equations(
         model, sine, input, output, pade, start, point
     )
 
@@ -226,7 +226,7 @@ def compiled_balance(
     error = ca.norm_inf(equations) / (1 + ca.norm_inf(unknown))
     # Infinite harmonics would pass, since any equation is small relative to them.
     is_motion = ca.logic_and(error < 1e-8, ca.norm_inf(unknown) < math.inf)
-    finish = ca.Function("finish", [unknown, settings], [response, is_motion])
+    finish = ca.Function("finish", [unknown, settings], [rows[-2:], is_motion])
     by_settings = slopes[:, unknown.numel() :]
     motion = ca.solve(jacobian, by_settings[chosen, :])
     total = by_settings[-2:, :] - by_unknown[-2:, :] @ motion
@@ -243,96 +243,98 @@ def _equations(
     pade: int | None,
     start: ca.DM,
     trimmed: ca.DM,
-) -> tuple[Any, Any, Any, Any, int, Any, bool]:
-    """Return unknowns, settings, equations, slopes, size, response, any switches.
+) -> tuple[Any, Any, Any, Any, int, bool]:
+    """Return unknowns, settings, equations with response, their slopes, size, any switches.
 
     The equations are a balance of this size, which must vanish, and conditions on the means, of
-    which as many must vanish as the ODE leaves open. The response is real and imaginary part. The
-    slopes of equations and response are by unknowns and settings.
+    which as many must vanish as the ODE leaves open. Real and imaginary part of the response
+    follow. The slopes are by unknowns and settings.
     """
-    harmonics = sine.harmonics or 0
     n = len(model.states)
     names = (*model.states, *model.inputs)
-    z, parameters = symbols(model)
-    outputs = traced_output(model, z, parameters)
+    point, p = symbols(model)
+    outputs = traced_output(model, point, p)
     rows = [outputs[model.outputs.index(y)] for y in (output, sine.signal) if y in model.outputs]
-    derivatives = traced_derivative(model, z, parameters)
+    derivatives = traced_derivative(model, point, p)
     formulas = ca.vertcat(derivatives, *rows)
-    at_point = ca.Function("at_point", [z, parameters], [rows[-1]])
 
-    p, point = ca.MX.sym("p", len(model.parameters)), ca.MX.sym("point", len(names))
     # The width is that of the ramps of switches, relative to the final one.
-    width, omega, amplitude = (ca.MX.sym(name) for name in ("width", "omega", "amplitude"))
+    width, omega, amplitude = (ca.SX.sym(name) for name in ("width", "omega", "amplitude"))
     settings = ca.vertcat(p, point, width, omega, amplitude)
 
     # A signal that is a state or an input itself has no unknown coefficients but its mean.
     driven = names.index(input)
     held = names.index(sine.signal) if sine.signal in names else None
     if sine.signal in model.outputs:  # perhaps a state under the name of an output
-        held = next((k for k in range(len(names)) if ca.is_equal(rows[-1], z[k])), None)
+        held = next((k for k in range(len(names)) if ca.is_equal(rows[-1], point[k])), None)
 
-    columns = 2 * harmonics + 1
+    columns = 2 * (sine.harmonics or 0) + 1
     moving = {*range(n), driven} - {held}
-    per_signal = [ca.MX.sym(name, columns if k in moving else 1) for k, name in enumerate(names)]
-    unknown = ca.vertcat(*per_signal)
-    per_amplitude = _all_coefficients(per_signal, columns, held)
+    unknown, per_amplitude = _all_coefficients(len(names), columns, moving, held)
 
-    constant, by_phase = ca.DM(ca.Sparsity.unit(columns, 0)).T, phase_derivative(harmonics)
+    constant, by_phase = ca.DM(ca.Sparsity.unit(columns, 0)).T, phase_derivative(columns // 2)
     series = amplitude * per_amplitude + point @ constant
     switches = has_switches(formulas)
     sizes = _rms(series @ by_phase)
     if switches:
         # At rest an orbit has no speed to compare with, but what drives it has one.
-        gains = _gains(derivatives, z, parameters, trimmed, start)(point, p)
+        gains = _gains(derivatives, point, p, trimmed, start)
         sizes = width * ca.sqrt(sizes**2 + (gains @ _rms(series) / omega) ** 2)
-    sampled, slopes = _harmonics(
-        formulas, z, parameters, ca.vertcat(unknown, settings), series, p, sizes, switches=switches
-    )
+    every = ca.vertcat(unknown, settings)
+    by_every = ca.jacobian(ca.vertcat(ca.vec(series.T), sizes, p), every)
+    signals = ca.Function("signals", [unknown, settings], [series, sizes, p, by_every])
 
     # The equations are linear in what is sampled. Its slopes are products of small matrices: if
     # CasADi differentiated every sample, a step of Newton's method would take ten times as long.
-    symbol = ca.MX.sym("sampled", columns, formulas.numel())
+    symbol = ca.SX.sym("sampled", columns, formulas.numel())
     balanced = symbol.T
     balance = [ca.vec((omega * series[:n, :] @ by_phase - balanced[:n, :]).T)]
     means = [per_amplitude[k, 0] for k in (*range(n, len(names)), *range(n))]
     # An output that is computed gets equations instead: its first cosine is the amplitude, all
     # other harmonics vanish.
     if held is None:
-        moving_output = balanced[-1, :] - (at_point(point, p) @ constant)
-        balance.append(moving_output[1:].T - amplitude * ca.DM([1, *[0] * (2 * harmonics - 1)]))
+        moving_output = balanced[-1, :] - rows[-1] @ constant
+        balance.append(moving_output[1:].T - amplitude * ca.DM.eye(columns - 1)[:, 0])
         means.insert(0, moving_output[0] / amplitude)
     else:
         means.insert(0, per_amplitude[held, 0])
 
     response = _first(balanced[n, :]) / _first(series[driven, :])
     if input in model.delays:
-        delay = p[list(model.parameters).index(model.delays[input])]
-        response = response * exp(-Complex(ca.MX(0), omega, pade) * delay)
+        place = list(model.parameters).index(model.delays[input])
+        response *= exp(-Complex(ca.SX(0), omega, pade) * p[place])
 
     # Per amplitude, so that one tolerance serves sines of any size.
     equations = ca.vertcat(ca.vertcat(*balance) / amplitude, *means)
     rows = ca.vertcat(equations, response.re, response.im)
-    parts = [rows, *(ca.jacobian(rows, x) for x in (ca.vertcat(unknown, settings), symbol))]
-    rows, direct, by_samples = ca.substitute(parts, [symbol], [sampled])
-    slopes, size = direct + by_samples @ slopes, equations.numel() - len(means)
-    return unknown, settings, rows[:-2], slopes, size, rows[-2:], switches
+    parts = [rows, *(ca.jacobian(rows, x) for x in (every, symbol))]
+    at_samples = ca.Function("at_samples", [unknown, settings, symbol], parts)
+    x: Any = at_samples.mx_in()[:2]
+    sampled, slopes = _harmonics(formulas, point, p, *signals(*x), switches=switches)
+    rows, direct, by_samples = at_samples(*x, sampled)
+    return *x, rows, direct + by_samples @ slopes, equations.numel() - len(means), switches
 
 
-def _all_coefficients(per_signal: list[ca.MX], columns: int, held: int | None) -> Any:
-    """Return the coefficients (k, columns) of all signals, of which some are not unknown."""
-    full = []
-    for k, coefficients in enumerate(per_signal):
-        fixed = ca.DM(columns - coefficients.numel(), 1)
-        if k == held:
-            fixed[0] = 1
-        full.append(ca.vertcat(coefficients, fixed))
-    return ca.horzcat(*full).T
+def _all_coefficients(
+    count: int, columns: int, moving: set[int], held: int | None
+) -> tuple[ca.SX, ca.SX]:
+    """Return the unknown coefficients, and those of all signals (count, columns).
+
+    Signals that do not move have an unknown mean. The sine of the one that is `held` has the
+    amplitude 1.
+    """
+    coefficients = ca.SX(count, columns)
+    for k in range(count):
+        free = columns if k in moving else 1
+        coefficients[k, :free] = ca.SX.sym("c", 1, free)
+    unknown = ca.vertcat(*ca.symvar(coefficients))
+    if held is not None:
+        coefficients[held, 1] = 1
+    return unknown, coefficients
 
 
-def _gains(
-    derivatives: ca.SX, z: ca.SX, parameters: ca.SX, point: ca.DM, start: ca.DM
-) -> ca.Function:
-    """Return the sizes of the derivatives by the signals, from signals and parameters.
+def _gains(derivatives: ca.SX, z: ca.SX, parameters: ca.SX, point: ca.DM, start: ca.DM) -> ca.SX:
+    """Return the sizes of the derivatives by the signals.
 
     Rows of zeros for the inputs follow those of the states.
     A gain that is infinite at the operating point, as that of a square root at zero, counts as 0.
@@ -341,7 +343,7 @@ def _gains(
     jacobian = ca.fabs(ca.jacobian(rows, z))
     values = np.asarray(ca.Function("gains", [z, parameters], [jacobian])(point, start))
     finite = ca.sparsify(ca.DM(np.isfinite(values).astype(float))).sparsity()
-    return ca.Function("gains", [z, parameters], [ca.project(jacobian, finite)])
+    return ca.project(jacobian, finite)
 
 
 def _rms(series: Any) -> Any:
@@ -364,17 +366,17 @@ def _harmonics(
     formulas: ca.SX,
     z: ca.SX,
     parameters: ca.SX,
-    every: Any,
     series: Any,
-    p: Any,
     sizes: Any,
+    p: Any,
+    by_every: Any,
     *,
     switches: bool,
 ) -> tuple[Any, Any]:
     """Return the coefficients of sampled `formulas` (k, 1), (2h + 1, k), and their slopes.
 
-    The slopes are by `every` symbol. `series` are the coefficients of the signals z, and `sizes`
-    (k, 1) their speeds by phase.
+    `series` are the coefficients of the signals z, and `sizes` (k, 1) their speeds by phase. The
+    slopes are by all symbols, as `by_every` those of series, sizes and parameters.
     """
     harmonics = series.size2() // 2
     # An odd number of samples: a kink such as that of |v| v, sampled at a symmetric orbit, then
@@ -382,40 +384,37 @@ def _harmonics(
     # and dry friction to 7e-4, which its truncation exceeds.
     points = max(129, 10 * harmonics + 1) if switches else max(33, 4 * harmonics + 1)
     to_samples, to_series = transforms(harmonics, points)
-    speeds_to_samples = phase_derivative(harmonics).full() @ to_samples
-    slope = ca.SX.sym("slope", z.numel())
-    size = ca.SX.sym("size", z.numel())
+    waves = to_samples, phase_derivative(harmonics).full() @ to_samples
+    slope, size = (ca.SX.sym(name, z.numel()) for name in ("slope", "size"))
     if switches:
         formulas = interval_means(formulas, z, slope, size, 2 * np.pi / points)
 
     inputs = [z, slope, size, parameters]
     partials = ca.jacobian(formulas, ca.vertcat(*inputs))
-    terms = ca.densify(ca.vertcat(formulas, ca.vec(partials.nz[:])))
-    program = ca.Function("terms", inputs, [terms], {"cse": True})
+    terms = ca.vertcat(formulas, ca.vec(partials.nz[:]))
+    program = ca.Function("terms", inputs, [ca.densify(terms)], {"cse": True})
     # One operation on all samples at a time takes a quarter of the time of one sample after the
     # other.
-    samples = map(ca.vertsplit, (series @ to_samples, series @ speeds_to_samples, sizes, p))
+    samples = map(ca.vertsplit, (*(series @ wave for wave in waves), sizes, p))
     rows = [ca.MX.ones(1, points) * row for row in walk(program, [*samples], ca.MX)]
     values, parts = ca.vertcat(*rows[: formulas.numel()]), rows[formulas.numel() :]
 
     # The slopes of coefficients by those of the signals, which are few, come first.
-    count = z.numel()
+    count, width = z.numel(), series.size2()
     # A product of two waves has one or two of twice as many harmonics.
     double, to_double = transforms(2 * harmonics, points)
     blocks = []
-    for waves in (to_samples, speeds_to_samples):
-        block = np.einsum("kt,ta,bt->kba", double, to_series, waves, optimize=True)
+    for wave in waves:
+        block = np.einsum("kt,ta,bt->kba", double, to_series, wave, optimize=True)
         blocks.append(ca.sparsify(block.reshape(len(double), -1), 1e-9))
-    slopes = [ca.MX(series.size2(), every.numel()) for _ in range(formulas.numel())]
-    places = partials.sparsity().get_triplet()
-    for part, row, column in zip(parts, *places, strict=True):
+    slopes = [ca.MX(width, by_every.size2()) for _ in range(formulas.numel())]
+    for part, row, column in zip(parts, *partials.sparsity().get_triplet(), strict=True):
         kind, k = divmod(column, count)
         if kind < len(blocks):
-            by_signal = ca.reshape(part @ to_double @ blocks[kind], series.size2(), -1)
-            along = by_signal @ ca.jacobian(series[k, :].T, every)
+            by_signal = ca.reshape(part @ to_double @ blocks[kind], width, width)
+            along = by_signal @ by_every[k * width : (k + 1) * width, :]
         else:
-            others = ca.jacobian(ca.vertcat(sizes, p), every)
-            along = (part @ to_series).T @ others[column - 2 * count, :]
+            along = (part @ to_series).T @ by_every[(width - 2) * count + column, :]
         slopes[row] += along
     return (values @ to_series).T, ca.vertcat(*slopes)
 
