@@ -26,7 +26,8 @@ results RESULT...
 --model
 {HELD_OUT}
 --by FACTOR
-    compare the values of this factor over the data sets of a study: model, criterion, delay, ...
+    compare the values of this factor over the data sets of a study: model, criterion, delay, ...;
+    or of several, such as model,fixed
 --csv FILE
     the estimates of a study, a row for every member and parameter
 --latex FILE
@@ -52,7 +53,7 @@ def run(options: argparse.Namespace) -> Answer:
     study = read_study(options.results[0], options.model)
     answer, lines = as_json(study), [str(study)]
     if options.by:
-        comparison = study.ranking(options.by)
+        comparison = study.ranking(*options.by.split(","))
         answer |= attributes(comparison, *SUMMARY)
         lines = [str(comparison)]
     for method, path in tables.items():

@@ -129,7 +129,7 @@ class Study(Printed):
         models = {member.factors.get("model") for member in self.members}
         return "model" if len(models) > 1 else "fixed"
 
-    def ranking(self, by: str = "") -> Comparison:
+    def ranking(self, *by: str) -> Comparison:
         """Compare structures, or another factor, over the data sets; ``gb.compare(study)``.
 
         For every data set the table has BIC less the least: of each structure that of its best
@@ -142,16 +142,19 @@ class Study(Printed):
 
         Parameters
         ----------
-        by : str
-            The factor whose values are compared, see `select`; by default `structures`.
+        *by : str
+            The factors whose values are compared, see `select`; by default `structures`. The values
+            of several, such as ``ranking("model", "fixed")``, are compared in all combinations.
         """
-        by = by or self.structures
-        self._require_factor(by)
+        by = by or (self.structures,)
+        for factor in by:
+            self._require_factor(factor)
         # Among members that differ in their seeds or delays, only the best counts: reading a fit
         # takes longer than comparing it.
         best: dict[tuple[str, ...], StudyMember] = {}
         for member in self.done:
-            key = (member.factors.get(by, ""), *(str(member.answer[name]) for name in ALIKE))
+            values = filter(None, map(member.factors.get, by))
+            key = (": ".join(values), *(str(member.answer[name]) for name in ALIKE))
             if member.answer["cost"] <= best.get(key, member).answer["cost"]:
                 best[key] = member
         fits, held = [], {}

@@ -51,9 +51,15 @@ def test_structures_of_one_model_differ_in_what_is_fixed(tmp_path):
         gb.study.Member(problem.with_(fixed=fixed), 3, name=str(fixed))
         for fixed in ({}, {"T_lag": 4.0})
     ]
-    comparison = gb.compare(gb.batch(members, tmp_path, progress=False))
+    members.append(gb.study.Member(gb.Problem(Gain(), data("slow")), 3, name="gain"))
+    study = gb.batch(members, tmp_path, progress=False)
+    comparison = gb.compare(study.select(model="Lag"))
     assert comparison.labels == ("nothing", "T_lag = 4")
     assert comparison.supported == "nothing"
+    both = study.ranking("model", "fixed")
+    assert both.labels == ("Lag: nothing", "Lag: T_lag = 4", "Gain: nothing")
+    assert both.supported == "Lag: nothing"
+    assert bic(both, "slow", "Gain: nothing") == bic(gb.compare(study), "slow", "Gain")
 
 
 class RateLag(Lag):
