@@ -196,7 +196,7 @@ def test_neighbors_are_correlated_as_errors_are_in_units_of_their_size(criterion
         turned * (measured - lag), np.vstack([design.real, design.imag]), ratio
     )
     assert 0.1 < found.mean < 0.9
-    assert_allclose(found.rho, wanted.rho)
+    assert_allclose(found.powers, wanted.powers)
     assert_allclose(found.weight, wanted.weight, rtol=1e-6, atol=1e-12)
     assert_allclose(found.scale, wanted.scale, rtol=1e-6)
     told = part.information(

@@ -42,8 +42,8 @@ def test_weights_are_those_of_the_restricted_likelihood_by_dense_matrices(inflat
     y -= X @ np.linalg.lstsq(X, y, rcond=None)[0]
     found = neighbor_correlation(y[:n] + 1j * y[n:], X, inflation)
     scores, squares = [], []
-    for rho in found.rho:
-        R = np.kron(np.eye(2), toeplitz(rho ** np.arange(n)))
+    for powers in found.powers:
+        R = np.kron(np.eye(2), toeplitz(powers))
         # Independent numbers of the residuals: what no parameter reaches.
         free = np.linalg.svd(X)[0][:, 4:]
         V = free.T @ R @ free
@@ -56,12 +56,15 @@ def test_weights_are_those_of_the_restricted_likelihood_by_dense_matrices(inflat
         size = np.maximum(inflation * squares, 1)
         score = (2 * n - 4) * (np.log(size) + inflation * squares / size)
     score = score + scores
-    assert found.rho[0] == 0
-    prior = np.where(found.rho == 0, 0.5, 0.5 / 199)
+    assert not found.powers[0, 1:].any()
+    # 200 that fall exponentially, then 14 of means of neighbors.
+    assert_allclose(found.powers[200, 2:], 0, atol=1e-12)
+    prior = np.repeat([0.25 / 200, 0.25 / 14], [200, 14])
+    prior[0] = 0.5
     weight = prior * np.exp(-(score - score.min()) / 2)
     assert_allclose(found.weight, weight / weight.sum(), rtol=1e-6)
     assert_allclose(found.scale, size / size[0], rtol=1e-8)
-    assert found.mean == pytest.approx(found.weight @ found.rho)
+    assert found.mean == pytest.approx(found.weight @ found.powers[:, 1])
 
 
 def test_the_meat_of_one_correlation_is_that_of_dense_matrices():
@@ -70,7 +73,7 @@ def test_the_meat_of_one_correlation_is_that_of_dense_matrices():
     scores = random.standard_normal((n, 3)) + 1j * random.standard_normal((n, 3))
     J = stacked(scores)
     root = np.linalg.inv(np.linalg.cholesky(J.T @ J)).T
-    known = NeighborCorrelation(n, np.array([0.6]), np.ones(1), np.array([1.7]))
+    known = NeighborCorrelation(0.6 ** np.arange(n)[None], np.ones(1), np.array([1.7]))
     meat, dof, scale = averaged_meat(scores, root, known, lambda c: c, 18.0)
     R = np.kron(np.eye(2), toeplitz(0.6 ** np.arange(n)))
     assert_allclose(meat, 1.7 * J.T @ R @ J, rtol=1e-9)
@@ -84,7 +87,7 @@ def test_the_meat_of_several_correlations_is_that_of_the_averaged_variances():
     J = stacked(scores)
     root = np.linalg.inv(np.linalg.cholesky(J.T @ J)).T
     rho, weight, scale = np.array([0.0, 0.5, 0.8]), np.array([0.2, 0.5, 0.3]), np.array([1, 1.4, 3])
-    known = NeighborCorrelation(n, rho, weight, scale)
+    known = NeighborCorrelation(rho[:, None] ** np.arange(n), weight, scale)
 
     def dense(correlation):
         return J.T @ np.kron(np.eye(2), toeplitz(correlation)) @ J
@@ -168,7 +171,9 @@ def test_too_few_numbers_an_exact_fit_and_alternating_errors_count_as_independen
 def test_meat_and_scale_do_not_depend_on_units_and_without_scores_there_is_none():
     n = 11
     scores = np.random.default_rng(2).standard_normal((n, 2, 3)) @ [1, 1j, 0]
-    known = NeighborCorrelation(n, np.array([0.0, 0.6]), np.array([0.3, 0.7]), np.array([1.0, 1.7]))
+    known = NeighborCorrelation(
+        np.array([[0.0], [0.6]]) ** np.arange(n), np.array([0.3, 0.7]), np.array([1.0, 1.7])
+    )
     root = np.eye(2) * 0.01
     scores = np.column_stack([scores[:, 0], 3 * scores[:, 1]])
     meat, dof, scale = averaged_meat(scores, root, known, lambda c: c, 18.0)
@@ -183,7 +188,7 @@ def test_meat_and_scale_do_not_depend_on_units_and_without_scores_there_is_none(
 
 def test_the_mean_and_the_powers_of_weighted_correlations():
     known = NeighborCorrelation(
-        10, np.array([0.0, 0.5, 0.9]), np.array([0.2, 0.3, 0.5]), np.ones(3)
+        np.array([[0.0], [0.5], [0.9]]) ** np.arange(10), np.array([0.2, 0.3, 0.5]), np.ones(3)
     )
     assert known.mean == pytest.approx(0.6)
     assert known.independent == pytest.approx(0.2)
