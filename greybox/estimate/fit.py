@@ -81,11 +81,11 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     """Fit a problem from many starts: by IPOPT, or, where data are records, by Gauss-Newton steps.
 
     Newton's method searches frequency responses from all starts at once (``search="batched"``), and
-    IPOPT checks ends where the Hessian is not positive definite. Large problems of state spaces are
-    searched together, too, with one solution of (jωI - A)⁻¹ for all responses; there, three of four
-    starts, also of your own list, first move to a minimum of the equation error. Other problems
-    that do not fit into a batch (finite amplitudes, large ones) are solved by IPOPT from every
-    start, as with ``search="multistart"``.
+    IPOPT polishes every minimum. Large problems of state spaces are searched together, too, with
+    one solution of (jωI - A)⁻¹ for all responses; there, three of four starts, also of your own
+    list, first move to a minimum of the equation error. Other problems that do not fit into a batch
+    (finite amplitudes, large ones) are solved by IPOPT from every start, as with
+    ``search="multistart"``.
 
     Parameters
     ----------
@@ -274,7 +274,7 @@ def fit_keeping(
         search = explained(nlp, search)
         # Refine before ranking: minima of too coarse an integration may change their order.
         nlp, search, solver, error = refine_discretization(nlp, search, solver)
-        # A batch stops at a loose tolerance.
+        # A batch stops at a loose tolerance; IPOPT confirms each minimum once.
         search = solver.polished(search)
         nlp, search, solver = with_robust_errors(nlp, search, solver)
 

@@ -185,15 +185,6 @@ class BatchedNewton:
         self._end(searches, searches.live, ends)
         return ends
 
-    def has_definite_hessian(self, z: Array) -> bool:
-        """Return whether the Hessian at z (p, 1) is positive definite where no bound holds.
-
-        Newton's step must also be short: a flat valley with rounding errors has no minimum.
-        """
-        searches = self._begun(z, *self._bounds, LAST, self._data)
-        self._advance(searches, 0.0, None)
-        return bool(searches.numbers[IS_NEWTON, 0])
-
     def _begun(self, z: Array, low: Array, high: Array, level: int, data: Array) -> _Searches:
         """Return the searches from the columns of z (p, m), at a level."""
         m, rows = z.shape[1], self._rows

@@ -1,9 +1,9 @@
-"""The solver of frequency responses: Newton's method improves many starts together.
+"""The solver of frequency responses: Newton's method improves many starts, IPOPT confirms minima.
 
 Starts that are improved together end at a minimum of the same smoothed cost as those of IPOPT.
-At every distinct minimum the gradient vanishes; it counts only if the Hessian is positive definite,
-too, or if IPOPT stays there. IPOPT alone makes all runs of problems for which `fits_a_batch` is
-false, except for the large ones that `shared_solver` serves.
+IPOPT then solves one run of every distinct minimum again: a minimum counts only where IPOPT's
+conditions of optimality (KKT) are met. IPOPT alone makes all runs of problems for which
+`fits_a_batch` is false, except for the large ones that `shared_solver` serves.
 """
 
 import time
@@ -233,17 +233,14 @@ class ResponseSolver(LocalSolver):
     # --- the certificate
 
     def certified(self, runs: Runs, minima: Sequence[Minimum]) -> dict[int, Outcome]:
-        """Return a run of IPOPT's for every minimum whose second derivatives do not show one.
+        """Return a run of IPOPT's for every minimum that has none.
 
-        An end that IPOPT does not confirm either is not a minimum, for example a gain of zero,
-        where no other parameter has an effect. IPOPT makes these runs again from their starts.
+        An end that IPOPT does not confirm is not a minimum, for example a gain of zero, where no
+        other parameter has an effect. IPOPT makes these runs again from their starts.
         """
         certified: dict[int, Outcome] = {}
         for minimum in minima:
             if np.any(runs.stage[np.array(minimum.runs)] != IMPROVED):
-                continue
-            z = self.problem.scaling.to_solver(minimum.estimate)
-            if self.batches[-1].has_definite_hessian(z[:, None]):
                 continue
             # One of the three best runs of a minimum must be confirmed.
             if any(self._confirm(runs[k], certified) for k in minimum.runs[:3]):

@@ -1,4 +1,4 @@
-"""The search from all starts at once: IPOPT is the reference."""
+"""The search from all starts at once: IPOPT is the reference, and confirms every minimum."""
 
 from dataclasses import replace
 
@@ -243,43 +243,14 @@ class Idle(gb.TransferFunction):
         return p.K / (p.T * s + 1) * gb.exp(-0.3 * s)
 
 
-def is_valley(problem, free, x):
-    """Return whether second differences of the cost show a minimum at x."""
-    steps = 1e-3 * np.diag(x)
-
-    def cost(at):
-        return gb.cost(problem, dict(zip(free, at, strict=True)))
-
-    hessian = [
-        [cost(x + a + b) - cost(x + a - b) - cost(x - a + b) + cost(x - a - b) for a in steps]
-        for b in steps
-    ]
-    return np.all(np.linalg.eigvalsh(hessian) > 0)
-
-
-@pytest.mark.parametrize(
-    ("point", "is_definite"), [((1.0, 0.0), True), ((0.0, 0.0), False), ((1.0, 2.0), False)]
-)
-def test_a_minimum_has_a_definite_hessian(point, is_definite):
-    """Of x^2 (x^2 - 2) + x^2 y^2: at x = 1 it has a minimum, at x = 0 nothing depends on y."""
-    import casadi as ca
-
-    inputs = [z, *_] = ca.SX.sym("z", 2), ca.SX.sym("smoothing"), ca.SX(0, 1)
-    cost = SecondOrder(inputs, z[0] ** 2 * (z[0] ** 2 - 2 + z[1] ** 2))
-    newton = BatchedNewton(cost, np.full(2, -9.0), np.full(2, 9.0))
-    assert newton.has_definite_hessian(np.array([point]).T) == is_definite
-
-
 def test_what_ipopt_does_not_confirm_is_solved_again_from_its_start():
     truth = {"K": 5.0, "T": 0.2}
     problem = gb.Problem(Idle(), measured(Idle(), np.geomspace(0.5, 40, 30), truth, noise=0.02))
     fit = gb.fit(problem, 60, progress=False)
     assert fit.converged
     assert fit.estimate["T"] == pytest.approx(0.2, rel=0.1)
-    for minimum in fit.minima:  # by differences of the cost, or by IPOPT
-        assert is_valley(problem, fit.free, minimum.estimate) or any(
-            fit.runs[k].stage == "polished" for k in minimum.runs
-        )
+    for minimum in fit.minima:  # each has a run of IPOPT
+        assert any(fit.runs[k].stage == "polished" for k in minimum.runs)
 
 
 def test_by_default_the_promising_starts_are_run_and_the_others_kept_with_their_costs():
