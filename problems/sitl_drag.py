@@ -9,7 +9,7 @@ Source: Frequency Domain Identification of the Quadcopter Attitude Dynamics, sec
 takes a5 from the measured velocity. The drag of the simulated vehicle is computed in
 `tests/problems/test_sitl_drag.py`: 0.24 1/s and 0.034 1/m. Each estimate is within 1.1 standard
 errors of it, but both together are not (p = 0.0003). The fit says that the model does not explain
-these flights; it lacks the dynamics of the state estimator.
+these flights. What it lacks may be the dynamics of the state estimator; that was not tested.
 
 Fitted to the first 60 % of the flight about 5° and to the rest, the bias of the angle seems to
 move, from 0.0040 to -0.0016 rad. It is no wind: with the drag of the simulator it is 0.0061 and
