@@ -49,15 +49,6 @@ class DisturbedRecord:
         growth = np.abs(np.linalg.eigvals(A)).max(initial=1.0)
         return bool(self.part.samples * np.log(growth) > np.log(100))
 
-    @property
-    def states_along_data(self) -> Array:
-        """The states, corrected by the residuals of the outputs of the same name."""
-        errors = np.where(self.present, self.part.residuals(self._trajectory), 0.0)
-        return self.states + sum(
-            np.outer([name == state for state in self.part.system.states], row)
-            for name, row in zip(self.part.outputs, errors, strict=True)
-        )
-
     def by_stretch(self, function: Callable[..., Array], row: Array, *arguments: Any) -> Array:
         """Return a function of the samples and the step of every stretch, segments filled up."""
         data = self.part.data

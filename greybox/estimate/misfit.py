@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,6 +16,7 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.diagnostics.outlying_points import SIZE, largest_deviation
 from greybox.estimate.missing_terms import (
     Term,
+    constants_of_record,
     signals_of_record,
     terms_of_record,
     terms_of_response,
@@ -56,7 +56,6 @@ PIECES = 10  # of a record, whose means show an offset
 LARGE = 10  # times what noise leaves, beyond which a model describes nothing
 NOISY = 0.25  # of the variance: residuals of half the standard deviation of an output
 TINY = 1e-300
-COLUMNS = 2_000_000  # numbers in memory for all terms at once, 16 MB
 # Samples of all records that are tested, in excerpts: with more, a fit would wait for the test.
 MOST = 3000
 FEWEST = 500  # of each
@@ -297,17 +296,11 @@ def assessed_misfit(
 
     most = max(MOST // max(len(records), 1), FEWEST)
     regressions = [_of_record(part, trajectory, candidates, most) for part, trajectory in records]
-    has_terms = any(part.terms for part in responses)
-    groups = apart = [_of_group(responses, in_time=False)[0]] if has_terms else []
-    shape = None
-    # Terms along the measured states contain noise, which must not decide whether the model is
-    # wrong; but far from the data, terms along its own states are wrong, too.
-    for along_data in (False, True) if records else ():
-        parts = [regression(along_data) for regression in regressions]
-        group, shape = _of_group(parts, in_time=True)
-        groups = [*apart, group]
-        if group.explains or group.left < 2 * group.noise:
-            break
+    groups = [
+        _of_group(parts, in_time=in_time)
+        for parts, in_time in ((responses, False), (regressions, True))
+        if any(part.terms for part in parts)
+    ]
     if not groups:
         return None
 
@@ -319,17 +312,12 @@ def assessed_misfit(
         tried=sum(group.tried for group in groups),
         causes=tuple(causes),
         p_common=min(group.p_common for group in groups),
-        shape=shape and shape(),
+        shape=groups[-1].shape,
     )
 
 
-def _of_group(
-    parts: Sequence[_Regression], *, in_time: bool
-) -> tuple[Misfit, Callable[[], Shape | None]]:
-    """Return the misfit of all records or of all responses, in which a term is missing alike.
-
-    Its shape comes from a function, since it takes a fifth of the time.
-    """
+def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
+    """Return the misfit of all records or of all responses, in which a term is missing alike."""
     # With two parts, either one may need another value; a single part has no counterpart.
     either = parts[0].terms if len(parts) < 3 else {}
     terms = {
@@ -367,7 +355,7 @@ def _of_group(
         alone = score_tests(residuals[:, 0], fitted, best_columns)[0] / len(residuals)
         shares = np.maximum(shares, alone).tolist()
     p_values = [p_value for (_, p_value, *_), *_ in ranked]
-    if in_time and ranked:
+    if in_time:
         p_values = autoregressive_p_values(residuals[:, 0], fitted, best_columns, outputs).tolist()
 
     # Real and imaginary parts follow one another in every response.
@@ -382,7 +370,7 @@ def _of_group(
         p_common = p_value_of_scores(score, apart, len(residuals))
 
     texts = [terms[key].described(test[2], test[3]) for test, key, _ in ranked]
-    alike = _alike(beside(white(best_columns), white_fitted), texts) if ranked else []
+    alike = _alike(beside(white(best_columns), white_fitted), texts)
     causes = []
     for k, ((decrease, _, value, error), key, column) in enumerate(ranked):
         p_value = p_correlated = p_values[k]
@@ -401,7 +389,7 @@ def _of_group(
 
     tests = [*zip(ranked, causes, strict=True)]
     causes += [cause for part in parts for cause in part.causes]
-    misfit = Misfit(
+    return Misfit(
         left,
         noise,
         tried,
@@ -409,8 +397,8 @@ def _of_group(
         p_common,
         _drift(residuals, filters),
         any(part.is_unstable for part in parts),
+        _shape(parts, tests, white, white_residuals, white_fitted),
     )
-    return misfit, partial(_shape, parts, tests, white, white_residuals, white_fitted)
 
 
 def _drift(residuals: Array, filters: Sequence[Array]) -> float:
@@ -435,7 +423,7 @@ def _shares(
 
 def _shape(
     parts: Sequence[_Regression],
-    tests: Sequence[tuple[tuple[list[float], Key, Array], Cause]],
+    tests: Iterable[tuple[tuple[list[float], Key, Array], Cause]],
     white: Callable[[Array], Array],
     residuals: Array,
     fitted: Array,
@@ -492,18 +480,14 @@ def _ranked(
 
     `residuals` (N,) and `fitted` (N, p) are white.
     """
-    best, tried = {}, 0
-    size = COLUMNS // max(len(residuals), 1) + 1
-    for chosen in (keys[first : first + size] for first in range(0, len(keys), size)):
-        columns = np.vstack([part.columns(chosen) for part in parts])
-        tests = score_tests(residuals, fitted, white(columns))
-        numbers = tests.T.tolist()
-        for k in np.flatnonzero(np.isfinite(tests[1])).tolist():
-            tried += 1
-            family = chosen[k][0]
-            if family not in best or numbers[k] > best[family][0]:
-                best[family] = numbers[k], chosen[k], columns[:, [k]]
-    return tried, sorted(best.values(), key=lambda test: test[0], reverse=True)[:FAMILIES]
+    best = {}
+    columns = np.vstack([part.columns(keys) for part in parts])
+    tests = score_tests(residuals, fitted, white(columns)).T
+    # The best of a family comes last, and replaces the others.
+    tested = [k for k in np.argsort(tests[:, 0]).tolist() if np.isfinite(tests[k, 1])]
+    for k in tested:
+        best[keys[k][0]] = tests[k].tolist(), keys[k], columns[:, [k]]
+    return len(tested), sorted(best.values(), key=lambda test: test[0], reverse=True)[:FAMILIES]
 
 
 def _numbered(terms: Iterable[Term]) -> dict[Key, Term]:
@@ -521,8 +505,7 @@ def _of_record(
     trajectory: Trajectory,
     candidates: Mapping[str, Formula],
     most: int,
-) -> Callable[[bool], _Regression]:
-    """Return the function that makes the regression, with terms along the data or without."""
+) -> _Regression:
     if part.samples > most:
         part, trajectory = _on_excerpts(part, trajectory, most)
     residuals = part.residuals(trajectory)
@@ -537,18 +520,20 @@ def _of_record(
         return result.reshape(len(result), measured.size).T
 
     by_initial = data.unpadded(np.einsum("ab,bmn->amn", noise, slopes.by_initial))
+    starts = [*map(rows_of_stretch, by_initial, present)]
     # An offset or a trend cannot be distinguished from a drift of the errors.
-    beginnings = [
-        np.hstack([rows_of_stretch(by_state, measured), _lines(measured)])
-        for by_state, measured in zip(by_initial, present, strict=True)
-    ]
+    drifts = [np.hstack(pair) for pair in zip(starts, map(_lines, present), strict=True)]
 
-    def rows(values: Array) -> Array:
+    def rows(values: Array, taken: Sequence[Array] = drifts) -> Array:
         pairs = zip(data.unpadded(values), present, strict=True)
         stretches = [rows_of_stretch(*pair) for pair in pairs]
         # The initial states and straight lines of every stretch are fitted first.
-        return np.vstack([*map(beside, stretches, beginnings)])
+        return np.vstack([*map(beside, stretches, taken)])
 
+    by_parameters = np.einsum("ab,bpn->apn", noise, slopes.weighted)
+    constants = [*constants_of_record(record)]
+    effects = record.followed_by(term.place(term.values) for term in constants if term.place)
+    with_effects = np.concatenate([residuals[:, None], effects], axis=1)
     firsts = np.cumsum([0, *(row.size for row in present[:-1])])
     outputs = [
         [
@@ -557,40 +542,43 @@ def _of_record(
         ]
         for k in range(len(present[0]))
     ]
-    without_terms = _Regression(
+    offsets = _offsets(constants, rows(with_effects, starts), rows(by_parameters, starts), outputs)
+    return _Regression(
         rows(np.nan_to_num(data.measured)[:, None]),
         rows(residuals[:, None]),
-        rows(np.einsum("ab,bpn->apn", noise, slopes.weighted)),
-        {},
+        rows(by_parameters),
+        _numbered(terms_of_record(record, candidates)),
         lambda terms: rows(record.followed_by(t.place(t.values) for t in terms if t.place)),
         outputs=outputs,
-        causes=tuple(_offsets(part, residuals, record.present)),
+        causes=tuple(offsets),
         is_unstable=record.is_unstable,
         signals=signals_of_record(record),
     )
 
-    def with_terms(along_data: bool) -> _Regression:
-        terms = terms_of_record(record, candidates, along_data)
-        return replace(without_terms, terms=_numbered(terms))
 
-    return with_terms
+def _offsets(
+    terms: Sequence[Term], columns: Array, fitted: Array, outputs: Outputs
+) -> Iterator[Cause]:
+    """Yield the constants that residuals follow, judged by their slow errors.
 
-
-def _offsets(part: RecordPart, residuals: Array, present: BoolArray) -> Iterator[Cause]:
-    """Yield the offsets of the residuals, judged by their slow errors.
-
-    These look like an offset, too, but then the means of pieces of the record differ as much. A
-    random walk from zero has an offset of p < 0.001 in one of 2000 simulated records.
+    These look like a constant, too, but then pieces of the record differ as much. A random walk
+    from zero has an offset of p < 0.001 in one of 2000 simulated records. The first of the columns
+    (N, 1 + c) has the residuals, and the others the effects of the terms. Both lose what the
+    parameters take: a gain that makes up for a constant leaves residuals unlike one.
     """
-    for name, row, measured in zip(part.outputs, residuals, present, strict=True):
-        if measured.sum() < PIECES:
+    tests = score_tests(columns[:, 0], fitted, columns[:, 1:]).T.tolist()
+    columns = beside(columns, fitted)
+    pieces = np.zeros(len(columns), dtype=int)
+    for rows in map(np.concatenate, outputs):
+        pieces[rows] = np.arange(len(rows)) * PIECES // len(rows)
+    for term, (decrease, p_one, value, _), column in zip(terms, tests, columns.T[1:], strict=True):
+        if np.isnan(p_one):
             continue
-        means = [piece.mean() for piece in np.array_split(row[measured], PIECES)]
-        value, error = float(np.mean(means)), float(np.std(means)) + TINY
-        p_value = float(chance(1 / (1 + (value / error) ** 2 / PIECES), PIECES - 1))
-        share = value**2 / float(np.mean(row[measured] ** 2) + TINY)
-        text = f"an offset of {name} by {number(value, 2)}"
-        yield Cause(text, f"the output {name} + p.offset", value, error, share, p_value, p_value)
+        products = column * (columns[:, 0] - value * column)
+        error = PIECES * float(np.std(np.bincount(pieces, products)) / (column @ column)) + TINY
+        p_value = chance(1 / (1 + (value / error) ** 2 / PIECES), PIECES - 1)
+        numbers = np.minimum([decrease / len(columns), *2 * [len(terms) * p_value]], 1.0).tolist()
+        yield Cause(*term.described(value, error), value, error, *numbers)
 
 
 def _lines(measured: BoolArray) -> Array:

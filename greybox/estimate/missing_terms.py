@@ -52,6 +52,11 @@ TEXTS = {
         "a dead zone of {a} near ±{level}",
         "gb.minimum(gb.maximum(u.{a}, -p.limit), p.limit), or u.{a} less that",
     ),
+    "side": (
+        "a gain of {a} that is larger beyond {level}",
+        "a gain of {a} that is smaller beyond {level}, as with a saturation of one side",
+        "gb.minimum(u.{a}, p.limit) or gb.maximum",
+    ),
     "gain": (
         "an effect of {a}, whose gain is nearly zero",
         "other starts or wider bounds of the parameters that multiply u.{a}",
@@ -64,6 +69,16 @@ TEXTS = {
         "a sensor of {b} that is late by {size} s",
         "a sensor of {b} that is early by {size} s",
         "a state {b}_late with the derivative (h - x.{b}_late) / p.T_late for the output h of {b}",
+    ),
+    "offset": (
+        "an offset of {b} by {size}",
+        "an offset of {b} by -{size}",
+        "the output {b} + p.offset",
+    ),
+    "constant": (
+        "a constant {size} in the equation of {b}",
+        "a constant -{size} in the equation of {b}",
+        "the derivative of {b} gets + p.c",
     ),
     "equation": (
         "{a} in the equation of {b}",
@@ -135,9 +150,12 @@ LEVELS = (0.2, 0.4, 0.7)  # of saturations and dead zones, over the largest inpu
 NEAR_HALF = 0.6
 # Shares of the samples below stops and overflows, which act seldom.
 STOPS = (0.05, 0.15, 0.85, 0.95)
+JUMPS = (-0.25, 0.0, 0.25)  # of a parameter, over the samples from their middle
 CREEP = 0.2  # of the largest value of a signal, below which its sign counts less
 DAMPING = 0.05  # of modes
-MODES = 24  # frequencies of the modes that are tried in records
+MODES = 16  # frequencies of the modes that are tried in records
+# Fewest periods of such a mode in the record: a slower one looks like a drift of the errors.
+PERIODS = 5
 LARGE = 10  # states and inputs beyond which an equation is tried with its own alone
 # Steps of the gain that are tried. With a step at a wrong point, errors would look correlated.
 EDGES = 32
@@ -205,13 +223,11 @@ class Term:
         return text, code.format(**values) + "".join(also)
 
 
-def terms_of_record(
-    record: DisturbedRecord, candidates: Mapping[str, Formula], along_data: bool
-) -> Iterator[Term]:
+def terms_of_record(record: DisturbedRecord, candidates: Mapping[str, Formula]) -> Iterator[Term]:
     """Yield the terms that the model of a record may lack; `candidates` are the user's.
 
-    Those in equations are functions of the simulated states, and also of the measured ones if they
-    are to follow the data: a wrong model's states are not those that the term acts on.
+    Those in equations are functions of the simulated states. Measured ones have noise, which must
+    not decide whether the model is wrong.
     """
     part = record.part
     for j, (u, a) in enumerate(zip(record.inputs, part.system.inputs, strict=True)):
@@ -228,11 +244,19 @@ def terms_of_record(
             yield Term("direct", past, partial(record.by_output, k), a, b)
 
     if isinstance(part.problem.model, StateSpace):
-        for states in (record.states, record.states_along_data)[: 1 + along_data]:
-            yield from _of_equations(record, states, candidates)
+        yield from _of_equations(record, candidates)
     else:
         yield from _of_feedback(record)
     yield from _of_parameters(record)
+
+
+def constants_of_record(record: DisturbedRecord) -> Iterator[Term]:
+    """Yield offsets of the outputs, and constants in the equations of the states."""
+    part, ones = record.part, np.ones(record.part.samples)
+    for k, b in enumerate(part.outputs):
+        yield Term("offset", ones, partial(record.by_output, k), b=b)
+    for i in dynamic_equations(part):
+        yield Term("constant", ones, partial(record.by_state, i), b=part.system.states[i])
 
 
 def signals_of_record(record: DisturbedRecord) -> dict[str, Array]:
@@ -250,6 +274,7 @@ def _of_parameters(record: DisturbedRecord) -> Iterator[Term]:
     samples = np.linspace(-0.5, 0.5, part.samples)
     # Among several records, one may need different values.
     changes = [("change", samples, ""), ("own", np.ones_like(samples), part.name)]
+    changes += [("change", 1.0 * (samples > share), "") for share in JUMPS]
     # A signal that the model does not use, such as an airspeed, may order the flights.
     for b in sorted(log.signals.keys() - {*part.system.inputs, *part.system.outputs}):
         if np.ptp(log[b]) > 0:
@@ -294,15 +319,17 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
             decay = float(np.exp(-step / T))  # of a lag; the input itself is taken off
             lagged = record.by_stretch(_filtered, u, [-decay, decay], [1, -decay])
             yield term("lag", lagged, scale=T)
-    # From one period in the record to three samples in a radian.
-    for w in np.geomspace(6.3 / len(u), 0.3, MODES).tolist():
+    # From a few periods in the record to three samples in a radian.
+    for w in np.geomspace(2 * np.pi * PERIODS / len(u), 0.3, MODES).tolist():
         # Of s² / (s² + 2 ζ ω s + ω²) by Tustin's rule, where ω times the step is w.
         poles = [4 + w * (4 * DAMPING + w), 2 * w**2 - 8, 4 + w * (w - 4 * DAMPING)]
         mode = record.by_stretch(_filtered, u, [4.0, -8.0, 4.0], poles)
         yield term("flexible", mode, w / step)
-    about = u - np.median(u)
+    about = u - (middle := float(np.median(u)))
     for level in float(np.abs(about).max()) * np.array(LEVELS):
         yield term("curve", np.clip(about, -level, level), level)
+        yield term("side", np.maximum(about, level), middle + level)
+        yield term("side", np.minimum(about, -level), middle - level)
 
 
 def _of_feedback(record: DisturbedRecord) -> Iterator[Term]:
@@ -313,11 +340,9 @@ def _of_feedback(record: DisturbedRecord) -> Iterator[Term]:
                 yield Term("feedback", form(row), by_input, a, name)
 
 
-def _of_equations(
-    record: DisturbedRecord, states: Array, candidates: Mapping[str, Formula]
-) -> Iterator[Term]:
+def _of_equations(record: DisturbedRecord, candidates: Mapping[str, Formula]) -> Iterator[Term]:
     system = record.part.system
-    x = dict(zip(system.states, states, strict=True))
+    x = dict(zip(system.states, record.states, strict=True))
     u = dict(zip(system.inputs, record.inputs, strict=True))
     p = dict(zip(record.part.model.parameters, record.parameters, strict=True))
     signals = (Names(x), Names(u), Names(p))

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from greybox.files.arrays import Array, IntArray
-from greybox.statistics.score_test import REMAINS, chance
+from greybox.statistics.score_test import chance
 
 ORDER = 20
 SAMPLES = 8  # of an output for each order
@@ -71,39 +71,29 @@ def autoregressive_p_values(
 
 def _p_values(values: Array, count: int, outputs: Outputs) -> Array:
     """Return the probabilities; of values (N, ·), the residuals come first, then the terms."""
-    filters = whitening_filters(values[:, 0], outputs)
-    orders = [len(weights) - 1 for weights in filters]
-    white = whitened(values, filters, outputs)
-    length = np.linalg.norm(white, axis=0)
+    values = values / (np.linalg.norm(values, axis=0) + TINY)
+    columns = [*range(count, values.shape[1])]
+    first = whitening_filters(values[:, 0], outputs)
+    counts = np.array([sum(map(len, stretches)) for stretches in outputs])
 
-    # Generalized least squares: what the fitted parameters can take.
-    scale = np.where(length > 0, length, 1.0)[count:]
-    taken = np.linalg.lstsq(white[:, count:] / scale, white[:, :count], rcond=None)[0]
-    beside = values[:, :count] - values[:, count:] / scale @ taken
-    white = white[:, :count] - white[:, count:] / scale @ taken
-    remains = np.linalg.norm(white, axis=0)
-    is_new = (remains > REMAINS * length[:count])[1:]
-    squares = np.where(is_new, remains[1:], 1.0) ** 2
-    factor = np.where(is_new, white[:, 1:].T @ white[:, 0] / squares, 0.0)
+    def score(taken: Sequence[int]) -> float:
+        """Return -2 log likelihood with these columns.
 
-    counts = np.array(
-        [
-            sum(max(len(rows) - order, 0) for rows in stretches)
-            for order, stretches in zip(orders, outputs, strict=True)
-        ]
-    )
-
-    def score(errors: Array) -> float:
-        filters = whitening_filters(errors, outputs)
+        The errors are those beside the columns: what follows a missing term is an autoregression,
+        too, and would leave nothing of the term if the filters came from it.
+        """
+        white, filters = values[:, [0, *taken]], []
+        for _ in range(2):
+            factors = np.linalg.lstsq(white[:, 1:], white[:, 0], rcond=None)[0]
+            errors = values[:, 0] - values[:, taken] @ factors
+            filters = whitening_filters(errors, outputs)
+            white = whitened(values[:, [0, *taken]], filters, outputs)
         return -2 * float(counts @ np.log([weights[0] for weights in filters]))
 
-    without = score(beside[:, 0])
-    decrease = [
-        without - score(beside[:, 0] - a * beside[:, k]) if a else 0.0
-        for k, a in enumerate(factor, start=1)
-    ]
-    remaining = max(len(white) - white.shape[1] + count - sum(orders) - 1, 1)
-    return chance(np.exp(-np.maximum(decrease, 0.0) / max(len(white), 1)), remaining)
+    decrease = score(columns) - np.array([score([k, *columns]) for k in range(1, count)])
+    white = whitened(values[:, :1], first, outputs)
+    remaining = max(len(white) - len(columns) - sum(map(len, first)), 1)
+    return chance(np.exp(-np.maximum(decrease, 0.0) / counts.sum()), remaining)
 
 
 def whitening_filters(residuals: Array, outputs: Outputs) -> list[Array]:
