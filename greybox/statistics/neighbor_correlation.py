@@ -127,7 +127,9 @@ def neighbor_correlation(
     share = rho[:, None, None]
     moments = (1 + share**2) * squares_of_rows - share**2 * ends - share * (beside + beside.T)
     moments /= 1 - share**2
-    factors = [cholesky_banded(band, lower=True) for band in np.repeat(LAGS[:, :n, None], n, 2)]
+    # Errors that are alike over half of the points look like a gain.
+    means = LAGS[np.count_nonzero(LAGS > 1e-3, axis=1) <= max(n / 2, 2), :n]
+    factors = [cholesky_banded(band, lower=True) for band in np.repeat(means[..., None], n, 2)]
     weighted = np.array([cho_solve_banded((factor, True), rows) for factor in factors])
     moments = np.concatenate([moments, (rows.conj().T @ weighted).real])
     logarithms = [2 * np.log(factor[0]).sum() for factor in factors]
@@ -151,15 +153,15 @@ def neighbor_correlation(
     score += information
 
     # Independent errors are as likely as correlated ones, and both kinds of correlation are, too.
-    prior = np.repeat([0.25 / VALUES, 0.25 / len(LAGS)], [VALUES, len(LAGS)])
+    prior = np.repeat([0.25 / VALUES, 0.25 / len(means)], [VALUES, len(means)])
     prior[0] = 0.5
     weight = prior * np.exp((score.min() - score) / 2)
     weight /= weight.sum()
     if weight[0] > TAKEN_FOR_SURE:
         return None
 
-    powers = np.vstack([rho[:, None] ** np.arange(n), np.zeros((len(LAGS), n))])
-    powers[VALUES:, :16] = LAGS[:, :n]
+    powers = np.vstack([rho[:, None] ** np.arange(n), np.zeros((len(means), n))])
+    powers[VALUES:, :16] = means
     return NeighborCorrelation(powers, weight, scale)
 
 
