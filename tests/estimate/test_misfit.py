@@ -289,6 +289,14 @@ def test_what_the_model_of_a_response_lacks_is_named(defect, cause):
     assert any(cause in found.text for found in misfit.likely[:2])
 
 
+def test_the_code_of_a_lead_has_its_zero():
+    causes = of_response(lambda s: (1 + s / 6) / (1 + s / 18)).causes
+    leads = [cause for cause in causes if cause.text.startswith("a lead near")]
+    assert leads
+    for cause in leads:
+        assert cause.code == "response: * (p.T_zero * s + 1) / (p.T_pole * s + 1)"
+
+
 def test_terms_of_the_user_are_tried():
     fit = fitted(Cubic)
     candidates = {"stiffening": lambda x, u, p: x.x**5, "wind": lambda x, u, p: 1.0}
