@@ -192,7 +192,8 @@ def colored_predictions(
         part, _ = tested[0]
         has_gusts = part.problem.model is not undisturbed(part.problem.model)
         cause = (
-            f"as in gusts, which last longer than a sample: use {gust_criterion(part)}"
+            f"as in gusts, which last longer than a sample: use {gust_criterion(part)}; or as if "
+            "signals were low-pass filtered"
             if explained and not has_gusts
             else "as if signals were low-pass filtered, gusts reached another state, or the model "
             "is incomplete"
