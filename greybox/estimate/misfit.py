@@ -56,6 +56,7 @@ PIECES = 10  # of a record, whose means show an offset
 LARGE = 10  # times what noise leaves, beyond which a model describes nothing
 NOISY = 0.25  # of the variance: residuals of half the standard deviation of an output
 TINY = 1e-300
+COLUMNS = 2_000_000  # numbers in memory for all terms at once, 16 MB
 # Samples of all records that are tested, in excerpts: with more, a fit would wait for the test.
 MOST = 3000
 FEWEST = 500  # of each
@@ -480,14 +481,20 @@ def _ranked(
 
     `residuals` (N,) and `fitted` (N, p) are white.
     """
-    best = {}
-    columns = np.vstack([part.columns(keys) for part in parts])
-    tests = score_tests(residuals, fitted, white(columns)).T
-    # The best of a family comes last, and replaces the others.
-    tested = [k for k in np.argsort(tests[:, 0]).tolist() if np.isfinite(tests[k, 1])]
-    for k in tested:
-        best[keys[k][0]] = tests[k].tolist(), keys[k], columns[:, [k]]
-    return len(tested), sorted(best.values(), key=lambda test: test[0], reverse=True)[:FAMILIES]
+    best, tried = {}, 0
+    size = COLUMNS // max(len(residuals), 1) + 1
+    for first in range(0, len(keys), size):
+        chosen = keys[first : first + size]
+        columns = np.vstack([part.columns(chosen) for part in parts])
+        tests = score_tests(residuals, fitted, white(columns)).T.tolist()
+        for k, test in enumerate(tests):
+            # The probability is NaN where nothing of a term is left.
+            if test[1] <= 1:
+                tried += 1
+                family = chosen[k][0]
+                if test > best.get(family, [[]])[0]:
+                    best[family] = test, chosen[k], columns[:, [k]]
+    return tried, sorted(best.values(), key=lambda test: test[0], reverse=True)[:FAMILIES]
 
 
 def _numbered(terms: Iterable[Term]) -> dict[Key, Term]:

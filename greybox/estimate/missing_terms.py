@@ -42,7 +42,7 @@ TEXTS = {
         "a lag of {a} by {size} s, one more pole",
         "a state {a}_lag with the derivative (u.{a} - x.{a}_lag) / p.T_lag, in place of u.{a}",
     ),
-    "no lag": (
+    "negative lag": (
         "a lead of {a} by {size} s, one more zero",
         "a state {a}_lag with the derivative (u.{a} - x.{a}_lag) / p.T_lag, and "
         "u.{a} + p.c * (u.{a} - x.{a}_lag) in place of u.{a}",
@@ -134,7 +134,7 @@ TEXTS = {
         "one more pole near {level} rad/s",
         "response: / (p.T_pole * s + 1)",
     ),
-    "no pole": (
+    "negative pole": (
         "a lead near {level} rad/s, one more zero and one more pole",
         "response: * (p.T_zero * s + 1) / (p.T_pole * s + 1)",
     ),
@@ -217,8 +217,8 @@ class Term:
         kind = "gain" if abs(factor) * self.scale > self.largest else self.kind
         if kind == "timing" and abs(factor * self.scale / self.half_step - 1) < NEAR_HALF:
             kind = "hold"
-        if factor < 0 and f"no {kind}" in TEXTS:
-            kind = f"no {kind}"
+        if factor < 0 and f"negative {kind}" in TEXTS:
+            kind = f"negative {kind}"
         *texts, code = TEXTS[kind]
         size, deviation = (number(abs(x) * self.scale, 2) for x in (factor, error))
         level = number(self.level, 2)

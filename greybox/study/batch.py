@@ -276,8 +276,9 @@ def _fit_member(
     runs.begin(member.name, is_new=not stored.stored_runs)
 
     def report(done: int, count: int) -> None:
-        text = f"{member.name}: {done} of {counted(count, 'start')}"
-        bar.set_description_str(text, refresh=False)
+        bar.set_description_str(
+            f"{member.name}: {done} of {counted(count, 'start')}", refresh=False
+        )
         bar.update(0)  # shows it if the last picture is old
 
     # The runs are written whatever ends the fit, but an answer only if the search was not cut: the

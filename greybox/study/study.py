@@ -153,8 +153,8 @@ class Study(Printed):
         # takes longer than comparing it.
         best: dict[tuple[str, ...], StudyMember] = {}
         for member in self.done:
-            values = filter(None, map(member.factors.get, by))
-            key = (": ".join(values), *(str(member.answer[name]) for name in ALIKE))
+            combination = ": ".join(filter(None, map(member.factors.get, by)))
+            key = (combination, *(str(member.answer[name]) for name in ALIKE))
             if member.answer["cost"] <= best.get(key, member).answer["cost"]:
                 best[key] = member
         fits, held = [], {}
