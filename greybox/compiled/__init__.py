@@ -6,7 +6,7 @@ Begin with `compiled_problem`.
 | --- | --- |
 | `compiled_problem` | what a solver is given: parts, limits, scaling |
 | `part` | the interface of every part of a problem |
-| `response_part`, `response_map` | a frequency response; many points as one mapped function |
+| `response_part` | a frequency response |
 | `data_input` | the data of responses as an input of their functions |
 | `response_programs` | all frequency responses as programs for a solver |
 | `shared_response` | many responses of one state space, with one solution for all of them |

@@ -2,8 +2,7 @@
 
 A response has a term for every frequency, and these terms differ only in their constants and in
 the data that they read. The Hessian of one term is built in a fraction of the time of the Hessian
-of the sum, and all terms of a few searches are enough columns for numpy. `response_map` does this
-for responses as formulas, which IPOPT evaluates; here the terms are found in any cost.
+of the sum, and all terms of a few searches are enough columns for numpy.
 """
 
 from collections import defaultdict

@@ -1,8 +1,8 @@
 """The frequency responses of a problem as programs: cost and constraints for a solver.
 
-Most responses are one SX expression. Large ones are a formula of one frequency, mapped over all
-(`response_map`). The operating point of some is found by Newton's method: a root finder is not an
-SX function, and CasADi's derivatives through one take several times as long as those of the cost.
+Most responses are one SX expression. The operating point of some is found by Newton's method: a
+root finder is not an SX function, and CasADi's derivatives through one take several times as long
+as those of the cost.
 With the roots as inputs the program is an SX function whose derivatives hold them (see
 `modeling.trim.Trimmed`), so that it can be evaluated for many points at once.
 
@@ -11,7 +11,7 @@ programs are stored: problems that are compiled to the same formulas share them.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Any
@@ -21,7 +21,6 @@ import numpy as np
 
 from greybox.compiled.alike_terms import SecondOrder
 from greybox.compiled.data_input import DataInput
-from greybox.compiled.response_map import LARGE, Mapped, lagrangian_hessian
 from greybox.compiled.response_part import ResponseFunctions, ResponsePart
 from greybox.compiled.shared_response import (
     SharedResponses,
@@ -36,7 +35,7 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.harmonic_balance import harmonic_function
-from greybox.modeling.linear_response import formulas_at_one_frequency, response_formula
+from greybox.modeling.linear_response import response_formulas
 from greybox.modeling.one_thread import Stored, cached_property
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.symbolic_reading import traced
@@ -59,8 +58,6 @@ class CostProgram:
     ----------
     function : casadi.Function
         (z, smoothing, data) -> the cost with `solver_weights`, and what must be >= 0.
-    derivatives : dict
-        Options of `casadi.nlpsol`: the Hessian of large responses, since CasADi's own takes longer.
     explicit : casadi.Function or None
         The same as an SX function (z, smoothing, data), or (z, smoothing, data, w) with the `roots`
         given; None where responses exist as MX functions only.
@@ -74,7 +71,6 @@ class CostProgram:
     """
 
     function: ca.Function
-    derivatives: dict[str, ca.Function] = field(default_factory=dict)
     explicit: ca.Function | None = None
     roots: ca.Function | None = None
     shared: SharedResponses | None = None
@@ -82,7 +78,7 @@ class CostProgram:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Leave out what was built later: it would change the key of stored runs."""
-        functions = self.function, self.derivatives, self.explicit, self.roots, self.shared
+        functions = self.function, self.explicit, self.roots, self.shared
         return CostProgram, functions
 
     @cached_property
@@ -138,9 +134,8 @@ class ResponseCompiler:
         is_located = any(_own_criterion(part).locator is not None for part in self.parts)
         self.criteria = (_locator, _own_criterion) if is_located else (_own_criterion,)
 
-        self.mapped = _mapped(self.parts)
-        self.formulas = [] if self.mapped else [_formula(part) for part in self.parts]
-        self.models = [response.function() for response in self.mapped] or [
+        self.formulas = [*_formulas(self.parts)]
+        self.models = [
             formula.closed() if isinstance(formula, Trimmed) else formula
             for formula in self.formulas
         ]
@@ -258,8 +253,7 @@ class ResponseCompiler:
         function = ca.Function("program", [self.z, self.smoothing, self.data], outputs)
         explicit = function if self.kind is ca.SX else None
         large = None if fits_a_batch(explicit) else self.shared(choose)
-        derivatives = self.derivatives(choose) if self.mapped and not large else {}
-        return CostProgram(function, derivatives, explicit, shared=large)
+        return CostProgram(function, explicit, shared=large)
 
     def program_at_roots(self, formulas: Sequence[Trimmed], choose: ChooseCriterion) -> CostProgram:
         """Return the program of responses at operating points that Newton's method finds."""
@@ -292,28 +286,13 @@ class ResponseCompiler:
         at_roots: Any = ca.Function("roots", [z, data], [ca.vertcat(*roots)])
         outputs = explicit(z, smoothing, data, ca.stop_diff(at_roots(z, data), 1))
         function = ca.Function("program", [z, smoothing, data], outputs)
-        return CostProgram(function, explicit=explicit, roots=at_roots)
+        return CostProgram(function, explicit, at_roots)
 
     def at_point(self) -> tuple[ca.SX, Named, list[FrequencyResponse]]:
         """Return SX symbols of the data, and with them the values by name and the data."""
         data = ca.SX.sym("data", len(self.source.numbers))
         constants, measured = self.source.at(data)
         return data, self.values_at(self.point, constants), measured
-
-    def derivatives(self, choose: ChooseCriterion) -> dict[str, ca.Function]:
-        """Return the Hessian of large responses, for `CostProgram`."""
-        data, named, measured = self.at_point()
-        columns = zip(self.parts, measured, self.mapped, self.weights, strict=True)
-        terms = [
-            (
-                response,
-                ca.SX(_values(part, named)),
-                lambda r, smoothing, part=part, given=given: choose(part).cost(r, given, smoothing),
-                weight,
-            )
-            for part, given, response, weight in columns
-        ]
-        return {"hess_lag": lagrangian_hessian(terms, self.point, data, self.limits(named))}
 
     def systems(self) -> dict[int, SharedSystem]:
         """Return the systems of the parts that share their solves, at all values x."""
@@ -347,39 +326,24 @@ def _values(part: Problem, named: Named) -> Any:
 # --- the models
 
 
-def _formula(part: Problem) -> Trimmed | ca.Function:
-    omega = part.response.omega
-    if part.amplitude is not None:
-        return harmonic_function(part.model, omega, part.amplitude, **part.signals)
-    return response_formula(part.model, omega, **part.signals)
+def _formulas(parts: Sequence[Problem]) -> Iterator[Trimmed | ca.Function]:
+    """Yield the responses of all parts; those of one state space share an elimination."""
 
+    def place(part: Problem) -> tuple[Any, ...]:
+        is_sine_test = part.amplitude is not None
+        return id(part.model), part.at, part.delay, is_sine_test, part.response.omega.tobytes()
 
-def _mapped(parts: Sequence[Problem]) -> list[Mapped]:
-    """Return the responses as formulas of one frequency if they are large; else none.
-
-    All must have such a formula.
-    """
-    size = sum(part.response.omega.size * (len(part.declared) + 1) for part in parts)
-    # Formulas have fewer than 300 instructions per frequency, so that small problems are recognized
-    # without building them.
-    if 300 * size < LARGE or any(part.amplitude is not None for part in parts):
-        return []
-    mapped = []
-    for _, group in groupby(parts, lambda part: (id(part.model), part.at, part.delay)):
-        alike = list(group)
-        first, data = alike[0], [part.response for part in alike]
-        formulas = formulas_at_one_frequency(
-            first.model,
-            np.unique(np.hstack([response.omega for response in data])),
-            [(response.input, response.output) for response in data],
-            at=first.at,
-            pade=delay_order(first.delay),
+    for _, alike in groupby(parts, place):
+        first, *others = alike
+        omega, signals = first.response.omega, [part.signals for part in (first, *others)]
+        if first.amplitude is not None:
+            for part, names in zip((first, *others), signals, strict=True):
+                yield harmonic_function(part.model, omega, part.amplitude, **names)
+            continue
+        pairs = [(names["input"], names["output"]) for names in signals]
+        yield from response_formulas(
+            first.model, omega, pairs, at=first.at, pade=delay_order(first.delay)
         )
-        if not formulas:
-            return []
-        mapped += [Mapped(*pair) for pair in zip(formulas, (d.omega for d in data), strict=True)]
-
-    return mapped if sum(response.work for response in mapped) > LARGE else []
 
 
 # --- the costs

@@ -135,7 +135,7 @@ class Ipopt:
             z, smoothing, data = input_symbols(program.function)
             f, g = program.function(z, smoothing, data)
             statement = {"x": z, "p": ca.vertcat(smoothing, data), "f": f, "g": g}
-            program.solvers[key] = cls(statement, options, {**program.derivatives})
+            program.solvers[key] = cls(statement, options)
         return program.solvers[key]
 
     @cached_property
