@@ -33,7 +33,7 @@ def text(fit: Any) -> str:
     sections = (
         [title(fit)],
         ["  " + line for line in (judged.level, *judged.sentences)],
-        [*table, *(["", f"  {error_statement(fit)}"] if fit.dof > 0 else [])],
+        [*table, *(["", f"  {error_statement(fit)}"] if fit.directions else [])],
         _profile_lines(fit),
         remarks,
         [_labeled(closeness(fit))],

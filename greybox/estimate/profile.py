@@ -123,7 +123,7 @@ def _compiled(fit: Fit, problem: AnyProblem | None, level: float) -> CompiledPro
     if len(fit.responses) + len(fit.records) < len(fit.parts):
         raise ValueError(
             f"the fit {fit.name!r} has manoeuvres, which cannot be profiled: use the "
-            "standard errors."
+            "standard errors; if there are none, its warnings say what to do."
         )
     return compiled_again(fit, problem)
 

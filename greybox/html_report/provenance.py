@@ -39,7 +39,7 @@ def provenance(fit: Fit) -> list[Element]:
         "seed": "none" if fit.seed is None else str(fit.seed),
         "versions": ", ".join(f"{name} {version}" for name, version in fit.versions.items()),
     }
-    if fit.dof > 0:
+    if fit.directions:
         facts["standard errors"] = printed.error_statement(fit)
     if other_costs:
         facts["other criteria"] = f"{', '.join(other_costs)} at this estimate"

@@ -4,6 +4,7 @@ Begin with `harmonic_response`.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from greybox.modeling.harmonic_balance import directly_found
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.pade_delay import delay_order
-from greybox.modeling.sine import Sine, as_sine
+from greybox.modeling.sine import MOST_HARMONICS, Sine, as_sine
 
 
 def harmonic_response(
@@ -34,6 +35,8 @@ def harmonic_response(
     The response is the first harmonic of the output over that of the input: the describing function
     of a nonlinear model, the frequency response of a linear one. It is evaluated as in a fit: where
     several periodic motions exist, it is that of the search that begins at the linear response.
+    Where the most harmonics do not settle it, as just above the break-away force of dry friction,
+    its `about` has the change from half as many, ``truncation``.
 
     Parameters
     ----------
@@ -84,7 +87,7 @@ def _evaluated(
     delay: str = "exact",
 ) -> FrequencyResponse:
     signals = {"input": input, "output": output, "at": at, "pade": delay_order(delay)}
-    response, _ = directly_found(model, values, omega, sine, **signals)
+    response, harmonics = directly_found(model, values, omega, sine, **signals)
     finite = np.isfinite(response)
     if not finite.all():
         k = int(np.argmin(finite))
@@ -95,7 +98,17 @@ def _evaluated(
             "check the values and `at`."
         )
 
+    about = {}
+    if harmonics == MOST_HARMONICS:
+        half = replace(sine, harmonics=harmonics // 2)
+        fewer, _ = directly_found(model, values, omega, half, **signals)
+        change = 100 * np.abs(fewer / response - 1).max()
+        about["truncation"] = (
+            f"{harmonics} harmonics, the most: with half as many the response differs by up to "
+            f"{change:.2g} %"
+        )
+
     input, output = pick_signals(model, input, output)
     return FrequencyResponse(
-        omega, response, input=input, output=output, name=model.label, source="model"
+        omega, response, input=input, output=output, name=model.label, source="model", about=about
     )

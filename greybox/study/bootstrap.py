@@ -378,7 +378,10 @@ def _require_drawable(fit: Fit) -> None:
     }
     for obstacle, present in obstacles.items():
         if present:
-            raise ValueError(f"the fit {fit.name!r} has {obstacle}: use the standard errors.")
+            raise ValueError(
+                f"the fit {fit.name!r} has {obstacle}: use the standard errors; if there are none, "
+                "its warnings say what to do."
+            )
 
 
 def _response_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> ResponseReplicates:

@@ -60,3 +60,17 @@ def test_a_signal_that_a_loop_holds_to_a_sine_keeps_its_mean():
     sine = gb.modeling.Sine("x", 2.0, harmonics=1)
     response = gb.modeling.harmonic_response(Leaning(), {}, [OMEGA], amplitude=sine).response
     assert_allclose(response, [1 / (1 + 0.75 * 4.0 - OMEGA**2 + 1j * OMEGA * DAMPING)], rtol=1e-6)
+
+
+def test_the_most_harmonics_say_what_half_as_many_change(monkeypatch):
+    """With seven as the most, to be fast."""
+    monkeypatch.setattr(gb.modeling.periodic_motions, "MOST_HARMONICS", 7)
+    few, many = (
+        gb.modeling.harmonic_response(
+            Spring(), {}, [OMEGA], amplitude=gb.modeling.Sine("u", 0.7, harmonics=number)
+        )
+        for number in (3, 7)
+    )
+    change = 100 * abs(few.response / many.response - 1).max()
+    assert f"by up to {change:.2g} %" in many.about["truncation"]
+    assert not few.about
