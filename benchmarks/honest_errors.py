@@ -3,11 +3,14 @@
 python benchmarks/honest_errors.py [--fits 200] [--systems first] [--seed 0]
     [--output benchmarks/results/honest_errors.txt]
 
-Records of three plants are fitted by output error and responses of two plants by two criteria. Two
-sets of plants, `first` and `second`, differ in length, step, test signal and size of the errors,
-too; the second is newer than the diagnostics that it judges. The noise is white and normal
+Records of three plants are fitted by output error and responses of two plants by two criteria.
+Three sets of plants, `first`, `second` and `third`, differ in length, step, test signal and size of
+the errors, too; each is newer than the diagnostics that it judges. The noise is white and normal
 ("right"), or something else: gusts, drift, one half louder, heavy tails, spikes, outputs with
-common errors; along frequency correlated, of unequal size, heavy tails. A fit passes if the
+common errors; along frequency correlated, of unequal size, heavy tails. The third set has other
+kinds: white gusts, slow gusts on every state, controllers that respond to slow errors or to gusts,
+errors that grow, come in bursts, are means of samples or a vibration; along frequency means of
+neighbors, one loud band, outliers, and given variances that are too small. A fit passes if the
 intervals of all parameters contain the truth, at a level that makes this 95 % of fits (Bonferroni).
 It warns if it has any warning except that on the number of starts. Of 200 fits with other noise at
 least 190 should pass or warn, and of 200 right ones at most 10 should warn.
@@ -40,6 +43,9 @@ class Setting(NamedTuple):
     held_samples: int
     omega: Any
     size: float
+    in_time: Mapping[str, Callable[[Random, int, int], Any]]
+    along_frequency: Mapping[str, Callable[[Random, int], Any]]
+    with_variances: bool = False
 
 
 class Motor(gb.StateSpace):
@@ -205,6 +211,88 @@ class IntegratingLag(gb.TransferFunction):
         return p.K / (s * (s + p.damping) * (p.T * s + 1))
 
 
+class Heave(gb.StateSpace):
+    """The vertical speed of a helicopter, with its acceleration."""
+
+    states, inputs, outputs = ("w",), ("col",), ("w", "a_z")
+    Z_w = gb.Parameter(-1.0, bounds=(-8, 1))
+    Z_col = gb.Parameter(-4.0, bounds=(-60, 0))
+
+    def derivative(self, x: Any, u: Any, p: Any) -> Any:
+        """Return the derivative."""
+        return (p.Z_w * x.w + p.Z_col * u.col,)
+
+    def output(self, x: Any, u: Any, p: Any) -> Any:
+        """Return the outputs."""
+        return (x.w, p.Z_w * x.w + p.Z_col * u.col)
+
+
+class FlexibleArm(gb.StateSpace):
+    """The rate of a hub and the deflection of a flexible arm on it, moved by a torque."""
+
+    states, inputs, outputs = ("r", "x", "v"), ("m",), ("r", "x")
+    d = gb.Parameter(0.5, bounds=(0.01, 10))
+    b = gb.Parameter(2.0, bounds=(0.1, 40))
+    k = gb.Parameter(30.0, bounds=(2, 400))
+    c = gb.Parameter(1.0, bounds=(0.01, 20))
+
+    def derivative(self, x: Any, u: Any, p: Any) -> Any:
+        """Return the derivative."""
+        push = p.k * x.x + p.c * x.v
+        return (p.b * u.m - p.d * x.r + 0.2 * push, x.v, -p.b * u.m - push)
+
+    def output(self, x: Any, u: Any, p: Any) -> Any:
+        """Return the outputs."""
+        return (x.r, x.x)
+
+
+class ThreeTanks(gb.StateSpace):
+    """The levels of the first and the last of three tanks in a row."""
+
+    states, inputs, outputs = ("one", "two", "three"), ("pump",), ("one", "three")
+    b = gb.Parameter(1.0, bounds=(0.05, 20))
+    k = gb.Parameter(1.0, bounds=(0.05, 20))
+    loss = gb.Parameter(0.5, bounds=(0.02, 20))
+
+    def derivative(self, x: Any, u: Any, p: Any) -> Any:
+        """Return the derivative."""
+        first, second = p.k * (x.one - x.two), p.k * (x.two - x.three)
+        return (p.b * u.pump - first, first - second, second - p.loss * x.three)
+
+    def output(self, x: Any, u: Any, p: Any) -> Any:
+        """Return the outputs."""
+        return (x.one, x.three)
+
+
+class PitchRate(gb.TransferFunction):
+    """Pitch rate of an airplane from its elevator."""
+
+    input, output = "u", "y"
+    K = gb.Parameter(2.0, bounds=(0.05, 100))
+    z = gb.Parameter(1.0, bounds=(0.05, 20))
+    w = gb.Parameter(3.0, bounds=(0.5, 30))
+    zeta = gb.Parameter(0.6, bounds=(0.03, 2))
+
+    def response(self, s: Any, p: Any) -> Any:
+        """Return the response."""
+        return p.K * (s + p.z) / (s**2 + 2 * p.zeta * p.w * s + p.w**2)
+
+
+class Notch(gb.TransferFunction):
+    """A lag with a pair of zeros beside a pair of poles, as of a flexible mode."""
+
+    input, output = "u", "y"
+    K = gb.Parameter(2.0, bounds=(0.05, 50))
+    T = gb.Parameter(0.2, bounds=(0.01, 3))
+    w = gb.Parameter(10.0, bounds=(5, 20))
+    zeta = gb.Parameter(0.2, bounds=(0.01, 1))
+
+    def response(self, s: Any, p: Any) -> Any:
+        """Return the response."""
+        zeros = s**2 + 2 * 0.05 * 9 * s + 81
+        return p.K / (p.T * s + 1) * zeros / (s**2 + 2 * p.zeta * p.w * s + p.w**2)
+
+
 TRUTH: dict[Any, Mapping[str, float]] = {
     Motor: {"J": 3.0, "B": 0.8, "R": 4.0, "K": 2.5},
     ShortPeriod: {"Z": -1.6, "M_alpha": -9.0, "M_q": -2.2, "M_de": -14.0},
@@ -216,26 +304,11 @@ TRUTH: dict[Any, Mapping[str, float]] = {
     TwoRooms: {"h": 1.5, "k": 0.5, "loss": 0.25},
     LeadLag: {"K": 1.3, "T_lead": 0.6, "T_lag": 0.12, "tau": 0.03},
     IntegratingLag: {"K": 6.0, "damping": 1.8, "T": 0.08},
-}
-SETTINGS = {
-    "first": Setting(
-        (Motor, ShortPeriod, RollRate),
-        (TwoLags, Oscillator),
-        samples=400,
-        step=0.03,
-        held_samples=16,
-        omega=np.geomspace(0.4, 40, 24),
-        size=0.05,
-    ),
-    "second": Setting(
-        (DutchRoll, Servo, TwoRooms),
-        (LeadLag, IntegratingLag),
-        samples=300,
-        step=0.05,
-        held_samples=13,
-        omega=np.geomspace(0.6, 25, 30),
-        size=0.08,
-    ),
+    Heave: {"Z_w": -0.6, "Z_col": -7.0},
+    FlexibleArm: {"d": 0.8, "b": 3.5, "k": 45.0, "c": 1.5},
+    ThreeTanks: {"b": 1.4, "k": 1.7, "loss": 0.9},
+    PitchRate: {"K": 3.0, "z": 0.7, "w": 4.0, "zeta": 0.4},
+    Notch: {"K": 3.0, "T": 0.35, "w": 11.0, "zeta": 0.1},
 }
 
 
@@ -279,6 +352,89 @@ ALONG_FREQUENCY: dict[str, Callable[[Random, int], Any]] = {
 }
 
 
+def bursts(random: Random, k: int, n: int) -> Any:
+    """Return errors with five stretches of 15 samples that are eight times as large."""
+    size = np.ones(n)
+    for first in random.integers(0, n - 15, 5):
+        size[first : first + 15] = 8
+    return size * random.normal(size=(k, n))
+
+
+def vibration(random: Random, k: int, n: int) -> Any:
+    """Return white errors with a line at a fifth of the sampling rate."""
+    phase = 2 * np.pi * (0.2 * np.arange(n) + random.random((k, 1)))
+    return random.normal(size=(k, n)) + 3 * np.sin(phase)
+
+
+def means(white: Any, count: int) -> Any:
+    """Return moving averages of variance one of white errors (..., n + count - 1)."""
+    return lfilter(np.ones(count) / np.sqrt(count), [1], white)[..., count - 1 :]
+
+
+# Kinds with "loop" are under control, those with "gusts" have gusts in the states, see `record`.
+OTHER_IN_TIME: dict[str, Callable[[Random, int, int], Any]] = {
+    RIGHT: IN_TIME[RIGHT],
+    "right, closed loop": IN_TIME[RIGHT],
+    "white gusts": IN_TIME[RIGHT],
+    "slow gusts, all states": IN_TIME[RIGHT],
+    "gusts, closed loop": IN_TIME[RIGHT],
+    "slow errors, closed loop": IN_TIME["slow errors"],
+    "errors that grow": lambda random, k, n: random.normal(size=(k, n)) * np.linspace(0.3, 3, n),
+    "bursts": bursts,
+    "means of samples": lambda random, k, n: means(random.normal(size=(k, n + 3)), 4),
+    "vibration": vibration,
+}
+OTHER_ALONG_FREQUENCY: dict[str, Callable[[Random, int], Any]] = {
+    RIGHT: circular,
+    "means of neighbors": lambda random, n: means(circular(random, n + 2), 3),
+    "one loud band": lambda random, n: (
+        circular(random, n) * np.where(np.arange(n) // (n // 4) == 1, 4.0, 1.0)
+    ),
+    "outliers": lambda random, n: (
+        circular(random, n) + 10 * circular(random, n) * (random.random(n) < 0.06)
+    ),
+    "larger than stated": lambda random, n: 2.5 * circular(random, n),
+}
+
+
+SETTINGS = {
+    "first": Setting(
+        (Motor, ShortPeriod, RollRate),
+        (TwoLags, Oscillator),
+        samples=400,
+        step=0.03,
+        held_samples=16,
+        omega=np.geomspace(0.4, 40, 24),
+        size=0.05,
+        in_time=IN_TIME,
+        along_frequency=ALONG_FREQUENCY,
+    ),
+    "second": Setting(
+        (DutchRoll, Servo, TwoRooms),
+        (LeadLag, IntegratingLag),
+        samples=300,
+        step=0.05,
+        held_samples=13,
+        omega=np.geomspace(0.6, 25, 30),
+        size=0.08,
+        in_time=IN_TIME,
+        along_frequency=ALONG_FREQUENCY,
+    ),
+    "third": Setting(
+        (Heave, FlexibleArm, ThreeTanks),
+        (PitchRate, Notch),
+        samples=800,
+        step=0.025,
+        held_samples=21,
+        omega=np.geomspace(0.3, 50, 36),
+        size=0.06,
+        in_time=OTHER_IN_TIME,
+        along_frequency=OTHER_ALONG_FREQUENCY,
+        with_variances=True,
+    ),
+}
+
+
 def record(setting: Setting, model: Any, kind: str, random: Random) -> gb.Record:
     """Return a record of a plant under steps of random sign."""
     truth, n = TRUTH[model], setting.samples
@@ -289,19 +445,38 @@ def record(setting: Setting, model: Any, kind: str, random: Random) -> gb.Record
     augmented = expm(setting.step * augmented)
     held = setting.held_samples
     u = np.repeat(random.choice([-1.0, 1.0], n // held + 1), held)[:n]
-    outputs = np.zeros((n, len(model.outputs)))
     gust = np.zeros((n, order))
-    if kind == "gusts":
-        size = 0.3 * np.abs(linear.B).max() * setting.step
-        gust[:, -1] = size * autoregression(random.normal(size=n + 100), 0.94)
-    x = np.zeros(order)
-    for t in range(n):
-        outputs[t] = linear.C @ x + linear.D[:, 0] * u[t]
-        x = augmented[:order, :order] @ x + augmented[:order, order] * u[t] + gust[t]
-    size = setting.size * outputs.std(axis=0)
-    rows = outputs.T + size[:, None] * IN_TIME[kind](random, len(size), n)
+    if "gusts" in kind:
+        color = {"white gusts": 0.0, "slow gusts, all states": 0.98}.get(kind, 0.94)
+        count, size = (order, 0.1) if "all states" in kind else (1, 0.3)
+        size *= np.abs(linear.B).max() * setting.step
+        shocks = random.normal(size=(count, n + 100))
+        gust[:, -count:] = size * autoregression(shocks, color).T
+    # The size of the errors is that of the outputs without them.
+    errors = setting.in_time[kind](random, len(model.outputs), n).T
+    feedback = 0.0
+    if "loop" in kind:
+        _, outputs = responded(linear, augmented, u, gust, 0 * errors, 0.0)
+        feedback = np.std(u) / np.std(outputs[:, 0]) * np.sign(linear.B[0, 0] * linear.C[0, 0])
+    _, outputs = responded(linear, augmented, u, 0 * gust, 0 * errors, feedback)
+    errors = setting.size * outputs.std(axis=0) * errors
+    u, outputs = responded(linear, augmented, u, gust, errors, feedback)
+    rows = (outputs + errors).T
     signals = {model.inputs[0]: u, **dict(zip(model.outputs, rows, strict=True))}
     return gb.Record(np.arange(n) * setting.step, signals)
+
+
+def responded(linear: Any, step: Any, command: Any, gust: Any, errors: Any, gain: float) -> Any:
+    """Return input (n,) and outputs (n, k) where a gain feeds back the first measured output."""
+    u, outputs = command.copy(), np.zeros(errors.shape)
+    order = gust.shape[1]
+    x = np.zeros(order)
+    for t in range(len(u)):
+        if t:
+            u[t] -= gain * (outputs[t - 1, 0] + errors[t - 1, 0])
+        outputs[t] = linear.C @ x + linear.D[:, 0] * u[t]
+        x = step[:order, :order] @ x + step[:order, order] * u[t] + gust[t]
+    return u, outputs
 
 
 def fitted_record(setting: Setting, kind: str, seed: int) -> tuple[gb.Fit, Mapping[str, float]]:
@@ -317,9 +492,11 @@ def fitted_response(setting: Setting, kind: str, seed: int) -> tuple[gb.Fit, Map
     model, omega = setting.response_models[seed % 2], setting.omega
     random = np.random.default_rng([seed, len(kind)])
     exact = gb.frequency_response(model(), TRUTH[model], omega).response
-    measured = exact * (1 + setting.size * ALONG_FREQUENCY[kind](random, omega.size))
-    data = gb.FrequencyResponse(omega, measured, "u", "y")
-    criterion = (gb.RelativeError(), gb.RelativeLikelihood())[seed // 2 % 2]
+    measured = exact * (1 + setting.size * setting.along_frequency[kind](random, omega.size))
+    variance = (setting.size * np.abs(exact)) ** 2 if setting.with_variances else None
+    data = gb.FrequencyResponse(omega, measured, "u", "y", variance=variance)
+    other = gb.MaximumLikelihood() if setting.with_variances else gb.RelativeLikelihood()
+    criterion = (gb.RelativeError(), other)[seed // 2 % 2]
     problem = gb.Problem(model(), data, criterion)
     return gb.fit(problem, [{}], profiles=False, progress=False), TRUTH[model]
 
@@ -344,31 +521,32 @@ def main() -> None:
     parser.add_argument("--output", type=Path)
     options = parser.parse_args()
 
-    cells = [(kind, fitted_record) for kind in IN_TIME]
-    cells += [(kind, fitted_response) for kind in ALONG_FREQUENCY]
-    others = sum(kind != RIGHT for kind, _ in cells)
+    setting = SETTINGS[options.systems]
+    cells = [(kind, fitted_record) for kind in setting.in_time]
+    cells += [(kind, fitted_response) for kind in setting.along_frequency]
+    others = sum(not kind.startswith(RIGHT) for kind, _ in cells)
     lines = [
         f"greybox {gb.__version__}, Python {platform.python_version()}, numpy {np.__version__}, "
         f"{dt.date.today()}, {options.systems} systems, seeds from {options.seed}",
-        f"{'noise':<24}{'fits':>6}{'hold':>6}{'speak':>7}{'hold or speak':>15}",
+        f"{'noise':<26}{'fits':>6}{'hold':>6}{'speak':>7}{'hold or speak':>15}",
     ]
     total = {True: np.zeros(4, int), False: np.zeros(4, int)}
     for kind, fitted in cells:
-        is_right = kind == RIGHT
-        count = options.fits // 2 if is_right else -(-options.fits // others)
+        is_right = kind.startswith(RIGHT)
+        count = -(-options.fits // (len(cells) - others if is_right else others))
         counts = np.zeros(4, int)
         for seed in range(options.seed, options.seed + count):
-            fit, truth = fitted(SETTINGS[options.systems], kind, seed)
+            fit, truth = fitted(setting, kind, seed)
             hold, speak = holds(fit, truth), bool(said(fit))
             counts += [1, hold, speak, hold or speak]
         total[is_right] += counts
         name = f"{kind}, {'record' if fitted is fitted_record else 'response'}"
-        name = name if is_right else kind
-        lines.append(f"{name:<24}{counts[0]:>6}{counts[1]:>6}{counts[2]:>7}{counts[3]:>15}")
+        name = name if kind == RIGHT else kind
+        lines.append(f"{name:<26}{counts[0]:>6}{counts[1]:>6}{counts[2]:>7}{counts[3]:>15}")
         print(lines[-1], flush=True)
     for is_right, name in ((True, "right noise, all"), (False, "other noise, all")):
         counts = total[is_right]
-        lines.append(f"{name:<24}{counts[0]:>6}{counts[1]:>6}{counts[2]:>7}{counts[3]:>15}")
+        lines.append(f"{name:<26}{counts[0]:>6}{counts[1]:>6}{counts[2]:>7}{counts[3]:>15}")
 
     print("\n".join(lines))
     if options.output:

@@ -14,6 +14,7 @@ from greybox.compiled.part import Trajectory
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.noise_level import LEAST_RATIO
+from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
 from greybox.files.text_table import percent, some
 from greybox.statistics.neighbor_correlation import UNLIKELY
@@ -70,4 +71,17 @@ def doubtful_manoeuvres(accuracy: Accuracy) -> Iterator[str]:
                 "turbulence or of a model that misses something. Intervals would be too narrow, so "
                 "there are none: in turbulence, use EquationError(gusts=True), or the record "
                 "itself with PredictionError(disturbance={state: 'colored'})."
+            )
+
+
+def uncertain_gusts(answer: Fit) -> Iterator[str]:
+    """Name the time constants of gusts that manoeuvres leave open: all intervals depend on them."""
+    if not answer.spectra or answer.directions is None:
+        return
+    for name, (low, _) in answer.interval().items():
+        if name.startswith("T_gust") and not low > 0:
+            yield (
+                f"the data hardly determine {name}, the time constant of the gusts, on which all "
+                "intervals depend: they may be too narrow (95 % intervals of one manoeuvre of 8 s "
+                "covered 83 to 96 % in simulated turbulence). Repeat the manoeuvre."
             )

@@ -11,6 +11,7 @@ from greybox.estimate.diagnostics.failure import failure_warnings
 from greybox.estimate.diagnostics.frequency_correlation import (
     correlated_frequencies,
     doubtful_manoeuvres,
+    uncertain_gusts,
 )
 from greybox.estimate.diagnostics.global_minimum import (
     discontinuous_costs,
@@ -100,6 +101,7 @@ def warnings(
         *coarse_pade(answer.responses),
         *unlikely_noise(nlp, trajectories),
         *doubtful_manoeuvres(accuracy),
+        *uncertain_gusts(answer),
         *(correlated_frequencies(nlp, trajectories, accuracy, best.estimate) if errors else ()),
         *discontinuous_costs(nlp),
         *outlying_points(nlp, best.estimate),
