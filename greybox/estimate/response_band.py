@@ -12,7 +12,7 @@ from greybox.estimate.identifiability import KnownDirections
 from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted, one_line
 from greybox.modeling.harmonic_balance import enough_harmonics, harmonic_function
-from greybox.modeling.linear_response import formulas_at_one_frequency, response_formula
+from greybox.modeling.linear_response import response_formulas
 from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
@@ -182,23 +182,21 @@ def response_and_slope(
     input, output = pick_signals(model, signals["input"], signals["output"])
     options: dict[str, Any] = {"at": signals["at"], "pade": delay_order(signals["delay"])}
     p = [values[name] for name in model.parameters]
-    if sine is None and (
-        formulas := formulas_at_one_frequency(model, omega, [(input, output)], **options)
-    ):
+    if sine is None:
         # One small function mapped over the frequencies compiles several times faster than one
         # expression of all of them, or than the derivative of the mapped function.
-        q, frequency = ca.SX.sym("p", len(p)), ca.SX.sym("omega")
-        parts = ca.vertcat(*formulas[0](q, frequency))
+        frequency = ca.SX.sym("omega")
+        [formula] = response_formulas(model, omega, [(input, output)], frequency, **options)
+        q, w, _ = formula.function.sx_in()
+        parts = ca.vertcat(*formula.function(q, w, frequency))
         rows = ca.densify(ca.horzcat(parts, ca.jacobian(parts, q)))
-        mapped = ca.Function("slopes", [q, frequency], [rows]).map(omega.size)
-        re, im = np.reshape(mapped(p, omega[None]).full(), (2, omega.size, -1))
+        root = ca.DM() if formula.root is None else formula.root(p)
+        mapped = ca.Function("slopes", [q, w, frequency], [rows]).map(omega.size)
+        re, im = np.reshape(mapped(p, root, omega[None]).full(), (2, omega.size, -1))
     else:
         options |= {"input": input, "output": output}
-        if sine is None:
-            compiled = response_formula(model, omega, **options).closed()
-        else:
-            sine = enough_harmonics(model, omega, sine.between(measured, omega), values, **options)
-            compiled = harmonic_function(model, omega, sine, **options)
+        sine = enough_harmonics(model, omega, sine.between(measured, omega), values, **options)
+        compiled = harmonic_function(model, omega, sine, **options)
         pairs = zip(compiled(p), compiled.jacobian()(p, 0, 0), strict=True)
         re, im = (np.hstack([row.full(), slope.full()]) for row, slope in pairs)
 

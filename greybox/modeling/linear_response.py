@@ -152,21 +152,6 @@ def response_formulas(
     return formulas
 
 
-def formulas_at_one_frequency(
-    model: Model, omega: Array, pairs: Sequence[tuple[str, str]], **options: Any
-) -> list[ca.Function]:
-    """Return functions (parameters, frequency) -> real and imaginary part of the responses.
-
-    The arguments are those of `response_formulas`. Empty if a formula has different numbers at each
-    frequency, or if Newton's method finds the operating point.
-    """
-    try:
-        formulas = response_formulas(model, omega, pairs, ca.SX.sym("omega"), **options)
-    except ValueError:  # `response_formula` at all frequencies raises it with the reason
-        return []
-    return [formula.closed() for formula in formulas if formula.root is None]
-
-
 def _elimination_order(
     model: StateSpace, system: ca.Function, trim: Trimmed, omega: Array, outputs: int
 ) -> tuple[int, ...]:
