@@ -28,7 +28,7 @@ from greybox.modeling.model import require_known
 from greybox.modeling.model_reference import included_model
 from greybox.modeling.rational import Rational
 from greybox.modeling.transfer_function import TransferFunction
-from greybox.regression.levy import levy, ratio
+from greybox.regression.levy import coefficients, ratio, reweighted
 from greybox.regression.poles_and_zeros import near_pairs, root_text
 
 POLES = 4  # beside the integrators; more can seldom be distinguished in two decades of frequency
@@ -229,13 +229,13 @@ def _polynomials(orders: Orders, values: Mapping[str, float]) -> tuple[list[floa
 def _linear_fit(data: FrequencyResponse, orders: Orders) -> tuple[float, list[dict[str, float]]]:
     """Return the least weighted squares over the delay; coefficients there and beside it."""
     if not orders.delay:
-        squares, coefficients = _at_delay(data, orders, 0.0)
-        return squares, [coefficients]
+        squares, values = _at_delays(data, orders, np.zeros(1))[0]
+        return squares, [values]
     turn = TURN / float(data.omega.max())
     longest = turn
     while True:
         grid = np.linspace(0.0, longest, DELAYS)
-        fits = [_at_delay(data, orders, delay) for delay in grid]
+        fits = _at_delays(data, orders, grid)
         best = int(np.argmin([squares for squares, _ in fits]))
         if best < DELAYS - 1 or longest > 8 * turn:
             break
@@ -243,38 +243,38 @@ def _linear_fit(data: FrequencyResponse, orders: Orders) -> tuple[float, list[di
 
     around = slice(max(best - 1, 0), best + 2)
     refined: Any = minimize_scalar(
-        lambda delay: _at_delay(data, orders, delay)[0],
+        lambda delay: _at_delays(data, orders, np.array([delay]))[0][0],
         bounds=(grid[around][0], grid[around][-1]),
         method="bounded",
         options={"maxiter": 20},
     )
     # The squares have several minima over the delay: the neighbors on the grid are starts too.
-    near = [_at_delay(data, orders, float(refined.x)), *fits[around]]
+    near = [*_at_delays(data, orders, np.array([refined.x])), *fits[around]]
     near.sort(key=lambda pair: pair[0])
-    return near[0][0], [coefficients for _, coefficients in near]
+    return near[0][0], [values for _, values in near]
 
 
-def _at_delay(
-    data: FrequencyResponse, orders: Orders, delay: float
-) -> tuple[float, dict[str, float]]:
-    """Return the weighted sum of squares and the coefficients for one delay."""
-    response = data.response * np.exp(1j * data.omega * delay)
+def _at_delays(
+    data: FrequencyResponse, orders: Orders, delays: Array
+) -> list[tuple[float, dict[str, float]]]:
+    """Return the weighted sums of squares and the coefficients for every delay."""
     # Without variances, errors are taken as relative, as `RelativeLikelihood` takes them.
-    size = np.abs(response) if data.variance is None else np.sqrt(data.variance)
-    try:
-        rational = levy(
-            FrequencyResponse(data.omega, response),
-            orders.n,
-            orders.m,
-            orders.integrators,
-            weight=1 / size,
-            iterations=REWEIGHTED,
-        )
-    except ValueError:  # as many unknowns as equations
-        return math.inf, {}
-    error = ratio(rational.numerator, rational.denominator, data.omega) - response
-    delays = {"T_delay": float(delay)} if orders.delay else {}
-    return float(np.sum(np.abs(error / size) ** 2)), rational.coefficients | delays
+    size = np.abs(data.response) if data.variance is None else np.sqrt(data.variance)
+    unknowns = orders.parameters - orders.delay
+    if 2 * len(data) <= unknowns or not np.all(size > 0):
+        return [(math.inf, {})] * len(delays)
+
+    response = data.response * np.exp(1j * data.omega * delays[:, None])
+    weight = np.broadcast_to(1 / size, response.shape)
+    structure = (orders.n, orders.m, orders.integrators)
+    fractions = zip(*reweighted(data.omega, response, structure, weight, REWEIGHTED), strict=True)
+    fits = []
+    for fraction, turned, delay in zip(fractions, response, delays, strict=True):
+        error = (ratio(*fraction[:2], data.omega) - turned) / size
+        values = coefficients(*fraction[:2], orders.integrators)
+        values |= {"T_delay": float(delay)} if orders.delay else {}
+        fits.append((float(np.sum(np.abs(error) ** 2)), values))
+    return fits
 
 
 def _candidate(

@@ -9,7 +9,6 @@ where (2.13) sets the highest coefficient to 1). Sanathanan and Koerner, Transfe
 as a ratio of two complex polynomials, IEEE Trans. Automatic Control 8 (1963) 56-58.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,9 +92,7 @@ class RationalFit:
     @property
     def coefficients(self) -> dict[str, float]:
         """Coefficients by the names of `Polynomial(n, m, integrator)`: a start for its fit."""
-        b = {f"b{k}": float(value) for k, value in enumerate(self.numerator[::-1])}
-        a = {f"a{k}": float(value) for k, value in enumerate(self.denominator[:0:-1])}
-        return b | dict(list(a.items())[self.integrators :])
+        return coefficients(self.numerator, self.denominator, self.integrators)
 
     def response(self, omega: ArrayLike) -> FrequencyResponse:
         """Evaluate P(jω) at `omega` (k,) in rad/s."""
@@ -181,12 +178,9 @@ def levy(
         )
     require_whole("iterations", iterations, 0)
 
-    numerator, denominator, condition = _solve(data, n, m, integrator, weights)
-    # Divided by |a|, the equation error is the error of the response where a no longer changes.
-    for _ in range(iterations):
-        size = np.abs(np.polyval(denominator, 1j * data.omega))
-        numerator, denominator, condition = _solve(data, n, m, integrator, weights / size)
-
+    numerator, denominator, condition = reweighted(
+        data.omega, data.response, (n, m, int(integrator)), weights, iterations
+    )
     # A frozen value has frozen arrays.
     numerator.flags.writeable = False
     denominator.flags.writeable = False
@@ -199,7 +193,7 @@ def levy(
         data=data,
         iterations=iterations,
         cost=evaluate(RelativeError(), model, data),
-        condition=condition,
+        condition=float(condition),
     )
 
 
@@ -243,27 +237,59 @@ def order_path(
     return tuple(steps)
 
 
-def _solve(
-    data: FrequencyResponse, n: int, m: int, integrator: int, weights: Array
-) -> tuple[Array, Array, float]:
-    """Return numerator (m + 1,), denominator (n + 1,) and condition number."""
-    powers = (1j * data.omega[:, None]) ** np.arange(n, -1, -1) * weights[:, None]
-    response = data.response[:, None] * powers
-    equations = np.hstack([powers[:, n - m :], -response[:, 1 : n + 1 - integrator]])
-    matrix = np.concatenate([equations.real, equations.imag])
-    right = np.concatenate([response[:, 0].real, response[:, 0].imag])
+def coefficients(numerator: Array, denominator: Array, integrators: int) -> dict[str, float]:
+    """Return coefficients by the names of `Polynomial(n, m, integrators)`."""
+    b = {f"b{k}": float(value) for k, value in enumerate(numerator[::-1])}
+    a = {f"a{k}": float(value) for k, value in enumerate(denominator[:0:-1]) if k >= integrators}
+    return b | a
 
+
+def reweighted(
+    omega: Array,
+    response: ComplexArray,
+    orders: tuple[int, int, int],
+    weight: Array,
+    iterations: int,
+) -> tuple[Array, Array, Array]:
+    """Return numerators (..., m + 1), denominators (..., n + 1) and condition numbers (...).
+
+    `response` and `weight` (..., n_ω) are of one problem or of several, which are solved together;
+    `orders` are n, m and the number of integrators. See `levy` for the other arguments.
+    """
+    n, m, integrators = orders
+    powers = (1j * omega[:, None]) ** np.arange(n, -1, -1)
+    measured = response[..., None] * powers
+    shared = np.broadcast_to(powers[:, n - m :], (*response.shape, m + 1))
+    equations = np.concatenate([shared, -measured[..., 1 : n + 1 - integrators]], axis=-1)
+    highest = np.ones((*response.shape[:-1], 1))
+    zeros = np.zeros((*response.shape[:-1], integrators))
+
+    # Divided by |a|, the equation error is the error of the response where a no longer changes.
+    size = np.ones(response.shape)
+    for _ in range(iterations + 1):
+        factor = (weight / size)[..., None]
+        solution, condition = _least_squares(factor * equations, factor * measured[..., :1])
+        numerator, lower = np.split(solution, [m + 1], axis=-1)
+        denominator = np.concatenate([highest, lower, zeros], axis=-1)
+        size = np.abs(denominator @ powers.T)
+
+    return numerator, denominator, condition
+
+
+def _least_squares(equations: ComplexArray, right: ComplexArray) -> tuple[Array, Array]:
+    """Return real solutions (..., unknowns) of complex equations, and condition numbers (...)."""
+    matrix = np.concatenate([equations.real, equations.imag], axis=-2)
     # Powers of ω differ by decades: without scaling, the rank would depend on the units.
-    scale = np.linalg.norm(matrix, axis=0)
+    scale = np.linalg.norm(matrix, axis=-2, keepdims=True)
     scale[scale == 0] = 1.0
-    normalized, _, _, singular = np.linalg.lstsq(matrix / scale, right, rcond=RANK)
-    solution = normalized / scale
-    condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else math.inf
-    return (
-        solution[: m + 1],
-        np.concatenate([[1.0], solution[m + 1 :], np.zeros(int(integrator))]),
-        condition,
-    )
+    U, singular, V = np.linalg.svd(matrix / scale, full_matrices=False)
+    is_seen = singular > RANK * singular[..., :1]
+    inverse = np.where(is_seen, 1 / np.where(is_seen, singular, 1.0), 0.0)
+    projected = np.swapaxes(U, -1, -2) @ np.concatenate([right.real, right.imag], axis=-2)
+    solution = np.swapaxes(V, -1, -2) @ (inverse[..., None] * projected)
+    with np.errstate(divide="ignore"):
+        condition = singular[..., 0] / np.abs(singular[..., -1])  # LAPACK's zero may be negative
+    return solution[..., 0] / scale[..., 0, :], condition
 
 
 def _check_orders(data: FrequencyResponse, n: int, m: int, integrator: int) -> None:
