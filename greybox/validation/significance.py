@@ -148,6 +148,12 @@ def prediction_verdict(
     share = 100 * float(np.mean(np.sign(every) == np.sign(mean)))
     test = p_text(p)
     if not p < SIGNIFICANT:
+        # A few windows with large errors hide a difference that nearly all windows have. At a tenth
+        # of the level, the second test adds little to the share of false verdicts.
+        of_signs = _sign_test(independent, error)
+        if share > 50 and of_signs < SIGNIFICANT / 10:
+            p, test = of_signs, f"sign test, {p_text(of_signs)}"
+    if not p < SIGNIFICANT:
         # Absence of evidence is not evidence of absence: models are called equal only if their
         # difference is small even at the end of its interval.
         widest = abs(mean) + t_quantile(1 - SIGNIFICANT, dof) * error
@@ -159,6 +165,22 @@ def prediction_verdict(
         )
     better, worse = labels if mean > 0 else labels[::-1]
     return f"{better} predicts {data} better than {worse}, in {share:.0f} % of {windows} ({test})."
+
+
+def _sign_test(differences: Sequence[Array], error: float) -> float:
+    """Return the p-value of equally many differences of either sign.
+
+    `error` is the standard error of their mean: correlated differences count as fewer.
+    """
+    from scipy.special import stdtr  # noqa: PLC0415  (takes a tenth of a second to import)
+
+    signs = [np.sign(part) for part in differences]
+    series = [(np.concatenate(differences), error), (np.concatenate(signs), mean_test(signs)[1])]
+    n = len(series[0][0])
+    inflation = [n * e**2 / max(float(np.var(v)), 1e-300) for v, e in series]
+    return float(
+        2 * stdtr(n - 1, -abs(np.mean(series[1][0])) * math.sqrt(n / max(1.0, *inflation)))
+    )
 
 
 def mean_squares(first: Prediction, second: Prediction) -> tuple[Array, Array, Array]:

@@ -65,6 +65,21 @@ def test_few_windows_have_the_p_value_of_students_t(fits):
     assert f"100 % of {len(made)} windows ({p_text(p)})" in sentence
 
 
+def test_a_few_large_errors_do_not_hide_which_model_is_better_in_nearly_all_windows(fits):
+    made = gb.predict(fits[1], horizon=0.4)
+    random = np.random.default_rng(0)
+    errors = 1 + 0.1 * random.normal(size=len(made))
+    worse = errors + 0.5
+    worse[3] = 300.0
+    sentence = verdict(shifted(made, errors), shifted(made, worse))
+    assert sentence.startswith("a predicts held-out data better than b, in 100 % of")
+    assert "sign test" in sentence
+    # As many windows of either sign show nothing, however large the largest is.
+    mixed = errors + np.where(np.arange(len(made)) % 2, 0.5, -0.5)
+    mixed[3] = 300.0
+    assert verdict(shifted(made, errors), shifted(made, mixed)).startswith("The data do not show")
+
+
 @pytest.mark.parametrize(
     ("aic", "words"),
     [
