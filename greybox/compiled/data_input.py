@@ -33,7 +33,10 @@ class _Measured(Complex):
         return abs(self) if ufunc is np.absolute else NotImplemented
 
 
-def _columns(data: FrequencyResponse) -> dict[str, Array]:
+INCLUDED = {type(criterion) for criterion in CRITERIA}
+
+
+def columns_of(data: FrequencyResponse) -> dict[str, Array]:
     """Return the columns, besides the response, on which a cost may depend."""
     columns = {name: getattr(data, name) for name in ("variance", "coherence", "dof")}
     return {name: column for name, column in columns.items() if column is not None}
@@ -44,7 +47,7 @@ def data_numbers(data: FrequencyResponse, response: ComplexArray) -> Array:
 
     These are real parts, imaginary parts, magnitudes, and the columns that the data have.
     """
-    columns = [response.real, response.imag, np.abs(response), *_columns(data).values()]
+    columns = [response.real, response.imag, np.abs(response), *columns_of(data).values()]
     return np.concatenate(columns)
 
 
@@ -52,7 +55,7 @@ def _with_symbols(data: FrequencyResponse, symbols: Any) -> FrequencyResponse:
     """Return the data with symbols in place of their numbers."""
     re, im, magnitude, *others = ca.vertsplit(symbols, len(data))
     opened = copy(data)  # a new one would check its values, which are symbols
-    columns = dict(zip(_columns(data), others, strict=True))
+    columns = dict(zip(columns_of(data), others, strict=True))
     vars(opened).update(response=_Measured(re, im, magnitude), **columns)
     return opened
 
@@ -93,7 +96,7 @@ def _takes_symbols(part: Problem) -> bool:
     """
     criterion, data = part.criterion, part.response
     assert isinstance(criterion, Criterion)
-    if type(criterion) in {type(included) for included in CRITERIA}:
+    if type(criterion) in INCLUDED:
         return True
     numbers = data_numbers(data, data.response)
     symbols, r = ca.SX.sym("data", len(numbers)), ca.SX.sym("r", 2 * len(data))

@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.compiled.data_input import data_numbers
+from greybox.compiled.data_input import INCLUDED, data_numbers
 from greybox.compiled.part import (
     NO_NODES,
     CorrelatedPoints,
@@ -20,7 +20,6 @@ from greybox.compiled.part import (
 from greybox.compiled.shared_response import SharedSystem
 from greybox.files.arrays import Array, ComplexArray, complex_array
 from greybox.formulation.frequency_criteria import Criterion
-from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import input_symbols
@@ -122,7 +121,7 @@ class ResponsePart(Part):
     @property
     def travels_whole(self) -> bool:
         """True with one of the included criteria."""
-        return type(getattr(self, "criterion", None)) in {type(criterion) for criterion in CRITERIA}
+        return type(getattr(self, "criterion", None)) in INCLUDED
 
     def response(self, values: Array) -> ComplexArray:
         """Return the model's response (n,) at all values x (k,)."""

@@ -7,11 +7,13 @@ With the roots as inputs the program is an SX function whose derivatives hold th
 `modeling.trim.Trimmed`), so that it can be evaluated for many points at once.
 
 The constants of the problem and the data are an input of all functions, see `data_input`. Small
-programs are stored: problems that are compiled to the same formulas share them.
+programs are stored: problems that are compiled to the same formulas share them. Within a study,
+those of small problems with equal models and options are not traced again.
 """
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import groupby
 from typing import Any
@@ -20,7 +22,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.alike_terms import SecondOrder
-from greybox.compiled.data_input import DataInput
+from greybox.compiled.data_input import INCLUDED, DataInput, columns_of
 from greybox.compiled.response_part import ResponseFunctions, ResponsePart
 from greybox.compiled.shared_response import (
     SharedResponses,
@@ -34,9 +36,10 @@ from greybox.formulation.frequency_criteria import Criterion, cost_of_zero
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.complex_arithmetic import Complex
+from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.harmonic_balance import harmonic_function
 from greybox.modeling.linear_response import response_formulas
-from greybox.modeling.one_thread import Stored, cached_property
+from greybox.modeling.one_thread import Stored, cached_property, unchanged_in
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.symbolic_reading import traced
 from greybox.modeling.trim import Trimmed
@@ -46,8 +49,9 @@ ChooseCriterion = Callable[[Problem], Criterion]
 
 MOST_UNKNOWNS = 20  # of a batch
 
-# Compiled problems of the same formulas share what was built for the last ones.
-_stored = Stored(16)
+# Compiled problems of the same formulas share what was built for the last ones: some 1 MB a
+# structure. In a study, each has two keys.
+_stored = Stored(64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +135,36 @@ class ResponseCompiler:
         self.parts: list[Problem] = problem.parts_with(FrequencyResponse)
         self.weights = solver_weights(self.parts)
         self.source = DataInput(constants, self.parts)
+
+    def compiled(self) -> tuple[dict[Problem, ResponsePart], dict[str, Any]]:
+        """Return the parts, and what `CompiledProblem` has of them all."""
+        stated = self.stated()
+        functions, programs = _stored.result(stated, self.traced) if stated else self.traced()
+        data = self.source.numbers
+        columns = zip(self.parts, functions, self.source.are_open, strict=True)
+        parts = {part: ResponsePart(part, each, data, is_open) for part, each, is_open in columns}
+        zero = [cost_of_zero(_locator(part), part.response) for part in parts]
+        zero_costs = np.array(self.weights) * zero
+        return parts, {**programs, "data": data, "zero_costs": zero_costs}
+
+    def stated(self) -> tuple[str, str] | None:
+        """Return a key of all that `traced` depends on; None if nobody knows that it suffices."""
+        parts, study = self.parts, unchanged_in.get()
+        # A few large programs would fill the memory.
+        is_small = len(self.names) * len(self.source.numbers) < 10_000
+        is_included = all(type(part.criterion) in INCLUDED for part in parts)
+        if not (study and is_small and is_included) or self.constraint.numel_out():
+            return None
+        fields = "model", "signals", "amplitude", "criterion", "rename", "tied"
+        stated = [[getattr(part, field) for field in fields] for part in parts]
+        shapes = [(part.response.omega, *columns_of(part.response)) for part in parts]
+        common = *self.problem.parameters.items(), *self.weights, len(self.problem.parts)
+        with suppress(Exception):  # a lambda has no key
+            return study, value_fingerprint((stated, shapes, common))
+        return None
+
+    def traced(self) -> tuple[list[ResponseFunctions], dict[str, Any]]:
+        """Trace the formulas; return what was built for the same ones, or build it."""
         is_located = any(_own_criterion(part).locator is not None for part in self.parts)
         self.criteria = (_locator, _own_criterion) if is_located else (_own_criterion,)
 
@@ -141,30 +175,19 @@ class ResponseCompiler:
         ]
         self.kind: Any = ca.SX if all(m.is_a("SXFunction") for m in self.models) else ca.MX
 
-        self.x = self.kind.sym("x", len(names))
-        by_name = dict(zip(names, ca.vertsplit(self.x), strict=True))
+        self.x = self.kind.sym("x", len(self.names))
+        by_name = dict(zip(self.names, ca.vertsplit(self.x), strict=True))
         self.responses = self.responses_at(by_name)
-        self.z = self.kind.sym("z", point.numel())
+        self.z = self.kind.sym("z", self.point.numel())
         self.smoothing = self.kind.sym("smoothing")
         self.data = self.kind.sym("data", len(self.source.numbers))
         symbols, self.measured = self.source.at(self.data)
-        self.named = values_at(self.z, symbols)
-
-    def compiled(self) -> tuple[dict[Problem, ResponsePart], dict[str, Any]]:
-        """Return the parts, and what `CompiledProblem` has of them all."""
+        self.named = self.values_at(self.z, symbols)
         # Large problems are recognized without another copy of their costs.
         structure = self.structure() if len(self.names) <= MOST_UNKNOWNS else None
-        if structure is not None and fits_a_batch(structure):
-            key = structure.serialize(), *self.weights
-            functions, programs = _stored.result(key, self.built)
-        else:
-            functions, programs = self.built()
-        data = self.source.numbers
-        columns = zip(self.parts, functions, self.source.are_open, strict=True)
-        parts = {part: ResponsePart(part, each, data, is_open) for part, each, is_open in columns}
-        zero = [cost_of_zero(_locator(part), part.response) for part in parts]
-        zero_costs = np.array(self.weights) * zero
-        return parts, {**programs, "data": data, "zero_costs": zero_costs}
+        if structure is None or not fits_a_batch(structure):
+            return self.built()
+        return _stored.result((structure.serialize(), *self.weights), self.built)
 
     def limits(self, named: Named) -> Any:
         """Return what must be >= 0 at values by name."""

@@ -669,7 +669,7 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
         measured,
         left,
         slopes(at_fit),
-        _numbered([*terms_of_response(part.data.omega), *own]) if order.size else {},
+        _numbered([*terms_of_response(*part.data.omega.tolist()), *own]) if order.size else {},
         lambda terms: rows(np.column_stack([response * term.values for term in terms])),
         separate if order.size else None,
         causes=() if np.sum(left**2) < np.sum(measured**2) / 2 else (path,),

@@ -10,7 +10,7 @@ import operator
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import cache, partial
+from functools import cache, lru_cache, partial
 from typing import Any
 
 import casadi as ca
@@ -461,8 +461,13 @@ def _filtered(piece: Array, step: float, b: Any, a: Any) -> Array:
     return np.asarray(lfilter(b, a, piece - piece[0]))
 
 
-def terms_of_response(omega: Array) -> Iterator[Term]:
-    """Yield the terms that the model of a response at `omega` (n,) may lack."""
+@lru_cache(4)  # responses of a study mostly have the same frequencies
+def terms_of_response(*omega: float) -> tuple[Term, ...]:
+    """Return the terms that the model of a response at these frequencies may lack."""
+    return tuple(_terms_of_response(np.array(omega)))
+
+
+def _terms_of_response(omega: Array) -> Iterator[Term]:
     s, low, high = 1j * omega, float(omega.min()), float(omega.max())
     yield Term("zero", s / high)
     for T in np.array([0.5, 1.0, 2.0]) / high:

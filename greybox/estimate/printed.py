@@ -24,7 +24,10 @@ Table = tuple[list[str], list[list[str]], tuple[int, ...]]
 def text(fit: Any) -> str:
     """Return a `Fit` as text: the verdict, the table, what limits it, and how close it is."""
     table = ["  " + line for line in text_table(*parameter_table(fit)).splitlines()]
-    remarks = ["  " + line for line in _remarks(fit)]
+    causes = () if fit.misfit is None else fit.misfit.likely
+    remarks = [f"  {cause.remedy}" for cause in causes]
+    remarks += [f"  warning: {line}" for line in fit.warnings]
+    remarks += [f"  note: {line}" for line in fit.notes]
     if not fit.converged:
         effort = ["", "  best effort, no estimate:", "", *table] if fit.best_effort else []
         return "\n".join([title(fit), "", f"  FAILED: {fit.status}.", *remarks, *effort])
@@ -197,14 +200,6 @@ def _bias_text(fit: Any) -> str:
         return ""
     names = some([f"{q.name} {-q.bias:+.2g}" for q in biased], 3)
     return f"; intervals are corrected for the bias by the noise ({names})"
-
-
-def _remarks(fit: Any) -> list[str]:
-    return [
-        *(cause.remedy for cause in (() if fit.misfit is None else fit.misfit.likely)),
-        *(f"warning: {line}" for line in fit.warnings),
-        *(f"note: {line}" for line in fit.notes),
-    ]
 
 
 def _profile_lines(fit: Any) -> list[str]:

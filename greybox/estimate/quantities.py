@@ -36,9 +36,11 @@ def quantities(
     and derived quantities are of first order. NaN where the data do not determine a quantity.
     """
     follow = formulas(nlp.problem)
-    # Exact derivatives: finite differences would limit the errors of ratios of close values.
-    function = quantity_function(nlp, [*nlp.names, *(formula.name for formula in follow)])
-    values, slopes = function(x).full(), function.jacobian()(x, 0).full()
+    values, slopes = x[:, None], np.eye(len(x))
+    if follow:
+        # Exact derivatives: finite differences would limit the errors of ratios of close values.
+        function = quantity_function(nlp, [*nlp.names, *(formula.name for formula in follow)])
+        values, slopes = function(x).full(), function.jacobian()(x, 0).full()
 
     # Errors are propagated once for all lines.
     errors = propagate(accuracy, slopes)

@@ -200,7 +200,13 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
     require_level(level)
     flights = [fits] if isinstance(fits, Fit) else fits
     controllers = [controller] if isinstance(controller, Controller) else controller
-    owners = _owners(controllers)
+    # The controller of each gain, and its name; gains with the same name have a prefix.
+    counts = Counter(name for c in controllers for name in c.parameters)
+    owners = {
+        name if counts[name] == 1 else f"{type(c).__name__}.{name}": (k, name)
+        for k, c in enumerate(controllers)
+        for name in c.parameters
+    }
     if len(gains) not in POINTS:
         raise ValueError(
             f"{len(gains)} gains were given: give one, two or three of {listed([*owners])}."
@@ -240,16 +246,6 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
         " ".join(filter(None, cures)),
         tuple(f"The fit warns: {text}" for fit in flights for text in fit.warnings),
     )
-
-
-def _owners(controllers: Sequence[Controller]) -> dict[str, tuple[int, str]]:
-    """Return the controller of each gain, and its name; gains with the same name have a prefix."""
-    counts = Counter(name for c in controllers for name in c.parameters)
-    return {
-        name if counts[name] == 1 else f"{type(c).__name__}.{name}": (k, name)
-        for k, c in enumerate(controllers)
-        for name in c.parameters
-    }
 
 
 def _divided(name: str, ends: tuple[float, float] | None, today: float, count: int) -> Array:

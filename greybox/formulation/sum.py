@@ -236,7 +236,11 @@ def with_numbered_biases(parts: Sequence[Any]) -> tuple[Any, ...]:
     result = []
     for part, record in zip(parts, records, strict=True):
         renamed = {}
-        for name in _unnamed_biases(part):
+        for name in part.declared:
+            is_named = name in {*part.model.parameters, *part.rename}
+            is_held = isinstance(part.fixed_values.get(name), HeldEstimate)
+            if is_named or is_held or not name.endswith("_bias"):
+                continue
             # A bias that only one record has keeps its plain name.
             owners = {r for r, names in zip(records, outside, strict=True) if name in names}
             if len(owners) > 1:
@@ -249,17 +253,6 @@ def with_numbered_biases(parts: Sequence[Any]) -> tuple[Any, ...]:
         result.append(part.with_(rename={**part.rename, **renamed}) if renamed else part)
 
     return tuple(result)
-
-
-def _unnamed_biases(part: Any) -> list[str]:
-    """Return the biases that a part neither renames nor holds at an earlier estimate."""
-    return [
-        name
-        for name in part.declared
-        if name.endswith("_bias")
-        and name not in {*part.model.parameters, *part.rename}
-        and not isinstance(part.fixed_values.get(name), HeldEstimate)
-    ]
 
 
 def _record_numbers(data: Sequence[Any]) -> list[int]:

@@ -52,8 +52,9 @@ def choose(recording: Recording, **stated: Any) -> tuple[Settings, tuple[Choice,
     stated["announced"] = announced
 
     wanted = stated.pop("axis", "")
+    has_axis = any(present(recording, (*own.controls, *own.setpoints)) for own in AXES.values())
     # A table has names of its own, and with a period or the whole log there are no tests to choose.
-    if stated.get("period") or stated.get("whole") or not _has_axis(recording):
+    if stated.get("period") or stated.get("whole") or not has_axis:
         return _as_stated(recording, stated | {"axis": wanted}), tuple(choices)
     settings: dict[str, Any] = stated | {"input": "u", "output": "y"}
     tests = found_tests(recording, Settings(**settings))
@@ -101,10 +102,6 @@ def _as_stated(recording: Recording, stated: dict[str, Any]) -> Settings:
             there = f"; it has {some([*signals], 12)}" if signals else ""
             raise ValueError(f"no {name} is known for this log: give {name}=NAME=SIGNAL{there}.")
     return Settings(**stated)
-
-
-def _has_axis(recording: Recording) -> bool:
-    return any(present(recording, (*own.controls, *own.setpoints)) for own in AXES.values())
 
 
 def _first(recording: Recording, signals: Sequence[str]) -> str:

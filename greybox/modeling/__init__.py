@@ -7,6 +7,7 @@ Begin with `model`.
 | `model`, `transfer_function`, `state_space` | what every model declares, and its two kinds |
 | `parameter`, `functions` | what formulas are written with |
 | `symbolic_reading`, `one_thread` | a formula traced with CasADi; the lock for its derivatives |
+| `fingerprint` | keys of values, equal in every process |
 | `complex_arithmetic` | real and imaginary part of a function of s |
 | `rational`, `factored_form` | numerator, denominator and delay, and their print |
 | `function_of_s` | what these two readings of s share |

@@ -7,6 +7,7 @@ functions is safe, as long as every thread has its own.
 
 import functools
 import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -27,16 +28,6 @@ def one_thread_at_a_time(function: Callable[Arguments, Result]) -> Callable[Argu
             return function(*args, **kwargs)
 
     return locked
-
-
-class PerThread(threading.local):
-    """A function that stores its last results for every thread by itself.
-
-    Two threads must not call one CasADi function at a time.
-    """
-
-    def __init__(self, function: Callable[..., Any], stored: int) -> None:
-        self.result = functools.lru_cache(stored)(one_thread_at_a_time(function))
 
 
 class Stored:
@@ -74,6 +65,20 @@ def traced_once() -> Iterator[None]:
     finally:
         with LOCK:
             _traced.reset(outer)
+
+
+unchanged_in: ContextVar[str] = ContextVar("unchanged_in", default="")
+"""The study that is running: the user's models do not change until it ends."""
+
+
+@contextmanager
+def unchanged(study: str = "") -> Iterator[None]:
+    """Let equal models of a study, by default a new one, share what is traced, until the end."""
+    outer = unchanged_in.set(study or str(time.time_ns()))
+    try:
+        yield
+    finally:
+        unchanged_in.reset(outer)
 
 
 def once(function: Callable[..., Result]) -> Callable[..., Result]:

@@ -216,7 +216,10 @@ def phases(responses: Sequence[DrawnResponse]) -> list[Array]:
         else:
             curves[drawn.checksum] = phase
             curves.setdefault(drawn.pair, phase)
-        degrees.append(_wrapped_to(phase, drawn.response))
+        # Each value within half a turn of the guide.
+        own = np.degrees(np.angle(drawn.response.response))
+        distance = interpolated(drawn.response.omega, *phase) - own
+        degrees.append(own + 360 * np.round(distance / 360))
 
     return degrees
 
@@ -232,9 +235,3 @@ def _moved(phase: _Phase, guide: _Phase) -> _Phase:
     low = max(phase[0][0], guide[0][0])
     distance = interpolated(low, *guide) - interpolated(low, *phase)
     return phase[0], phase[1] + 360 * np.round(distance / 360)
-
-
-def _wrapped_to(guide: _Phase, response: FrequencyResponse) -> Array:
-    """Return the phase (n,) in degrees, each value within half a turn of the guide."""
-    phase = np.degrees(np.angle(response.response))
-    return phase + 360 * np.round((interpolated(response.omega, *guide) - phase) / 360)

@@ -254,7 +254,10 @@ def _draw_regions(ax: Axes, series: Series) -> None:
         # A pale opaque color: transparent ellipses would become dark where they overlap.
         pale = tuple(1 - BAND_ALPHA * (1 - part) for part in to_rgb(color))
         look = {"facecolors": [pale], "linewidths": 0, "zorder": 0.5}
-    ax.add_collection(PolyCollection(_polygons(series), **look), autolim=False)
+    vertices = np.column_stack([series.x, series.y])
+    pieces = np.ma.clump_unmasked(np.ma.masked_invalid(series.x))
+    polygons = PolyCollection([vertices[rows] for rows in pieces], **look)
+    ax.add_collection(polygons, autolim=False)
 
 
 _DRAWERS = {
@@ -264,11 +267,6 @@ _DRAWERS = {
     "rule": _draw_rule,
     "regions": _draw_regions,
 }
-
-
-def _polygons(series: Series) -> list[Array]:
-    vertices = np.column_stack([series.x, series.y])
-    return [vertices[rows] for rows in np.ma.clump_unmasked(np.ma.masked_invalid(series.x))]
 
 
 def _draw_plane(ax: Axes, figure: Figure, panel: Panel) -> None:

@@ -218,8 +218,10 @@ class _Analysis:
             parameters = self._parameters(row)
             if not parameters:
                 continue
-            sources = self._sources(row, name if kind == "derivative" else "")
-            equation = Equation(name, kind, parameters, sources)
+            # The measured states behind the row and its target.
+            names = {*_needed(row, self.state), name if kind == "derivative" else ""}
+            sources = sorted({self.measured[n] for n in names & self.measured.keys()})
+            equation = Equation(name, kind, parameters, tuple(sources))
             unknown = " and ".join(sorted(self._unknown(row)))
             if unknown:
                 self.left_out.append(f"{equation.left} (it needs {unknown}, not known)")
@@ -233,11 +235,6 @@ class _Analysis:
         """Return the free parameters of a row and of its delays."""
         late = [self.delays[self.model.inputs.index(n)] for n in _needed(row, self.input)]
         return tuple(_needed(ca.vertcat(row, *late), self.parameter))
-
-    def _sources(self, row: ca.SX, target: str) -> tuple[str, ...]:
-        """Return the measured states behind a row and its target."""
-        names = {*_needed(row, self.state), target}
-        return tuple(sorted({self.measured[n] for n in names & self.measured.keys()}))
 
     def _linear(self, rows: list[ca.SX]) -> tuple[str, ...]:
         """Return the parameters in which all rows are jointly affine."""

@@ -26,7 +26,7 @@ from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.response_programs import CostProgram
 from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array, BoolArray, IntArray
-from greybox.modeling.one_thread import PerThread, one_thread_at_a_time
+from greybox.modeling.one_thread import Stored, one_thread_at_a_time
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.newton_iteration import (
     COST,
@@ -92,15 +92,6 @@ class _Searches:
     live: BoolArray
     data: Array
 
-    def narrowed_to(self, columns: IntArray) -> "_Searches":
-        """Return the searches in these columns."""
-        return _Searches(
-            self.owner[columns],
-            self.numbers[:, columns],
-            self.live[columns],
-            self.data[:, columns],
-        )
-
 
 def _iteration(p: int) -> tuple[Columns, Columns]:
     """Return `advanced` and `bounded` for p variables."""
@@ -112,7 +103,7 @@ def _iteration(p: int) -> tuple[Columns, Columns]:
     )
 
 
-_iterations = PerThread(_iteration, 16)
+_iterations = Stored(64)
 
 
 class BatchedNewton:
@@ -216,7 +207,7 @@ class BatchedNewton:
         inputs += [] if self._roots is None else self._roots(trial, searches.data)
         cost, gradient, hessian = self._function(*inputs)
 
-        advance, within_radius = _iterations.result(p)
+        advance, within_radius = _iterations.result(p, lambda: _iteration(p))
         barrier = BARRIERS[searches.owner % len(BARRIERS), levels][None]
         tolerances = np.full((1, len(levels)), tolerance)
         numbers, hessian_of_free = advance(
@@ -247,4 +238,7 @@ def _narrowed(searches: _Searches) -> _Searches:
     live, width = np.flatnonzero(searches.live), len(searches.live)
     narrower = 4 if width >= FEWEST_COLUMNS else 2
     most = width - 1 if width <= NARROW else width // narrower
-    return searches.narrowed_to(live) if len(live) <= most else searches
+    if len(live) > most:
+        return searches
+    columns = searches.owner, searches.numbers, searches.live, searches.data
+    return _Searches(*(column[..., live] for column in columns))

@@ -11,9 +11,6 @@ take twice as long: memory is released and requested again and again. Start them
 --nthreads 1``.
 """
 
-import copyreg
-import hashlib
-import io
 import math
 import os
 import pickle
@@ -26,13 +23,11 @@ from contextlib import suppress
 from itertools import islice
 from types import MappingProxyType
 from typing import Any
-from weakref import WeakKeyDictionary
 
-import casadi as ca
 import numpy as np
 
 from greybox.files.arrays import Array
-from greybox.modeling.one_thread import PerThread
+from greybox.modeling.one_thread import Stored
 from greybox.solve.interruption import interrupt_noted, limited, search_end, stop_requested
 from greybox.solve.kept_runs import Memory
 from greybox.solve.local_solver import Runner
@@ -111,29 +106,6 @@ def require_executor(executor: Any) -> None:
         raise TypeError(
             f"executor is {executor!r:.60}: give an instance such as greybox.solve.WorkerPool(2)."
         )
-
-
-# Problems of the same formulas share functions, and to serialize them takes a millisecond: their
-# text is represented by a short key.
-_serialized: WeakKeyDictionary[ca.Function, str] = WeakKeyDictionary()
-
-
-def _reduced(function: ca.Function) -> tuple[type[str], tuple[str]]:
-    """Return a function for a pickle of which only the key matters; serialize it once."""
-    if function not in _serialized:
-        _serialized[function] = hashlib.sha256(function.serialize().encode()).hexdigest()
-    return str, (_serialized[function],)
-
-
-def value_fingerprint(value: Any) -> str:
-    """Return a key of a value, such as a runner, that is the same in every process."""
-    text = io.BytesIO()
-    pickler = pickle.Pickler(text)
-    pickler.dispatch_table = {**copyreg.dispatch_table, ca.Function: _reduced}
-    # References to earlier objects would distinguish equal strings from identical ones.
-    pickler.fast = True
-    pickler.dump(value)
-    return hashlib.sha256(text.getvalue()).hexdigest()
 
 
 def pickled(value: Any) -> bytes:
@@ -262,16 +234,11 @@ def _look(
         if future.done() and not future.cancelled() and not future.exception():
             deque(_stored(memory, batch, future.result()), 0)
     memory.look()
-    if _has_lost_scheduler(executor):
+    # Where Dask has lost its scheduler, new tasks would never be done. By name, since the package
+    # that defines the class may be absent.
+    is_of_dask = type(executor).__module__ == "distributed.cfexecutor"
+    if is_of_dask and getattr(executor, "_client").status != "running":  # noqa: B009
         raise ExecutorLostError(LOST)
-
-
-def _has_lost_scheduler(executor: Executor) -> bool:
-    """Return whether Dask has lost its scheduler: new tasks would never be done."""
-    if type(executor).__module__ != "distributed.cfexecutor":
-        return False
-    # By name, since the package that defines the class may be absent.
-    return getattr(executor, "_client").status != "running"  # noqa: B009
 
 
 def _result(future: Future[list[Outcome]]) -> list[Outcome] | None:
@@ -295,8 +262,9 @@ def _result(future: Future[list[Outcome]]) -> list[Outcome] | None:
 # --- on the worker
 
 
-# A solver takes longer to build than many of its runs. Four serve the members of a study in turn.
-_solvers = PerThread(pickle.loads, 4)
+# A solver takes longer to build than many of its runs. Some serve the members of a study in
+# turn, in every thread.
+_solvers = Stored(16)
 
 
 def run_starts(payload: bytes, starts: Array, coordinator: int, end: float) -> list[Outcome]:
@@ -309,7 +277,7 @@ def run_starts(payload: bytes, starts: Array, coordinator: int, end: float) -> l
         # A terminal sends Ctrl-C to the workers as well.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     with limited(end):
-        solver = _solvers.result(payload)
+        solver = _solvers.result(payload, lambda: pickle.loads(payload))
         size = solver.together
         batches = (starts[k : k + size] for k in range(0, len(starts), size))
         return [outcome for batch in batches for outcome in solver.run_together(batch)]

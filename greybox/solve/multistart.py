@@ -11,8 +11,9 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.files.arrays import Array
+from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
-from greybox.solve.executors import run_all, value_fingerprint
+from greybox.solve.executors import run_all
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.gauss_newton.settings import settings
 from greybox.solve.interruption import stop_requested
@@ -102,7 +103,7 @@ def multistart(
             if progress is not None:
                 progress(len(results), len(starts))
         results, runs, minima = _certified(nlp, solver, results)
-        if stop_requested() or len(agreeing_runs(nlp, runs, minima)) >= enough > 0:
+        if stop_requested() or 0 < enough <= len(agreeing_runs(nlp, runs, minima)):
             break
 
     # Where nothing converged, a diagnosis needs the last states of every run.

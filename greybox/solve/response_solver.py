@@ -14,7 +14,6 @@ from itertools import combinations
 from types import MappingProxyType
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
@@ -84,7 +83,12 @@ class ResponseSolver(LocalSolver):
         }
         explicit = problem.programs[-1].explicit
         if batched and explicit and ResponseSolver.serves(problem):
-            self.together = _batch_size(explicit)
+            # The starts that are improved at once are a power of two, as the columns of a batch. Up
+            # to 1024: more do not become cheaper. Fewer where a batch would take more than some
+            # 0.5 s (10 million instructions), so that a time limit costs no more and progress is
+            # seen. At least 128: below, a start takes more than twice its time.
+            count = min(max(10_000_000 // instructions(explicit), 128), 1024)
+            self.together = 1 << (count.bit_length() - 1)
 
     @cached_property
     def _stages(self) -> list[Ipopt]:
@@ -345,14 +349,3 @@ class ResponseSolver(LocalSolver):
         if not cost <= best.cost + 1e-13 * abs(best.cost):
             return None
         return replace(best, cost=cost, estimate=estimate)
-
-
-def _batch_size(program: ca.Function) -> int:
-    """Return how many starts are improved at once: a power of two, as the columns of a batch.
-
-    Up to 1024: more do not become cheaper. Fewer where a batch would take more than some 0.5 s (10
-    million instructions), so that a time limit costs no more and progress is seen. At least 128:
-    below, a start takes more than twice its time.
-    """
-    count = min(max(10_000_000 // instructions(program), 128), 1024)
-    return 1 << (count.bit_length() - 1)

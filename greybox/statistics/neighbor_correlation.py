@@ -22,6 +22,7 @@ Raftery and Volinsky (1999), Bayesian Model Averaging: A Tutorial, Statistical S
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -105,7 +106,7 @@ def neighbor_correlation(
         None if errors count as independent: too few numbers remain, the data are fitted exactly, or
         the residuals show no correlation.
     """
-    from scipy.linalg import cho_solve_banded, cholesky_banded  # noqa: PLC0415  (imports slowly)
+    from scipy.linalg.lapack import dpbtrs  # noqa: PLC0415  (imports slowly)
 
     n = errors.size
     norm = np.linalg.norm(errors)
@@ -120,18 +121,17 @@ def neighbor_correlation(
 
     rho = np.linspace(0.0, math.exp(-1 / n), VALUES)
     # The inverse of a matrix rho^|i - j| has three diagonals, so that no matrix need be formed.
-    rows = np.column_stack([errors, basis[:n] + 1j * basis[n:]])
+    rows = np.ascontiguousarray(np.column_stack([errors, basis[:n] + 1j * basis[n:]]))
     squares_of_rows = (rows.conj().T @ rows).real
     ends = (rows[[0, -1]].conj().T @ rows[[0, -1]]).real
     beside = (rows[1:].conj().T @ rows[:-1]).real
     share = rho[:, None, None]
     moments = (1 + share**2) * squares_of_rows - share**2 * ends - share * (beside + beside.T)
     moments /= 1 - share**2
-    # Errors that are alike over half of the points look like a gain.
-    means = LAGS[np.count_nonzero(LAGS > 1e-3, axis=1) <= max(n / 2, 2), :n]
-    factors = [cholesky_banded(band, lower=True) for band in np.repeat(means[..., None], n, 2)]
-    weighted = np.array([cho_solve_banded((factor, True), rows) for factor in factors])
-    moments = np.concatenate([moments, (rows.conj().T @ weighted).real])
+    means, factors = _means(n)
+    # Without the checks of SciPy, which take as long as everything else here.
+    weighted = np.array([dpbtrs(factor, rows.view(float), lower=1)[0] for factor in factors])
+    moments = np.concatenate([moments, (rows.conj().T @ weighted.view(complex)).real])
     logarithms = [2 * np.log(factor[0]).sum() for factor in factors]
     # What remains of the first row's square without the others is a ratio of determinants.
     information = np.linalg.slogdet(moments[:, 1:, 1:])[1]
@@ -163,6 +163,17 @@ def neighbor_correlation(
     powers = np.vstack([rho[:, None] ** np.arange(n), np.zeros((len(means), n))])
     powers[VALUES:, :16] = means
     return NeighborCorrelation(powers, weight, scale)
+
+
+@lru_cache(4)  # members of a study mostly have equal numbers of points
+def _means(n: int) -> tuple[Array, list[Array]]:
+    """Return `LAGS` for n points, and the Cholesky factors of these matrices."""
+    from scipy.linalg import cholesky_banded  # noqa: PLC0415  (imports slowly)
+
+    # Errors that are alike over half of the points look like a gain.
+    means = LAGS[np.count_nonzero(LAGS > 1e-3, axis=1) <= max(n / 2, 2), :n]
+    bands = np.repeat(means[..., None], n, 2)
+    return means, [cholesky_banded(band, lower=True) for band in bands]
 
 
 def averaged_meat(

@@ -26,12 +26,13 @@ from greybox.files.text_table import counted, printable
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Starts, as_starts
 from greybox.formulation.sum import Sum
+from greybox.modeling.fingerprint import value_fingerprint
+from greybox.modeling.one_thread import unchanged, unchanged_in
 from greybox.solve.executors import (
     pickled,
     require_executor,
     run_all,
     unpickled,
-    value_fingerprint,
 )
 from greybox.solve.interruption import (
     Interrupted,
@@ -173,7 +174,7 @@ def batch(
     models = [*{type(part.model) for member in listed for part in member.problem.parts}]
     end = end_after(seconds)
     folder = Path(folder)
-    with locked(folder), limited(end):
+    with locked(folder), limited(end), unchanged():
         # Members are added before the first fit: a reader sees the whole study from the start.
         stored = add_members(folder, [member.name for member in listed])
         runs = StoredRuns(folder)
@@ -241,8 +242,10 @@ class _WholeMembers(Runner):
         changes: Any = []
         # A member that cannot be pickled, or whose classes a worker lacks, is fitted here later.
         with suppress(Exception), limited(end_after(UNWRITTEN)):
-            member, key = unpickled(start[0])
-            _fit_member(member, runs, StudyMember(Path(), 0, member.name, {}, 0), set(), key=key)
+            member, key, study = unpickled(start[0])
+            nothing = StudyMember(Path(), 0, member.name, {}, 0)
+            with unchanged(study):
+                _fit_member(member, runs, nothing, set(), key=key)
             changes = [] if is_search_over() else runs.changes
         return Outcome(changes, "", 0, time.perf_counter() - began, converged=True)
 
@@ -250,7 +253,8 @@ class _WholeMembers(Runner):
 def _by_workers(members: Sequence[Member], executor: Executor | None) -> Iterator[Any]:
     """Yield what every member stores; nothing if it is large, or if a worker ended by it."""
     # In a worker, classes of the user's script have another module, and members another key.
-    rows = ((k, np.array([pickled((m, _key(m)))])) for k, m in enumerate(members))
+    study = unchanged_in.get()
+    rows = ((k, np.array([pickled((m, _key(m), study))])) for k, m in enumerate(members))
     for number, _, outcome in run_all(_WholeMembers(), rows, len(members), executor):
         changes = [] if outcome.status else outcome.estimate
         if not (changes or number):

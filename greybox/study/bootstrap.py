@@ -29,10 +29,11 @@ from greybox.files.html_text import Printed
 from greybox.files.json_numbers import finite, plain
 from greybox.files.progress import bar
 from greybox.files.text_table import alternatives, counted, number, one_line, some, text_table
+from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import cached_property
 from greybox.modeling.parameter import require_whole
 from greybox.solve.discretization_error import refine_discretization
-from greybox.solve.executors import require_executor, run_all, value_fingerprint
+from greybox.solve.executors import require_executor, run_all
 from greybox.solve.interruption import Interrupted, Response, listening, responding, take_interrupt
 from greybox.solve.kept_runs import Memory
 from greybox.solve.minima import same_cost
@@ -327,10 +328,19 @@ def bootstrap(
     for name, value, least in (("replicates", replicates, 2), ("seed", seed, 0)):
         require_whole(name, value, least)
     require_executor(executor)
-    _require_drawable(fit)
+    obstacles = {
+        "manoeuvres, which are not drawn yet": fit.spectra,
+        "a prior, which is not drawn": any(part.is_prior for part in fit.parts),
+        "records and responses, which cannot be drawn together": fit.records and fit.responses,
+    }
+    for obstacle, present in obstacles.items():
+        if present:
+            raise ValueError(
+                f"the fit {fit.name!r} has {obstacle}: use the standard errors; if there are none, "
+                "its warnings say what to do."
+            )
     nlp = compiled_again(fit, problem, method)
-    refits = _record_refits if fit.records else _response_refits
-    runner = refits(fit, nlp, seed)
+    runner = _refits(fit, nlp, seed)
     # Fixed values, and what follows from them alone, are the same in every replicate.
     lines = [q for q in fit.quantities if q.kind != "fixed" and q.standard_error != 0]
     function = quantity_function(nlp, [q.name for q in lines])
@@ -370,25 +380,6 @@ def bootstrap(
     return samples
 
 
-def _require_drawable(fit: Fit) -> None:
-    obstacles = {
-        "manoeuvres, which are not drawn yet": fit.spectra,
-        "a prior, which is not drawn": any(part.is_prior for part in fit.parts),
-        "records and responses, which cannot be drawn together": fit.records and fit.responses,
-    }
-    for obstacle, present in obstacles.items():
-        if present:
-            raise ValueError(
-                f"the fit {fit.name!r} has {obstacle}: use the standard errors; if there are none, "
-                "its warnings say what to do."
-            )
-
-
-def _response_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> ResponseReplicates:
-    x = fit.minima[0].estimate
-    return ResponseReplicates(nlp, response_draws(nlp, x, _accuracy(nlp, x, ()), seed), x)
-
-
 def _accuracy(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory]) -> Accuracy:
     accuracy = assess(nlp, x, trajectories)
     if not accuracy.parts:
@@ -399,14 +390,16 @@ def _accuracy(nlp: CompiledProblem, x: Array, trajectories: Sequence[Trajectory]
     return accuracy
 
 
-def _record_refits(fit: Fit, nlp: CompiledProblem, seed: int) -> RecordReplicates:
+def _refits(fit: Fit, nlp: CompiledProblem, seed: int) -> Replicates:
+    x = fit.minima[0].estimate
+    if not fit.records:
+        return ResponseReplicates(nlp, response_draws(nlp, x, _accuracy(nlp, x, ()), seed), x)
     if nlp.problem.held_estimates:
         names = ", ".join(nlp.problem.held_estimates)
         raise ValueError(
             f"{names} of {nlp.problem.name!r} came with errors of an earlier fit, which are "
             "compiled into records as constants: fit them too, or bootstrap that fit."
         )
-    x = fit.minima[0].estimate
     # A fit has no states at the nodes: one run from the estimate finds them again.
     solver = solver_for(nlp)
     search = multistart(nlp, solver, x[None], movable=False)

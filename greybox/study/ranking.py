@@ -2,7 +2,9 @@
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import groupby
+from operator import itemgetter
 from statistics import fmean
 from typing import Any
 
@@ -11,6 +13,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.result import Fit
 from greybox.files.text_table import counted, percent, some
+from greybox.modeling.one_thread import unchanged
 from greybox.simulation.simulate import predict
 from greybox.simulation.windows import default_length
 from greybox.statistics.metrics import rms
@@ -34,30 +37,32 @@ EQUAL = 0.05  # relative difference of errors that makes no difference to a user
 Table = dict[str, dict[str, float]]
 """A number by data set and structure, the less the better."""
 
+Result = tuple[str, str, Fit, float | str | None]
+"""A structure, a data set, the fit, and its `held_out_error`, if data are held out."""
 
-def ranking(
-    fits: Sequence[tuple[str, str, Fit]],
-    held: Mapping[Fit, float | str | None],
-) -> Comparison:
-    """Compare structures over data sets; `fits` are (structure, data set, fit).
 
-    `held` has the `held_out_error` of fits.
+@unchanged()  # equal models share what is compiled
+def ranking(results: Iterable[Result]) -> Comparison:
+    """Compare structures over data sets, of which each has its results in a row.
+
+    Only the fits of one data set are in memory at a time.
     """
     tables: dict[str, Table] = {EVIDENCE: {}, PREDICTION: {}}
     sizes: dict[str, int] = {}
     notes: list[str] = []
-    for name, group in _by_data(fits).items():
+    has_time = False
+    for name, group in _by_data(results):
         best, tables[EVIDENCE][name] = _evidence(group)
-        sizes |= {structure: len(fit.free) for structure, fit in best.items()}
-        for structure, fit in best.items():
-            error = held.get(fit)
+        for structure, (fit, error) in best.items():
+            sizes[structure] = len(fit.free)
+            has_time |= any(part.data.has_time for part in fit.records)
             if isinstance(error, str):
                 notes.append(f"{structure} does not predict the held-out data: {error}")
             elif error is not None:
                 tables[PREDICTION].setdefault(name, {})[structure] = error
 
     # A likelihood of records assumes white residuals, and then prefers too many parameters.
-    if any(part.data.has_time for _, _, fit in fits for part in fit.records):
+    if has_time:
         notes.append(
             "BIC assumes white residuals, which those of records seldom are: it then prefers "
             "structures with too many parameters, and held-out records decide."
@@ -79,22 +84,25 @@ def ranking(
     )
 
 
-def _by_data(fits: Sequence[tuple[str, str, Fit]]) -> dict[str, list[tuple[str, Fit]]]:
-    """Return the fits with their structures by data set."""
-    groups: dict[str, list[tuple[str, Fit]]] = {}
-    for structure, name, fit in fits:
+def _by_data(results: Iterable[Result]) -> Iterator[tuple[str, list[Result]]]:
+    """Yield data sets with their results."""
+    for name, alike in groupby(results, itemgetter(1)):
         # Data of one name may differ: they are numbered.
-        key, number = name, 1
-        while key in groups and data_difference([groups[key][0][1], fit], ("", "")):
-            number += 1
-            key = f"{name} {number}"
-        groups.setdefault(key, []).append((structure, fit))
-    return groups
+        groups: list[list[Result]] = []
+        for result in alike:
+            same = (g for g in groups if not data_difference([g[0][2], result[2]], ("", "")))
+            if (group := next(same, None)) is None:
+                groups.append(group := [])
+            group.append(result)
+        for number, group in enumerate(groups, 1):
+            yield name if number == 1 else f"{name} {number}", group
 
 
-def _evidence(group: Sequence[tuple[str, Fit]]) -> tuple[dict[str, Fit], dict[str, float]]:
+def _evidence(
+    group: Sequence[Result],
+) -> tuple[dict[str, tuple[Fit, float | str | None]], dict[str, float]]:
     """Return the best fit of every structure, and its BIC less the least of all."""
-    names, fits = zip(*group, strict=True)
+    names, _, fits, held = zip(*group, strict=True)
     is_comparable = not why_not_comparable(fits, names)
     likelihoods = None
     if not is_comparable or not all(map(is_likelihood, fits)):
@@ -107,7 +115,7 @@ def _evidence(group: Sequence[tuple[str, Fit]]) -> tuple[dict[str, Fit], dict[st
     values = [math.inf if value is None else value for value in excess]
     order = sorted(range(len(fits)), key=values.__getitem__)
     first = {names[k]: k for k in reversed(order)}
-    best = {name: fits[first[name]] for name in dict.fromkeys(names)}
+    best = {name: (fits[first[name]], held[first[name]]) for name in dict.fromkeys(names)}
     return best, {name: values[first[name]] for name in best if values[first[name]] < math.inf}
 
 

@@ -8,6 +8,7 @@ import io
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -157,12 +158,14 @@ class Study(Printed):
             key = (combination, *(str(member.answer[name]) for name in ALIKE))
             if member.answer["cost"] <= best.get(key, member).answer["cost"]:
                 best[key] = member
-        fits, held = [], {}
-        for (structure, *_), member in best.items():
-            if structure and (fit := member.fit):
-                fits.append((structure, member.factors["data"], fit))
-                held[fit] = member.answer.get("held_out")
-        return ranking(fits, held)
+        named = [(name, m.factors["data"], m) for (name, *_), m in best.items() if name]
+        # A fit is read when its turn comes: those of a large study do not fit into memory.
+        return ranking(
+            (name, data, fit, member.answer.get("held_out"))
+            for results in grouped(named, itemgetter(1))
+            for name, data, member in results
+            if (fit := member.fit)
+        )
 
     @property
     def failures(self) -> str:
@@ -206,26 +209,22 @@ def read_study(folder: str | Path, models: Sequence[Any] = ()) -> Study:
         If the study is damaged.
     """
     members = tuple(replace(member, models=models) for member in read_members(Path(folder)))
-    for member in members:
-        _require_readable(member)
-    return Study(Path(folder), members)
-
-
-def _require_readable(member: StudyMember) -> None:
     # Do now what printing will do: a damaged answer must be refused when it is read.
-    try:
-        _overview([member])
-        if member.status == "done":
-            list(_cells(member, shown))
-            # The database may come from a stranger, and a page joins these texts with others.
-            answer = member.answer
-            labels = (answer[name] for name in ("criterion", "rule", "checksum"))
-            "".join((*labels, answer["verdict"]["grade"], *answer["model"], *answer["data"]))
-    except (LookupError, TypeError, ValueError, AttributeError):
-        raise ValueError(
-            f"the answer of {member.name!r} in {member.folder} is damaged: restore the folder, or "
-            "begin another study."
-        ) from None
+    for member in members:
+        try:
+            _overview([member])
+            if member.status == "done":
+                list(_cells(member, shown))
+                # The database may come from a stranger, and a page joins these texts with others.
+                answer = member.answer
+                labels = (answer[name] for name in ("criterion", "rule", "checksum"))
+                "".join((*labels, answer["verdict"]["grade"], *answer["model"], *answer["data"]))
+        except (LookupError, TypeError, ValueError, AttributeError):
+            raise ValueError(
+                f"the answer of {member.name!r} in {folder} is damaged: restore the folder, or "
+                "begin another study."
+            ) from None
+    return Study(Path(folder), members)
 
 
 FAILURES = ("failed", "members", "reason and cure")

@@ -3,11 +3,16 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
+from greybox.estimate.fit import SolverChoice
 from greybox.estimate.fit import fit as fit_problem
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.fitted_problem import problem_of
 from greybox.estimate.result import Fit
 from greybox.formulation.frequency_criteria import Criterion, MaximumLikelihood, RelativeLikelihood
+from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.solve.multistart import multistart
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,29 +23,37 @@ class Likelihoods:
     ----------
     criterion : Criterion
         The likelihood.
-    fits : tuple of Fit
-        Fits at the maximum of that likelihood next to the estimate; the original fit where its
-        problem cannot be built again.
+    originals : tuple of Fit
+        By any criterion.
+    least : tuple of float or None
+        Its minima next to the estimates; None where that is not known.
     """
 
     criterion: Criterion
-    fits: tuple[Fit, ...]
+    originals: tuple[Fit, ...]
+    least: tuple[float | None, ...]
 
-    @property
-    def at_maximum(self) -> list[bool]:
-        """Whether each fit is at the maximum, not an original fit by another criterion."""
-        return [_has_criterion(fit, self.criterion) for fit in self.fits]
+    def fit(self, number: int) -> Fit:
+        """Return the fit at the maximum next to an estimate; the original one if not known."""
+        fit, criterion = self.originals[number], self.criterion
+        if self.least[number] is None or _has_criterion(fit, criterion):
+            return fit
+        # One start at the estimate: another minimum would be another answer than the one compared.
+        start = {name: fit.estimate[name] for name in fit.free}
+        problem = problem_of(fit).with_(criterion=criterion)
+        return fit_problem(problem, [start], profiles=False, progress=False)
 
     @property
     def costs(self) -> list[float]:
         """Negative log-likelihoods, up to a constant of the data."""
-        pairs = zip(self.fits, self.at_maximum, strict=True)
-        return [fit.cost if at else fit.costs[self.criterion.name] for fit, at in pairs]
+        pairs = zip(self.least, self.originals, strict=True)
+        name = self.criterion.name
+        return [fit.costs[name] if cost is None else cost for cost, fit in pairs]
 
     @property
     def unknowns(self) -> list[int]:
         """Numbers of free parameters and noise variances."""
-        return [len(fit.free) + self.criterion.nuisances * len(fit.parts) for fit in self.fits]
+        return [len(fit.free) + self.criterion.nuisances * len(fit.parts) for fit in self.originals]
 
 
 def common_likelihood(fits: Sequence[Fit]) -> Likelihoods | None:
@@ -52,22 +65,28 @@ def common_likelihood(fits: Sequence[Fit]) -> Likelihoods | None:
     # proportional to the response.
     has_variances = all(part.data.variance is not None for part in fits[0].responses)
     criterion: Criterion = MaximumLikelihood() if has_variances else RelativeLikelihood()
-    return Likelihoods(criterion, tuple(_at_maximum(fit, criterion) for fit in fits))
+    least = (_least_cost(fit, criterion) for fit in fits)
+    return Likelihoods(criterion, tuple(fits), tuple(least))
 
 
 def _has_criterion(fit: Fit, criterion: Criterion) -> bool:
     return all(part.criterion_class == criterion.class_path for part in fit.parts)
 
 
-def _at_maximum(fit: Fit, criterion: Criterion) -> Fit:
-    """Return the fit by this criterion, started at the estimate; the same fit where it fails."""
+@one_thread_at_a_time  # also frees what it compiles
+def _least_cost(fit: Fit, criterion: Criterion) -> float | None:
+    """Return the cost at the minimum of this criterion next to the estimate, if it is found.
+
+    A fit would judge the minimum too, which takes several times as long.
+    """
     if _has_criterion(fit, criterion):
-        return fit
+        return fit.cost
     try:
         problem = problem_of(fit).with_(criterion=criterion)
     except (LookupError, ValueError):
-        return fit
-    # One start at the estimate: another minimum would be another answer than the one compared.
-    start = {name: fit.estimate[name] for name in fit.free}
-    refit = fit_problem(problem, [start], profiles=False, progress=False)
-    return refit if refit.converged and refit.cost <= fit.costs[criterion.name] else fit
+        return None
+    nlp, solver = SolverChoice().compiled(problem)
+    start = np.array([[fit.estimate[name] for name in nlp.free]])
+    minima = solver.polished(multistart(nlp, solver, start, movable=False)).minima
+    is_found = minima and minima[0].cost <= fit.costs[criterion.name]
+    return minima[0].cost if is_found else None

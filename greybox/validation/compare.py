@@ -91,7 +91,11 @@ def compare(
             raise ValueError("records=[...] are for fits: the members of a study state held=[...].")
         return fits[0].ranking()
     check_fits(fits)
-    _check_labels(labels, len(fits))
+    if labels and (isinstance(labels, str) or len({*map(str, labels)}) != len(fits)):
+        raise ValueError(
+            f"labels is {labels!r:.80}: give a list of {len(fits)} different texts, one for each "
+            "fit."
+        )
     lengths = {"window": window, "lead": lead}
     require_lengths(**{name: value for name, value in lengths.items() if value is not None})
     names = tuple(map(str, labels)) or labels_of(fits)
@@ -177,13 +181,6 @@ def _known(measure: str, rows: Sequence[Row]) -> list[float]:
     """Return a measure of all fits; empty if a fit lacks it."""
     values = next(row.values for row in rows if (row.data, row.measure) == ("fit", measure))
     return [] if None in values else [value for value in values if value is not None]
-
-
-def _check_labels(labels: Sequence[str], count: int) -> None:
-    if labels and (isinstance(labels, str) or len({*map(str, labels)}) != count):
-        raise ValueError(
-            f"labels is {labels!r:.80}: give a list of {count} different texts, one for each fit."
-        )
 
 
 def _as_records(records: Any) -> list[Record]:

@@ -46,7 +46,7 @@ def verdicts(
             pair = fits[a], fits[b]
             # Costs by different criteria have no ratio: both fits move to the common likelihood.
             if likelihoods is not None and not have_one_criterion(pair):
-                pair = likelihoods.fits[a], likelihoods.fits[b]
+                pair = likelihoods.fit(a), likelihoods.fit(b)
             difference = aic[b] - aic[a] if aic else None
             sentence, test = fit_verdict(pair, names, difference)
             sentences += [sentence] if sentence else []
@@ -227,7 +227,8 @@ def _which_likelihood(labels: Sequence[str], likelihoods: Likelihoods) -> str:
     criterion = likelihoods.criterion
     name = f"{type(criterion).__name__} ({criterion.description})"
     text = f"AIC, AICc and BIC are those of {name}, maximized from each estimate"
-    elsewhere = [label for label, at in zip(labels, likelihoods.at_maximum, strict=True) if not at]
+    pairs = zip(labels, likelihoods.least, strict=True)
+    elsewhere = [label for label, cost in pairs if cost is None]
     if elsewhere:
         text += f"; for {listed(elsewhere)} they are not at the maximum and therefore too high"
     return f"{text}."

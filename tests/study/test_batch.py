@@ -8,10 +8,11 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, nullcontext
 from pathlib import Path
 from threading import Timer, current_thread, main_thread
 
+import numpy as np
 import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
 from filelock import FileLock
@@ -137,6 +138,47 @@ def test_a_finished_member_is_not_compiled_unless_it_may_have_changed(tmp_path, 
     stated[2] = gb.study.Member(changed, 2, name="record 2")
     with pytest.raises(ValueError, match="belongs to another problem"):
         gb.batch(stated, tmp_path, progress=False)
+
+
+class Gained(gb.TransferFunction):
+    """A lag with a known gain, which notes when its formula is traced."""
+
+    T = gb.Parameter(1.0, bounds=(0.1, 5))
+    gains_traced = []
+
+    def __init__(self, gain):
+        self.gain = gain
+
+    def response(self, s, p):
+        if not isinstance(p.T, float):
+            self.gains_traced.append(self.gain)
+        return self.gain / (p.T * s + 1)
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_equal_models_of_a_study_are_traced_once(tmp_path, workers):
+    """The gains differ, and so do the data of members with equal ones."""
+    omega = np.array([0.3, 0.6, 1.0, 2.0, 4.0])
+    members = [
+        gb.study.Member(
+            gb.Problem(Gained(gain), gb.FrequencyResponse(omega, gain / (T * 1j * omega + 1))),
+            2,
+            name=f"{gain} {T}",
+        )
+        for T in (0.5, 0.8, 1.1)
+        for gain in (1.0, 3.0)
+    ]
+    Gained.gains_traced.clear()
+    with ThreadPoolExecutor(workers) if workers else nullcontext() as executor:
+        study = gb.batch(members, tmp_path, executor=executor, progress=False)
+    threads = max(workers, 1) + bool(workers)
+    assert 2 <= len(Gained.gains_traced) <= 2 * threads
+    for member in study.members:
+        assert member.answer["estimate"]["T"] == pytest.approx(float(member.name.split()[1]))
+    # A study that is stated later traces again: a model may have changed in between.
+    count = len(Gained.gains_traced)
+    gb.batch(members[:1], tmp_path / "later", progress=False)
+    assert len(Gained.gains_traced) == count + 1
 
 
 @pytest.mark.parametrize(

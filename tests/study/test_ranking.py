@@ -76,10 +76,15 @@ def test_responses_of_an_angle_and_of_its_rate_are_one_data_set():
     rate = replace(angle, response=1j * angle.omega * angle.response, output="r")
     other = replace(angle, response=angle.response[::-1], output="y")
     fits = [
-        (model.__name__, "slow", gb.fit(gb.Problem(model(), response), starts=2, progress=False))
+        (
+            model.__name__,
+            "slow",
+            gb.fit(gb.Problem(model(), response), starts=2, progress=False),
+            None,
+        )
         for model, response in ((Lag, angle), (RateLag, rate), (LagLead, other))
     ]
-    comparison = ranking(fits, {})
+    comparison = ranking(fits)
     values = [bic(comparison, "slow", name) for name in ("Lag", "RateLag")]
     assert values == pytest.approx([0.0, 0.0], abs=1e-6)
     assert bic(comparison, "slow 2", "Lag") is None
@@ -124,12 +129,13 @@ def test_held_out_records_rank_structures_by_their_predictions():
         )
         for model in (Line(), Bent())
     ]
-    comparison = ranking(fits, {fit: held_out_error(fit, [record("two", 1)]) for *_, fit in fits})
+    other = [record("two", 1)]
+    comparison = ranking((*named, fit, held_out_error(fit, other)) for *named, fit in fits)
     measure = "error of held-out predictions, % of the signal"
     line, bent = (
         comparison.value("one", name, data="study", output=measure) for name in ("Line", "Bent")
     )
-    expected = gb.compare(*(fit for _, _, fit in fits), records=[record("two", 1)])
+    expected = gb.compare(*(fit for _, _, fit in fits), records=other)
     assert 100 - bent == pytest.approx(expected.value("fit", "Bent", data="held-out", output="y"))
     assert bent < line - 5
     assert "of 1 data set: Bent in 1 (100 %)" in str(comparison)
@@ -137,7 +143,7 @@ def test_held_out_records_rank_structures_by_their_predictions():
     # Records of the fits themselves are not held out.
     fit = fits[0][2]
     refusal = held_out_error(fit, [record("one", 0)])
-    assert "not held out" in str(ranking(fits, {fit: refusal}))
+    assert "not held out" in str(ranking([("Line", "one", fit, refusal)]))
 
 
 def test_the_smallest_structure_that_predicts_as_well_is_supported_by_held_out_data(tmp_path):
@@ -198,7 +204,7 @@ def test_records_rank_structures_with_and_without_a_delay():
     record = gb.Record(0.02 * np.arange(n), signals)
     late_fit, instant = (gb.fit(gb.Problem(m, record), starts=1) for m in (Late(), Instant()))
     assert late_fit.estimate["tau"] == pytest.approx(0.09, abs=0.02)
-    ranked = ranking([("Late", "one", late_fit), ("Instant", "one", instant)], {})
+    ranked = ranking([("Late", "one", late_fit, None), ("Instant", "one", instant, None)])
     assert ranked.supported == "Late"
     # By hand: the residuals of the samples that both compare.
     residuals = np.array([fit.records[0].residual("y") for fit in (late_fit, instant)])
