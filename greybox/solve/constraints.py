@@ -48,9 +48,10 @@ class Limits:
         """Return the point after a step within the bounds, on a bound if rounding is between."""
         end = self.clipped(z + step)
 
-        # A variable next to a bound, by rounding, would still count as free.
+        # A variable next to a bound, by rounding, would still count as free. One is the size of a
+        # start box.
         for bound in (self.low, self.high):
-            end = np.where(np.abs(end - bound) <= 1e-12 * np.abs(step), bound, end)
+            end = np.where(np.abs(end - bound) <= 1e-12 * np.abs(step) + 1e-15, bound, end)
         return end
 
     def violation(self, z: Array) -> float:

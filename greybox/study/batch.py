@@ -179,9 +179,17 @@ def batch(
         stored = add_members(folder, [member.name for member in listed])
         runs = StoredRuns(folder)
         try:
-            # A notebook stores every picture of the bar: two a second suffice.
+            done = {m.name for m in listed if stored[m.name].status == "done"}
+            # A notebook stores every picture of the bar: two a second suffice. The time left is by
+            # the mean of all members: a moving one counts only the time since the last picture.
             shown = bar(
-                is_shown=progress, total=len(listed), unit="fit", miniters=0, mininterval=0.5
+                is_shown=progress,
+                total=len(listed),
+                initial=len(done),
+                unit="fit",
+                miniters=0,
+                mininterval=0.5,
+                smoothing=0,
             )
             with listening(), shown:
                 try:
@@ -197,7 +205,7 @@ def batch(
                             _fit_member(
                                 member, runs, stored[member.name], compiled, executor, shown
                             )
-                        shown.update()
+                        shown.update(member.name not in done)
                         runs.look()
                         if runs.trouble:
                             break  # a full disk, which the last attempt names

@@ -153,8 +153,9 @@ class Study(Printed):
         # Among members that differ in their seeds or delays, only the best counts: reading a fit
         # takes longer than comparing it.
         best: dict[tuple[str, ...], StudyMember] = {}
-        for member in self.done:
-            combination = ": ".join(filter(None, map(member.factors.get, by)))
+        words = [_differences([m.factors.get(factor, "") for m in self.done]) for factor in by]
+        for place, member in enumerate(self.done):
+            combination = ": ".join(filter(None, (texts[place] for texts in words)))
             key = (combination, *(str(member.answer[name]) for name in ALIKE))
             if member.answer["cost"] <= best.get(key, member).answer["cost"]:
                 best[key] = member
@@ -302,6 +303,15 @@ def names_by_difference(members: Sequence[StudyMember]) -> list[dict[str, str]]:
     if len({*map(str, labels)}) == len(members) > 1:
         return labels
     return [{"member": member.name} for member in members]
+
+
+def _differences(texts: Sequence[str]) -> list[str]:
+    """Return texts without the values, such as ``a = 1``, that all of them have."""
+    words = [text.split(", ") for text in texts]
+    common = set.intersection(*map(set, words)) if len({*texts}) > 1 else set()
+    kept = [[w for w in row if w not in common or " = " not in w] for row in words]
+    pairs = zip(texts, kept, strict=True)
+    return [", ".join(row) or (text and "nothing else") for text, row in pairs]
 
 
 def _cells(member: StudyMember, form: Callable[[float | None, float | None], str]) -> Iterator[str]:

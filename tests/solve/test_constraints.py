@@ -160,3 +160,6 @@ def test_a_step_ends_within_the_bounds_and_on_one_that_it_nearly_reaches():
     assert limits.after(np.array([0.5, 0.5, 0.5]), np.array([-0.4, 0.4, 0.0])) == pytest.approx(
         [0.1, 0.9, 0.5]
     )
+    # Rounding in the last steps does not leave a bound, either.
+    held = limits.after(np.array([0.0, 0.5, 0.5]), np.array([4e-17, 1e-9, 0.0]))
+    assert held[0] == 0.0

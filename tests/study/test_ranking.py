@@ -59,6 +59,13 @@ def test_structures_of_one_model_differ_in_what_is_fixed(tmp_path):
     both = study.ranking("model", "fixed")
     assert both.labels == ("Lag: nothing", "Lag: T_lag = 4", "Gain: nothing")
     assert both.supported == "Lag: nothing"
+    # A value that all of them hold is not a difference.
+    held = [
+        gb.study.Member(problem.with_(fixed={"K": 1.0, **fixed}), 3, name=str(fixed))
+        for fixed in ({}, {"T_lag": 4.0})
+    ]
+    study = gb.batch(held, tmp_path / "held", progress=False)
+    assert gb.compare(study).labels == ("nothing else", "T_lag = 4")
     assert bic(both, "slow", "Gain: nothing") == bic(gb.compare(study), "slow", "Gain")
 
 
