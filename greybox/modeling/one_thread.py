@@ -30,6 +30,16 @@ def one_thread_at_a_time(function: Callable[Arguments, Result]) -> Callable[Argu
     return locked
 
 
+class PerThread(threading.local):
+    """A function that stores its last results for every thread by itself.
+
+    Two threads must not call one CasADi function at a time.
+    """
+
+    def __init__(self, function: Callable[..., Any], stored: int) -> None:
+        self.result = functools.lru_cache(stored)(one_thread_at_a_time(function))
+
+
 class Stored:
     """The last results by key, for every thread by itself."""
 

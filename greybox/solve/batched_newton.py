@@ -26,7 +26,7 @@ from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.response_programs import CostProgram
 from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array, BoolArray, IntArray
-from greybox.modeling.one_thread import Stored, one_thread_at_a_time
+from greybox.modeling.one_thread import PerThread, one_thread_at_a_time
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.newton_iteration import (
     COST,
@@ -103,7 +103,7 @@ def _iteration(p: int) -> tuple[Columns, Columns]:
     )
 
 
-_iterations = Stored(64)
+_iterations = PerThread(_iteration, 16)
 
 
 class BatchedNewton:
@@ -207,7 +207,7 @@ class BatchedNewton:
         inputs += [] if self._roots is None else self._roots(trial, searches.data)
         cost, gradient, hessian = self._function(*inputs)
 
-        advance, within_radius = _iterations.result(p, lambda: _iteration(p))
+        advance, within_radius = _iterations.result(p)
         barrier = BARRIERS[searches.owner % len(BARRIERS), levels][None]
         tolerances = np.full((1, len(levels)), tolerance)
         numbers, hessian_of_free = advance(

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from greybox.files.arrays import Array
-from greybox.modeling.one_thread import Stored
+from greybox.modeling.one_thread import PerThread
 from greybox.solve.interruption import interrupt_noted, limited, search_end, stop_requested
 from greybox.solve.kept_runs import Memory
 from greybox.solve.local_solver import Runner
@@ -262,9 +262,8 @@ def _result(future: Future[list[Outcome]]) -> list[Outcome] | None:
 # --- on the worker
 
 
-# A solver takes longer to build than many of its runs. Some serve the members of a study in
-# turn, in every thread.
-_solvers = Stored(16)
+# A solver takes longer to build than many of its runs. Four serve the members of a study in turn.
+_solvers = PerThread(pickle.loads, 4)
 
 
 def run_starts(payload: bytes, starts: Array, coordinator: int, end: float) -> list[Outcome]:
@@ -277,7 +276,7 @@ def run_starts(payload: bytes, starts: Array, coordinator: int, end: float) -> l
         # A terminal sends Ctrl-C to the workers as well.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
     with limited(end):
-        solver = _solvers.result(payload, lambda: pickle.loads(payload))
+        solver = _solvers.result(payload)
         size = solver.together
         batches = (starts[k : k + size] for k in range(0, len(starts), size))
         return [outcome for batch in batches for outcome in solver.run_together(batch)]
