@@ -61,11 +61,13 @@ def test_structures_of_one_model_differ_in_what_is_fixed(tmp_path):
     assert both.supported == "Lag: nothing"
     # A value that all of them hold is not a difference.
     held = [
-        gb.study.Member(problem.with_(fixed={"K": 1.0, **fixed}), 3, name=str(fixed))
-        for fixed in ({}, {"T_lag": 4.0})
+        gb.study.Member(
+            gb.Problem(LagLead(), data("slow"), fixed={"K": 1.0, **fixed}), 3, name=str(fixed)
+        )
+        for fixed in ({}, {"T_lead": 0.0})
     ]
-    study = gb.batch(held, tmp_path / "held", progress=False)
-    assert gb.compare(study).labels == ("nothing else", "T_lag = 4")
+    alike = gb.batch(held, tmp_path / "held", progress=False)
+    assert gb.compare(alike).labels == ("nothing else", "T_lead = 0")
     assert bic(both, "slow", "Gain: nothing") == bic(gb.compare(study), "slow", "Gain")
 
 
