@@ -285,15 +285,7 @@ def fit_keeping(
     # Ctrl-C no longer ends the work: the search is complete, and judging it takes a moment.
     with responding(Response.FINISH):
         answer = assemble(nlp, search, solver, seed=rule.seed, starts=str(rule), error=error)
-        messages: tuple[str, ...] = ()
-        done, is_over = len(search.brought), bool(np.any(search.runs.status == SEARCH_OVER))
-        if (interrupted and done < len(points)) or is_over:
-            cause = "the time limit ended the search" if is_search_over() else "interrupted"
-            machine = ", and a faster machine may answer otherwise" if is_search_over() else ""
-            messages = (
-                f"{cause} after {done} of {counted(len(points), 'start')}: another start may end "
-                f"at a lower cost{machine}.",
-            )
+        messages = tuple(_cut_short(search, len(points), interrupted=interrupted))
         # A search that was cut short has no time for profiles.
         if profiles and answer.converged and not messages:
             profiled = profiled_where_misleading(nlp, answer)
@@ -318,6 +310,16 @@ def fit_keeping(
 def fingerprint(problem: AnyProblem, by: SolverChoice) -> str:
     """Return the key of stored runs: of the compiled problem, its data and the solver options."""
     return value_fingerprint(by.compiled(problem)[1])
+
+
+def _cut_short(search: Multistart, count: int, *, interrupted: bool) -> Iterator[str]:
+    """Return how many of `count` starts were run before Ctrl-C or the time limit."""
+    done, total = len(search.brought), counted(count, "start")
+    is_over = bool(np.any(search.runs.status == SEARCH_OVER))
+    if (interrupted and done < count) or is_over:
+        cause = "the time limit ended the search" if is_search_over() else "interrupted"
+        machine = ", and a faster machine may answer otherwise" if is_search_over() else ""
+        yield f"{cause} after {done} of {total}: another start may end at a lower cost{machine}."
 
 
 @one_thread_at_a_time

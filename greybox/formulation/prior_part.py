@@ -38,8 +38,7 @@ def stated_priors(problem: Problem | Sum[Problem]) -> list[NormalPrior]:
     priors: list[NormalPrior] = []
     for part in problem.parts:
         for prior in part.priors:
-            values = vars(prior).values()
-            if any(all(map(np.array_equal, values, vars(same).values())) for same in priors):
+            if any(prior.same_as(known_prior) for known_prior in priors):
                 continue
             named = {name for known_prior in priors for name in known_prior.names}
             twice = [name for name in prior.names if name in named]
