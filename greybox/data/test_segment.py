@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 
 from greybox.files.text_table import number, one_line, text_table
 
-EXCITATIONS = ("sine", "sweep", "multisine", "noise")
-MANOEUVRES = ("2-1-1", "3-2-1-1", "doublet", "pulse", "step", "stick input")
+KINDS = ("sine", "sweep", "multisine", "noise", "step", "manoeuvre")
 
 
 @dataclass(frozen=True)
@@ -18,7 +17,7 @@ class Segment:
     ----------
     start, end : float, s
         On the record's clock.
-    kind : "sine", "sweep", "multisine", "noise", or one of `MANOEUVRES`
+    kind : "sine", "sweep", "multisine", "noise", "step" or "manoeuvre"
     axis : str
         The axis as named in the log, or the name of the setpoint.
     omega : float, rad/s
@@ -58,10 +57,9 @@ class Segment:
             raise ValueError(
                 f"the segment ends at {self.end:g} s, not after its start at {self.start:g} s."
             )
-        if self.kind not in (*EXCITATIONS, *MANOEUVRES):
+        if self.kind not in KINDS:
             raise ValueError(
-                f"the kind of a segment is {self.kind!r}: it must be one of "
-                f"{', '.join((*EXCITATIONS, *MANOEUVRES))}."
+                f"the kind of a segment is {self.kind!r}: it must be one of {', '.join(KINDS)}."
             )
         if self.kind == "sine" and math.isnan(self.band[0]):
             vars(self)["band"] = (self.omega, self.omega)

@@ -1,9 +1,7 @@
 """Finds manoeuvres: 2-1-1, 3-2-1-1, doublets, pulses, steps and other inputs between two rests.
 
 A signal is at rest if it stays at one level for a second. The part between two rests of the same
-level is one manoeuvre. A lasting change of the level is a step. A pulse is a part in which the
-signal differs from the first rest by more than half of the largest deviation. Signs and durations
-of the pulses decide the name of the manoeuvre.
+level is one manoeuvre. A lasting change of the level is a step.
 """
 
 import math
@@ -26,15 +24,6 @@ STICKS = (
 )
 CONTROLS = ("u", "de", "da", "dr", "dt", "elevator", "aileron", "rudder", "throttle", "stick")
 
-# Durations of the pulses of the named manoeuvres, in units of the shortest, signs alternating.
-PATTERNS = {(1,): "pulse", (1, 1): "doublet", (2, 1, 1): "2-1-1", (3, 2, 1, 1): "3-2-1-1"}
-STEP, OTHER = "step", "stick input"
-MOST_PULSES = max(map(len, PATTERNS))  # of a manoeuvre with a name: more may be a sine or a sweep
-
-# Largest relative deviation of a duration from its pattern. Halfway between the durations 2 and 3
-# is 0.2 of the longer one, and pilots are off by as much.
-OFF_PATTERN = 0.3
-
 # s at one level: as long as the shortest pulse of an aircraft's 3-2-1-1; its longest takes three
 # times that.
 REST = 1.0
@@ -45,9 +34,6 @@ NEW_REST = 6.0  # s after which another level is a new rest, twice the longest o
 AT_REST = 0.02
 NOISE = 8.0  # standard deviations of the noise, which a second of samples does not leave by chance
 
-# Shares of the longest pulse. A shorter pulse is an overshoot. A shorter time between two pulses is
-# not a pause, because actuators and hands need it.
-BRIEF, PAUSE = 0.2, 0.6
 # Share of the largest magnitude of the input's spectrum, -20 dB, down to which its band is excited.
 STRONG = 0.1
 HIGHEST = 0.4  # of the sampling rate, see `greybox.spectral.transients`
@@ -69,8 +55,7 @@ def find_manoeuvres(
 ) -> tuple[Segment, ...]:
     """Return the manoeuvres in the inputs of a flight, in order of time.
 
-    The pulses decide the kind: "2-1-1", "3-2-1-1", "doublet", "pulse", "step", or else "stick
-    input". Sines and sweeps are not manoeuvres, see `find_segments`.
+    Their kind is "step" or "manoeuvre". Sines and sweeps are not manoeuvres, see `find_segments`.
 
     Parameters
     ----------
@@ -114,7 +99,7 @@ def manoeuvres_in(time: Array, values: Array) -> list[Segment]:
         returned = abs(rest.begins - rests[before].ends) <= 2 * drift
         lasting = time[rest.last] - time[rest.first] > NEW_REST
         if returned or lasting or rest is rests[-1]:
-            manoeuvres.append(_named(time, values, rests[before], rest, drift, height))
+            manoeuvres.append(_between(time, values, rests[before], rest, drift, height))
             before = k
 
     return [segment for segment in manoeuvres if segment]
@@ -139,27 +124,21 @@ def _rests(time: Array, values: Array, height: float) -> list[_Rest]:
     return rests
 
 
-def _named(
+def _between(
     time: Array, values: Array, before: _Rest, after: _Rest, drift: float, height: float
 ) -> Segment | None:
     """Return the manoeuvre between two rests; None within the noise, and for sines and sweeps."""
     # Rests of a noisy signal may overlap.
     rows = slice(min(before.last, after.first), max(before.last, after.first) + 1)
     deviation = values[rows] - before.ends
-    kind, amplitude = OTHER, float(np.abs(deviation).max())
+    kind, amplitude = "manoeuvre", float(np.abs(deviation).max())
     change = after.begins - before.ends
-    returned = abs(change) <= 2 * drift
     # A step takes less than a rest: one motion of the hand or of the autopilot.
     is_short = time[after.first] - time[before.last] <= REST
-    if not returned and is_short and np.all(np.abs(deviation / change - 0.5) < 1):
-        kind, amplitude = STEP, abs(change)
-    elif amplitude <= height:
+    if abs(change) > 2 * drift and is_short and np.all(np.abs(deviation / change - 0.5) < 1):
+        kind, amplitude = "step", abs(change)
+    elif amplitude <= height or sines_and_sweeps(time[rows], values[rows]):
         return None
-    else:
-        pulses = _pulses(time[rows], deviation, amplitude / 2)
-        if len(pulses) > MOST_PULSES and sines_and_sweeps(time[rows], values[rows]):
-            return None
-        kind = _pattern(pulses) if returned else OTHER
 
     start, end = float(time[before.last]), float(time[after.first])
     return Segment(
@@ -170,57 +149,6 @@ def _named(
         amplitude=amplitude,
         offset=before.ends,
     )
-
-
-def _pulses(time: Array, deviation: Array, threshold: float) -> list[tuple[int, float]]:
-    """Return sign and duration, s, of every pulse; pauses have the sign 0."""
-    # At half of the amplitude, actuators that need time lengthen no pulse.
-    state = np.where(deviation > threshold, 1, np.where(deviation < -threshold, -1, 0))
-    edges = np.concatenate([[0], np.flatnonzero(np.diff(state)) + 1, [state.size]])
-    ends = np.append(time, time[-1])[edges]
-    runs = list(zip(state[edges[:-1]].tolist(), np.diff(ends).tolist(), strict=True))
-    longest = max((duration for sign, duration in runs if sign), default=0.0)
-    pulses: list[tuple[int, float]] = []
-    way = math.inf  # since the last pulse
-    for sign, duration in runs:
-        if not sign or duration < BRIEF * longest:
-            way += duration
-            continue
-        if not pulses:
-            pulses.append((sign, duration))
-        elif way > PAUSE * longest:
-            pulses += [(0, way), (sign, duration)]
-        else:
-            # The time between two pulses of different sign is divided between them.
-            last, duration_before = pulses.pop()
-            if last == sign:
-                pulses.append((sign, duration_before + way + duration))
-            else:
-                pulses += [(last, duration_before + way / 2), (sign, duration + way / 2)]
-        way = 0.0
-
-    return pulses
-
-
-def _pattern(pulses: Sequence[tuple[int, float]]) -> str:
-    """Return the name of pulses without pauses, by their durations."""
-    signs = [sign for sign, _ in pulses]
-    durations = tuple(duration for _, duration in pulses)
-    if 0 in signs:
-        return OTHER
-    for pattern, name in PATTERNS.items():
-        unit = sum(durations) / sum(pattern)
-        if (
-            len(pattern) == len(durations)
-            and unit > 0
-            and all(
-                abs(d / (unit * n) - 1) <= OFF_PATTERN
-                for d, n in zip(durations, pattern, strict=True)
-            )
-        ):
-            return name
-
-    return OTHER
 
 
 def _band(
@@ -238,7 +166,7 @@ def _band(
     step = float(uniform[1] - uniform[0])
     x = np.interp(uniform, t, x)
     # The spectrum of a step itself falls as 1/ω and depends on where the record ends.
-    if kind == STEP:
+    if kind == "step":
         x = np.diff(x)
     low, high = 2 * math.pi / (t[-1] - t[0]), HIGHEST * 2 * math.pi / step
     omega = 2 * math.pi * np.fft.rfftfreq(FINER * t.size, step)

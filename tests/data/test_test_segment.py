@@ -65,14 +65,14 @@ def test_each_number_of_a_segment_stands_in_its_column():
         Segment(20.0, 30.5, "sweep", "", band=(0.62832, 37.699), amplitude=0.06).refused(
             "one", "two"
         ),
-        Segment(40.0, 41.0, "doublet", "roll", offset=-1e-12),
+        Segment(40.0, 41.0, "step", "roll", offset=-1e-12),
     ]
     assert segment_table(segments).splitlines() == [
-        "   start s  end s  kind     axis           rad/s  periods  amplitude  offset  usable  source",
-        "-  -------  -----  -------  -----  -------------  -------  ---------  ------  ------  ------",
-        "1     1.23  11.00  sine     pitch              2     3.11   3.14 deg     0.5     yes  SIDS",
-        "2    20.00  30.50  sweep           0.628 to 37.7        -       0.06       -      no",
-        "3    40.00  41.00  doublet  roll          - to -        -          -      -0     yes",
+        "   start s  end s  kind   axis           rad/s  periods  amplitude  offset  usable  source",
+        "-  -------  -----  -----  -----  -------------  -------  ---------  ------  ------  ------",
+        "1     1.23  11.00  sine   pitch              2     3.11   3.14 deg     0.5     yes  SIDS",
+        "2    20.00  30.50  sweep         0.628 to 37.7        -       0.06       -      no",
+        "3    40.00  41.00  step   roll          - to -        -          -      -0     yes",
         "2: one",
         "2: two",
     ]
