@@ -28,7 +28,6 @@ from greybox.modeling.model import Model
 from greybox.modeling.model_file import models_of, module_from_file
 from greybox.solve.runs import Runs
 
-KIND = "fit"
 LAYOUT = 8
 DAMAGES = (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, RecursionError)
 
@@ -57,7 +56,7 @@ def save(fit: Fit, path: str | Path) -> None:
             f"{path} is not the name of an HDF5 file: give one that ends in {' or '.join(HDF5)}; "
             "for JSON see Fit.to_json."
         )
-    write_sealed(path, KIND, to_bytes(fit))
+    write_sealed(path, to_bytes(fit))
 
 
 def load(
@@ -89,7 +88,7 @@ def load(
     >>> again.estimate == fit.estimate
     True
     """
-    return from_bytes(read_sealed(Path(path), KIND), models, f"{path}")
+    return from_bytes(read_sealed(Path(path)), models, f"{path}")
 
 
 def to_bytes(fit: Fit) -> bytes:

@@ -19,10 +19,11 @@ import numpy as np
 from greybox.files.safe_files import replacing, require_file
 
 BLOCK = 512  # bytes, the smallest user block of HDF5
+TITLE = "greybox fit, SHA-256 of what follows this block, and place of its text: "
 
 
-def write_sealed(path: Path, kind: str, text: bytes) -> None:
-    """Write a text to a new HDF5 file, in the dataset ``/kind``, and replace `path` by it.
+def write_sealed(path: Path, text: bytes) -> None:
+    """Write a text to a new HDF5 file, in the dataset ``/fit``, and replace `path` by it.
 
     Raises
     ------
@@ -33,17 +34,17 @@ def write_sealed(path: Path, kind: str, text: bytes) -> None:
 
     buffer = io.BytesIO()
     with h5py.File(buffer, "w", userblock_size=BLOCK) as file:
-        start = file.create_dataset(kind, data=np.bytes_(text)).id.get_offset()
+        start = file.create_dataset("fit", data=np.bytes_(text)).id.get_offset()
     # A view of the bytes, without another copy of what may be large. A view of the buffer itself
     # would be held by a traceback, and crash Python 3.12 at its end.
     body = memoryview(buffer.getvalue())[BLOCK:]
-    head = f"{_title(kind)}{hashlib.sha256(body).hexdigest()} {start} {start + len(text)}\n"
+    head = f"{TITLE}{hashlib.sha256(body).hexdigest()} {start} {start + len(text)}\n"
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write(head.encode().ljust(BLOCK, b"\0"))
         file.write(body)
 
 
-def read_sealed(path: Path, kind: str) -> bytes:
+def read_sealed(path: Path) -> bytes:
     """Return the text of a sealed file.
 
     Raises
@@ -51,14 +52,12 @@ def read_sealed(path: Path, kind: str) -> bytes:
     FileNotFoundError
         If there is no such file.
     ValueError
-        If it is of another kind, or was changed after it was sealed.
+        If it is another file, or was changed after it was sealed.
     """
     require_file(path)
-    raw, title = path.read_bytes(), _title(kind).encode()
+    raw, title = path.read_bytes(), TITLE.encode()
     if not raw.startswith(title):
-        raise ValueError(
-            f"{path} is not a greybox {kind}: give a file that greybox saved (not 0.2)."
-        )
+        raise ValueError(f"{path} is not a greybox fit: give a file that greybox saved (not 0.2).")
     seal = re.match(rb"(\w+) (\d+) (\d+)\n", raw[len(title) : BLOCK])
     if seal is None or seal[1].decode() != hashlib.sha256(raw[BLOCK:]).hexdigest():
         raise ValueError(
@@ -67,7 +66,3 @@ def read_sealed(path: Path, kind: str) -> bytes:
         )
 
     return raw[int(seal[2]) : int(seal[3])]
-
-
-def _title(kind: str) -> str:
-    return f"greybox {kind}, SHA-256 of what follows this block, and place of its text: "

@@ -15,7 +15,6 @@ def to_casadi(
     *,
     pade: int | None = None,
     part: int = 0,
-    with_parameters: bool = False,
 ) -> ca.Function:
     """Return ``(x, u) -> (derivative, y)`` of a model at its estimate as a `casadi.Function`.
 
@@ -32,9 +31,6 @@ def to_casadi(
         out.
     part : int
         Part of a fit.
-    with_parameters : bool
-        Whether the parameters are a third argument ``p``, in the order of the model's, instead of
-        numbers.
 
     Raises
     ------
@@ -50,11 +46,8 @@ def to_casadi(
     """
     source = given_model(thing, values, None, part)
     system, p = source.ode(pade)
-    x, u, symbol = system.symbols
-    # Estimators of parameters, such as an extended Kalman filter, need them as an argument.
-    q = symbol if with_parameters else p
-    arguments = {"x": x, "u": u} | ({"p": q} if with_parameters else {})
-    outputs = [system.derivative(x, u, q), system.output(x, u, q)]
+    x, u, _ = system.symbols
+    outputs = [system.derivative(x, u, p), system.output(x, u, p)]
     # CasADi accepts only names that C accepts.
     name = identifier(source.model.label)
-    return ca.Function(name, [*arguments.values()], outputs, [*arguments], ["derivative", "y"])
+    return ca.Function(name, [x, u], outputs, ["x", "u"], ["derivative", "y"])

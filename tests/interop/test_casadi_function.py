@@ -24,9 +24,6 @@ def test_the_casadi_function_is_the_formula():
     ]
     np.testing.assert_allclose(derivative.full().ravel(), by_hand)
     np.testing.assert_allclose(y.full().ravel(), [theta, v])
-    free = gb.interop.to_casadi(NonlinearTilt(), pade=0, with_parameters=True)
-    p = [VALUES[name] for name in NonlinearTilt().parameters]
-    np.testing.assert_allclose(free([v, q, theta, rotor], u, p)[0].full().ravel(), by_hand)
 
 
 def test_the_casadi_function_of_a_transfer_function_has_its_response():

@@ -227,6 +227,6 @@ def craft(name, sound, path):
 
 def change_fit(sound, path, change):
     """Change the text of a saved fit, and seal it again."""
-    stored = json.loads(read_sealed(sound, "fit"))
+    stored = json.loads(read_sealed(sound))
     text = change(stored)
-    write_sealed(path, "fit", (json.dumps(stored) if text is None else text).encode())
+    write_sealed(path, (json.dumps(stored) if text is None else text).encode())
