@@ -269,16 +269,10 @@ def test_filters_of_the_log_are_in_series_with_the_model(filtered_rate_log):
     about = found.measurement.response.about
     assert about["gyro-filter"] == "LowPass(20.0, 0.7071067811865476)"
 
-    as_logged = gb.identify(filtered_rate_log, structures=structures, through=(), **stated)
-    assert as_logged.through == ()
+    stated |= {"structures": structures, "points": 8}
+    assert gb.identify(filtered_rate_log, through=(), **stated).through == ()
     with pytest.raises(ValueError, match="it has gyro-filter, gyro-notch"):
-        gb.identify(
-            filtered_rate_log,
-            structures=structures,
-            through=("d-term-filter",),
-            points=8,
-            **stated,
-        )
+        gb.identify(filtered_rate_log, through=("d-term-filter",), **stated)
 
 
 def test_the_signals_of_px4_are_known():
