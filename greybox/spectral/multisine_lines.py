@@ -142,7 +142,7 @@ def _estimates(u: ComplexArray, y: ComplexArray, r: ComplexArray) -> list[Estima
         response = np.sum(a * y, axis=0)
         spread = power(a)
         k = power(u) * spread
-        variance = power(y - response * u) / (n - 2 + k) * spread
+        noise = power(y - response * u) / (n - 2 + k)
         dof = 2 * (n - 2 + k) ** 2 / (n - 2 + k**2)
         # Those of the instrument with input and output.
         coherences = np.array([1 / k, np.abs(response) ** 2 / (power(y) * spread)])
@@ -153,8 +153,13 @@ def _estimates(u: ComplexArray, y: ComplexArray, r: ComplexArray) -> list[Estima
         drive, sure = power(r), np.clip(coherences, EPS, 1 - EPS)
         odds = correlate1d(np.log(sure / (1 - sure) / drive), BESIDE, mode="mirror")
         coherences = 1 / (1 + np.exp(-odds) / drive)
+        # Likewise, noise that feedback adds to the input makes a line strong, and its response
+        # wrong in one direction: weights by its own strength would bias a fit in this direction.
+        # The residuals grow as the input shrinks, too: both factors are replaced.
+        expected = np.exp(correlate1d(np.log(spread * drive), BESIDE, mode="mirror")) / drive
+        spread[2:-2] = (expected**2 / spread)[2:-2]
     weak = STRONG * (1 / coherences[0] - 1) > n - 1
     coherence = coherences.min(axis=0)
 
-    columns = (response, np.where(weak, np.nan, variance), dof, coherence, weak)
+    columns = (response, np.where(weak, np.nan, noise * spread), dof, coherence, weak)
     return [EstimatedPoint(*point) for point in zip(*columns, strict=True)]

@@ -67,15 +67,24 @@ def test_an_estimate_is_that_of_its_matrices(joint):
         instrument="r",
     )
     got = got.where(np.isclose(got.omega, 2 * math.pi * line / period))
-    wave = np.exp(-2j * math.pi * line / count * np.arange(count))
-    x, z, y = (signals[name] @ wave for name in ("u", "r", "theta"))
+
+    def at(name, line):
+        return signals[name] @ np.exp(-2j * math.pi * line / count * np.arange(count))
+
+    x, z, y = (at(name, line) for name in ("u", "r", "theta"))
     a = z.conj() / np.vdot(z, x)
     q = np.eye(n) - np.outer(x, a)
     m = q @ q.conj().T
     noise = np.linalg.norm(q @ y) ** 2 / np.trace(m).real
     assert got.response == pytest.approx(a @ y)
     assert got.dof == pytest.approx(2 * np.trace(m).real ** 2 / np.trace(m @ m).real)
-    assert got.variance == pytest.approx(noise * np.linalg.norm(a) ** 2)
+    # With an instrument, the neighbors say how strongly it moves the input.
+    own, *beside = (
+        abs(np.vdot(at("r", k), at("u", k))) / np.linalg.norm(at("r", k)) ** 2
+        for k in (line, 1, 2, 4, 5)
+    )
+    factor = (own / np.exp(np.mean(np.log(beside)))) ** 4 if joint else 1
+    assert got.variance == pytest.approx(factor * noise * np.linalg.norm(a) ** 2)
     shares = [abs(np.vdot(z, b)) ** 2 / (np.vdot(z, z) * np.vdot(b, b)).real for b in (y, x)]
     if not joint:
         assert got.coherence == pytest.approx(min(shares))
@@ -215,3 +224,26 @@ def test_lines_are_excited_from_three_hundredths_of_the_largest_on():
     found = periodic_response(record(u=u, theta=2 * u), period)
     assert found.omega * period / (2 * math.pi) == pytest.approx([2, 5, 9, 24])
     assert found.response == pytest.approx(2)
+
+
+def test_weights_do_not_favor_lines_that_feedback_made_strong():
+    """A gain of 2 in a loop: its mean by the variances; by the input's own power it is off."""
+    rng, n, lines, samples = np.random.default_rng(0), 6, 800, 2048
+    e = np.tile(np.exp(2j * math.pi * rng.random(lines)), (n, 1))
+    v = 0.6 * (rng.standard_normal((n, lines, 2)) @ [1, 1j]) / math.sqrt(2)
+    u = (e - v) / 3  # feedback of the output: u = e - (2 u + v)
+    signals = {}
+    for name, values in (("u", u), ("r", e), ("theta", 2 * u + v)):
+        spectrum = np.zeros((n, samples // 2 + 1), complex)
+        spectrum[:, 1 : lines + 1] = values
+        signals[name] = np.fft.irfft(spectrum, samples).ravel()
+    got = periodic_response(record(**signals), samples / RATE, instrument="r")
+    kept = np.round(got.omega * samples / RATE / (2 * math.pi)).astype(int) - 1
+    assert len(kept) > 0.98 * lines
+
+    def deviation(weight):
+        error = math.sqrt(1 / 2) * np.linalg.norm(weight * np.abs(got.response - 2))
+        return (weight @ (got.response - 2).real) / error
+
+    assert abs(deviation(1 / got.variance)) < 2.5
+    assert abs(deviation(np.abs(u.mean(axis=0)[kept]) ** 2)) > 4
