@@ -20,6 +20,8 @@ def limits_of(
     limits: dict[Any, tuple[str, Any]] = {}
     x = ca.SX.sym("x", len(names))
     for part in problem.parts:
+        if not (part.constraints or part.tied):
+            continue
         local = part.local_values(dict(zip(names, ca.vertsplit(x), strict=True)))
         for k, constraint in enumerate(part.constraints):
             # Formulas are compared as compiled: equal lambdas are different objects in Python.

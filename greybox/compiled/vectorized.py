@@ -83,6 +83,7 @@ class Columns:
     ) -> None:
         function = _dense(function)
         self.function, self._shared, self._fewest = function, shared, fewest
+        self._first = next((k for k in range(function.n_in()) if k not in shared), 0)
         self._sizes = [function.numel_out(k) for k in range(function.n_out())]
         self._layouts: dict[int, _Mapped | _Registers] = {}
 
@@ -92,7 +93,7 @@ class Columns:
 
     def __call__(self, *inputs: Array) -> Sequence[Array]:
         """Return the outputs, (numel, m) each, for inputs (numel, m), shared ones (numel,)."""
-        m = next(v.shape[1] for k, v in enumerate(inputs) if k not in self._shared)
+        m = inputs[self._first].shape[1]
         if 0 < m <= CHUNK:
             return [value.copy() for value in self._layout(m).run(inputs)]
         outputs = [np.empty((size, m)) for size in self._sizes]

@@ -246,6 +246,8 @@ def _combinations(
     loose = np.flatnonzero(~(errors <= ERROR_GUIDELINE * np.abs(value))).tolist()
     products = [*_products([k for k in loose if value[k] != 0])]
     members = [*products, *_sums(loose, units)]
+    if not members:
+        return []
     is_product = np.arange(len(members)) < len(products)
     rows = np.zeros((len(members), len(value)))
     for row, powers in zip(rows, members, strict=True):

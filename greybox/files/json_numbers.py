@@ -14,6 +14,8 @@ def finite(value: float) -> float | None:
 
 def plain(value: Any) -> Any:
     """Return a value for JSON: dataclasses by stored field, arrays as lists, None for NaN."""
+    if value is None or isinstance(value, str | int | Path):  # most values
+        return str(value) if isinstance(value, Path) else value
     if isinstance(value, float):
         return finite(value)
     if is_dataclass(value):
@@ -21,8 +23,6 @@ def plain(value: Any) -> Any:
         return {name: plain(getattr(value, name)) for name in stored}
     if isinstance(value, Mapping):
         return {str(name): plain(item) for name, item in value.items()}
-    if isinstance(value, Path):
-        return str(value)
     if hasattr(value, "tolist"):  # numpy, which help and version do not import
         return plain(value.tolist())
     return [*map(plain, value)] if isinstance(value, list | tuple) else value

@@ -164,7 +164,8 @@ class BatchedNewton:
         margin = np.where(np.isfinite(high - low) & (not from_near), 1e-2 * (high - low), 0.0)
         z = np.clip(z, low + margin, high - margin)
         searches = self._begun(z, low, high, LAST if from_near else 0, data)
-        self._advance(searches, tolerance, smoothing)
+        tolerances = np.full((1, m), tolerance)
+        self._advance(searches, tolerances, smoothing)
         for _ in range(max_iterations):
             ended = searches.live & (searches.numbers[END] != 0)
             if ended.any():
@@ -172,7 +173,7 @@ class BatchedNewton:
             if reason_to_end() or not searches.live.any():
                 break
             searches = _narrowed(searches)
-            self._advance(searches, tolerance, smoothing)
+            self._advance(searches, tolerances, smoothing)
         self._end(searches, searches.live, ends)
         return ends
 
@@ -197,7 +198,7 @@ class BatchedNewton:
         ends.iterations[owner] = numbers[ITERATIONS]
         searches.live &= ~which
 
-    def _advance(self, searches: _Searches, tolerance: float, smoothing: float | None) -> None:
+    def _advance(self, searches: _Searches, tolerances: Array, smoothing: float | None) -> None:
         """Evaluate the trial of every search, accept it or not, and find the next trial."""
         numbers, rows, p = searches.numbers, self._rows, self._p
         trial = numbers[rows.trial]
@@ -209,10 +210,8 @@ class BatchedNewton:
 
         advance, within_radius = _iterations.result(p)
         barrier = BARRIERS[searches.owner % len(BARRIERS), levels][None]
-        tolerances = np.full((1, len(levels)), tolerance)
-        numbers, hessian_of_free = advance(
-            numbers, barrier, tolerances, cost[None], gradient, hessian
-        )
+        alike = tolerances[:, : len(levels)]
+        numbers, hessian_of_free = advance(numbers, barrier, alike, cost[None], gradient, hessian)
         searches.numbers = numbers
         searches.live &= np.isfinite(numbers[COST])
 
