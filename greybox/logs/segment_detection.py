@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from statistics import median
 from typing import Any
 
 import numpy as np
@@ -90,7 +91,8 @@ def find_segments(
         segments = [
             s for name in names or present(data, SETPOINTS) for s in _in_setpoint(data, name)
         ]
-    checked = (_checked(s, data) for s in segments)
+    sines = [s for s in segments if s.kind == "sine" and s.source != "SIDS"]
+    checked = (_checked(s, data, sines) for s in segments)
     return tuple(sorted(checked, key=lambda s: (s.start, s.axis)))
 
 
@@ -188,8 +190,11 @@ def _tests(time: Array, columns: Mapping[str, Array]) -> list[IntArray]:
     return [rows for rows in groups if rows.size > 1 and columns["omega"][rows[0]] > 0]
 
 
-def _checked(segment: Segment, data: Recording | Record) -> Segment:
-    """Refuse a test that is too short, not excited, flown by hand, or cut by a change of mode."""
+def _checked(segment: Segment, data: Recording | Record, sines: Sequence[Segment]) -> Segment:
+    """Refuse a test that is too short, not excited, flown by hand, or cut by a change of mode.
+
+    Refuse a sine also if it is much shorter, or much weaker, than the others of the flight.
+    """
     texts = []
     if segment.periods < 1:
         texts.append(f"shorter than one period ({segment.periods:.2f} of one)")
@@ -203,6 +208,24 @@ def _checked(segment: Segment, data: Recording | Record) -> Segment:
     for moment, mode in data.metadata.get("modes", ()):
         if segment.start + EDGE < moment < segment.end - EDGE and segment.source != "SIDS":
             texts.append(f"the mode changed to {mode} at {moment:.1f} s, during the test")
+
+    # With two sines, neither can be called the exception.
+    if segment in sines and len(sines) > 2:
+        periods = median(s.periods for s in sines)
+        duration = median(s.duration for s in sines)
+        largest = max(s.amplitude for s in sines if s.unit == segment.unit)
+        # Both, since sines of low frequency have fewer periods, and those of high frequency are
+        # shorter.
+        if segment.periods < 0.5 * periods and segment.duration < 0.75 * duration:
+            texts.append(
+                f"ended early, after {segment.periods:.1f} periods where others have about "
+                f"{periods:.0f}"
+            )
+        if 0 < segment.amplitude < 0.01 * largest:
+            texts.append(
+                f"barely excited: amplitude {segment.amplitude:.3g} where others reach "
+                f"{largest:.3g}"
+            )
     return segment.refused(*texts) if texts else segment
 
 

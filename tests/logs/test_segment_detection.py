@@ -115,14 +115,19 @@ def test_the_same_frequency_twice_is_two_tests():
 
 
 def test_useless_tests_are_listed_with_the_reason():
-    found = find_segments(announced([*PLAN, (0.05, 20.0)]), message="SINE")
-    assert [s.usable for s in found] == [True] * 4 + [False]
-    assert found[4].findings[0] == "shorter than one period (0.16 of one)"
-    assert "5: shorter" in segment_table(found)
-    weak = np.where(announced()["SINE"]["Seg"] == 2, 0.0, 3.0)
+    found = find_segments(announced([*PLAN, (4.0, 2.0), (0.05, 20.0)]), message="SINE")
+    assert [s.usable for s in found] == [True] * 4 + [False] * 2
+    assert "ended early, after 1.3 periods where others have about" in found[4].findings[0]
+    assert found[5].findings[0] == "shorter than one period (0.16 of one)"
+    assert "5: ended early" in segment_table(found)
+    flight = announced()
+    weak = np.where(
+        flight["SINE"]["Seg"] == 2, 0.0, np.where(flight["SINE"]["Seg"] == 3, 0.01, 3.0)
+    )
     found = find_segments(announced(Eta=weak), message="SINE")
-    assert [s.usable for s in found] == [True, False, True, True]
+    assert [s.usable for s in found] == [True, False, False, True]
     assert found[1].findings == ("barely excited: the amplitude is 0",)
+    assert found[2].findings == ("barely excited: amplitude 0.01 where others reach 3",)
 
 
 def test_a_change_of_mode_during_a_test():
@@ -218,6 +223,41 @@ def test_lost_samples_and_slow_logging_before_do_not_hide_a_sine():
     assert len(find_segments(Record(time[kept], {"r": setpoint[kept]}))) == 2
 
 
+@pytest.mark.parametrize(
+    ("short", "usable"),
+    [
+        ((2.0, 16.0 * 0.74), False),  # 3.8 of 10 periods, and 0.74 of the median duration
+        ((2.0, 16.0 * 0.76), True),
+        ((20.0, 2.0), True),  # periods of high frequency take less time
+    ],
+)
+def test_a_test_ended_early_with_less_periods_and_less_time_than_others(short, usable):
+    """Others have 10 periods in 16 s; early is less than half of the one and less than three quarters of the other."""
+    omega = 2 * np.pi * 10 / 16
+    found = find_segments(
+        announced([(omega, 16.0), (omega, 16.0), (omega, 16.0), short]), message="SINE"
+    )
+    assert [s.usable for s in found] == [True] * 3 + [usable]
+
+
+@pytest.mark.parametrize(("share", "usable"), [(0.48, False), (0.52, True)])
+def test_half_of_the_periods_of_others_are_enough(share, usable):
+    omega = 2 * np.pi * 10 / 16
+    found = find_segments(
+        announced([(omega, 16.0)] * 3 + [(omega * share * 16 / 8, 8.0)]), message="SINE"
+    )
+    assert found[-1].usable is usable
+
+
+@pytest.mark.parametrize(("weak", "usable"), [(0.029, False), (0.031, True)])
+def test_a_hundredth_of_the_largest_amplitude_is_an_excitation(weak, usable):
+    flight = announced()
+    found = find_segments(
+        announced(Eta=np.where(flight["SINE"]["Seg"] == 3, weak, 3.0)), message="SINE"
+    )
+    assert [s.usable for s in found] == [True, True, usable, True]
+
+
 @pytest.mark.parametrize(("pause", "tests"), [(0.95, 1), (1.05, 2)])
 def test_a_second_without_its_announcement_ends_a_test(pause, tests):
     time = np.concatenate([np.arange(0, 10, 0.02), np.arange(9.98 + pause, 20, 0.02)])
@@ -267,6 +307,13 @@ def test_a_stick_that_moves_before_and_after_a_test_does_not_fly_it():
     records = {"ATT": Record(time, {"DesRoll": 5 * sine}), "RCIN": Record(time, {"C1": stick})}
     (found,) = find_segments(Recording(records))
     assert found.usable
+
+
+@pytest.mark.parametrize("others", [1, 2])
+def test_two_other_sines_are_enough_to_compare_with(others):
+    omega = 2 * np.pi * 10 / 16
+    found = find_segments(announced([(omega, 16.0)] * others + [(omega, 5.0)]), message="SINE")
+    assert found[-1].usable is (others == 1)
 
 
 @pytest.mark.parametrize(("lost", "pieces"), [(1, 1), (2, 2)])
