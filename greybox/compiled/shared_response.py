@@ -12,24 +12,33 @@ The Hessian of a criterion φ is composed as Jᵀ φ'' J (Gauss-Newton): the omi
 small where the residuals are, and may be indefinite far away from a minimum.
 """
 
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, cast
+from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import Array, ComplexArray, IntArray
+from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
 from greybox.formulation.problem import Problem
 from greybox.modeling.complex_arithmetic import Complex
-from greybox.modeling.harmonic_balance import compiled_balance
+from greybox.modeling.harmonic_balance import HarmonicBalance, compiled_balance
 from greybox.modeling.linearization import jacobians
 from greybox.modeling.model import pick_signals
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.trim import trim_of
+
+# Points whose motions are stored: the last and the best one of two searches, and some more.
+STORED = 8
+# Steps of Newton's method from the motion of such a point: from the response without switches it
+# takes four or five.
+STEPS = 4
+# Length of the last step over the size of the harmonics: the error is about its square.
+CLOSE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,26 +111,89 @@ class SharedSystem:
         return response, slope + by_delay[..., None] * delay_slopes[:, None, inputs]
 
 
-@dataclass(frozen=True, eq=False)
 class SineTest:
     """The response to a sine of finite amplitude.
 
+    A motion is found by Newton's method near that of the last points, or else anew.
+
     Attributes
     ----------
-    function : casadi.Function
-        See `HarmonicBalance.response_with_slopes`.
     pairs : tuple
         As of `SharedSystem`, of one part.
     """
 
-    function: ca.Function
-    pairs: tuple[tuple[int, int, int, Any], ...]
+    def __init__(self, part: int, balance: HarmonicBalance, values: ca.Function) -> None:
+        """Take the values of the parameters as a function of z."""
+        self._arguments = part, balance, values
+        self.pairs = ((part, 0, 0, slice(None)),)
+        z = ca.MX.sym("z", values.numel_in(0))
+        settings = balance.settings(values(z))
+        slopes = ca.densify(ca.jacobian(settings[:, 0], z))
+        self._settings = ca.Function("settings", [z], [settings, slopes])
+        self._guess = balance.guess.map(balance.omega.size)
+        self._linear = Columns(balance.linear)
+        self._last: deque[tuple[Array, Array, Array]] = deque(maxlen=STORED)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Leave out the last motions."""
+        return SineTest, self._arguments
+
+    def of_pairs(self) -> Iterator[tuple[int, "SineTest"]]:
+        """Yield the part with itself."""
+        yield self.pairs[0][0], self
+
+    def anew(self) -> None:
+        """Find the next motion anew: near others, it may be one of several."""
+        self._last.clear()
 
     def responses(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
-        """Return the response at z (p, k), (k, n, 1), and its derivatives by z, last."""
-        rows = np.array([self.function(column).full() for column in z.T]).swapaxes(1, 2)
-        both = rows[:, 0::2, None] + 1j * rows[:, 1::2, None]
-        return both[..., 0], both[..., 1:]
+        """Return the response at z (p, k), (k, n, 1), and its derivatives by z, last.
+
+        The response is NaN where no motion is found.
+        """
+        rows = np.array([self._response(column) for column in z.T])
+        return rows[..., :1], rows[:, :, None, 1:]
+
+    def _response(self, z: Array) -> ComplexArray:
+        """Return the response at z (p,) and its derivatives, (n, 1 + p)."""
+        settings, by_z = (value.full() for value in self._settings(z))
+        for harmonics, most in self._guesses(z, settings):
+            for _ in range(most):
+                harmonics, slopes, rows, is_motion = self._newton(harmonics, settings, by_z)
+                if is_motion.all():
+                    self._last.append((z.copy(), harmonics, slopes))
+                    return rows
+        rows[~is_motion] = np.nan
+        return rows
+
+    def _guesses(self, z: Array, settings: Array) -> Iterator[tuple[Array, int]]:
+        """Yield harmonics (n, u) to begin with, and the number of steps from there."""
+        if self._last:
+            near, harmonics, slopes = min(self._last, key=lambda last: np.linalg.norm(last[0] - z))
+            yield harmonics + slopes @ (z - near), STEPS
+        yield self._guess(settings).full().T, 1
+
+    def _newton(
+        self, harmonics: Array, settings: Array, by_z: Array
+    ) -> tuple[Array, Array, ComplexArray, BoolArray]:
+        """Return harmonics (n, u) after a step, their derivatives (n, u, p), and the response.
+
+        The response has its derivatives, (n, 1 + p); the last value is whether it is a motion's.
+        """
+        count = harmonics.shape[1]
+        [linear] = self._linear(harmonics.T, settings)
+        table = linear.T.reshape(len(harmonics), -1, count + 2).swapaxes(1, 2)
+        value, by_harmonics, by_settings = np.split(table, [1, 1 + count], axis=2)
+        value = np.concatenate([value, by_settings @ by_z], axis=2)
+        try:
+            steps = -np.linalg.solve(by_harmonics[:, :count], value[:, :count])
+        except np.linalg.LinAlgError:
+            steps = np.full_like(value[:, :count], np.nan)
+        parts = value[:, count:] + by_harmonics[:, count:] @ steps
+        harmonics = harmonics + steps[..., 0]
+        size, length = (np.abs(x).max(axis=1) for x in (harmonics, steps[..., 0]))
+        is_motion = length < CLOSE * (1 + size)
+        return harmonics, steps[..., 1:], parts[:, 0] + 1j * parts[:, 1], is_motion
 
 
 def resolvents(A: Array, omega: Array) -> ComplexArray:
@@ -206,16 +278,9 @@ def shared_responses(
     the values of a part's own parameters at the solver's variables, `point` (p,).
     Operating points that Newton's method finds and Padé delays are not shared.
     """
-    state_spaces = shared_systems(parts, point, values)
-    if state_spaces is None:
+    systems = shared_systems(parts, point, values)
+    if systems is None:
         return None
-    systems: list[SharedSystem | SineTest] = [
-        _sine_test(k, part, ca.Function("values", [point], [values(part)]))
-        for k, part in enumerate(parts)
-        if part.amplitude is not None
-    ]
-    systems += state_spaces
-
     total = sum(len(part.response) for part in parts)
     r, smoothing = ca.SX.sym("r", 2 * total), ca.SX.sym("smoothing")
     ends = np.cumsum([0, *(len(part.response) for part in parts)])
@@ -226,29 +291,28 @@ def shared_responses(
 
 def shared_systems(
     parts: Sequence[Problem], point: ca.SX, values: Callable[[Problem], ca.SX]
-) -> list[SharedSystem] | None:
-    """Return the state spaces of all parts but sine tests; None if one is not shared."""
+) -> list[SharedSystem | SineTest] | None:
+    """Return the state spaces and sine tests of all parts; None if one is not shared."""
     groups: dict[Any, list[int]] = {}
+    local = [ca.Function("values", [point], [values(part)]) for part in parts]
     for k, part in enumerate(parts):
         if part.amplitude is not None:
             continue
         if not isinstance(part.model, StateSpace) or not part.model.states or part.delay != "exact":
             return None
-        local = ca.Function("values", [point], [values(part)]).serialize()
-        key = id(part.model), repr(sorted(part.at.items())), local
+        key = id(part.model), repr(sorted(part.at.items())), local[k].serialize()
         groups.setdefault(key, []).append(k)
-    systems = [
+    systems: list[Any] = [
         _system(parts, members, point, values(parts[members[0]])) for members in groups.values()
     ]
-    return None if None in systems else cast(list[SharedSystem], systems)
-
-
-def _sine_test(k: int, part: Problem, local: ca.Function) -> SineTest:
-    omega, z = part.response.omega, ca.MX.sym("z", local.numel_in(0))
-    sine: Any = part.amplitude
-    balance = compiled_balance(part.model, omega, sine, **part.signals)
-    function = balance.response_with_slopes(local(z), z, omega)
-    return SineTest(function, ((k, 0, 0, slice(None)),))
+    if None in systems:
+        return None
+    for k, part in enumerate(parts):
+        if part.amplitude is not None:
+            omega, sine = part.response.omega, part.amplitude
+            balance = compiled_balance(part.model, omega, sine, **part.signals)
+            systems.append(SineTest(k, balance, local[k]))
+    return systems
 
 
 def _system(

@@ -28,7 +28,7 @@ from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.formula_structure import has_switches, interval_means, walk
 from greybox.modeling.functions import exp
 from greybox.modeling.model import Model, pick_signals, require_known
-from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.one_thread import once, one_thread_at_a_time
 from greybox.modeling.sine import MOST_HARMONICS, Sine
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import symbols, traced_derivative, traced_output
@@ -49,7 +49,7 @@ def harmonic_function(model: Model, omega: Array, sine: Sine, **signals: Any) ->
     are those of `compiled_balance`.
     """
     sine = enough_harmonics(model, omega, sine, **signals)
-    return compiled_balance(model, omega, sine, **signals).response(omega)
+    return compiled_balance(model, omega, sine, **signals).function()
 
 
 def enough_harmonics(
@@ -86,16 +86,15 @@ def directly_found(
 
     The response is NaN where no periodic motion is found.
     """
-    vector = list(model.values(values).values())
+    vector = ca.DM([*model.values(values).values()])
     numbers = [number for number in HARMONICS if least <= number <= most]
     numbers = [sine.harmonics] if sine.harmonics else numbers
     response = np.zeros(0, dtype=complex)
     previous = 0
     for number in numbers:
-        function = harmonic_function(model, omega, replace(sine, harmonics=number), **signals)
         few = response
-        response = complex_array(*(part.full().ravel() for part in function(vector)))
-        response[~np.isfinite(response)] = np.nan
+        balance = compiled_balance(model, omega, replace(sine, harmonics=number), **signals)
+        response = balance.response(balance.settings(vector))
         if previous and np.allclose(few, response, rtol=ENOUGH, atol=0, equal_nan=True):
             return response, previous
         previous = number
@@ -118,28 +117,29 @@ def check_sine(model: Model, sine: Sine, input: str, omega: Array) -> None:
 
 @dataclass(frozen=True, eq=False)
 class HarmonicBalance:
-    """The periodic motions of a model under a `sine` from its operating point (`trim`).
+    """The periodic motions of a model under a `sine` of the frequencies `omega`.
 
     Harmonics are mean, cosine and sine coefficients of the states and the driven input, and the
-    means of the other inputs, about the operating point, divided by the amplitude. Settings are
-    parameters, operating point, omega and amplitude.
+    means of the other inputs, about the operating point (`trim`), divided by the amplitude.
+    Settings are parameters, operating point, omega and amplitude.
 
     `newton` takes them as `x0` and `p`; `finish` gives the response and whether the harmonics are a
-    motion, `slopes` the derivatives of the response of such a motion by the settings, (m, 2);
-    `guess` finds harmonics from the settings alone.
+    motion, `linear` the equations (u,) and the response (2,), with their derivatives by harmonics
+    and settings in further columns; `guess` finds harmonics from the settings alone.
     """
 
+    omega: Array
     sine: Sine
     trim: ca.Function
     newton: ca.Function
     finish: ca.Function
-    slopes: ca.Function
+    linear: ca.Function
     guess: ca.Function
 
-    def response(self, omega: Array) -> ca.Function:
+    def function(self) -> ca.Function:
         """Return the function from the parameter vector to real and imaginary part (n,)."""
         p = ca.MX.sym("p", self.trim.size1_in(0))
-        settings = self.settings(p, omega)
+        settings = self.settings(p)
         n = settings.size2()
         guesses = self.guess.map(n)(settings)
 
@@ -152,24 +152,18 @@ class HarmonicBalance:
         response = response / ca.repmat(converged, 2, 1)
         return ca.Function("response", [p], [row.T for row in ca.vertsplit(response)])
 
-    def response_with_slopes(self, p: ca.MX, z: ca.MX, omega: Array) -> ca.Function:
-        """Return the function z (q,) -> response, real, imaginary parts in turn, and slopes by z.
-
-        The parameters `p` are expressions of z. Row by row, the result is (1 + q, 2 n).
-        """
-        settings = self.settings(p, omega)
+    def response(self, settings: ca.DM) -> ComplexArray:
+        """Return the response (n,) for settings (s, n), NaN where no periodic motion is found."""
         n = settings.size2()
         harmonics = self.guess.map(n)(settings)
-        response, converged = self.finish.map(n)(harmonics, settings)
-        slopes = ca.jacobian(settings[:, 0], z).T @ self.slopes.map(n)(harmonics, settings)
-        response = ca.vec(response / ca.repmat(converged, 2, 1)).T
-        return ca.Function("with_slopes", [z], [ca.vertcat(response, slopes)])
+        parts, converged = (value.full() for value in self.finish.map(n)(harmonics, settings))
+        return np.where(converged[0] > 0, complex_array(*parts), np.nan)
 
-    def settings(self, p: Any, omega: Array) -> Any:
+    def settings(self, p: Any) -> Any:
         """Return columns of parameters `p`, operating point, width 1, frequency and amplitude."""
-        columns = ca.repmat(ca.vertcat(p, *self.trim(p), 1), 1, omega.size)
-        amplitudes = ca.DM(self.sine.amplitudes(omega)).T
-        return ca.vertcat(columns, ca.DM(omega).T, amplitudes)
+        columns = ca.repmat(ca.vertcat(p, *self.trim(p), 1), 1, self.omega.size)
+        amplitudes = ca.DM(self.sine.amplitudes(self.omega)).T
+        return ca.vertcat(columns, ca.DM(self.omega).T, amplitudes)
 
 
 @one_thread_at_a_time
@@ -186,27 +180,34 @@ def compiled_balance(
     """Compile the balance for the number of harmonics of a sine."""
     input, output = pick_signals(model, input, output)
     check_sine(model, sine, input, omega)
-    assert isinstance(model, StateSpace)
     trim = trim_of(model, at or {}).closed()
     start = ca.DM([q.start for q in model.parameters.values()])
     point = ca.vertcat(*trim(start))
-    unknown, settings, rows, slopes, size, switches = _equations(
-        model, sine, input, output, pade, start, point
-    )
+    declared = model, sine.signal, sine.harmonics, input, output, pade, start, point
+    *_, size, _, numbers = _equations(*declared)
 
     middle = int(np.argsort(sine.amplitudes(omega))[omega.size // 2])
     values = ca.vertcat(start, point, 1, omega[middle], sine.amplitudes(omega)[middle])
-    by_unknown = slopes[:, : unknown.numel()]
     # A random orbit has no symmetry that would make the rank too low.
-    generic = np.random.default_rng(0).normal(size=unknown.numel())
-    numbers = ca.Function("numbers", [unknown, settings], [ca.densify(by_unknown[:-2, :])])
+    generic = np.random.default_rng(0).normal(size=numbers.numel_in(0))
     conditions = _mean_conditions(*np.split(np.asarray(ca.DM(numbers(generic, values))), [size]))
     if conditions is None:
         raise ValueError(
             f"the input {input} cannot make {sine.signal!r} a sine in {model.label} at its "
             "start values: name a signal that it drives, or check `at`."
         )
+    return HarmonicBalance(omega, sine, trim, *_functions(*declared, conditions))
 
+
+@once
+def _functions(model: StateSpace, *arguments: Any) -> tuple[ca.Function, ...]:
+    """Return `newton`, `finish`, `linear` and `guess` of a `HarmonicBalance`.
+
+    The arguments are those of `_equations`, and the conditions on the means.
+    """
+    *declared, conditions = arguments
+    unknown, settings, rows, slopes, size, switches, _ = _equations(model, *declared)
+    by_unknown = slopes[:, : unknown.numel()]
     chosen = [*range(size), *(size + k for k in conditions)]
     equations, jacobian = rows[chosen], by_unknown[chosen, :]
     statement = {"x": unknown, "p": settings, "g": equations}
@@ -227,34 +228,35 @@ def compiled_balance(
     # Infinite harmonics would pass, since any equation is small relative to them.
     is_motion = ca.logic_and(error < 1e-8, ca.norm_inf(unknown) < math.inf)
     finish = ca.Function("finish", [unknown, settings], [rows[-2:], is_motion])
-    by_settings = slopes[:, unknown.numel() :]
-    motion = ca.solve(jacobian, by_settings[chosen, :])
-    total = by_settings[-2:, :] - by_unknown[-2:, :] @ motion
-    slopes = ca.Function("slopes", [unknown, settings], [ca.densify(total).T])
-    guess = _guess(newton, careful, finish, switches=switches)
-    return HarmonicBalance(sine, trim, newton, finish, slopes, guess)
+    chosen += [rows.numel() - 2, rows.numel() - 1]
+    both = ca.densify(ca.horzcat(rows, slopes)[chosen, :])
+    linear = ca.Function("linear", [unknown, settings], [both])
+    return newton, finish, linear, _guess(newton, careful, finish, switches=switches)
 
 
+@once
 def _equations(
     model: StateSpace,
-    sine: Sine,
+    signal: str,
+    harmonics: int,
     input: str,
     output: str,
     pade: int | None,
     start: ca.DM,
     trimmed: ca.DM,
-) -> tuple[Any, Any, Any, Any, int, bool]:
+) -> tuple[Any, Any, Any, Any, int, bool, ca.Function]:
     """Return unknowns, settings, equations with response, their slopes, size, any switches.
 
     The equations are a balance of this size, which must vanish, and conditions on the means, of
     which as many must vanish as the ODE leaves open. Real and imaginary part of the response
-    follow. The slopes are by unknowns and settings.
+    follow. The slopes are by unknowns and settings. The last is the function to the slopes of the
+    equations by the unknowns.
     """
     n = len(model.states)
     names = (*model.states, *model.inputs)
     point, p = symbols(model)
     outputs = traced_output(model, point, p)
-    rows = [outputs[model.outputs.index(y)] for y in (output, sine.signal) if y in model.outputs]
+    rows = [outputs[model.outputs.index(y)] for y in (output, signal) if y in model.outputs]
     derivatives = traced_derivative(model, point, p)
     formulas = ca.vertcat(derivatives, *rows)
 
@@ -264,11 +266,11 @@ def _equations(
 
     # A signal that is a state or an input itself has no unknown coefficients but its mean.
     driven = names.index(input)
-    held = names.index(sine.signal) if sine.signal in names else None
-    if sine.signal in model.outputs:  # perhaps a state under the name of an output
+    held = names.index(signal) if signal in names else None
+    if signal in model.outputs:  # perhaps a state under the name of an output
         held = next((k for k in range(len(names)) if ca.is_equal(rows[-1], point[k])), None)
 
-    columns = 2 * (sine.harmonics or 0) + 1
+    columns = 2 * harmonics + 1
     moving = {*range(n), driven} - {held}
     unknown, per_amplitude = _all_coefficients(len(names), columns, moving, held)
 
@@ -312,7 +314,9 @@ def _equations(
     x: Any = at_samples.mx_in()[:2]
     sampled, slopes = _harmonics(formulas, point, p, *signals(*x), switches=switches)
     rows, direct, by_samples = at_samples(*x, sampled)
-    return *x, rows, direct + by_samples @ slopes, equations.numel() - len(means), switches
+    total = direct + by_samples @ slopes
+    numbers = ca.Function("numbers", x, [ca.densify(total[:-2, : unknown.numel()])])
+    return *x, rows, total, equations.numel() - len(means), switches, numbers
 
 
 def _all_coefficients(
@@ -391,7 +395,8 @@ def _harmonics(
 
     inputs = [z, slope, size, parameters]
     partials = ca.jacobian(formulas, ca.vertcat(*inputs))
-    terms = ca.vertcat(formulas, ca.vec(partials.nz[:]))
+    entries = ca.vec(partials.nz[:])
+    terms = ca.vertcat(formulas, entries)
     program = ca.Function("terms", inputs, [ca.densify(terms)], {"cse": True})
     # One operation on all samples at a time takes a quarter of the time of one sample after the
     # other.
@@ -403,20 +408,23 @@ def _harmonics(
     count, width = z.numel(), series.size2()
     # A product of two waves has one or two of twice as many harmonics.
     double, to_double = transforms(2 * harmonics, points)
-    blocks = []
+    products = []
     for wave in waves:
-        block = np.einsum("kt,ta,bt->kba", double, to_series, wave, optimize=True)
-        blocks.append(ca.sparsify(block.reshape(len(double), -1), 1e-9))
-    slopes = [ca.MX(width, by_every.size2()) for _ in range(formulas.numel())]
-    for part, row, column in zip(parts, *partials.sparsity().get_triplet(), strict=True):
+        product = np.einsum("kt,ta,bt->kba", double, to_series, wave, optimize=True)
+        products.append(ca.sparsify(product.reshape(len(double), -1), 1e-9))
+    widths = [width] * count + [1] * (count + p.numel())
+    blocks = [[ca.MX(width, each) for each in widths] for _ in range(formulas.numel())]
+    sampled = ca.vertcat(z, slope, size)
+    places = zip(*partials.sparsity().get_triplet(), strict=True)
+    for part, entry, (row, column) in zip(parts, ca.vertsplit(entries), places, strict=True):
         kind, k = divmod(column, count)
-        if kind < len(blocks):
-            by_signal = ca.reshape(part @ to_double @ blocks[kind], width, width)
-            along = by_signal @ by_every[k * width : (k + 1) * width, :]
-        else:
-            along = (part @ to_series).T @ by_every[(width - 2) * count + column, :]
-        slopes[row] += along
-    return (values @ to_series).T, ca.vertcat(*slopes)
+        if kind >= len(waves):
+            blocks[row][column - count] = (part @ to_series).T
+        elif kind or ca.depends_on(entry, sampled):
+            blocks[row][k] += ca.reshape(part @ to_double @ products[kind], width, width)
+        else:  # the harmonics of a linear term are those of its signal
+            blocks[row][k] += part[0] * ca.MX.eye(width)
+    return (values @ to_series).T, ca.blockcat(blocks) @ by_every
 
 
 def transforms(harmonics: int, points: int) -> tuple[Array, Array]:

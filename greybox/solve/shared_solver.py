@@ -44,8 +44,8 @@ class SharedSolver(ResponseSolver):
         shared = problem.programs[-1].shared
         assert shared is not None
         self._shared = shared
-        self._is_sine_test = any(isinstance(system, SineTest) for system in shared.systems)
-        if self._is_sine_test:
+        self._sine_tests = [test for test in shared.systems if isinstance(test, SineTest)]
+        if self._sine_tests:
             self.together = 2
 
     @staticmethod
@@ -55,8 +55,17 @@ class SharedSolver(ResponseSolver):
 
     def improved(self, z: Array, **limits: Any) -> Ends:
         """Return the ends of searches from the columns of z (p, m)."""
-        if self._is_sine_test:
-            return super().improved(z, **limits)
+        if self._sine_tests:
+            ends = super().improved(z, **limits)
+            # Near the last motions there may be others than those that are found anew.
+            for test in self._sine_tests:
+                test.anew()
+            at = np.flatnonzero(ends.at_minimum)
+            limits = {**self.limits, **limits, "from_near": True}
+            again = self.batches[-1].minimize(ends.z[:, at], **limits)
+            ends.z[:, at], ends.at_minimum[at] = again.z, again.at_minimum
+            ends.iterations[at] += again.iterations
+            return ends
         # The first start of a batch stays: others end alike, and might agree on a wrong minimum.
         moved = np.arange(z.shape[1]) > 0
         near, stages = z[:, moved], np.zeros(z.shape[1], int)

@@ -81,3 +81,42 @@ def test_cost_and_gradient_are_those_of_the_expressions(criterion):
 def test_other_models_and_delays_are_not_shared():
     delayed = problem(gb.RelativeError()).with_(delay="pade:2")
     assert compile_problem(delayed).programs[-1].shared is None
+
+
+class Spring(gb.StateSpace):
+    """A mass on a hardening spring."""
+
+    states, inputs, outputs = ("x", "v"), ("u",), ("x",)
+    d = gb.Parameter(0.3, bounds=(0.05, 2))
+    k = gb.Parameter(1.0, bounds=(0, 5))
+
+    def derivative(self, x, u, p):
+        return (x.v, u.u - p.d * x.v - x.x - p.k * x.x**3)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+def test_a_motion_near_the_last_one_is_that_found_anew():
+    omega = np.array([0.7, 1.3, 2.0])
+    data = gb.FrequencyResponse(omega, np.ones(3), input="u", output="x")
+    sine = gb.modeling.Sine("u", 0.5, harmonics=3)
+    compiled = compile_problem(gb.Problem(Spring(), data, amplitude=sine))
+    [test] = compiled.programs[-1].shared.systems
+
+    def stacked(d, k):
+        z = compiled.scaling.to_solver(np.array([[d], [k]]).T).T
+        return test.responses(z)
+
+    for d, k in [(0.3, 1.0), (0.31, 1.02), (0.7, 0.4), (0.69, 0.4)]:
+        near, slopes = stacked(d, k)
+        test.anew()
+        anew, _ = stacked(d, k)
+        exact = gb.modeling.harmonic_response(
+            Spring(), {"d": d, "k": k}, omega, amplitude=sine
+        ).response
+        assert_allclose(anew[0, :, 0], exact, rtol=1e-10)
+        assert_allclose(near, anew, rtol=1e-9)
+        steps = compiled.scaling.to_solver(np.array([[d + 1e-5, k], [d - 1e-5, k]]))
+        differences = (stacked(d + 1e-5, k)[0] - stacked(d - 1e-5, k)[0]) / np.ptp(steps[:, 0])
+        assert_allclose(slopes[..., 0], differences, rtol=1e-5)
