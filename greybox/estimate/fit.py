@@ -34,7 +34,7 @@ from greybox.estimate.misfit import assessed_misfit
 from greybox.estimate.profile import profiled_where_misleading
 from greybox.estimate.quantities import quantities
 from greybox.estimate.result import Fit
-from greybox.files.progress import bar
+from greybox.files.progress import DELAY, bar
 from greybox.files.text_table import counted
 from greybox.formulation.prior_part import stated_priors
 from greybox.formulation.problem import Problem
@@ -268,7 +268,13 @@ def fit_keeping(
             search = run(progress=progress or None)
         else:
             with bar(total=len(points), unit="start") as shown:
-                search = run(progress=lambda done, _: shown.update(done - shown.n))
+
+                def report(done: int, count: int) -> None:
+                    # Shown from the first start on if all would take longer than the delay.
+                    shown.delay = DELAY * done / count
+                    shown.update(done - shown.n)
+
+                search = run(progress=report)
         # Ask now: a later Ctrl-C does not end the search, which is complete.
         interrupted = stop_requested()
         # Explain failures before a refinement replaces the compiled problem in which they happened.

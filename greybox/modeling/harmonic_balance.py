@@ -410,8 +410,8 @@ def _harmonics(
     double, to_double = transforms(2 * harmonics, points)
     products = []
     for wave in waves:
-        product = np.einsum("kt,ta,bt->kba", double, to_series, wave, optimize=True)
-        products.append(ca.sparsify(product.reshape(len(double), -1), 1e-9))
+        pairs = wave.T[:, :, None] * to_series[:, None]
+        products.append(ca.sparsify(double @ pairs.reshape(points, -1), 1e-9))
     widths = [width] * count + [1] * (count + p.numel())
     blocks = [[ca.MX(width, each) for each in widths] for _ in range(formulas.numel())]
     sampled = ca.vertcat(z, slope, size)
@@ -452,16 +452,18 @@ def _mean_conditions(*slopes: Array) -> list[int] | None:
         block / np.maximum(np.linalg.norm(block, axis=1, keepdims=True), 1e-300)
         for block in map(np.nan_to_num, slopes)
     )
-    closed = rows
+    closed, rank = rows, np.linalg.matrix_rank(rows, 1e-9)
     chosen: list[int] = []
     for k, condition in enumerate(conditions):
+        if rank == rows.shape[1]:
+            break
         further = np.vstack([closed, condition])
         # Smaller singular values are rounding alone.
-        if np.linalg.matrix_rank(further, 1e-9) > np.linalg.matrix_rank(closed, 1e-9):
-            closed = further
+        further_rank = np.linalg.matrix_rank(further, 1e-9)
+        if further_rank > rank:
+            closed, rank = further, further_rank
             chosen.append(k)
 
-    rank = np.linalg.matrix_rank(closed, 1e-9)
     return chosen if len(closed) == closed.shape[1] == rank else None
 
 
