@@ -37,7 +37,7 @@ from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.fingerprint import value_fingerprint
-from greybox.modeling.harmonic_balance import harmonic_function
+from greybox.modeling.harmonic_balance import compiled_balance
 from greybox.modeling.linear_response import response_formulas
 from greybox.modeling.one_thread import Stored, cached_property, unchanged_in
 from greybox.modeling.pade_delay import delay_order
@@ -361,7 +361,8 @@ def _formulas(parts: Sequence[Problem]) -> Iterator[Trimmed | ca.Function]:
         omega, signals = first.response.omega, [part.signals for part in (first, *others)]
         if first.amplitude is not None:
             for part, names in zip((first, *others), signals, strict=True):
-                yield harmonic_function(part.model, omega, part.amplitude, **names)
+                balance = compiled_balance(part.model, omega, part.amplitude, **names)
+                yield balance.function()
             continue
         pairs = [(names["input"], names["output"]) for names in signals]
         yield from response_formulas(

@@ -254,14 +254,11 @@ class SharedResponses:
         values, slopes = self.stacked(z)
         numbers = np.concatenate([values.real, values.imag], axis=1).T
         cost, first, second = self._criterion(numbers, smoothing, data)
-        p, k = z.shape
-        gradient, hessian = np.empty((p, k)), np.empty((p * p, k))
-        for c in range(k):
-            jacobian = np.concatenate([slopes[c].real, slopes[c].imag])
-            gradient[:, c] = first[:, c] @ jacobian
-            left, right = jacobian[self._second]
-            hessian[:, c] = ((left * second[:, [c]]).T @ right).ravel()
-        return cost[0], gradient, hessian
+        jacobian = np.concatenate([slopes.real, slopes.imag], axis=1)
+        gradient = first.T[:, None] @ jacobian
+        left, right = (jacobian[:, rows] for rows in self._second)
+        hessian = (left * second.T[..., None]).swapaxes(1, 2) @ right
+        return cost[0], gradient[:, 0].T, hessian.reshape(len(hessian), -1).T
 
 
 @one_thread_at_a_time

@@ -11,7 +11,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.identifiability import KnownDirections
 from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import counted, one_line
-from greybox.modeling.harmonic_balance import enough_harmonics, harmonic_function
+from greybox.modeling.harmonic_balance import compiled_balance, enough_harmonics
 from greybox.modeling.linear_response import response_formulas
 from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -196,7 +196,7 @@ def response_and_slope(
     else:
         options |= {"input": input, "output": output}
         sine = enough_harmonics(model, omega, sine.between(measured, omega), values, **options)
-        compiled = harmonic_function(model, omega, sine, **options)
+        compiled = compiled_balance(model, omega, sine, **options).function()
         pairs = zip(compiled(p), compiled.jacobian()(p, 0, 0), strict=True)
         re, im = (np.hstack([row.full(), slope.full()]) for row, slope in pairs)
 

@@ -1,6 +1,6 @@
 """The response of a nonlinear ODE to a sine of finite amplitude, by harmonic balance.
 
-Begin with `harmonic_function`. Every signal is a truncated Fourier series, and the residual of the
+Begin with `compiled_balance`. Every signal is a truncated Fourier series, and the residual of the
 ODE, sampled along one period, must have no harmonics (alternating frequency-time method: Cameron
 and Griffin 1989, Journal of Applied Mechanics 56). Newton's method solves for the harmonics, and
 the implicit function theorem differentiates them, so that a solver sees only the parameters. With
@@ -40,16 +40,6 @@ HARMONICS = (1, 3, 7, 15, 31, MOST_HARMONICS)
 ENOUGH = 3e-4
 # A fit takes more harmonics only by hand: its time grows with their square.
 MOST_IN_FITS = 9
-
-
-def harmonic_function(model: Model, omega: Array, sine: Sine, **signals: Any) -> ca.Function:
-    """Return the CasADi function from the parameter vector to real and imaginary part (n,).
-
-    A sine without a number of harmonics gets as many as matter at the start values. The `signals`
-    are those of `compiled_balance`.
-    """
-    sine = enough_harmonics(model, omega, sine, **signals)
-    return compiled_balance(model, omega, sine, **signals).function()
 
 
 def enough_harmonics(

@@ -53,39 +53,6 @@ def harmonic_response(
     """
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
     sine = as_sine(amplitude)
-    signals = {"input": input, "output": output, "at": at, "delay": delay}
-    return _evaluated(model, values, omega, sine, **signals)
-
-
-def response_of_test(
-    model: Model,
-    values: Mapping[str, float],
-    omega: ArrayLike,
-    sine: Sine | None,
-    measured: Array,
-    **signals: Any,
-) -> FrequencyResponse:
-    """Evaluate the response to a sine test, interpolated between the `measured` frequencies.
-
-    Without a sine it is the response of the linearization.
-    """
-    if sine is None:
-        return frequency_response(model, values, omega, **signals)
-    omega = np.atleast_1d(np.asarray(omega, dtype=float))
-    return _evaluated(model, values, omega, sine.between(measured, omega), **signals)
-
-
-def _evaluated(
-    model: Model,
-    values: Mapping[str, float] | None,
-    omega: Array,
-    sine: Sine,
-    *,
-    input: str = "",
-    output: str = "",
-    at: Mapping[str, float] | None = None,
-    delay: str = "exact",
-) -> FrequencyResponse:
     signals = {"input": input, "output": output, "at": at, "pade": delay_order(delay)}
     response, harmonics = directly_found(model, values, omega, sine, **signals)
     finite = np.isfinite(response)
@@ -112,3 +79,21 @@ def _evaluated(
     return FrequencyResponse(
         omega, response, input=input, output=output, name=model.label, source="model", about=about
     )
+
+
+def response_of_test(
+    model: Model,
+    values: Mapping[str, float],
+    omega: ArrayLike,
+    sine: Sine | None,
+    measured: Array,
+    **signals: Any,
+) -> FrequencyResponse:
+    """Evaluate the response to a sine test, interpolated between the `measured` frequencies.
+
+    Without a sine it is the response of the linearization.
+    """
+    if sine is None:
+        return frequency_response(model, values, omega, **signals)
+    amplitude = sine.between(measured, np.asarray(omega, dtype=float))
+    return harmonic_response(model, values, omega, amplitude=amplitude, **signals)

@@ -17,7 +17,7 @@ from greybox.files.arrays import Array
 from greybox.solve.batched_newton import BatchedNewton, Ends
 from greybox.solve.minima import Minimum
 from greybox.solve.process_noise_start import FIRST, STAGES, ProcessNoise
-from greybox.solve.response_solver import NO_OPTIONS, ResponseSolver
+from greybox.solve.response_solver import FEW, NO_OPTIONS, ResponseSolver
 from greybox.solve.runs import Outcome, Run, Runs
 
 # Iterations of a start that did not move, over those of the others where they are at a minimum, and
@@ -56,15 +56,12 @@ class SharedSolver(ResponseSolver):
     def improved(self, z: Array, **limits: Any) -> Ends:
         """Return the ends of searches from the columns of z (p, m)."""
         if self._sine_tests:
-            ends = super().improved(z, **limits)
+            near = super().improved(z, **limits)
             # Near the last motions there may be others than those that are found anew.
             for test in self._sine_tests:
                 test.anew()
-            at = np.flatnonzero(ends.at_minimum)
-            limits = {**self.limits, **limits, "from_near": True}
-            again = self.batches[-1].minimize(ends.z[:, at], **limits)
-            ends.z[:, at], ends.at_minimum[at] = again.z, again.at_minimum
-            ends.iterations[at] += again.iterations
+            ends = super().improved(near.z, max_iterations=FEW, from_near=True)
+            ends.iterations[:] += near.iterations
             return ends
         # The first start of a batch stays: others end alike, and might agree on a wrong minimum.
         moved = np.arange(z.shape[1]) > 0
