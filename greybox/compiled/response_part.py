@@ -17,7 +17,7 @@ from greybox.compiled.part import (
     Program,
     Trajectory,
 )
-from greybox.compiled.shared_response import SharedSystem
+from greybox.compiled.shared_response import SharedSystem, SineTest
 from greybox.files.arrays import Array, ComplexArray, complex_array
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.problem import Problem
@@ -50,15 +50,15 @@ class ResponseFunctions:
         (all values x) -> real and imaginary parts of the model's response, stacked (2 n,).
     scaled_response : casadi.Function
         (z, data) -> the same.
-    system : SharedSystem or None
-        The state space of a large problem, in numpy, at all values x: it takes a quarter of the
-        time of CasADi's functions, and its derivatives need not be built.
+    system : SharedSystem or SineTest or None
+        The state space of a large problem or the sine test, in numpy, at all values x: it takes a
+        quarter of the time of CasADi's functions, and its derivatives need not be built.
     """
 
     objective: ca.Function
     response: ca.Function
     scaled_response: ca.Function
-    system: SharedSystem | None = None
+    system: SharedSystem | SineTest | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Leave out the derivatives: they would change the key of stored runs."""

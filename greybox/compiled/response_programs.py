@@ -27,6 +27,7 @@ from greybox.compiled.response_part import ResponseFunctions, ResponsePart
 from greybox.compiled.shared_response import (
     SharedResponses,
     SharedSystem,
+    SineTest,
     shared_responses,
     shared_systems,
 )
@@ -317,8 +318,8 @@ class ResponseCompiler:
         constants, measured = self.source.at(data)
         return data, self.values_at(self.point, constants), measured
 
-    def systems(self) -> dict[int, SharedSystem]:
-        """Return the systems of the parts that share their solves, at all values x."""
+    def systems(self) -> dict[int, SharedSystem | SineTest]:
+        """Return the systems of the parts that are in numpy, at all values x."""
         x = ca.SX.sym("x", len(self.names))
         named = dict(zip(self.names, ca.vertsplit(x), strict=True))
         shared = shared_systems(self.parts, x, lambda part: ca.SX(_values(part, named))) or []

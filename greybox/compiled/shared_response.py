@@ -157,7 +157,9 @@ class SineTest:
     def _response(self, z: Array) -> ComplexArray:
         """Return the response at z (p,) and its derivatives, (n, 1 + p)."""
         settings, by_z = (value.full() for value in self._settings(z))
-        for harmonics, most in self._guesses(z, settings):
+        rows = is_motion = np.zeros(0, bool)
+        for guess, most in self._guesses(z, settings):
+            harmonics = guess
             for _ in range(most):
                 harmonics, slopes, rows, is_motion = self._newton(harmonics, settings, by_z)
                 if is_motion.all():
@@ -185,10 +187,7 @@ class SineTest:
         table = linear.T.reshape(len(harmonics), -1, count + 2).swapaxes(1, 2)
         value, by_harmonics, by_settings = np.split(table, [1, 1 + count], axis=2)
         value = np.concatenate([value, by_settings @ by_z], axis=2)
-        try:
-            steps = -np.linalg.solve(by_harmonics[:, :count], value[:, :count])
-        except np.linalg.LinAlgError:
-            steps = np.full_like(value[:, :count], np.nan)
+        steps = -_if_regular(np.linalg.solve, by_harmonics[:, :count], value[:, :count])
         parts = value[:, count:] + by_harmonics[:, count:] @ steps
         harmonics = harmonics + steps[..., 0]
         size, length = (np.abs(x).max(axis=1) for x in (harmonics, steps[..., 0]))
@@ -199,10 +198,15 @@ class SineTest:
 def resolvents(A: Array, omega: Array) -> ComplexArray:
     """Return (jωI - A)⁻¹ (k, w, n, n); NaN for all if a pole is at a frequency."""
     pencil = 1j * omega[:, None, None] * np.eye(A.shape[-1]) - A[:, None]
+    return _if_regular(np.linalg.inv, pencil)
+
+
+def _if_regular(function: Callable[..., Any], *matrices: Any) -> Any:
+    """Return a function of stacks of matrices; NaN for all if one is singular."""
     try:
-        return np.linalg.inv(pencil)
+        return function(*matrices)
     except np.linalg.LinAlgError:  # such trials are refused
-        return np.full_like(pencil, np.nan)
+        return np.full_like(matrices[-1], np.nan)
 
 
 class SharedResponses:

@@ -457,11 +457,12 @@ def _delayed(piece: Array, step: float, T: float) -> Array:
 
 def _filtered(piece: Array, step: float, b: Any, a: Any) -> Array:
     # As `scipy.signal.lfilter`, which takes a third of a second to import.
-    from scipy.linalg.blas import dtbsv  # noqa: PLC0415  (see `greybox.compiled.condensing`)
+    from scipy.linalg import get_blas_funcs  # noqa: PLC0415  (see `greybox.compiled.condensing`)
 
     moved = np.convolve(piece - piece[0], b)[: len(piece)]
     bands = np.repeat(np.array(a)[:, None], len(piece), axis=1)
-    return np.asarray(dtbsv(len(a) - 1, bands, moved, lower=1))
+    (tbsv,) = get_blas_funcs(("tbsv",), (bands,))
+    return np.asarray(tbsv(len(a) - 1, bands, moved, lower=1))
 
 
 @lru_cache(4)  # responses of a study mostly have the same frequencies

@@ -28,7 +28,7 @@ from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.formula_structure import has_switches, interval_means, walk
 from greybox.modeling.functions import exp
 from greybox.modeling.model import Model, pick_signals, require_known
-from greybox.modeling.one_thread import once, one_thread_at_a_time
+from greybox.modeling.one_thread import once, one_thread_at_a_time, traced_once
 from greybox.modeling.sine import MOST_HARMONICS, Sine
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import symbols, traced_derivative, traced_output
@@ -76,7 +76,7 @@ def directly_found(
 
     The response is NaN where no periodic motion is found.
     """
-    vector = ca.DM([*model.values(values).values()])
+    vector = [*model.values(values).values()]
     numbers = [number for number in HARMONICS if least <= number <= most]
     numbers = [sine.harmonics] if sine.harmonics else numbers
     response = np.zeros(0, dtype=complex)
@@ -84,7 +84,8 @@ def directly_found(
     for number in numbers:
         few = response
         balance = compiled_balance(model, omega, replace(sine, harmonics=number), **signals)
-        response = balance.response(balance.settings(vector))
+        response = complex_array(*(part.full().ravel() for part in balance.function()(vector)))
+        response[~np.isfinite(response)] = np.nan
         if previous and np.allclose(few, response, rtol=ENOUGH, atol=0, equal_nan=True):
             return response, previous
         previous = number
@@ -113,15 +114,14 @@ class HarmonicBalance:
     means of the other inputs, about the operating point (`trim`), divided by the amplitude.
     Settings are parameters, operating point, omega and amplitude.
 
-    `newton` takes them as `x0` and `p`; `finish` gives the response and whether the harmonics are a
-    motion, `linear` the equations (u,) and the response (2,), with their derivatives by harmonics
-    and settings in further columns; `guess` finds harmonics from the settings alone.
+    `guess` finds harmonics from the settings. Of both, `finish` gives the response, and whether the
+    harmonics are a motion; `linear` the equations (u,) and the response (2,), with their
+    derivatives by harmonics and settings in further columns.
     """
 
     omega: Array
     sine: Sine
     trim: ca.Function
-    newton: ca.Function
     finish: ca.Function
     linear: ca.Function
     guess: ca.Function
@@ -131,23 +131,11 @@ class HarmonicBalance:
         p = ca.MX.sym("p", self.trim.size1_in(0))
         settings = self.settings(p)
         n = settings.size2()
-        guesses = self.guess.map(n)(settings)
-
-        # Newton's method once more, from its own solution: derivatives then go through this call
-        # and leave out the guess.
-        harmonics = self.newton.map(n)(x0=guesses, p=settings)["x"]
-        response, converged = self.finish.map(n)(harmonics, settings)
+        response, converged = self.finish.map(n)(self.guess.map(n)(settings), settings)
 
         # A missing motion becomes infinite, so that the run fails instead of using it.
         response = response / ca.repmat(converged, 2, 1)
         return ca.Function("response", [p], [row.T for row in ca.vertsplit(response)])
-
-    def response(self, settings: ca.DM) -> ComplexArray:
-        """Return the response (n,) for settings (s, n), NaN where no periodic motion is found."""
-        n = settings.size2()
-        harmonics = self.guess.map(n)(settings)
-        parts, converged = (value.full() for value in self.finish.map(n)(harmonics, settings))
-        return np.where(converged[0] > 0, complex_array(*parts), np.nan)
 
     def settings(self, p: Any) -> Any:
         """Return columns of parameters `p`, operating point, width 1, frequency and amplitude."""
@@ -157,6 +145,7 @@ class HarmonicBalance:
 
 
 @one_thread_at_a_time
+@traced_once()
 def compiled_balance(
     model: Model,
     omega: Array,
@@ -173,7 +162,7 @@ def compiled_balance(
     trim = trim_of(model, at or {}).closed()
     start = ca.DM([q.start for q in model.parameters.values()])
     point = ca.vertcat(*trim(start))
-    declared = model, sine.signal, sine.harmonics, input, output, pade, start, point
+    declared = model, sine.signal, sine.harmonics, input, output, pade, (point, start)
     *_, size, _, numbers = _equations(*declared)
 
     middle = int(np.argsort(sine.amplitudes(omega))[omega.size // 2])
@@ -191,7 +180,7 @@ def compiled_balance(
 
 @once
 def _functions(model: StateSpace, *arguments: Any) -> tuple[ca.Function, ...]:
-    """Return `newton`, `finish`, `linear` and `guess` of a `HarmonicBalance`.
+    """Return `finish`, `linear` and `guess` of a `HarmonicBalance`.
 
     The arguments are those of `_equations`, and the conditions on the means.
     """
@@ -221,7 +210,7 @@ def _functions(model: StateSpace, *arguments: Any) -> tuple[ca.Function, ...]:
     chosen += [rows.numel() - 2, rows.numel() - 1]
     both = ca.densify(ca.horzcat(rows, slopes)[chosen, :])
     linear = ca.Function("linear", [unknown, settings], [both])
-    return newton, finish, linear, _guess(newton, careful, finish, switches=switches)
+    return finish, linear, _guess(newton, careful, finish, switches=switches)
 
 
 @once
@@ -232,15 +221,14 @@ def _equations(
     input: str,
     output: str,
     pade: int | None,
-    start: ca.DM,
-    trimmed: ca.DM,
+    center: tuple[ca.DM, ca.DM],
 ) -> tuple[Any, Any, Any, Any, int, bool, ca.Function]:
     """Return unknowns, settings, equations with response, their slopes, size, any switches.
 
     The equations are a balance of this size, which must vanish, and conditions on the means, of
     which as many must vanish as the ODE leaves open. Real and imaginary part of the response
     follow. The slopes are by unknowns and settings. The last is the function to the slopes of the
-    equations by the unknowns.
+    equations by the unknowns. The `center` is the operating point at the start values, and these.
     """
     n = len(model.states)
     names = (*model.states, *model.inputs)
@@ -270,7 +258,7 @@ def _equations(
     sizes = _rms(series @ by_phase)
     if switches:
         # At rest an orbit has no speed to compare with, but what drives it has one.
-        gains = _gains(derivatives, point, p, trimmed, start)
+        gains = _gains(derivatives, point, p, *center)
         sizes = width * ca.sqrt(sizes**2 + (gains @ _rms(series) / omega) ** 2)
     every = ca.vertcat(unknown, settings)
     by_every = ca.jacobian(ca.vertcat(ca.vec(series.T), sizes, p), every)
