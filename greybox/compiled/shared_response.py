@@ -15,7 +15,6 @@ small where the residuals are, and may be indefinite far away from a minimum.
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -120,6 +119,8 @@ class SineTest:
     ----------
     pairs : tuple
         As of `SharedSystem`, of one part.
+    last : deque of (z, harmonics, derivatives)
+        The last motions. Near them there may be others than those that are found anew.
     """
 
     def __init__(self, part: int, balance: HarmonicBalance, values: ca.Function) -> None:
@@ -132,7 +133,7 @@ class SineTest:
         self._settings = ca.Function("settings", [z], [settings, slopes])
         self._guess = balance.guess.map(balance.omega.size)
         self._linear = Columns(balance.linear)
-        self._last: deque[tuple[Array, Array, Array]] = deque(maxlen=STORED)
+        self.last: deque[tuple[Array, Array, Array]] = deque(maxlen=STORED)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Leave out the last motions."""
@@ -141,10 +142,6 @@ class SineTest:
     def of_pairs(self) -> Iterator[tuple[int, "SineTest"]]:
         """Yield the part with itself."""
         yield self.pairs[0][0], self
-
-    def anew(self) -> None:
-        """Find the next motion anew: near others, it may be one of several."""
-        self._last.clear()
 
     def responses(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
         """Return the response at z (p, k), (k, n, 1), and its derivatives by z, last.
@@ -163,15 +160,15 @@ class SineTest:
             for _ in range(most):
                 harmonics, slopes, rows, is_motion = self._newton(harmonics, settings, by_z)
                 if is_motion.all():
-                    self._last.append((z.copy(), harmonics, slopes))
+                    self.last.append((z.copy(), harmonics, slopes))
                     return rows
         rows[~is_motion] = np.nan
         return rows
 
     def _guesses(self, z: Array, settings: Array) -> Iterator[tuple[Array, int]]:
         """Yield harmonics (n, u) to begin with, and the number of steps from there."""
-        if self._last:
-            near, harmonics, slopes = min(self._last, key=lambda last: np.linalg.norm(last[0] - z))
+        if self.last:
+            near, harmonics, slopes = min(self.last, key=lambda last: np.linalg.norm(last[0] - z))
             yield harmonics + slopes @ (z - near), STEPS
         yield self._guess(settings).full().T, 1
 
@@ -190,8 +187,8 @@ class SineTest:
         steps = -_if_regular(np.linalg.solve, by_harmonics[:, :count], value[:, :count])
         parts = value[:, count:] + by_harmonics[:, count:] @ steps
         harmonics = harmonics + steps[..., 0]
-        size, length = (np.abs(x).max(axis=1) for x in (harmonics, steps[..., 0]))
-        is_motion = length < CLOSE * (1 + size)
+        length = np.abs(steps[..., 0]).max(axis=1)
+        is_motion = length < CLOSE * (1 + np.abs(harmonics).max(axis=1))
         return harmonics, steps[..., 1:], parts[:, 0] + 1j * parts[:, 1], is_motion
 
 
@@ -229,8 +226,6 @@ class SharedResponses:
         """Take the cost as an expression of symbols: real, imaginary parts; smoothing; data."""
         self.systems = systems
         self.data = [part.response.response for part in parts]
-        ends = np.cumsum([0, *map(len, self.data)]).tolist()
-        self._places = [slice(a, b) for a, b in pairwise(ends)]
         second, first = ca.hessian(cost, symbols[0])
         pattern = second.sparsity()
         self._second = np.array(pattern.get_triplet())
@@ -239,16 +234,14 @@ class SharedResponses:
 
     def stacked(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
         """Return all responses at z (p, k), (k, N), and their derivatives (k, N, p)."""
-        k, p = z.shape[1], len(z)
-        values = np.empty((k, self._places[-1].stop), complex)
-        slopes = np.empty((*values.shape, p), complex)
+        pieces: dict[int, ComplexArray] = {}
         with np.errstate(all="ignore"):
             for system in self.systems:
                 response, slope = system.responses(z)
-                for c, (part, _, _, at) in enumerate(system.pairs):
-                    values[:, self._places[part]] = response[:, at, c]
-                    slopes[:, self._places[part]] = slope[:, at, c]
-        return values, slopes
+                rows = np.concatenate([response[..., None], slope], axis=3)
+                pieces |= {part: rows[:, at, c] for c, (part, _, _, at) in enumerate(system.pairs)}
+        rows = np.concatenate([pieces[part] for part in sorted(pieces)], axis=1)
+        return rows[..., 0], rows[..., 1:]
 
     def __call__(self, z: Array, smoothing: Array, data: Array) -> tuple[Array, Array, Array]:
         """Return cost (k,), gradient (p, k), Hessian (p * p, k) at z (p, k), smoothing (1, k).
@@ -282,12 +275,12 @@ def shared_responses(
     systems = shared_systems(parts, point, values)
     if systems is None:
         return None
-    total = sum(len(part.response) for part in parts)
-    r, smoothing = ca.SX.sym("r", 2 * total), ca.SX.sym("smoothing")
-    ends = np.cumsum([0, *(len(part.response) for part in parts)])
-    pieces = ca.vertsplit(r, [*ends, *(total + ends[1:])])
-    responses = [*map(Complex, pieces[: len(parts)], pieces[len(parts) :])]
-    return SharedResponses(parts, systems, cost(responses, smoothing), (r, smoothing, data))
+    ends = np.cumsum([0, *(len(part.response) for part in parts)]).tolist()
+    re, im = (ca.SX.sym(name, ends[-1]) for name in ("re", "im"))
+    smoothing = ca.SX.sym("smoothing")
+    responses = [*map(Complex, ca.vertsplit(re, ends), ca.vertsplit(im, ends))]
+    symbols = ca.vertcat(re, im), smoothing, data
+    return SharedResponses(parts, systems, cost(responses, smoothing), symbols)
 
 
 def shared_systems(

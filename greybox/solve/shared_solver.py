@@ -59,7 +59,7 @@ class SharedSolver(ResponseSolver):
             near = super().improved(z, **limits)
             # Near the last motions there may be others than those that are found anew.
             for test in self._sine_tests:
-                test.anew()
+                test.last.clear()
             ends = super().improved(near.z, max_iterations=FEW, from_near=True)
             ends.iterations[:] += near.iterations
             return ends
