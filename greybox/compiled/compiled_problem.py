@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 import casadi as ca
 import numpy as np
 
+from greybox.compiled.harmonic_numbers import with_enough_harmonics
 from greybox.compiled.limits import limits_of
 from greybox.compiled.part import Part, Portable
 from greybox.compiled.record_part import compile_records
@@ -154,7 +155,7 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
     """
     # Priors become parts, so that costs, counts and covariances include them without a special
     # case.
-    problem = with_priors(problem)
+    problem = with_enough_harmonics(with_priors(problem))
     method = method or MultipleShooting()
     parameters = problem.parameters
     free = tuple(name for name, p in parameters.items() if not p.fixed)

@@ -22,7 +22,6 @@ Begin with `fit`.
 | `missing_terms` | the terms that are tried for that |
 | `draws` | parameter sets from the distribution of an estimate, and files of them for simulators |
 | `profile`, `profiles` | likelihood profiles, by minima with a quantity held; and their values |
-| `harmonic_numbers` | how many harmonics a sine test needs |
 | `diagnostics` | the folder of warnings |
 | `verdict`, `summary` | the answer in a few sentences, and as plain values for JSON |
 | `storage`, `stored_values` | fits in HDF5 files, and how their fields are stored |

@@ -29,7 +29,6 @@ from greybox.estimate.diagnostics.identifiability import determined_together
 from greybox.estimate.diagnostics.noise_level import unused_noise
 from greybox.estimate.diagnostics.not_finite import explained
 from greybox.estimate.fitted_values import fitted_part
-from greybox.estimate.harmonic_numbers import with_enough_harmonics
 from greybox.estimate.misfit import assessed_misfit
 from greybox.estimate.profile import profiled_where_misleading
 from greybox.estimate.quantities import quantities
@@ -204,7 +203,7 @@ class SolverChoice:
         """
         try:
             with building():
-                nlp = compile_problem(with_enough_harmonics(problem), self.method)
+                nlp = compile_problem(problem, self.method)
                 return nlp, solver_for(nlp, self.options, self.search)
         except ZeroDivisionError as error:
             # The command line and studies name the line; in Python the traceback shows it.

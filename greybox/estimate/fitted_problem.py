@@ -6,7 +6,6 @@ from typing import Any
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
 from greybox.compiled.transcription.method import Transcription
 from greybox.estimate.fitted_part import FittedResponse
-from greybox.estimate.harmonic_numbers import with_enough_harmonics
 from greybox.estimate.result import Fit
 from greybox.formulation.included_criteria import CRITERIA, SPECTRUM_CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
@@ -28,8 +27,7 @@ def compiled_again(
     ValueError, LookupError
         As in `problem_of`, and for a problem with other free parameters or data than the fit.
     """
-    # The number of harmonics is not stored: it follows again from the start values.
-    problem = with_enough_harmonics(problem_of(fit) if problem is None else problem)
+    problem = problem_of(fit) if problem is None else problem
     nlp = compile_problem(problem, method)
     # The values of the fit are used as a point of this problem, so the unknowns must be the same.
     checksums = [part.data.checksum for part in nlp.problem.parts]

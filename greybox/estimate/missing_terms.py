@@ -464,6 +464,7 @@ def _filtered(piece: Array, step: float, b: Any, a: Any) -> Array:
     return np.asarray(get_blas_funcs("tbsv", (bands,))(len(a) - 1, bands, moved, lower=1))
 
 
+@lru_cache(4)  # responses of a study mostly have the same frequencies
 def terms_of_response(*omega: float) -> tuple[Term, ...]:
     """Return the terms that the model of a response at these frequencies may lack."""
     return tuple(_terms_of_response(np.array(omega)))

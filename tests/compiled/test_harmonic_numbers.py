@@ -5,7 +5,7 @@ import pytest
 from duffing_oscillator import Spring
 
 import greybox as gb
-from greybox.estimate.harmonic_numbers import with_enough_harmonics
+from greybox.compiled.harmonic_numbers import with_enough_harmonics
 from greybox.modeling import harmonic_response
 
 OMEGA = np.array([0.4, 0.9])
@@ -39,3 +39,9 @@ def test_parts_that_leave_it_open_take_what_matters_at_the_start_values():
     assert enough == pytest.approx(more, rel=1e-3)
     assert np.abs(fewer / more - 1).max() > 1e-3
     assert with_enough_harmonics(found) is found
+
+
+def test_a_cost_takes_as_many_harmonics_as_a_fit():
+    problem = part("open", gb.modeling.Sine("u", 2.0))
+    closed = with_enough_harmonics(problem)
+    assert gb.cost(problem, {}) == gb.cost(closed, {})
