@@ -48,6 +48,16 @@ def test_correlated_errors_are_said_and_independent_ones_not(criterion):
     assert sum(said(fitted(0.8, criterion, seed)) for seed in range(4)) >= 3
 
 
+def test_few_points_whose_errors_count_as_independent_say_that_they_hardly_show_it():
+    """Of 12 points; not where independence is stated, nor of 25."""
+    few = fitted(0.0, gb.RelativeError(), 1, n=12)
+    assert few.independent is None
+    assert "hardly show" in str(few)
+    stated = gb.Problem(Lag(), few.parts[0].data.with_independent_errors())
+    assert "hardly show" not in str(gb.fit(stated, starts=[few.estimate], progress=False))
+    assert "hardly show" not in str(fitted(0.0, gb.RelativeError(), 1))
+
+
 @pytest.mark.parametrize("criterion", [gb.RelativeError(), gb.MaximumLikelihood()], ids=str)
 def test_errors_that_are_stated_to_be_independent_are_taken_as_such(criterion, tmp_path):
     fit = fitted(0.8, criterion, 0)
