@@ -31,7 +31,7 @@ from greybox.statistics.autoregressive_test import (
     whitened,
     whitening_filters,
 )
-from greybox.statistics.column_space import beside
+from greybox.statistics.column_space import beside, column_basis, outside
 from greybox.statistics.score_test import (
     chance,
     correlated_score,
@@ -529,13 +529,15 @@ def _of_record(
     by_initial = data.unpadded(np.einsum("ab,bmn->amn", noise, slopes.by_initial))
     starts = [*map(rows_of_stretch, by_initial, present)]
     # An offset or a trend cannot be distinguished from a drift of the errors.
-    drifts = [np.hstack(pair) for pair in zip(starts, map(_lines, present), strict=True)]
+    pairs = zip(starts, map(_lines, present), strict=True)
+    drifts = [column_basis(np.hstack(pair)) for pair in pairs]
+    starts = [*map(column_basis, starts)]
 
     def rows(values: Array, taken: Sequence[Array] = drifts) -> Array:
         pairs = zip(data.unpadded(values), present, strict=True)
         stretches = [rows_of_stretch(*pair) for pair in pairs]
         # The initial states and straight lines of every stretch are fitted first.
-        return np.vstack([*map(beside, stretches, taken)])
+        return np.vstack([*map(outside, stretches, taken)])
 
     by_parameters = np.einsum("ab,bpn->apn", noise, slopes.weighted)
     constants = [*constants_of_record(record)]

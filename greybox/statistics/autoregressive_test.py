@@ -27,6 +27,7 @@ from greybox.statistics.score_test import chance
 ORDER = 20
 SAMPLES = 8  # of an output for each order
 ROUNDING = 1e-12  # of the power
+SIGNIFICANT = 0.05
 TINY = 1e-300
 
 # For every output: the rows of its measured samples, for each stretch in order of time.
@@ -66,7 +67,13 @@ def autoregressive_p_values(
     for rows in itertools.chain(*outputs):
         changes[rows[1:]] = np.diff(values[rows], axis=0)
     later = [[rows[1:] for rows in stretches] for stretches in outputs]
-    return np.maximum(_p_values(values, count, outputs), _p_values(changes, count, later))
+    p_values = _p_values(values, count, outputs)
+    # The differences can only excuse what looks significant without them.
+    significant = np.flatnonzero(p_values < SIGNIFICANT)
+    taken = [0, *(1 + significant), *range(count, values.shape[1])]
+    by_changes = _p_values(changes[:, taken], 1 + len(significant), later)
+    p_values[significant] = np.maximum(p_values[significant], by_changes)
+    return p_values
 
 
 def _p_values(values: Array, count: int, outputs: Outputs) -> Array:
@@ -82,12 +89,13 @@ def _p_values(values: Array, count: int, outputs: Outputs) -> Array:
         The errors are those beside the columns: what follows a missing term is an autoregression,
         too, and would leave nothing of the term if the filters came from it.
         """
-        white, filters = values[:, [0, *taken]], []
-        for _ in range(2):
+        chosen, filters = values[:, [0, *taken]], []
+        white = chosen
+        for turn in range(2):
+            if turn:
+                white = whitened(chosen, filters, outputs)
             factors = np.linalg.lstsq(white[:, 1:], white[:, 0], rcond=None)[0]
-            errors = values[:, 0] - values[:, taken] @ factors
-            filters = whitening_filters(errors, outputs)
-            white = whitened(values[:, [0, *taken]], filters, outputs)
+            filters = whitening_filters(chosen[:, 0] - chosen[:, 1:] @ factors, outputs)
         return -2 * float(counts @ np.log([weights[0] for weights in filters]))
 
     decrease = score(columns) - np.array([score([k, *columns]) for k in range(1, count)])

@@ -19,7 +19,11 @@ def column_basis(columns: Array) -> Array:
 
 def beside(values: Array, columns: Array) -> Array:
     """Return the part of values (n, c) that is orthogonal to columns (n, p)."""
-    basis = column_basis(columns)
+    return outside(values, column_basis(columns))
+
+
+def outside(values: Array, basis: Array) -> Array:
+    """Return the part of values (n, c) that is orthogonal to an orthonormal basis (n, r)."""
     # The second time takes out what rounding left the first time.
     for _ in range(2):
         values = values - basis @ (basis.T @ values)
