@@ -28,6 +28,8 @@ ORDER = 20
 SAMPLES = 8  # of an output for each order
 ROUNDING = 1e-12  # of the power
 SIGNIFICANT = 0.05
+# Factors on a smooth term beside errors that drift settle in the third round.
+ROUNDS = 3
 TINY = 1e-300
 
 # For every output: the rows of its measured samples, for each stretch in order of time.
@@ -89,14 +91,15 @@ def _p_values(values: Array, count: int, outputs: Outputs) -> Array:
         The errors are those beside the columns: what follows a missing term is an autoregression,
         too, and would leave nothing of the term if the filters came from it.
         """
-        chosen, filters = values[:, [0, *taken]], []
-        white = chosen
-        for turn in range(2):
-            if turn:
-                white = whitened(chosen, filters, outputs)
+        chosen = white = values[:, [0, *taken]]
+        scores = []
+        for _ in range(ROUNDS):
             factors = np.linalg.lstsq(white[:, 1:], white[:, 0], rcond=None)[0]
             filters = whitening_filters(chosen[:, 0] - chosen[:, 1:] @ factors, outputs)
-        return -2 * float(counts @ np.log([weights[0] for weights in filters]))
+            scores.append(-2 * float(counts @ np.log([weights[0] for weights in filters])))
+            if len(scores) < ROUNDS:
+                white = whitened(chosen, filters, outputs)
+        return min(scores)
 
     decrease = score(columns) - np.array([score([k, *columns]) for k in range(1, count)])
     white = whitened(values[:, :1], first, outputs)
