@@ -375,7 +375,7 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
     causes = []
     for k, ((decrease, _, value, error), key, column) in enumerate(ranked):
         p_value = p_correlated = p_values[k]
-        if terms[key].kind in ("own", "schedule", "trim") and p_common < FALSE_ALARMS:
+        if terms[key].kind in ("own", "schedule", "trim", "amplitude") and p_common < FALSE_ALARMS:
             # Residuals that other values could explain, too, are not noise.
             share_apart = noise_apart / (noise_apart + decrease * without / len(residuals))
             p_value = p_correlated = float(chance(share_apart, len(residuals) - apart[1]))
@@ -654,17 +654,16 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
     at_fit, others = np.split(values, [len(free)])
     # Where a response is zero, `used` leaves out what has no relative change.
     relative = part.sensitivity(values) / np.where(response == 0, np.inf, response)[:, None]
-    states = getattr(part.problem.model, "states", ())
+    states, sine = getattr(part.problem.model, "states", ()), part.problem.amplitude
+    orders: list[tuple[str, str, Any]] = [("own", part.name, 1.0)]
+    for signal, value in part.problem.at.items():
+        orders.append(("trim" if signal in states else "schedule", signal, value))
+    if sine is not None:
+        orders.append(("amplitude", sine.signal, sine.amplitude))
     own = [
-        Term(kind, relative[:, k] * size, a=name, b=b)
+        Term(kind, relative[:, k] * value, a=name, b=b)
         for k, name in enumerate(free)
-        for kind, b, size in (
-            ("own", part.name, 1.0),
-            *(
-                ("trim" if signal in states else "schedule", signal, size)
-                for signal, size in part.problem.at.items()
-            ),
-        )
+        for kind, b, value in orders
     ]
     # Where most of a response is left, no size or correlation of its errors excuses the model.
     text = f"a response of {part.data.output or 'the output'} to {part.data.input or 'the input'}"

@@ -92,6 +92,11 @@ TEXTS = {
         "a stop or an overflow of {a} near {level} in the equation of {b}",
         "the derivative of {b} gets + p.c * gb.maximum(x.{a} - p.limit, 0), or gb.minimum",
     ),
+    "initial": (
+        "an initial {b} that is larger by {size} ± {error}",
+        "an initial {b} that is smaller by {size} ± {error}",
+        "no initial={{'{b}': ...}} in the criterion, which then estimates it",
+    ),
     "feedback": (
         "{a} fed back to {b}",
         "a StateSpace whose input {b} gets + p.c * {a}",
@@ -119,6 +124,11 @@ TEXTS = {
         "{a} grows with {b}, by {size} ± {error} per unit",
         "{a} falls with {b}, by {size} ± {error} per unit",
         "p.{a} + p.{a}_by_{b} * x.{b} in place of p.{a}",
+    ),
+    "amplitude": (
+        "{a} grows with the amplitude of {b}, by {size} ± {error} per unit",
+        "{a} falls with the amplitude of {b}, by {size} ± {error} per unit",
+        "a limit, a dead zone or a power of {b} or of a state in the equation with p.{a}",
     ),
     "delay": (
         "a delay of {size} s",
@@ -251,6 +261,13 @@ def terms_of_record(record: DisturbedRecord, candidates: Mapping[str, Formula]) 
             # A controller responds at once: the noise of a sample is in the input at the same time.
             past = record.by_stretch(_delayed, u, part.data.stretches[0].step)
             yield Term("direct", past, partial(record.by_output, k), a, b)
+
+    # As an impulse that lasts half of the first step.
+    impulse = record.by_stretch(
+        lambda u, step: 2 / step * (np.arange(len(u)) == 0), record.inputs[0]
+    )
+    for i in np.flatnonzero(part.known_states.any(axis=0)):
+        yield Term("initial", impulse, partial(record.by_state, i), b=part.system.states[i])
 
     if isinstance(part.problem.model, StateSpace):
         yield from _of_equations(record, candidates)

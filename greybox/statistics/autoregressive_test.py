@@ -64,47 +64,51 @@ def autoregressive_p_values(
         What unit terms would add to the model's outputs.
     outputs : sequence of sequence of (n,) arrays of int
     """
-    values, count = np.column_stack([residuals, terms, fitted]), 1 + terms.shape[1]
+    values = np.column_stack([residuals, fitted, terms])
+    values /= np.linalg.norm(values, axis=0) + TINY
     changes = np.zeros_like(values)
     for rows in itertools.chain(*outputs):
         changes[rows[1:]] = np.diff(values[rows], axis=0)
     later = [[rows[1:] for rows in stretches] for stretches in outputs]
-    p_values = _p_values(values, count, outputs)
-    # The differences can only excuse what looks significant without them.
-    significant = np.flatnonzero(p_values < SIGNIFICANT)
-    taken = [0, *(1 + significant), *range(count, values.shape[1])]
-    by_changes = _p_values(changes[:, taken], 1 + len(significant), later)
-    p_values[significant] = np.maximum(p_values[significant], by_changes)
+    columns = [*range(1 + fitted.shape[1])]
+    factors, base, _ = _score(values[:, columns], outputs)
+    _, base_of_changes, _ = _score(changes[:, columns], later, factors)
+
+    def p_value(without: float, score: float, remaining: int) -> float:
+        left = np.exp(-max(without - score, 0.0) / sum(map(len, itertools.chain(*outputs))))
+        return float(chance(left, max(remaining, 1)))
+
+    p_values = np.ones(terms.shape[1])
+    for k in range(terms.shape[1]):
+        taken = [*columns, len(columns) + k]
+        factors, *score = _score(values[:, taken], outputs)
+        p_values[k] = p_value(base, *score)
+        # The differences can only excuse what looks significant without them.
+        if p_values[k] < SIGNIFICANT:
+            _, *score = _score(changes[:, taken], later, factors)
+            p_values[k] = max(p_values[k], p_value(base_of_changes, *score))
     return p_values
 
 
-def _p_values(values: Array, count: int, outputs: Outputs) -> Array:
-    """Return the probabilities; of values (N, ·), the residuals come first, then the terms."""
-    values = values / (np.linalg.norm(values, axis=0) + TINY)
-    columns = [*range(count, values.shape[1])]
-    first = whitening_filters(values[:, 0], outputs)
-    counts = np.array([sum(map(len, stretches)) for stretches in outputs])
+def _score(
+    values: Array, outputs: Outputs, factors: Array | None = None
+) -> tuple[Array, float, int]:
+    """Return the factors on columns that fit the first of them, -2 log likelihood, and its freedom.
 
-    def score(taken: Sequence[int]) -> float:
-        """Return -2 log likelihood with these columns.
-
-        The errors are those beside the columns: what follows a missing term is an autoregression,
-        too, and would leave nothing of the term if the filters came from it.
-        """
-        chosen = white = values[:, [0, *taken]]
-        scores = []
-        for _ in range(ROUNDS):
+    The errors are those beside the columns: what follows a missing term is an autoregression, too,
+    and would leave nothing of the term if the filters came from it. The likelihood has several
+    maxima: differences begin at the factors of the samples.
+    """
+    counts = [sum(map(len, stretches)) for stretches in outputs]
+    white, filters, scores = values, list[Array](), list[float]()
+    for turn in range(ROUNDS):
+        if turn:
+            white = whitened(values, filters, outputs)
+        if turn or factors is None:
             factors = np.linalg.lstsq(white[:, 1:], white[:, 0], rcond=None)[0]
-            filters = whitening_filters(chosen[:, 0] - chosen[:, 1:] @ factors, outputs)
-            scores.append(-2 * float(counts @ np.log([weights[0] for weights in filters])))
-            if len(scores) < ROUNDS:
-                white = whitened(chosen, filters, outputs)
-        return min(scores)
-
-    decrease = score(columns) - np.array([score([k, *columns]) for k in range(1, count)])
-    white = whitened(values[:, :1], first, outputs)
-    remaining = max(len(white) - len(columns) - sum(map(len, first)), 1)
-    return chance(np.exp(-np.maximum(decrease, 0.0) / counts.sum()), remaining)
+        filters = whitening_filters(values[:, 0] - values[:, 1:] @ factors, outputs)
+        scores.append(-2 * float(counts @ np.log([weights[0] for weights in filters])))
+    return factors, min(scores), len(white) - len(factors) - sum(map(len, filters))
 
 
 def whitening_filters(residuals: Array, outputs: Outputs) -> list[Array]:
