@@ -263,9 +263,8 @@ def terms_of_record(record: DisturbedRecord, candidates: Mapping[str, Formula]) 
             yield Term("direct", past, partial(record.by_output, k), a, b)
 
     # As an impulse that lasts half of the first step.
-    impulse = record.by_stretch(
-        lambda u, step: 2 / step * (np.arange(len(u)) == 0), record.inputs[0]
-    )
+    still = np.zeros(part.samples)
+    impulse = record.by_stretch(lambda row, step: 2 / step * (np.arange(len(row)) == 0), still)
     for i in np.flatnonzero(part.known_states.any(axis=0)):
         yield Term("initial", impulse, partial(record.by_state, i), b=part.system.states[i])
 
