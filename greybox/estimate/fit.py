@@ -269,8 +269,8 @@ def fit_keeping(
             with bar(total=len(points), unit="start") as shown:
 
                 def report(done: int, count: int) -> None:
-                    # Shown from the first start on if all would take longer than the delay.
-                    shown.delay = DELAY * done / count
+                    # Shown from the first start on if it takes longer than half a second.
+                    shown.delay = min(DELAY, done / 2)
                     shown.update(done - shown.n)
 
                 search = run(progress=report)
