@@ -117,6 +117,7 @@ def response_formulas(
         require_no_operating_point(model, at)
         result = traced(f"{model.label}.response", model.response, s, parameter_names(model, p))
         parts = _columns(result, s, model.label)
+        require_no_nan(f"{model.label}.response", ca.vertcat(*parts))
         formula = Trimmed(None, ca.Function("response", [p, ca.SX(0, 1), *frequency], parts))
         return [formula] * len(pairs)
 
@@ -195,6 +196,4 @@ def _parts(result: Any, owner: str, count: int) -> tuple[Any, Any]:
 def _columns(result: Any, s: Complex, owner: str) -> list[ca.SX]:
     """Return real and imaginary part of a traced response, one entry per frequency."""
     zeros = ca.SX.zeros(s.im.numel())
-    parts = [part + zeros for part in _parts(result, owner, zeros.numel())]
-    require_no_nan(f"{owner}.response", ca.vertcat(*parts))
-    return parts
+    return [part + zeros for part in _parts(result, owner, zeros.numel())]
