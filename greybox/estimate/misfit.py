@@ -21,7 +21,7 @@ from greybox.estimate.missing_terms import (
     terms_of_record,
     terms_of_response,
 )
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
 from greybox.files.html_text import Printed
 from greybox.files.text_table import number, percent, some, text_table, with_error
 from greybox.modeling.added_terms import Formula
@@ -574,10 +574,7 @@ def _of_record(
 
     starts = [*rows_of_pieces(np.einsum("ab,bmn->amn", noise, slopes.by_initial))]
     # An offset or a trend cannot be distinguished from a drift of the errors.
-    lines = [
-        np.kron(np.eye(len(row)), np.vander(at, 2)) * row.reshape(-1, 1)
-        for row, (_, at) in zip(present, pieces, strict=True)
-    ]
+    lines = [_lines(*pair) for pair in zip(present, (at for _, at in pieces), strict=True)]
     drifts = [column_basis(np.hstack(pair)) for pair in zip(starts, lines, strict=True)]
     starts = [*map(column_basis, starts)]
 
@@ -634,6 +631,12 @@ def _offsets(
         p_value = chance(1 / (1 + (value / error) ** 2 / PIECES), PIECES - 1)
         numbers = np.minimum([decrease / len(columns), *2 * [len(terms) * p_value]], 1.0).tolist()
         yield Cause(*term.described(value, error), value, error, *numbers)
+
+
+def _lines(measured: BoolArray, places: IntArray) -> Array:
+    """Return a constant and a straight line (k n, 2 k) for every output of a stretch (k, n)."""
+    line = np.vander(places, 2)
+    return np.asarray(np.kron(np.eye(len(measured)), line) * measured.reshape(-1, 1), dtype=float)
 
 
 def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Regression:
