@@ -56,6 +56,12 @@ class RecordPart(SegmentedPart):
 
     # --- parts made of this one
 
+    def in_pieces(self, count: int) -> "RecordPart":
+        """Return the part with about this number of stretches, with initial states of their own."""
+        data = self.data.in_pieces(count)
+        # The criterion stays behind when a part is sent to a worker.
+        return self._with(data, self.covariance.along(data.measured))
+
     def with_outputs(self, outputs: Sequence[Array]) -> "RecordPart":
         """Return the part with other measured outputs (k, n) of every stretch, NaN for gaps."""
         pairs = zip(self.data.stretches, outputs, strict=True)

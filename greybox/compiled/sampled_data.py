@@ -9,7 +9,7 @@ output directly, the sampled output jumps at whole samples, and so does the cost
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -105,6 +105,21 @@ class SampledData:
     def coupled(self) -> BoolArray:
         """Which segments (s,) are followed by another of the same stretch."""
         return np.append(~self.begins_stretch[1:], False)
+
+    def in_pieces(self, count: int) -> "SampledData":
+        """Return the data with about this number of stretches, of two segments at least."""
+        total = sum(len(stretch) for stretch in self.stretches)
+        pieces = []
+        for stretch in self.stretches:
+            # Within one segment, the node alone explains the outputs.
+            most = max(len(stretch) // (2 * self.segment_length), 1)
+            sections = min(math.ceil(count * len(stretch) / total), most)
+            for at in np.array_split(np.arange(len(stretch)), sections):
+                inputs, outputs = stretch.inputs[:, at], stretch.outputs[:, at]
+                times = None if stretch.times is None else stretch.times[at]
+                piece = replace(stretch, inputs=inputs, outputs=outputs, times=times, masked=0)
+                pieces.append(replace(piece, rows=stretch.rows[at]))
+        return SampledData(tuple(pieces), self.segment_length)
 
     def padded(self, values: Sequence[Array], fill: float | None) -> Array:
         """Join one array (r, n) per stretch, each filled up to whole segments: (r, samples).

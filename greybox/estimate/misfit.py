@@ -545,42 +545,34 @@ def _of_record(
     candidates: Mapping[str, Formula],
     most: int,
 ) -> _Regression:
+    if part.samples > most:
+        part, trajectory = _in_pieces(part, trajectory)
     residuals = part.residuals(trajectory)
     record = DisturbedRecord(part, trajectory)
     weight, data = part.residual_weight(trajectory), part.data
     slopes = sensitivity(part, trajectory, weight)
     noise = np.linalg.inv(weight.T @ weight)
-    # Samples of long records are thinned out: short excerpts would lose what is slow. What a model
-    # lacks adds up there, beyond what is linear in the missing term: pieces have free responses of
-    # their own.
+    # Samples of long records are thinned out: short excerpts would lose what is slow.
     stride = -(-part.samples // most)
-    count = PIECES if stride > 1 else 1
     measured = [row > 0 for row in data.unpadded(record.present.astype(float))]
     tested = [row & ((np.cumsum(row, axis=1) - 1) % stride == 0) for row in measured]
-    pieces = [
-        (place, at)
-        for place, row in enumerate(tested)
-        for at in np.array_split(
-            np.flatnonzero(row.any(axis=0)), -(-count * row.shape[1] // part.samples)
-        )
-    ]
-    present = [tested[place][:, at] for place, at in pieces]
+    places = [np.flatnonzero(row.any(axis=0)) for row in tested]
+    present = [row[:, at] for row, at in zip(tested, places, strict=True)]
 
-    def rows_of_pieces(values: Array) -> Iterator[Array]:
-        stretches = data.unpadded(values)
-        for (place, at), is_present in zip(pieces, present, strict=True):
-            result = np.where(is_present, weight @ stretches[place][..., at].swapaxes(0, 1), 0.0)
+    def rows_of_stretches(values: Array) -> Iterator[Array]:
+        for piece, is_present, at in zip(data.unpadded(values), present, places, strict=True):
+            result = np.where(is_present, weight @ piece[..., at].swapaxes(0, 1), 0.0)
             yield result.reshape(len(result), is_present.size).T
 
-    starts = [*rows_of_pieces(np.einsum("ab,bmn->amn", noise, slopes.by_initial))]
+    starts = [*rows_of_stretches(np.einsum("ab,bmn->amn", noise, slopes.by_initial))]
     # An offset or a trend cannot be distinguished from a drift of the errors.
-    lines = [_lines(*pair) for pair in zip(present, (at for _, at in pieces), strict=True)]
-    drifts = [column_basis(np.hstack(pair)) for pair in zip(starts, lines, strict=True)]
+    pairs = zip(starts, map(_lines, present, places), strict=True)
+    drifts = [column_basis(np.hstack(pair)) for pair in pairs]
     starts = [*map(column_basis, starts)]
 
     def rows(values: Array, taken: Sequence[Array] = drifts) -> Array:
-        # The free responses and straight lines of every piece are fitted first.
-        return np.vstack([*map(outside, rows_of_pieces(values), taken)])
+        # The initial states and straight lines of every stretch are fitted first.
+        return np.vstack([*map(outside, rows_of_stretches(values), taken)])
 
     by_parameters = np.einsum("ab,bpn->apn", noise, slopes.weighted)
     constants = [*constants_of_record(record)]
@@ -635,8 +627,24 @@ def _offsets(
 
 def _lines(measured: BoolArray, places: IntArray) -> Array:
     """Return a constant and a straight line (k n, 2 k) for every output of a stretch (k, n)."""
-    line = np.vander(places, 2)
+    line = np.vander(2 * places / max(*places, 1) - 1, 2)
     return np.asarray(np.kron(np.eye(len(measured)), line) * measured.reshape(-1, 1), dtype=float)
+
+
+def _in_pieces(part: RecordPart, trajectory: Trajectory) -> tuple[RecordPart, Trajectory]:
+    """Return the part in pieces with initial states of their own, with its trajectory there.
+
+    What a model lacks adds up in a long record, beyond what is linear in the missing term.
+    """
+    cut = part.in_pieces(PIECES)
+    states = np.zeros((part.states, len(part.model.record)))
+    in_order = part.data.unpadded(part.segments.in_order(trajectory.states))
+    for stretch, row in zip(part.data.stretches, in_order, strict=True):
+        states[:, stretch.rows] = row
+
+    pieces = [states[:, stretch.rows] for stretch in cut.data.stretches]
+    nodes = cut.data.padded(pieces, None)[:, :: cut.data.segment_length].T
+    return cut, cut.trajectory(trajectory.z, nodes)
 
 
 def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Regression:

@@ -70,26 +70,27 @@ def autoregressive_p_values(
     for rows in itertools.chain(*outputs):
         changes[rows[1:]] = np.diff(values[rows], axis=0)
     later = [[rows[1:] for rows in stretches] for stretches in outputs]
-    series = [(values, outputs), (changes, later)]
+    columns = [*range(1 + fitted.shape[1])]
+    factors, base, _ = _score(values[:, columns], outputs)
+    _, base_of_changes, _ = _score(changes[:, columns], later, factors)
 
-    samples, without = sum(map(len, itertools.chain(*outputs))), list[float]()
-    columns, factors = [*range(1 + fitted.shape[1])], None
-    for table, rows in series:
-        factors, score, _ = _score(table[:, columns], rows, factors)
-        without.append(score)
+    p_values, samples = list[float](), sum(map(len, itertools.chain(*outputs)))
+    ends = len(columns) + np.cumsum([term.shape[1] for term in terms])
+    for term, end in zip(terms, ends.tolist(), strict=True):
+        count = term.shape[1]
+        taken = [*columns, *range(end - count, end)]
 
-    p_values, end = np.zeros(len(terms)), len(columns)
-    for k, term in enumerate(terms):
-        first, end, factors = end, end + term.shape[1], None
-        for (table, rows), before in zip(series, without, strict=True):
-            taken = table[:, [*columns, *range(first, end)]]
-            factors, score, remaining = _score(taken, rows, factors)
-            left = np.exp(-max(before - score, 0.0) / samples)
-            p_values[k] = max(p_values[k], chance(left, max(remaining, 1), end - first))
-            # The differences can only excuse what looks significant without them.
-            if p_values[k] > SIGNIFICANT:
-                break
-    return p_values
+        def p_value(without: float, score: float, remaining: int, count: int = count) -> float:
+            left = np.exp(-max(without - score, 0.0) / samples)
+            return float(chance(left, max(remaining, 1), count))
+
+        factors, *score = _score(values[:, taken], outputs)
+        p_values.append(p_value(base, *score))
+        # The differences can only excuse what looks significant without them.
+        if p_values[-1] < SIGNIFICANT:
+            _, *score = _score(changes[:, taken], later, factors)
+            p_values[-1] = max(p_values[-1], p_value(base_of_changes, *score))
+    return np.array(p_values)
 
 
 def _score(

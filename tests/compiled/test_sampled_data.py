@@ -275,6 +275,23 @@ def test_stretches_of_a_record_with_ramp_times():
     assert_allclose(stretch.step, STEP)
 
 
+def test_pieces_of_several_stretches_have_shares_of_the_samples():
+    """As many pieces of a stretch as its share of five; together they have all samples."""
+    data = record(1000)
+    time = data.time + np.where(np.arange(1000) >= 700, 5.0, 0.0)
+    pieces = cut(gb.Record(time, data.signals), segment_length=10).in_pieces(5)
+    assert [len(s) for s in pieces.stretches] == [175] * 4 + [150] * 2
+    assert_allclose(np.hstack([s.rows for s in pieces.stretches]), np.arange(1000))
+    for stretch in pieces.stretches:
+        assert_allclose(stretch.inputs[0], data["u"][stretch.rows])
+        assert_allclose(stretch.outputs[0], data["y"][stretch.rows])
+        assert stretch.step == pytest.approx(STEP)
+    assert pieces.segment_length == 10
+    # Two segments at least in each.
+    pieces = cut(record(100), segment_length=15).in_pieces(5)
+    assert [len(s) for s in pieces.stretches] == [34, 33, 33]
+
+
 def test_every_stretch_may_have_delays_of_its_own():
     u = np.random.default_rng(2).normal(size=40)
     u[20] = np.nan
