@@ -56,9 +56,9 @@ class RecordPart(SegmentedPart):
 
     # --- parts made of this one
 
-    def in_pieces(self, count: int) -> "RecordPart":
-        """Return the part with about this number of stretches, with initial states of their own."""
-        data = self.data.in_pieces(count)
+    def excerpt(self, samples: int) -> "RecordPart":
+        """Return the part on evenly spaced excerpts with about this total number of samples."""
+        data = self.data.excerpts(samples)
         # The criterion stays behind when a part is sent to a worker.
         return self._with(data, self.covariance.along(data.measured))
 

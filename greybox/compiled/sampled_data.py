@@ -106,20 +106,25 @@ class SampledData:
         """Which segments (s,) are followed by another of the same stretch."""
         return np.append(~self.begins_stretch[1:], False)
 
-    def in_pieces(self, count: int) -> "SampledData":
-        """Return the data with about this number of stretches, of two segments at least."""
+    def excerpts(self, samples: int, pieces: int = 5) -> "SampledData":
+        """Return evenly spaced excerpts with this total number of samples; short data whole."""
         total = sum(len(stretch) for stretch in self.stretches)
-        pieces = []
+        if total <= samples:
+            return self
+        pieces_of_all = []
         for stretch in self.stretches:
-            # Within one segment, the node alone explains the outputs.
-            most = max(len(stretch) // (2 * self.segment_length), 1)
-            sections = min(math.ceil(count * len(stretch) / total), most)
-            for at in np.array_split(np.arange(len(stretch)), sections):
-                inputs, outputs = stretch.inputs[:, at], stretch.outputs[:, at]
-                times = None if stretch.times is None else stretch.times[at]
+            count = math.ceil(pieces * len(stretch) / total)
+            # Two segments at least: within one, the node alone explains the outputs.
+            length = max(samples // (count * len(self.stretches)), 2 * self.segment_length)
+            length = min(length, len(stretch) // count)
+            for start in np.linspace(0, len(stretch) - length, count).astype(int):
+                rows = slice(start, start + length)
+                inputs, outputs = stretch.inputs[:, rows], stretch.outputs[:, rows]
+                times = None if stretch.times is None else stretch.times[rows]
                 piece = replace(stretch, inputs=inputs, outputs=outputs, times=times, masked=0)
-                pieces.append(replace(piece, rows=stretch.rows[at]))
-        return SampledData(tuple(pieces), self.segment_length)
+                pieces_of_all.append(replace(piece, rows=stretch.rows[rows]))
+
+        return SampledData(tuple(pieces_of_all), self.segment_length)
 
     def padded(self, values: Sequence[Array], fill: float | None) -> Array:
         """Join one array (r, n) per stretch, each filled up to whole segments: (r, samples).

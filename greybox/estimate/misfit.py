@@ -21,7 +21,7 @@ from greybox.estimate.missing_terms import (
     terms_of_record,
     terms_of_response,
 )
-from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
+from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.files.html_text import Printed
 from greybox.files.text_table import number, percent, some, text_table, with_error
 from greybox.modeling.added_terms import Formula
@@ -52,12 +52,12 @@ ALIKE = 0.95  # correlation of effects beyond which two terms count as one
 # Correlation time of the residuals, as in tanks that overflow or a drive with friction: sensors are
 # seldom so slow. And of the output, what a reader would see.
 DRIFTING, NOTICED = 0.99, 0.01
-PIECES = 10  # of a record, whose means show an offset; and of a long one
+PIECES = 10  # of a record, whose means show an offset
 LARGE = 10  # times what noise leaves, beyond which a model describes nothing
 NOISY = 0.25  # of the variance: residuals of half the standard deviation of an output
 TINY = 1e-300
 COLUMNS = 2_000_000  # numbers in memory for all terms at once, 16 MB
-# Samples of all records that are tested: with more, a fit would wait for the test.
+# Samples of all records that are tested, in excerpts: with more, a fit would wait for the test.
 MOST = 3000
 FEWEST = 500  # of each
 REFIT = 30  # iterations of a response by itself
@@ -546,33 +546,30 @@ def _of_record(
     most: int,
 ) -> _Regression:
     if part.samples > most:
-        part, trajectory = _in_pieces(part, trajectory)
+        part, trajectory = _on_excerpts(part, trajectory, most)
     residuals = part.residuals(trajectory)
     record = DisturbedRecord(part, trajectory)
     weight, data = part.residual_weight(trajectory), part.data
     slopes = sensitivity(part, trajectory, weight)
     noise = np.linalg.inv(weight.T @ weight)
-    # Samples of long records are thinned out: short excerpts would lose what is slow.
-    stride = -(-part.samples // most)
-    measured = [row > 0 for row in data.unpadded(record.present.astype(float))]
-    tested = [row & ((np.cumsum(row, axis=1) - 1) % stride == 0) for row in measured]
-    places = [np.flatnonzero(row.any(axis=0)) for row in tested]
-    present = [row[:, at] for row, at in zip(tested, places, strict=True)]
+    present = [row > 0 for row in data.unpadded(record.present.astype(float))]
 
-    def rows_of_stretches(values: Array) -> Iterator[Array]:
-        for piece, is_present, at in zip(data.unpadded(values), present, places, strict=True):
-            result = np.where(is_present, weight @ piece[..., at].swapaxes(0, 1), 0.0)
-            yield result.reshape(len(result), is_present.size).T
+    def rows_of_stretch(values: Array, measured: BoolArray) -> Array:
+        result = np.where(measured, weight @ values.swapaxes(0, 1), 0.0)
+        return result.reshape(len(result), measured.size).T
 
-    starts = [*rows_of_stretches(np.einsum("ab,bmn->amn", noise, slopes.by_initial))]
+    by_initial = data.unpadded(np.einsum("ab,bmn->amn", noise, slopes.by_initial))
+    starts = [*map(rows_of_stretch, by_initial, present)]
     # An offset or a trend cannot be distinguished from a drift of the errors.
-    pairs = zip(starts, map(_lines, present, places), strict=True)
+    pairs = zip(starts, map(_lines, present), strict=True)
     drifts = [column_basis(np.hstack(pair)) for pair in pairs]
     starts = [*map(column_basis, starts)]
 
     def rows(values: Array, taken: Sequence[Array] = drifts) -> Array:
+        pairs = zip(data.unpadded(values), present, strict=True)
+        stretches = [rows_of_stretch(*pair) for pair in pairs]
         # The initial states and straight lines of every stretch are fitted first.
-        return np.vstack([*map(outside, rows_of_stretches(values), taken)])
+        return np.vstack([*map(outside, stretches, taken)])
 
     by_parameters = np.einsum("ab,bpn->apn", noise, slopes.weighted)
     constants = [*constants_of_record(record)]
@@ -625,26 +622,26 @@ def _offsets(
         yield Cause(*term.described(value, error), value, error, *numbers)
 
 
-def _lines(measured: BoolArray, places: IntArray) -> Array:
+def _lines(measured: BoolArray) -> Array:
     """Return a constant and a straight line (k n, 2 k) for every output of a stretch (k, n)."""
-    line = np.vander(2 * places / max(*places, 1) - 1, 2)
-    return np.asarray(np.kron(np.eye(len(measured)), line) * measured.reshape(-1, 1), dtype=float)
+    outputs, samples = measured.shape
+    line = np.vander(np.linspace(-1, 1, samples), 2)
+    return np.asarray(np.kron(np.eye(outputs), line) * measured.reshape(-1, 1), dtype=float)
 
 
-def _in_pieces(part: RecordPart, trajectory: Trajectory) -> tuple[RecordPart, Trajectory]:
-    """Return the part in pieces with initial states of their own, with its trajectory there.
-
-    What a model lacks adds up in a long record, beyond what is linear in the missing term.
-    """
-    cut = part.in_pieces(PIECES)
+def _on_excerpts(
+    part: RecordPart, trajectory: Trajectory, samples: int
+) -> tuple[RecordPart, Trajectory]:
+    """Return the part on excerpts of this many samples, with its trajectory there."""
+    excerpt = part.excerpt(samples)
     states = np.zeros((part.states, len(part.model.record)))
     in_order = part.data.unpadded(part.segments.in_order(trajectory.states))
     for stretch, row in zip(part.data.stretches, in_order, strict=True):
         states[:, stretch.rows] = row
 
-    pieces = [states[:, stretch.rows] for stretch in cut.data.stretches]
-    nodes = cut.data.padded(pieces, None)[:, :: cut.data.segment_length].T
-    return cut, cut.trajectory(trajectory.z, nodes)
+    pieces = [states[:, stretch.rows] for stretch in excerpt.data.stretches]
+    nodes = excerpt.data.padded(pieces, None)[:, :: excerpt.data.segment_length].T
+    return excerpt, excerpt.trajectory(trajectory.z, nodes)
 
 
 def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Regression:

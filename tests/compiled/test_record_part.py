@@ -214,11 +214,11 @@ def test_known_initial_states_follow_their_function_of_the_parameters():
     assert_allclose(condensed.hessian, J.T @ J, rtol=1e-4, atol=1e-5 * np.abs(J.T @ J).max())
 
 
-def test_a_part_in_pieces_and_a_refinement_are_parts_of_their_own(made):
+def test_an_excerpt_and_a_refinement_are_parts_of_their_own(made):
     part, z, _ = made
-    cut = part.in_pieces(3)
-    assert len(cut.data.stretches) > len(part.data.stretches)
-    assert cut.substeps == part.substeps
+    excerpt = part.excerpt(40)
+    assert excerpt.data.samples < part.data.samples
+    assert excerpt.substeps == part.substeps
     finer = part.refined(4)
     assert finer.substeps == 4 * part.substeps
     assert part.data.samples == 2 * (part.data.samples // 2)

@@ -218,6 +218,19 @@ def test_no_inputs():
     assert whole.shape == windows.shape == (0, 63)
 
 
+def test_a_thinned_experiment_is_a_part_of_the_whole():
+    data = record(1000)
+    made = cut(data, segment_length=10)
+    thin = made.excerpts(300)
+    assert 200 <= sum(len(s) for s in thin.stretches) <= 400
+    assert len(thin.stretches) == 5
+    assert thin.stretches[0].rows[0] == 0
+    assert thin.stretches[-1].rows[-1] == 999
+    for stretch in thin.stretches:
+        assert_allclose(stretch.outputs[0], data["y"][stretch.rows[0] :][: len(stretch)])
+    assert made.excerpts(2000) is made
+
+
 def test_two_inputs_with_their_own_delays():
     data = record(40, w=np.arange(40.0))
     made = cut(data, inputs=("u", "w"))
@@ -275,21 +288,20 @@ def test_stretches_of_a_record_with_ramp_times():
     assert_allclose(stretch.step, STEP)
 
 
-def test_pieces_of_several_stretches_have_shares_of_the_samples():
-    """As many pieces of a stretch as its share of five; together they have all samples."""
+def test_excerpts_of_several_stretches_have_shares_of_the_samples():
+    """As many pieces of a stretch as its share of five, from its beginning to its end."""
     data = record(1000)
     time = data.time + np.where(np.arange(1000) >= 700, 5.0, 0.0)
-    pieces = cut(gb.Record(time, data.signals), segment_length=10).in_pieces(5)
-    assert [len(s) for s in pieces.stretches] == [175] * 4 + [150] * 2
-    assert_allclose(np.hstack([s.rows for s in pieces.stretches]), np.arange(1000))
-    for stretch in pieces.stretches:
+    thin = cut(gb.Record(time, data.signals), segment_length=10).excerpts(200)
+    assert [len(s) for s in thin.stretches] == [25] * 4 + [50] * 2
+    assert [s.rows[0] for s in thin.stretches] == [0, 225, 450, 675, 700, 950]
+    for stretch in thin.stretches:
         assert_allclose(stretch.inputs[0], data["u"][stretch.rows])
-        assert_allclose(stretch.outputs[0], data["y"][stretch.rows])
         assert stretch.step == pytest.approx(STEP)
-    assert pieces.segment_length == 10
-    # Two segments at least in each.
-    pieces = cut(record(100), segment_length=15).in_pieces(5)
-    assert [len(s) for s in pieces.stretches] == [34, 33, 33]
+    assert thin.segment_length == 10
+    # At least two segments each, where the stretch has them.
+    assert [len(s) for s in cut(record(100), segment_length=9).excerpts(20).stretches] == [18] * 5
+    assert [len(s) for s in cut(record(100), segment_length=30).excerpts(20).stretches] == [20] * 5
 
 
 def test_every_stretch_may_have_delays_of_its_own():
