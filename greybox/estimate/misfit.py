@@ -336,7 +336,6 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
         for stretches in part.outputs
     ]
     filters = whitening_filters(residuals[:, 0], outputs)
-    drift = _drift(residuals, filters)
 
     def white(values: Array) -> Array:
         return whitened(values, filters, outputs) if in_time else values
@@ -358,8 +357,7 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
         shares = np.maximum(shares, alone).tolist()
     p_values = [p_value for (_, p_value, *_), *_ in ranked]
     if in_time:
-        errors = residuals[:, 0], fitted, outputs
-        p_values = _p_values_of_records(parts, (tried, ranked), errors, drift)
+        p_values = autoregressive_p_values(residuals[:, 0], fitted, best_columns, outputs).tolist()
 
     # Real and imaginary parts follow one another in every response.
     lengths = [n // 2 for part in parts if (n := len(part.residuals)) for _ in "ri"]
@@ -398,7 +396,7 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
         tried,
         tuple(causes),
         p_common,
-        drift,
+        _drift(residuals, filters),
         any(part.is_unstable for part in parts),
         _shape(parts, tests, white, white_residuals, white_fitted),
     )
@@ -443,10 +441,17 @@ def _shape(
     cause, value, key, column = max(drawn, key=lambda test: test[0].share)
     best, least = None, np.inf
     # A value that one record needs has no place in the others.
-    for name in parts[0].signals if all(key in part.terms for part in parts) else ():
-        knots, columns = _over(parts, key, name)
+    terms = [part.terms[key] for part in parts if key in part.terms]
+    for name in parts[0].signals if len(terms) == len(parts) else ():
+        signals = [part.signals[name] for part in parts]
+        knots = np.linspace(np.min(np.hstack(signals)), np.max(np.hstack(signals)) + TINY, KNOTS)
+        hats = np.eye(KNOTS)
+        columns = [
+            part.changes([replace(term, values=np.interp(row, knots, hat)) for hat in hats])
+            for part, term, row in zip(parts, terms, signals, strict=True)
+        ]
         # What the parameters explain is determined neither here nor in the shape of the term.
-        effects = beside(white(columns), fitted)
+        effects = beside(white(np.vstack(columns)), fitted)
         inverse = np.linalg.pinv(effects, rcond=DETERMINED)
         values = inverse @ residuals
         size = float(np.std(residuals - effects @ values))
@@ -456,43 +461,6 @@ def _shape(
             rows = (np.ravel(row).tolist() for row in (knots, values, errors, by_term))
             best, least = Shape(cause.text, name, *map(tuple, rows)), size
     return best
-
-
-def _over(parts: Sequence[_Regression], key: Key, name: str) -> tuple[Array, Array]:
-    """Return knots over a signal, and the columns of hats there in the place of a term."""
-    signals = [part.signals[name] for part in parts]
-    knots = np.linspace(np.min(np.hstack(signals)), np.max(np.hstack(signals)) + TINY, KNOTS)
-    hats = np.eye(KNOTS)
-    columns = [
-        part.changes([replace(part.terms[key], values=np.interp(row, knots, hat)) for hat in hats])
-        for part, row in zip(parts, signals, strict=True)
-    ]
-    return knots, np.vstack(columns)
-
-
-def _p_values_of_records(
-    parts: Sequence[_Regression],
-    ranked: tuple[int, Sequence[tuple[list[float], Key, Array]]],
-    errors: tuple[Array, Array, Outputs],
-    drift: float,
-) -> list[float]:
-    """Return the probabilities of the ranked terms beside errors: residuals, fitted, outputs."""
-    tried, tests = ranked
-    residuals, fitted, outputs = errors
-
-    def p_values_of(columns: Sequence[Array]) -> list[float]:
-        return autoregressive_p_values(residuals, fitted, columns, outputs).tolist()
-
-    p_values = p_values_of([column for *_, column in tests])
-    if drift > DRIFTING and tried * min(p_values, default=1.0) >= FALSE_ALARMS:
-        # Beside such errors, a stop at a level that is not quite right explains little: functions
-        # of the state of any form are tried in its place.
-        families = {key[0] for part in parts for key in part.terms if key[0][0] == "limit"}
-        places = [k for k, (_, key, _) in enumerate(tests) if key[0] in families]
-        functions = [_over(parts, tests[k][1], tests[k][1][0][1])[1] for k in places]
-        for k, p_value in zip(places, p_values_of(functions), strict=True):
-            p_values[k] = min(p_values[k], len(families) * p_value / tried)
-    return p_values
 
 
 def _alike(effects: Array, texts: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:

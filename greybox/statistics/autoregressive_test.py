@@ -51,20 +51,20 @@ def whitened(values: Array, filters: Sequence[Array], outputs: Outputs) -> Array
 
 
 def autoregressive_p_values(
-    residuals: Array, fitted: Array, terms: Sequence[Array], outputs: Outputs
+    residuals: Array, fitted: Array, terms: Array, outputs: Outputs
 ) -> Array:
-    """Return the probabilities (t,) that terms explain so much of errors by chance.
+    """Return the probabilities (c,) that terms (N, c) explain so much of errors by chance.
 
     Parameters
     ----------
     residuals : (N,) array
     fitted : (N, p) array
         What the fit may have taken from them.
-    terms : sequence of (N, c) arrays
-        What each term would add to the model's outputs, with c factors.
+    terms : (N, c) array
+        What unit terms would add to the model's outputs.
     outputs : sequence of sequence of (n,) arrays of int
     """
-    values = np.column_stack([residuals, fitted, *terms])
+    values = np.column_stack([residuals, fitted, terms])
     values /= np.linalg.norm(values, axis=0) + TINY
     changes = np.zeros_like(values)
     for rows in itertools.chain(*outputs):
@@ -74,23 +74,20 @@ def autoregressive_p_values(
     factors, base, _ = _score(values[:, columns], outputs)
     _, base_of_changes, _ = _score(changes[:, columns], later, factors)
 
-    p_values, samples = list[float](), sum(map(len, itertools.chain(*outputs)))
-    ends = len(columns) + np.cumsum([term.shape[1] for term in terms])
-    for term, end in zip(terms, ends.tolist(), strict=True):
-        count = term.shape[1]
-        taken = [*columns, *range(end - count, end)]
+    def p_value(without: float, score: float, remaining: int) -> float:
+        left = np.exp(-max(without - score, 0.0) / sum(map(len, itertools.chain(*outputs))))
+        return float(chance(left, max(remaining, 1)))
 
-        def p_value(without: float, score: float, remaining: int, count: int = count) -> float:
-            left = np.exp(-max(without - score, 0.0) / samples)
-            return float(chance(left, max(remaining, 1), count))
-
+    p_values = np.ones(terms.shape[1])
+    for k in range(terms.shape[1]):
+        taken = [*columns, len(columns) + k]
         factors, *score = _score(values[:, taken], outputs)
-        p_values.append(p_value(base, *score))
+        p_values[k] = p_value(base, *score)
         # The differences can only excuse what looks significant without them.
-        if p_values[-1] < SIGNIFICANT:
+        if p_values[k] < SIGNIFICANT:
             _, *score = _score(changes[:, taken], later, factors)
-            p_values[-1] = max(p_values[-1], p_value(base_of_changes, *score))
-    return np.array(p_values)
+            p_values[k] = max(p_values[k], p_value(base_of_changes, *score))
+    return p_values
 
 
 def _score(

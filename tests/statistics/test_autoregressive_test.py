@@ -21,7 +21,7 @@ def errors(rng, pole):
 def test_noise_of_any_color_is_rarely_called_a_term(pole):
     rng = np.random.default_rng(3)
     p_values = [
-        autoregressive_p_values(errors(rng, pole), FITTED, [TERM], OUTPUTS)[0] for _ in range(150)
+        autoregressive_p_values(errors(rng, pole), FITTED, TERM, OUTPUTS)[0] for _ in range(150)
     ]
     # Of 150, a share of 5 % is exceeded by 15 with a probability of 0.7 %.
     assert np.sum(np.array(p_values) < 0.05) <= 15
@@ -31,7 +31,7 @@ def test_a_slow_term_is_seen_although_it_colors_the_residuals():
     rng = np.random.default_rng(4)
     residuals = 20 * TERM[:, 0] + rng.standard_normal(N)
     wrong = np.sin(17 * T)[:, None]
-    p_right, p_wrong = autoregressive_p_values(residuals, FITTED, [TERM, wrong], OUTPUTS)
+    p_right, p_wrong = autoregressive_p_values(residuals, FITTED, np.hstack([TERM, wrong]), OUTPUTS)
     assert p_right < 1e-6
     assert p_wrong > 1e-4
 
@@ -43,8 +43,8 @@ def test_two_outputs_with_gaps_have_errors_of_their_own():
     fitted = np.vstack([FITTED, FITTED])
     outputs = [[np.arange(100), np.arange(120, N)], [np.arange(N, N + 5), np.arange(N + 10, 2 * N)]]
     together = np.concatenate([slow, white])
-    (p_absent,) = autoregressive_p_values(together, fitted, [term], outputs)
-    (p_present,) = autoregressive_p_values(together + 0.01 * term[:, 0], fitted, [term], outputs)
+    (p_absent,) = autoregressive_p_values(together, fitted, term, outputs)
+    (p_present,) = autoregressive_p_values(together + 0.01 * term[:, 0], fitted, term, outputs)
     assert p_present < 1e-6
     assert p_absent > 1e-3
 
@@ -52,16 +52,6 @@ def test_two_outputs_with_gaps_have_errors_of_their_own():
 def test_a_constant_offset_is_never_told_from_a_drift():
     rng = np.random.default_rng(6)
     (p_value,) = autoregressive_p_values(
-        5 + rng.standard_normal(N), FITTED[:, :1], [np.ones((N, 1))], OUTPUTS
+        5 + rng.standard_normal(N), FITTED[:, :1], np.ones((N, 1)), OUTPUTS
     )
     assert p_value == 1.0
-
-
-def test_a_term_of_two_factors_is_more_than_either():
-    rng = np.random.default_rng(7)
-    narrow, wide = (np.exp(-(((T - 0.5) / width) ** 2))[:, None] for width in (0.1, 0.11))
-    residuals = 100 * (narrow - wide)[:, 0] + rng.standard_normal(N)
-    *alone, both = autoregressive_p_values(
-        residuals, FITTED, [narrow, wide, np.hstack([narrow, wide])], OUTPUTS
-    )
-    assert both < 1e-6 * min(alone)
