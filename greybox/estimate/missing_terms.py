@@ -265,7 +265,7 @@ def terms_of_record(record: DisturbedRecord, candidates: Mapping[str, Formula]) 
     # As an impulse that lasts half of the first step.
     still = np.zeros(part.samples)
     impulse = record.by_stretch(lambda row, step: 2 / step * (np.arange(len(row)) == 0), still)
-    for i in np.flatnonzero(part.known_states.any(axis=0)):
+    for i in np.flatnonzero(part.known_states.any(axis=0)).tolist():
         yield Term("initial", impulse, partial(record.by_state, i), b=part.system.states[i])
 
     if isinstance(part.problem.model, StateSpace):
@@ -477,7 +477,8 @@ def _filtered(piece: Array, step: float, b: Any, a: Any) -> Array:
 
     moved = np.convolve(piece - piece[0], b)[: len(piece)]
     bands = np.repeat(np.array(a)[:, None], len(piece), axis=1)
-    return np.asarray(get_blas_funcs("tbsv", (bands,))(len(a) - 1, bands, moved, lower=1))
+    (tbsv,) = get_blas_funcs(("tbsv",), (bands,))
+    return np.asarray(tbsv(len(a) - 1, bands, moved, lower=1))
 
 
 @lru_cache(4)  # responses of a study mostly have the same frequencies

@@ -178,7 +178,7 @@ def levy(
         )
     require_whole("iterations", iterations, 0)
 
-    numerator, denominator, condition = reweighted(
+    numerator, denominator, matrix = reweighted(
         data.omega, data.response, (n, m, int(integrator)), weights, iterations
     )
     # A frozen value has frozen arrays.
@@ -193,7 +193,7 @@ def levy(
         data=data,
         iterations=iterations,
         cost=evaluate(RelativeError(), model, data),
-        condition=float(condition),
+        condition=float(np.abs(np.linalg.cond(matrix))),  # LAPACK's zero may be negative
     )
 
 
@@ -251,7 +251,7 @@ def reweighted(
     weight: Array,
     iterations: int,
 ) -> tuple[Array, Array, Array]:
-    """Return numerators (..., m + 1), denominators (..., n + 1) and condition numbers (...).
+    """Return numerators (..., m + 1), denominators (..., n + 1) and the last normalized equations.
 
     `response` and `weight` (..., n_ω) are of one problem or of several, which are solved together;
     `orders` are n, m and the number of integrators. See `levy` for the other arguments.
@@ -264,32 +264,29 @@ def reweighted(
     highest = np.ones((*response.shape[:-1], 1))
     zeros = np.zeros((*response.shape[:-1], integrators))
 
-    # Divided by |a|, the equation error is the error of the response where a no longer changes.
-    size = np.ones(response.shape)
-    for _ in range(iterations + 1):
-        factor = (weight / size)[..., None]
-        solution, condition = _least_squares(factor * equations, factor * measured[..., :1])
+    def solved(weight: Array) -> tuple[Array, Array, Array]:
+        factor = weight[..., None]
+        solution, matrix = _least_squares(factor * equations, factor * measured[..., :1])
         numerator, lower = np.split(solution, [m + 1], axis=-1)
-        denominator = np.concatenate([highest, lower, zeros], axis=-1)
-        size = np.abs(denominator @ powers.T)
+        return numerator, np.concatenate([highest, lower, zeros], axis=-1), matrix
 
-    return numerator, denominator, condition
+    answer = solved(weight)
+    # Divided by |a|, the equation error is the error of the response where a no longer changes.
+    for _ in range(iterations):
+        answer = solved(weight / np.abs(answer[1] @ powers.T))
+    return answer
 
 
 def _least_squares(equations: ComplexArray, right: ComplexArray) -> tuple[Array, Array]:
-    """Return real solutions (..., unknowns) of complex equations, and condition numbers (...)."""
+    """Return real solutions (..., unknowns) of complex equations, and their normalized matrix."""
     matrix = np.concatenate([equations.real, equations.imag], axis=-2)
     # Powers of ω differ by decades: without scaling, the rank would depend on the units.
     scale = np.linalg.norm(matrix, axis=-2, keepdims=True)
     scale[scale == 0] = 1.0
-    U, singular, V = np.linalg.svd(matrix / scale, full_matrices=False)
-    is_seen = singular > RANK * singular[..., :1]
-    inverse = np.where(is_seen, 1 / np.where(is_seen, singular, 1.0), 0.0)
-    projected = np.swapaxes(U, -1, -2) @ np.concatenate([right.real, right.imag], axis=-2)
-    solution = np.swapaxes(V, -1, -2) @ (inverse[..., None] * projected)
-    with np.errstate(divide="ignore"):
-        condition = singular[..., 0] / np.abs(singular[..., -1])  # LAPACK's zero may be negative
-    return solution[..., 0] / scale[..., 0, :], condition
+    normalized = matrix / scale
+    inverse = np.linalg.pinv(normalized, RANK) / np.swapaxes(scale, -1, -2)
+    solution = inverse @ np.concatenate([right.real, right.imag], axis=-2)
+    return solution[..., 0], normalized
 
 
 def _check_orders(data: FrequencyResponse, n: int, m: int, integrator: int) -> None:

@@ -239,5 +239,6 @@ def _narrowed(searches: _Searches) -> _Searches:
     most = width - 1 if width <= NARROW else width // narrower
     if len(live) > most:
         return searches
-    columns = searches.owner, searches.numbers, searches.live, searches.data
-    return _Searches(*(column[..., live] for column in columns))
+    return _Searches(
+        searches.owner[live], searches.numbers[:, live], searches.live[live], searches.data[:, live]
+    )

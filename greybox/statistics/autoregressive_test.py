@@ -71,8 +71,8 @@ def autoregressive_p_values(
         changes[rows[1:]] = np.diff(values[rows], axis=0)
     later = [[rows[1:] for rows in stretches] for stretches in outputs]
     columns = [*range(1 + fitted.shape[1])]
-    factors, base, _ = _score(values[:, columns], outputs)
-    _, base_of_changes, _ = _score(changes[:, columns], later, factors)
+    factors, (base, _) = _score(values[:, columns], outputs)
+    _, (base_of_changes, _) = _score(changes[:, columns], later, factors)
 
     def p_value(without: float, score: float, remaining: int) -> float:
         left = np.exp(-max(without - score, 0.0) / sum(map(len, itertools.chain(*outputs))))
@@ -81,18 +81,18 @@ def autoregressive_p_values(
     p_values = np.ones(terms.shape[1])
     for k in range(terms.shape[1]):
         taken = [*columns, len(columns) + k]
-        factors, *score = _score(values[:, taken], outputs)
+        factors, score = _score(values[:, taken], outputs)
         p_values[k] = p_value(base, *score)
         # The differences can only excuse what looks significant without them.
         if p_values[k] < SIGNIFICANT:
-            _, *score = _score(changes[:, taken], later, factors)
+            _, score = _score(changes[:, taken], later, factors)
             p_values[k] = max(p_values[k], p_value(base_of_changes, *score))
     return p_values
 
 
 def _score(
-    values: Array, outputs: Outputs, factors: Array | None = None
-) -> tuple[Array, float, int]:
+    values: Array, outputs: Outputs, begin: Array | None = None
+) -> tuple[Array, tuple[float, int]]:
     """Return the factors on columns that fit the first of them, -2 log likelihood, and its freedom.
 
     The errors are those beside the columns: what follows a missing term is an autoregression, too,
@@ -101,14 +101,15 @@ def _score(
     """
     counts = [sum(map(len, stretches)) for stretches in outputs]
     white, filters, scores = values, list[Array](), list[float]()
+    factors = np.zeros(0) if begin is None else begin
     for turn in range(ROUNDS):
         if turn:
             white = whitened(values, filters, outputs)
-        if turn or factors is None:
+        if turn or begin is None:
             factors = np.linalg.lstsq(white[:, 1:], white[:, 0], rcond=None)[0]
         filters = whitening_filters(values[:, 0] - values[:, 1:] @ factors, outputs)
         scores.append(-2 * float(counts @ np.log([weights[0] for weights in filters])))
-    return factors, min(scores), len(white) - len(factors) - sum(map(len, filters))
+    return factors, (min(scores), len(white) - len(factors) - sum(map(len, filters)))
 
 
 def whitening_filters(residuals: Array, outputs: Outputs) -> list[Array]:

@@ -106,7 +106,7 @@ def neighbor_correlation(
         None if errors count as independent: too few numbers remain, the data are fitted exactly, or
         the residuals show no correlation.
     """
-    from scipy.linalg.lapack import dpbtrs  # noqa: PLC0415  (imports slowly)
+    from scipy.linalg import get_lapack_funcs  # noqa: PLC0415  (imports slowly)
 
     n = errors.size
     norm = np.linalg.norm(errors)
@@ -130,7 +130,8 @@ def neighbor_correlation(
     moments /= 1 - share**2
     means, factors = _means(n)
     # Without the checks of SciPy, which take as long as everything else here.
-    weighted = np.array([dpbtrs(factor, rows.view(float), lower=1)[0] for factor in factors])
+    (pbtrs,) = get_lapack_funcs(("pbtrs",))
+    weighted = np.array([pbtrs(factor, rows.view(float), lower=1)[0] for factor in factors])
     moments = np.concatenate([moments, (rows.conj().T @ weighted.view(complex)).real])
     logarithms = [2 * np.log(factor[0]).sum() for factor in factors]
     # What remains of the first row's square without the others is a ratio of determinants.
