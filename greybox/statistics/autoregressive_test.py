@@ -28,6 +28,7 @@ ORDER = 20
 SAMPLES = 8  # of an output for each order
 ROUNDING = 1e-12  # of the power
 SIGNIFICANT = 0.05
+UNCHANGED = 1e-9  # decrease of -2 log likelihood that is rounding alone
 # Factors on a smooth term beside errors that drift settle in the third round.
 ROUNDS = 3
 TINY = 1e-300
@@ -75,7 +76,9 @@ def autoregressive_p_values(
     _, (base_of_changes, _) = _score(changes[:, columns], later, factors)
 
     def p_value(without: float, score: float, remaining: int) -> float:
-        left = np.exp(-max(without - score, 0.0) / sum(map(len, itertools.chain(*outputs))))
+        # A probability near one depends on the root of the decrease, which may be all rounding.
+        decrease = max(without - score - UNCHANGED, 0.0)
+        left = np.exp(-decrease / sum(map(len, itertools.chain(*outputs))))
         return float(chance(left, max(remaining, 1)))
 
     p_values = np.ones(terms.shape[1])
