@@ -210,22 +210,26 @@ def read_study(folder: str | Path, models: Sequence[Any] = ()) -> Study:
         If the study is damaged.
     """
     members = tuple(replace(member, models=models) for member in read_members(Path(folder)))
-    # Do now what printing will do: a damaged answer must be refused when it is read.
     for member in members:
-        try:
-            _overview([member])
-            if member.status == "done":
-                list(_cells(member, shown))
-                # The database may come from a stranger, and a page joins these texts with others.
-                answer = member.answer
-                labels = (answer[name] for name in ("criterion", "rule", "checksum"))
-                "".join((*labels, answer["verdict"]["grade"], *answer["model"], *answer["data"]))
-        except (LookupError, TypeError, ValueError, AttributeError):
-            raise ValueError(
-                f"the answer of {member.name!r} in {folder} is damaged: restore the folder, or "
-                "begin another study."
-            ) from None
+        _require_readable(member)
     return Study(Path(folder), members)
+
+
+def _require_readable(member: StudyMember) -> None:
+    # Do now what printing will do: a damaged answer must be refused when it is read.
+    try:
+        _overview([member])
+        if member.status == "done":
+            list(_cells(member, shown))
+            # The database may come from a stranger, and a page joins these texts with others.
+            answer = member.answer
+            labels = (answer[name] for name in ("criterion", "rule", "checksum"))
+            "".join((*labels, answer["verdict"]["grade"], *answer["model"], *answer["data"]))
+    except (LookupError, TypeError, ValueError, AttributeError):
+        raise ValueError(
+            f"the answer of {member.name!r} in {member.folder} is damaged: restore the folder, or "
+            "begin another study."
+        ) from None
 
 
 FAILURES = ("failed", "members", "reason and cure")
