@@ -387,8 +387,8 @@ def _harmonics(
     double, to_double = transforms(2 * harmonics, points)
     products = []
     for wave in waves:
-        pairs = wave.T[:, :, None] * to_series[:, None]
-        products.append(ca.sparsify(double @ pairs.reshape(points, -1), 1e-9))
+        pairs = wave[:, None] * to_series.T
+        products.append(ca.sparsify(double @ pairs.reshape(-1, points).T, 1e-9))
     widths = [width] * count + [1] * (count + p.numel())
     blocks = [[ca.MX(width, each) for each in widths] for _ in range(formulas.numel())]
     sampled = ca.vertcat(z, slope, size)

@@ -207,10 +207,12 @@ class ResponseSolver(LocalSolver):
 
     def _away_from_zero(self, z: Array, ends: Ends) -> Ends:
         """Search again, from the columns of z (p, m), what ended at a response of zero."""
-        problem = self.problem
-        costs = problem.programs[0].function(ends.z, SMOOTHING, problem.data)[0].full().ravel()
-        zero = np.flatnonzero(explains_nothing(costs, problem.zero_costs.sum()))
-        if not zero.size or self._walled is None:
+        program = self.problem.programs[0]
+        if program.explicit is None or program.roots is not None:
+            return ends
+        costs = program.explicit(ends.z, SMOOTHING, self.problem.data)[0].full().ravel()
+        zero = np.flatnonzero(explains_nothing(costs, self.problem.zero_costs.sum()))
+        if not zero.size:
             return ends
 
         again = self._walled.minimize(z[:, zero], **self.limits)
@@ -219,9 +221,9 @@ class ResponseSolver(LocalSolver):
         return ends
 
     @cached_property
-    def _walled(self) -> BatchedNewton | None:
-        program = walled(self.problem)
-        return None if program is None else BatchedNewton.of(self.problem, program)
+    def _walled(self) -> BatchedNewton:
+        program: Any = self.problem.programs[0].explicit
+        return BatchedNewton.of(self.problem, walled(self.problem, program))
 
     @cached_property
     def batches(self) -> list[BatchedNewton]:

@@ -21,16 +21,12 @@ from greybox.compiled.response_programs import CostProgram
 WALL = 0.5
 
 
-def walled(problem: CompiledProblem) -> CostProgram | None:
-    """Return the first program of a problem with a wall around zero responses.
+def walled(problem: CompiledProblem, program: ca.Function) -> CostProgram:
+    """Return an explicit program of a problem with a wall around zero responses.
 
-    None where a response is not an explicit function of z. The wall is a logarithmic barrier of the
-    mean square of the relative response; it vanishes at the smoothing of the last level.
+    The wall is a logarithmic barrier of the mean square of the relative response; it vanishes at
+    the smoothing of the last level.
     """
-    program = problem.programs[0].explicit
-    if program is None or problem.programs[0].roots is not None:
-        return None
-
     z, smoothing, data = program.sx_in()
     cost, limits = program(z, smoothing, data)
     share = WALL * ca.sqrt(ca.fmax(smoothing - SMOOTHING, 0))
