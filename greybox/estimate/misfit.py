@@ -613,14 +613,19 @@ def _on_excerpts(
 
 
 def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Regression:
-    response = part.response(values)
-    size = part.criterion.error_size(response, part.data)
+    response, criterion, data = part.response(values), part.criterion, part.data
+    size = criterion.error_size(response, data)
+    if criterion.known_noise and data.dof is not None:
+        # Over an estimated variance an error is Student's t, whose tails would look like a term.
+        # Its weight is that of the likelihood, about the scale of all residuals.
+        scale = 2 / (data.dof * criterion.noise_ratio(response, data) + TINY)
+        size = np.hypot(size, np.sqrt(scale) * np.abs(data.response - response))
     used = (size > 0) & (np.abs(response) > 0)
     # A single outlier would look like a narrow mode.
     worst = largest_deviation(part, values, len(free))
-    if worst is not None and len(used) * worst.probability < SIZE:
+    if worst and len(used) * worst.probability < SIZE:
         used[worst.index] = False
-    order = np.argsort(part.data.omega, kind="stable")
+    order = np.argsort(data.omega, kind="stable")
     order = order[used[order]]
 
     def rows(columns: ComplexArray) -> Array:
@@ -629,7 +634,7 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
         return np.vstack([scaled.real, scaled.imag])
 
     def residuals(x: Array) -> Array:
-        return rows((part.data.response - part.response(np.append(x, others)))[:, None])
+        return rows((data.response - part.response(np.append(x, others)))[:, None])
 
     def slopes(x: Array) -> Array:
         return rows(part.sensitivity(np.append(x, others))[:, : len(free)])
@@ -652,25 +657,27 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
     # Where a response is zero, `used` leaves out what has no relative change.
     relative = part.sensitivity(values) / np.where(response == 0, np.inf, response)[:, None]
     states, sine = getattr(part.problem.model, "states", ()), part.problem.amplitude
-    orders: list[tuple[str, str, Any]] = [("own", part.name, 1.0)]
-    for signal, value in part.problem.at.items():
-        orders.append(("trim" if signal in states else "schedule", signal, value))
+    orders = [("own", part.name, 1.0)]
+    orders += [
+        ("trim" if signal in states else "schedule", signal, value)
+        for signal, value in part.problem.at.items()
+    ]
     if sine is not None:
-        orders.append(("amplitude", sine.signal, sine.amplitude))
+        orders += [("amplitude", sine.signal, sine.amplitude)]
     own = [
         Term(kind, relative[:, k] * value, a=name, b=b)
         for k, name in enumerate(free)
         for kind, b, value in orders
     ]
     # Where most of a response is left, no size or correlation of its errors excuses the model.
-    text = f"a response of {part.data.output or 'the output'} to {part.data.input or 'the input'}"
+    text = f"a response of {data.output or 'the output'} to {data.input or 'the input'}"
     path = Cause(text, "a path between both, or wider bounds", 1.0, 0.0, 1.0, 0.0, 0.0)
-    measured, left = rows(part.data.response[:, None]), residuals(at_fit)
+    measured, left = rows(data.response[:, None]), residuals(at_fit)
     return _Regression(
         measured,
         left,
         slopes(at_fit),
-        _numbered([*terms_of_response(*part.data.omega.tolist()), *own]) if order.size else {},
+        _numbered([*terms_of_response(*data.omega.tolist()), *own]) if order.size else {},
         lambda terms: rows(np.column_stack([response * term.values for term in terms])),
         separate if order.size else None,
         causes=() if np.sum(left**2) < np.sum(measured**2) / 2 else (path,),

@@ -342,21 +342,16 @@ class MagnitudePhase(Criterion):
         self, model: ComplexArray, data: FrequencyResponse, correction: float
     ) -> tuple[float, Array]:
         """Noise size of one component relative to the magnitude, times the weights."""
-        shape = self._relative_variance(data)
+        shape, weights = self._relative_variance(data), self._weights(data)
         s2 = shape / 2
         if data.variance is None:
             # The size comes from the mean of the cost, in which a coherence that was rounded to 1
             # does not become a point without an error.
-            weight, _ = self._weights(data)
-            error = np.log(model / data.response)
-            s2 = (
-                s2
-                * np.sum((weight * np.abs(error)) ** 2)
-                / np.sum(weight**2 * shape)
-                * correction**2
-            )
+            power = weights[0] ** 2
+            squares = np.abs(np.log(model / data.response)) ** 2
+            s2 *= correction**2 * np.sum(power * squares) / np.sum(power * shape)
 
-        return 2.0, 4 * np.concatenate([w**2 * s2 for w in self._weights(data)])
+        return 2.0, 4 * np.concatenate([w**2 * s2 for w in weights])
 
     def error_size(self, model: ComplexArray, data: FrequencyResponse) -> Array:
         """Return the roots of the given variances, or of those by the coherence."""

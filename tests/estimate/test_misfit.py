@@ -254,6 +254,21 @@ def test_errors_of_a_response_are_no_misfit(correlation):
     assert of_response(lambda s: 1.0, correlation).explains
 
 
+@pytest.mark.parametrize(("T", "explains"), [(0.0, 8), (0.04, 0)])
+def test_variances_of_three_periods_have_few_degrees_of_freedom(T, explains):
+    random, s, count = np.random.default_rng(2), 1j * np.linspace(0.5, 30, 80), 0
+    exact = 25 / (s**2 + 2 * s + 25) / (T * s + 1)
+    for _ in range(8):
+        error = 0.01 * random.normal(size=(80, 2)) @ [1, 1j]
+        variance = 2e-4 * random.chisquare(4, 80) / 4
+        data = gb.FrequencyResponse(
+            s.imag, exact + error, "u", "y", variance=variance, dof=np.full(80, 4.0)
+        )
+        rule = gb.Problem(Resonance(), data, gb.MaximumLikelihood())
+        count += gb.fit(rule, starts=[{}], progress=False, profiles=False).misfit.explains
+    assert count == explains
+
+
 def test_larger_errors_at_the_highest_frequencies_are_no_misfit():
     random = np.random.default_rng(3)
     s = 1j * np.geomspace(0.8, 30, 24)
