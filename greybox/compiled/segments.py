@@ -159,7 +159,7 @@ class Segments:
 
     def by_segment(self, values: Array) -> Array:
         """Return columns (r, columns) as (segments, length, r)."""
-        return values.reshape(len(values), self.length, self.count).transpose(2, 1, 0)
+        return values.reshape(len(values), self.length, self.count).T
 
     # --- simulation
 
@@ -402,7 +402,7 @@ def _product(slopes: Array, S: Array) -> Array:
     """Return the products (a, v, c) of slopes (n, a, c) with sensitivities (n, v, c)."""
     if len(slopes) <= LARGE:
         return np.asarray(np.einsum("jac,jvc->avc", slopes, S))
-    matrices = np.ascontiguousarray(slopes.transpose(2, 1, 0))
+    matrices = np.ascontiguousarray(slopes.T)
     return (matrices @ S.transpose(2, 0, 1)).transpose(1, 2, 0)
 
 

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.sample_step import SampleStep
-from greybox.compiled.vectorized import Columns
+from greybox.compiled.vectorized import CHUNK, Columns
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
 
@@ -30,40 +30,51 @@ class SubstepDerivatives:
     ) -> None:
         x, q, d = step.measurement.sx_in()
         corrected, mean, change, residual, output = step.measurement(x, q, d)
-        slope_of, h = output if simulated else residual, d[-1] / step.substeps
         parameters = ca.vertcat(ca.SX(0, 1), *(q[i] for i in active))
         place = ca.SX.sym("place")
-        u, p = mean + change * place, q[: len(step.system.parameters)]
-        end = step.substep(x, u, change / d[-1], p, h)
+        p = q[: len(step.system.parameters)]
+        end = step.substep(x, mean + change * place, change / d[-1], p, d[-1] / step.substeps)
 
-        by_free = ca.densify(ca.jacobian(slope_of, ca.vertcat(x, parameters)))
-        self._n, self._substeps, self._active = x.numel(), step.substeps, len(active)
+        compared = output if simulated else residual
+        by_free = ca.densify(ca.jacobian(compared, ca.vertcat(x, parameters)))
+        self._substeps, self._active = step.substeps, len(active)
         begin, self._corrected = _with_slopes(corrected, x, parameters)
         further, self._following = _with_slopes(end, x, parameters)
-        # A state that no residual corrects has the derivative of itself.
-        self._is_corrected = not ca.is_equal(corrected, x)
-        options = {"cse": True}
-        self._begin = Columns(
-            ca.Function("begin", [x, q, d], [*begin, by_free, residual], options), shared
-        )
-        self._substep = Columns(
-            ca.Function("substep", [x, q, d, place], [*further], options), (*shared, 3)
+        self._begin, self._advance, self._substep = (
+            Columns(ca.Function("substep", inputs, outputs, {"cse": True}), shared)
+            for inputs, outputs in (
+                ([x, q, d], [*begin, by_free, residual]),
+                ([x, q, d, place], [end]),
+                ([x, q, d, place], [*further]),
+            )
         )
 
     def __call__(self, states: Array, q: Array, data: Array) -> Sequence[Array]:
         """Return the derivatives (n v, columns) and (k v, columns), and the residuals."""
-        n, columns = self._n, states.shape[1]
-        slopes = np.zeros((columns, n, n + self._active))
-        slopes[:, range(n), range(n)] = 1
+        n, columns = states.shape
+        slopes = np.tile(np.eye(n, n + self._active), (columns, 1, 1))
         x, values, by_parameters, by_free, residual = self._begin(states, q, data)
-        if self._is_corrected:
-            slopes = _following(self._corrected, values, by_parameters, slopes)
-        for k in range(self._substeps):
-            place = np.array([k / self._substeps - 0.5])
-            x, values, by_parameters = self._substep(x, q, data, place)
-            slopes = _following(self._following, values, by_parameters, slopes)
+        slopes = _following(self._corrected, values, by_parameters, slopes)
+        # The states of some substeps come first: an operation on the columns of all of them takes
+        # hardly longer than on those of one.
+        rows = np.tile(np.arange(self._substeps)[:, None, None] / self._substeps - 0.5, columns)
+        most = CHUNK // (columns + 1) + 1
+        for group in np.split(rows, range(most, len(rows), most)):
+            begins, count = [x[:, -columns:]], len(group)
+            for place in group[:-1]:
+                begins += self._advance(begins[-1], q, data, place)
+            x, *parts = self._substep(
+                np.hstack(begins),
+                q if q.ndim == 1 else np.tile(q, count),
+                np.tile(data, count),
+                group.reshape(1, -1),
+            )
+            for values, by_parameters in zip(
+                *(np.split(part, count, axis=1) for part in parts), strict=True
+            ):
+                slopes = _following(self._following, values, by_parameters, slopes)
 
-        return [slopes.transpose(2, 1, 0).reshape(-1, columns), by_free, residual]
+        return [slopes.T.reshape(-1, columns), by_free, residual]
 
 
 def _with_slopes(
@@ -87,9 +98,7 @@ def _following(pattern: ca.Sparsity, values: Array, by_parameters: Array, slopes
     block = np.arange(columns)[:, None]
     ends = (np.array(pattern.colind()[1:]) + pattern.nnz() * block).ravel()
     places = (np.array(pattern.row(), dtype=int) + n * block).ravel()
-    matrix = csr_matrix(
-        (values.T.ravel(), places, np.append(0, ends)), shape=(n * columns, n * columns)
-    )
-    result = np.asarray(matrix @ slopes.reshape(n * columns, v)).reshape(slopes.shape)
-    result[:, :, n:] += by_parameters.reshape(v - n, n, columns).transpose(2, 1, 0)
+    matrix = csr_matrix((values.T.ravel(), places, np.append(0, ends)), shape=2 * (n * columns,))
+    result = np.asarray(matrix @ slopes.reshape(-1, v)).reshape(slopes.shape)
+    result[..., n:] += by_parameters.reshape(v - n, n, columns).T
     return result

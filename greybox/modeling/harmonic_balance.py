@@ -77,8 +77,7 @@ def directly_found(
     The response is NaN where no periodic motion is found.
     """
     vector = [*model.values(values).values()]
-    numbers = [number for number in HARMONICS if least <= number <= most]
-    numbers = [sine.harmonics] if sine.harmonics else numbers
+    numbers = [sine.harmonics] if sine.harmonics else [n for n in HARMONICS if least <= n <= most]
     response = np.zeros(0, dtype=complex)
     previous = 0
     for number in numbers:

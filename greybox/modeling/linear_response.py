@@ -84,14 +84,6 @@ def frequency_response(
     )
 
 
-def response_formula(
-    model: Model, omega: Array, *, input: str = "", output: str = "", **options: Any
-) -> Trimmed:
-    """Compile one frequency response as `response_formulas` does."""
-    [formula] = response_formulas(model, omega, [(input, output)], **options)
-    return formula
-
-
 @one_thread_at_a_time
 def response_formulas(
     model: Model,

@@ -222,8 +222,7 @@ class ResponseSolver(LocalSolver):
 
     @cached_property
     def _walled(self) -> BatchedNewton:
-        program: Any = self.problem.programs[0].explicit
-        return BatchedNewton.of(self.problem, walled(self.problem, program))
+        return BatchedNewton.of(self.problem, walled(self.problem))
 
     @cached_property
     def batches(self) -> list[BatchedNewton]:

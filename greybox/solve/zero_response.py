@@ -7,6 +7,8 @@ box of up to 1e6 for the gain, all of 200 searches end there. With the wall they
 first, and 199 of them end at the minimum.
 """
 
+from typing import Any
+
 import casadi as ca
 import numpy as np
 
@@ -21,12 +23,13 @@ from greybox.compiled.response_programs import CostProgram
 WALL = 0.5
 
 
-def walled(problem: CompiledProblem, program: ca.Function) -> CostProgram:
-    """Return an explicit program of a problem with a wall around zero responses.
+def walled(problem: CompiledProblem) -> CostProgram:
+    """Return the first, explicit program of a problem with a wall around zero responses.
 
     The wall is a logarithmic barrier of the mean square of the relative response; it vanishes at
     the smoothing of the last level.
     """
+    program: Any = problem.programs[0].explicit
     z, smoothing, data = program.sx_in()
     cost, limits = program(z, smoothing, data)
     share = WALL * ca.sqrt(ca.fmax(smoothing - SMOOTHING, 0))

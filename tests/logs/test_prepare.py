@@ -206,9 +206,9 @@ def test_the_filter_model_is_the_filter():
 
 
 def test_the_digital_filter_model_is_the_digital_filter():
+    from evaluation import response_formula
     from scipy.signal import butter, freqz
 
-    from greybox.modeling.linear_response import response_formula
     from greybox.models.filters import LowPass
 
     omega = np.array([1.0, 50, 125, 400])

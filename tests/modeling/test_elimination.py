@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from evaluation import response_formula
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import greybox as gb
 from greybox.modeling.elimination import eliminated, elimination_order, solve_pencils
-from greybox.modeling.linear_response import response_formula
 
 OMEGA = np.array([1.0, 2.0, 4.0, 8.0, 16.0])
 

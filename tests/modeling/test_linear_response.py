@@ -3,12 +3,12 @@
 import casadi as ca
 import numpy as np
 import pytest
-from evaluation import compiled_response
+from evaluation import compiled_response, response_formula
 from numpy.testing import assert_allclose
 from two_tanks import AT, Tanks
 
 import greybox as gb
-from greybox.modeling.linear_response import response_formula, response_formulas
+from greybox.modeling.linear_response import response_formulas
 from greybox.modeling.model import pick_signals
 from greybox.models.mixer import Torques
 from greybox.models.tilt import LinearTilt, NonlinearTilt, Tilt

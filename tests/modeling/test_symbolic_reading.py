@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 import pytest
+from evaluation import response_formula
 
 import greybox as gb
-from greybox.modeling.linear_response import response_formula
 
 OMEGA = np.geomspace(0.3, 40, 12)
 

@@ -3,11 +3,10 @@
 import casadi as ca
 import numpy as np
 import pytest
-from evaluation import numeric_jacobian
+from evaluation import numeric_jacobian, response_formula
 from numpy.testing import assert_allclose
 
 import greybox as gb
-from greybox.modeling.linear_response import response_formula
 from greybox.modeling.trim import trim_of
 from greybox.models.mixer import Torques
 from greybox.models.tilt import PAPER_G, NonlinearTilt

@@ -9,7 +9,7 @@ import numpy as np
 
 import greybox as gb
 import greybox.models
-from greybox.modeling.linear_response import response_formula
+from greybox.modeling.linear_response import response_formulas
 from greybox.modeling.pade_delay import delay_order
 
 
@@ -43,6 +43,12 @@ def random_values(model, random):
 
 def input_output_pairs(model):
     return [(i, o) for i in model.input_names for o in model.output_names]
+
+
+def response_formula(model, omega, *, input="", output="", **options):
+    """One frequency response, compiled as `response_formulas` does."""
+    [formula] = response_formulas(model, omega, [(input, output)], **options)
+    return formula
 
 
 def compiled_response(model, omega, delay="exact", **options):
