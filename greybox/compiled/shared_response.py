@@ -155,10 +155,8 @@ class SineTest:
         """Return the response at z (p,) and its derivatives, (n, 1 + p)."""
         settings, by_z = (value.full() for value in self._settings(z))
         rows = is_motion = np.zeros(0, bool)
-        near = sorted(self.last, key=lambda last: np.linalg.norm(last[0] - z))[:1]
-        guesses = [(harmonics + slopes @ (z - at), STEPS) for at, harmonics, slopes in near]
-        for guess, most in (*guesses, (None, 1)):
-            harmonics = self._guess(settings).full().T if guess is None else guess
+        for guess, most in self._guesses(z, settings):
+            harmonics = guess
             for _ in range(most):
                 harmonics, slopes, rows, is_motion = self._newton(harmonics, settings, by_z)
                 if is_motion.all():
@@ -166,6 +164,13 @@ class SineTest:
                     return rows
         rows[~is_motion] = np.nan
         return rows
+
+    def _guesses(self, z: Array, settings: Array) -> Iterator[tuple[Array, int]]:
+        """Yield harmonics (n, u) to begin with, and the number of steps from there."""
+        if self.last:
+            near, harmonics, slopes = min(self.last, key=lambda last: np.linalg.norm(last[0] - z))
+            yield harmonics + slopes @ (z - near), STEPS
+        yield self._guess(settings).full().T, 1
 
     def _newton(
         self, harmonics: Array, settings: Array, by_z: Array

@@ -618,8 +618,8 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
     if criterion.known_noise and data.dof is not None:
         # Over an estimated variance an error is Student's t, whose tails would look like a term.
         # Its weight is that of the likelihood, about the scale of all residuals.
-        scale = 2 / (data.dof * criterion.noise_ratio(response, data) + TINY)
-        size = np.hypot(size, np.sqrt(scale) * np.abs(data.response - response))
+        scale = data.dof * criterion.noise_ratio(response, data) + TINY
+        size = np.sqrt(size**2 + 2 * np.abs(data.response - response) ** 2 / scale)
     used = (size > 0) & (np.abs(response) > 0)
     # A single outlier would look like a narrow mode.
     worst = largest_deviation(part, values, len(free))
