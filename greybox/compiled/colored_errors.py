@@ -64,7 +64,7 @@ def colored_errors(
     shocks : function, optional
         Returns (k, s, n), dy of the longest stretch after unit jumps of s states.
     """
-    # Of outputs whose noise is almost dependent, as predicted from measured accelerations, a small
+    # If the noise of outputs is almost dependent, as predicted from measured accelerations, a small
     # error of the spectrum of each would be a large one of the combination without noise. So their
     # spectra are those of uncorrelated combinations, if no sample lacks some of the outputs.
     mixing = np.eye(len(weight))

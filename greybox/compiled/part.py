@@ -87,7 +87,7 @@ class Condensed:
         Levenberg-Marquardt terms of the nodes: half of them times the squares of their steps is
         added to the cost.
     decrease : float
-        Of the merit, predicted for the step of the nodes alone.
+        Decrease of the merit that is predicted for the step of the nodes alone.
     """
 
     hessian: Array
@@ -100,7 +100,7 @@ class Condensed:
     decrease: float
 
     def nodes_after(self, nodes: Array, dz: Array, length: float) -> Array:
-        """Return the nodes (s, n) after a step dz (p,), of which the share `length` is taken."""
+        """Return the nodes (s, n) after a share `length` of a step dz (p,)."""
         return nodes + length * (self.node_step + self.node_sensitivity @ dz)
 
     def largest_multiplier(self, dz: Array) -> Array:
@@ -120,18 +120,19 @@ class ColoredErrors:
     Attributes
     ----------
     meat : (r, r) array
-        Of the sandwich, for the directions that were given.
+        Middle matrix of the sandwich, for the given directions.
     dof : float
         Degrees of freedom of the variances that follow.
     correlation_times : (outputs,) array
-        Of the errors, s.
+        Correlation times of the errors, s.
     duration : float
-        Of the longest gapless stretch, s.
+        Length of the longest gapless stretch, s.
     is_long_enough : bool
         Whether that is long enough, against the correlation times, for the spectrum of the errors
         to be known.
     spectrum : ErrorSpectrum or None
-        Of the errors, enlarged for what the fit took from them; None where all residuals are zero.
+        Spectrum of the errors, enlarged for what the fit took from them; None where all residuals
+        are zero.
     process_noise : float
         -2 log of the evidence for other errors, less that for process noise: white, or gusts.
     """
@@ -152,7 +153,7 @@ class CorrelatedPoints:
     Attributes
     ----------
     meat : (k, k) array
-        Of the sandwich.
+        Middle matrix of the sandwich.
     dof : float
         Degrees of freedom of the variances that follow.
     scale : float
@@ -197,10 +198,10 @@ class Information:
         weight of the part. `spread` takes them as white. Directions of unit variance keep their
         digits where parameters are hardly determined.
     correlated : function of a correction, a root (p, r) of B⁻¹ and degrees of freedom, or None
-        Of a frequency response, what its errors are where neighboring points are correlated, or
-        None where nothing is known of that. `spread` takes them as independent.
+        The errors of a frequency response if neighboring points are correlated; None where nothing
+        is known about that. `spread` takes them as independent.
     offset : function of a correction, or None
-        Of a frequency response, what noise adds to the residuals (rows,) in the mean, by the
+        What noise adds to the residuals (rows,) of a frequency response in the mean, by the
         `gain_bias` of the criterion, with the noise larger by the correction: the bias of the
         estimate is its least squares on the Jacobian.
     doubtful : tuple of str
@@ -231,7 +232,7 @@ class Program(ABC):
     unknowns, parameters : casadi.MX
         The hidden unknowns, and w.
     error : casadi.MX
-        Residuals, of which half the sum of squares is a cost.
+        Residuals; half the sum of their squares is a cost.
     cost : casadi.MX
         What adds to that cost.
     equations : casadi.MX
@@ -395,7 +396,7 @@ class Part(Portable, ABC):
     def signature(self, trajectory: Trajectory) -> Array:
         """Return numbers (m,) that distinguish runs: outputs in units of the measured ones.
 
-        Of a record simulated outputs over the signals' spread, of a frequency response P/|P̂|.
+        They are a record's simulated outputs over the signals' spread, or a response's P/|P̂|.
         """
 
     def refined(self, factor: int) -> "Part":

@@ -239,7 +239,7 @@ def longest_delay(problem: Problem, system: Dynamics) -> Array:
     if not system.delayed:
         return np.zeros(len(system.inputs))
     values: dict[str, float] = {}
-    # A search may go as far as the bound, and must compare the same samples all the way.
+    # A search may reach the bound, and must compare the same samples all the way.
     for name, p in problem.parameters.items():
         high = p.bounds[1] if math.isfinite(p.bounds[1]) else max(p.box[1], p.start)
         values[name] = p.start if p.fixed or not math.isfinite(high) else high

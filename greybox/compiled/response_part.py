@@ -239,8 +239,8 @@ class ResponsePart(Part):
         def correlated(correction: float, root: Array, dof: float) -> CorrelatedPoints | None:
             if data.has_independent_errors:
                 return None
-            # The residuals lack errors along directions that this part determines. Of many parts,
-            # each has a small share in most directions, and its residuals keep these errors.
+            # The residuals lack errors along directions that this part determines. With many
+            # parts, each has a small share in most directions, and its residuals keep these errors.
             _, sizes, turns = np.linalg.svd(jacobian[:, : len(root)] @ root, full_matrices=False)
             own = root @ turns[sizes**2 > OWN * sizes[:1] ** 2].T
             neighbors = self.neighbors(values, own, correction)

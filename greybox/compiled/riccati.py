@@ -99,7 +99,7 @@ class NoiseModel:
         (q) -> F, F over half a sample, C, and the derivatives of each, column by column, by the
         estimated parameters.
     step : float
-        Of a sample, s.
+        Time from one sample to the next, s.
     driven : (d,) array
         States with process noise.
     intensities, deviations : (d,) and (k,) arrays

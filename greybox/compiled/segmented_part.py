@@ -57,7 +57,7 @@ class SegmentedPart(Part):
     Attributes
     ----------
     model : RecordModel
-        Of several records that of the first one.
+        The model of the first of several records.
     data : SampledData
     step : SampleStep
     segments : Segments

@@ -49,7 +49,7 @@ def substeps_and_segment(
     step : float
         The longest from one sample to the next, s.
     known_initial : function
-        Of the declared parameters to the known initial states (n,), NaN where unknown.
+        From the declared parameters to the known initial states (n,), NaN where unknown.
     """
     integrator = method.scheme
     # Computing the poles takes longer than everything else here.

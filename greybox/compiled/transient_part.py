@@ -71,18 +71,18 @@ class Along:
     signals : (n + m, lines) complex array
         States with the end term, then delayed inputs.
     inverse : (lines, n, n) complex array
-        Of jωI - A.
+        Inverse of jωI - A.
     to_outputs : (lines, k, n + k) complex array
         Derivatives of the outputs by additions to A X + B U, then to C X + D U.
     transfer : (lines, k, m) complex array
-    modelled : (k, lines) complex array
+    modeled : (k, lines) complex array
         Outputs with the end term.
     transform : (lines, k, k) complex array
         T.
     errors : (k, 2 lines) array
         Real parts, then imaginary parts, in units of the deviation of one sample.
     basis : (k, 2 lines, n) array
-        Of the end terms, likewise.
+        Basis of the end terms, likewise.
     ends : (n,) array
         x(0) - x(T).
     covariance : ResidualCovariance
@@ -96,7 +96,7 @@ class Along:
     inverse: ComplexArray
     to_outputs: ComplexArray
     transfer: ComplexArray
-    modelled: ComplexArray
+    modeled: ComplexArray
     transform: ComplexArray
     errors: Array
     basis: Array
@@ -172,8 +172,8 @@ class TransientPart(Part):
             return None
 
         transfer = by_ends @ B + D
-        modelled = np.einsum("lkm,ml->kl", transfer, inputs)
-        errors = self._transformed(transform, self._measured - modelled)
+        modeled = np.einsum("lkm,ml->kl", transfer, inputs)
+        errors = self._transformed(transform, self._measured - modeled)
         basis = self._real((transform @ by_ends).swapaxes(0, 1))
         logarithms = float(np.linalg.slogdet(transform)[1].sum())
         if not all(np.all(np.isfinite(values)) for values in (errors, basis, logarithms)):
@@ -192,7 +192,7 @@ class TransientPart(Part):
                 [by_ends, np.broadcast_to(np.eye(k, dtype=complex), transform.shape)], 2
             ),
             transfer=transfer,
-            modelled=C @ states + D @ inputs,
+            modeled=C @ states + D @ inputs,
             transform=transform,
             errors=errors,
             basis=basis,
@@ -226,9 +226,9 @@ class TransientPart(Part):
         Returns
         -------
         mean : (k, 2 lines, x) array
-            Of the errors, as far as the modelled outputs change.
+            Derivatives of the mean of the errors, which the modeled outputs change.
         total : (k, 2 lines, x) array
-            Of the errors.
+            Derivatives of the errors.
         transform : (lines, k, k, x) complex array
             dT T⁻¹; zeros for output error.
         """
@@ -236,9 +236,9 @@ class TransientPart(Part):
         changes = np.array([[self.data.change(name)] for name in self.inputs])
         # A delay turns the integral, and moves the last change of the input out of the manoeuvre.
         later = -1j * omega * at.signals[n:] - changes
-        modelled = np.einsum("lkr,rcx,cl->klx", at.to_outputs, slopes, at.signals)
-        modelled += np.einsum("lkm,ml,mx->klx", at.transfer, later, at.delay_slopes @ by)
-        mean = -self._real(np.einsum("lab,blx->alx", at.transform, modelled))
+        modeled = np.einsum("lkr,rcx,cl->klx", at.to_outputs, slopes, at.signals)
+        modeled += np.einsum("lkm,ml,mx->klx", at.transfer, later, at.delay_slopes @ by)
+        mean = -self._real(np.einsum("lab,blx->alx", at.transform, modeled))
 
         relative = np.zeros((*at.transform.shape, by.shape[1]), complex)
         if not self._is_equation_error:
@@ -251,7 +251,7 @@ class TransientPart(Part):
             # With T⁻¹ = C P⁻¹ E, dT T⁻¹ is -T (dC + C P⁻¹ dA) P⁻¹ E.
             left = at.transform @ at.to_outputs
             relative -= np.einsum("lar,rcx,lcb->labx", left, slopes[:, :n], at.inverse[:, :, -k:])
-        unexplained = np.einsum("lab,bl->al", at.transform, self._measured - at.modelled)
+        unexplained = np.einsum("lab,bl->al", at.transform, self._measured - at.modeled)
         return (
             mean,
             mean + self._real(np.einsum("labx,bl->alx", relative, unexplained)),
@@ -288,14 +288,14 @@ class TransientPart(Part):
     def errors_by_output(self, z: Array) -> Iterator[tuple[str, ComplexArray, ComplexArray]]:
         """Yield every output with its errors (lines,) at z and their derivatives by z and end term.
 
-        They are turned by the phase of the modelled output, as those of a response are: what a
+        They are turned by the phase of the modeled output, as those of a response are: what a
         model leaves out is smooth only then.
         """
         at, slope = self._at(z)
         if at is None:
             return
         _, total, _ = self.derivatives(at, slope)
-        turned = np.exp(-1j * np.angle(at.modelled))
+        turned = np.exp(-1j * np.angle(at.modeled))
         rows = np.concatenate([at.errors[..., None], total, at.basis], axis=-1)
 
         for name, turn, of_output in zip(self.outputs, turned, rows, strict=True):
@@ -341,9 +341,9 @@ class TransientPart(Part):
         return by_errors - 2 * np.einsum("laaz->z", change).real, rows.T @ rows
 
     def signature(self, trajectory: Trajectory) -> Array:
-        """Return the modelled outputs over the root mean square of the measured ones."""
+        """Return the modeled outputs over the root mean square of the measured ones."""
         size = np.sqrt(np.mean(np.abs(self._measured) ** 2, axis=1, keepdims=True))
-        values = trajectory.detail.modelled / np.where(size > 0, size, 1.0)
+        values = trajectory.detail.modeled / np.where(size > 0, size, 1.0)
         return np.concatenate([values.real.ravel(), values.imag.ravel()])
 
     # --- for IPOPT and for the covariance of the estimate

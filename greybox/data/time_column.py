@@ -17,7 +17,7 @@ from greybox.files.text_table import printable
 
 # Names of a time column, in lower case and without a unit.
 TIMES = ("time", "t", "timestamp", "timestamps", "tout")
-# Of ArduPilot's tools, MAVLink's messages, and Arduino's functions.
+# As ArduPilot's tools, MAVLink's messages and Arduino's functions name them.
 COUNTERS = {"timeus": 1e-6, "timems": 1e-3, "time_boot_ms": 1e-3, "time_usec": 1e-6}
 COUNTERS |= {"micros": 1e-6, "millis": 1e-3}
 SUFFIX = re.compile(r"^(.+)_(s|sec|ms|us|ns)$")

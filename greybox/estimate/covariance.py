@@ -33,7 +33,8 @@ class Accuracy:
     Attributes
     ----------
     covariance : (k, k) array
-        Of the free parameters, then the constants, within the directions that the data determine.
+        Covariance of the free parameters, then the constants, in the directions that the data
+        determine.
         Constants have the covariance of the earlier fit that they come from, or zero.
     blind : (k, b) array
         Directions, in multiples of `size`, about which the data say nothing: invisible ones, and

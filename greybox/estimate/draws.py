@@ -200,7 +200,7 @@ def _lengths(fit: Fit, steps: Array, drawn: Callable[[Array], Array]) -> Array:
 
     p = len(fit.free)
     size = np.sqrt(np.diag(fit.white))
-    size[size == 0] = 1  # of a parameter of which the data say nothing
+    size[size == 0] = 1  # of a parameter on which the data contain no information
     variances, axes = np.linalg.eigh(fit.white / np.outer(size, size))
     is_seen = variances > 1e-12 * variances.max()
     scale = np.sqrt(variances[is_seen])

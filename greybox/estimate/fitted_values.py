@@ -206,7 +206,7 @@ def _(
     if trajectory is not None:
         at: Along = trajectory.detail
         noise = at.covariance.covariance(trajectory.products)
-        fitted = at.modelled
+        fitted = at.modeled
         ends = at.ends
         nuisances += at.covariance.unknowns
 

@@ -166,7 +166,7 @@ class Misfit(Printed):
     is_unstable : bool
         Whether the model is unstable, so that the inputs of a record answer to its errors.
     shape : Shape or None
-        That of the best term of records, where it is significant.
+        The shape of the best term of records, where it is significant.
     """
 
     left: float
@@ -181,7 +181,7 @@ class Misfit(Printed):
     @property
     def p_value(self) -> float:
         """Probability of such residuals if the model explains the data."""
-        # Of several responses two hypotheses are tested: common values, and missing terms.
+        # Several responses test two hypotheses: common values, and missing terms.
         tests = 2 if self.p_common < 1 else 1
         return min(
             tests * min([self.p_common, *(cause.p_correlated for cause in self.causes)]), 1.0
@@ -413,7 +413,7 @@ def _shares(
 ) -> tuple[float, float]:
     """Return the shares of the squares of the outputs that the model and noise leave."""
     measured = np.vstack([part.measured for part in parts])
-    # A record has several outputs, of which one may be the only one that follows a missing term.
+    # Perhaps only one of the outputs of a record follows a missing term.
     shares = [
         [float(np.sum(e[rows] ** 2) / (np.sum(measured[rows] ** 2) + TINY)) for e in residuals]
         for rows in [np.concatenate(stretches) for stretches in outputs] or [...]

@@ -346,7 +346,7 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
             yield term("lag", lagged, scale=T)
     # From a few periods in the record to three samples in a radian.
     for w in np.geomspace(2 * np.pi * PERIODS / len(u), 0.3, MODES).tolist():
-        # Of s² / (s² + 2 ζ ω s + ω²) by Tustin's rule, where ω times the step is w.
+        # The poles of s² / (s² + 2 ζ ω s + ω²) by Tustin's rule, where ω times the step is w.
         poles = [4 + w * (4 * DAMPING + w), 2 * w**2 - 8, 4 + w * (w - 4 * DAMPING)]
         mode = record.by_stretch(_filtered, u, [4.0, -8.0, 4.0], poles)
         yield term("flexible", mode, w / step)

@@ -515,7 +515,7 @@ class Fit(Printed):
         """Measured minus fitted values of every part; `plotting.residuals` draws them.
 
         A response has (n,) complex ones, a record (outputs, n), a manoeuvre (outputs, n) complex
-        ones. Those of a record are NaN where nothing was compared.
+        ones. Residuals of a record are NaN where nothing was compared.
         """
         return tuple(part.residuals for part in self.parts)
 

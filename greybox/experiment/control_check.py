@@ -17,8 +17,8 @@ SETTLED = 1.0  # s, until filters have forgotten that they began at zero
 PASSES = 24000  # of the loop, a minute at 400 Hz: more would not change the answer
 THINNED = 1.2  # rate of the loop over that of the log, above which passes are missing
 
-# Of the control. A tenth is 1 dB of loop gain or 6 degrees of phase, as much as a good interval; if
-# half remains, the margins are those of another controller.
+# Shares of the control. A tenth is 1 dB of loop gain or 6 degrees of phase, as much as a good
+# interval; if half remains, the margins are those of another controller.
 GOOD, REFUSED = 0.1, 0.5
 
 
@@ -33,7 +33,7 @@ class ControlCheck:
     late : mapping of setpoint to int
         Samples of the loop between the log of each setpoint and its effect on the control.
     log_rate, rate : float, Hz
-        Of the log and of the controller.
+        Rates of the log and of the controller.
     """
 
     residual: float

@@ -24,7 +24,7 @@ class ExpectedErrors:
     values : mapping of name to float
         Parameter values at which they were evaluated.
     standard_error : mapping of name to float
-        Of every free parameter; NaN if the test would not determine it.
+        Standard errors of the free parameters; NaN if the test would not determine it.
     information : (p, p) array
         Fisher information, in the order of `standard_error`: the inverse of the covariance, zero in
         directions that the test would not determine.

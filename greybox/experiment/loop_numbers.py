@@ -203,8 +203,9 @@ def closed_loop_numbers(
 ) -> Numbers:
     """Return numbers of the closed loops from a setpoint to a response.
 
-    Of an `attitude`, for the criteria of ADS-33: `integrals`, how often the response is integrated
-    to it, None if it is not an angle or a rate; and `boundary`, phase delays and bandwidths (2, n).
+    The criteria of ADS-33 use those of an `attitude`: `integrals`, how often the response is
+    integrated to it, None if it is not an angle or a rate; and `boundary`, phase delays and
+    bandwidths (2, n).
     """
     return {
         **_response_numbers(loop, omega, setpoint, response, **attitude),

@@ -100,7 +100,7 @@ class Margins:
     plant, signal : str
         The name of the fit or of the model, and where its loop is broken.
     setpoint, response : str
-        Of the closed loop.
+        Input and output of the closed loop.
     margins : tuple of Margin
         Every number, in groups. Empty for a loop that is not stable.
     is_stable : bool
@@ -267,7 +267,7 @@ def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     controller : Controller or several
         With the gains that fly. The outputs of one may be the setpoints of the next.
     values : mapping of parameter name to float, optional
-        Of a model; by default the declared starts.
+        Values of the parameters of a model; by default the declared starts.
     broken_at : str
         An input of the plant (the actuator; by default the first), a signal that a controller
         measures (the rate, the attitude), or one that a controller commands.

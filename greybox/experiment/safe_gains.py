@@ -170,7 +170,7 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
     Parameters
     ----------
     fits : Fit or several
-        Of the same vehicle: different batteries, payloads, speeds.
+        Fits of the same vehicle with different batteries, payloads or speeds.
     controller : Controller or several
         With today's gains.
     gains : mapping of gain to (low, high), or names

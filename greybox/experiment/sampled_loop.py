@@ -128,14 +128,14 @@ class SampledLoop:
         feedback, commanded = control[..., :k], control[..., k:]
         rows = [self.controller.commands.index(name) for name in self.inputs]
 
-        # u = feedback y + command and y = plant u + error, of which one is added
+        # u = feedback y + command and y = plant u + error; one of them is added
         error = np.zeros((k, 1))
         command = np.zeros((len(omega), len(names) - k, 1))
         if added_to in self.sensors:
             error[self.sensors.index(added_to)] = 1
         else:
             command = commanded[..., [self.controller.commands.index(added_to)]]
-        # At the inputs, of which there are fewer: one needs no matrix.
+        # There are fewer inputs than outputs, and a single input needs no matrix.
         open_loop = plant @ command[:, rows] + error
         around = np.eye(len(rows)) - feedback[:, rows] @ plant
         inner = feedback[:, rows] @ open_loop

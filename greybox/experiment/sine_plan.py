@@ -57,7 +57,8 @@ class SinePlan:
     Attributes
     ----------
     omega, amplitude, duration : (n,) arrays, rad/s, unit of the excitation, s
-        Of every sine. The duration is a whole number of periods, without the time to settle.
+        Settings of every sine. The duration is a whole number of periods, without the time to
+        settle.
     limited_by : tuple of str
         For every sine, the signal whose limit sets its amplitude.
     standard_error : mapping of name to float

@@ -31,7 +31,7 @@ MEMORY = 2**27
 # at 200 MB/s, compressed ones and those of many small objects at 10 MB/s.
 SECONDS = 0.6
 SPEED = 4e6
-MOST = 20_000  # arrays, each of which costs a header even when it is empty
+MOST = 20_000  # arrays; even an empty one costs a header
 LINKS = 50_000  # in all groups of a file
 DEEPEST = 8  # structs within structs, groups within groups
 HARD, SOFT = 0, 1  # types of links, H5L_type_t of the HDF5 library

@@ -106,7 +106,7 @@ def alternatives(name: object, names: Iterable[str]) -> str:
 def with_error(value: float, error: float) -> tuple[str, str]:
     """Format a standard error with two significant digits, and the value to its last digit.
 
-    Of a value that this rounding would change by more than 5 %, two significant digits remain.
+    A value that this rounding would change by more than 5 % has two significant digits.
     """
     if not (math.isfinite(value) and math.isfinite(error)) or error <= 0:
         return number(value), "-"

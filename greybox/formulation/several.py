@@ -24,7 +24,7 @@ def several(
     ----------
     model : Model
     records : sequence of Record
-        Of any lengths and rates; initial states are each record's own.
+        They may have different lengths and rates; every record has its own initial states.
     own : sequence of str
         Parameters of each record, named ``<name>_1``, ``<name>_2`` ...; the biases of the criterion
         are always such, unless `rename` gives them one name.

@@ -43,7 +43,7 @@ def report(
         With held-out results: ``gb.compare(a, b, records=flight)``. By default up to six fits are
         compared on their own data.
     margins : sequence of Margins
-        Of loops of these fits, shown with their figures.
+        Margins of loops of these fits, shown with their figures.
     title : str
         By default the name of the fit.
     author : str

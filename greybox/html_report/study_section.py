@@ -20,7 +20,7 @@ def study_section(study: Study) -> Iterator[Element]:
         return
     grades = Counter(member.answer["verdict"]["grade"] for member in study.done)
     texts = (f"{grades[grade]} {text}" for grade, text in GRADES.items() if grades[grade])
-    yield tag("p", f"{study.state}. Of the fits: {', '.join(texts)}.")
+    yield tag("p", f"{study.state}. The fits: {', '.join(texts)}.")
     figures = [structures_figure(study), estimates_figure(study, "cost")]
     if len(study.groups(study.structures)) > 1:
         comparison = study.ranking()

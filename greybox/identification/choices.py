@@ -112,7 +112,7 @@ def _first(recording: Recording, signals: Sequence[str]) -> str:
 def _body_axis(recording: Recording, tests: Sequence[Segment]) -> str:
     """Return the axis that tests excite: by their name, or the one whose setpoint moves most."""
     name = tests[0].axis
-    # The axis in a System Identification log is certain, even if it is none of the three.
+    # The axis in a System Identification log is certain, even if it is not one of the three.
     named_axis = axis_of(name) or next((axis for axis in AXES if axis in name.split()), "")
     if named_axis or tests[0].source == "SIDS":
         return named_axis

@@ -41,7 +41,7 @@ class Identification:
     choices : tuple of Choice
         What was chosen in the first log, and why.
     measurements : tuple of Measurement
-        Of every log: the tests, the record, the response and its verdict.
+        What was measured in every log: the tests, the record, the response and its verdict.
     selection : Selection or None
         The structures, the chosen one and the verdict; None if a response was refused.
     through : tuple of str
@@ -120,7 +120,7 @@ def identify(  # noqa: PLR0913 - every choice that an analyst makes
     fixed, free, bounds, start : of parameters, optional
         As in `Problem`, for the structures that have the parameter.
     all_points : bool
-        Fit also the frequencies of which the check of the response warns.
+        Also fit the frequencies that the check of the response warns about.
     starts, seed : int
         Starts of every fit of `structures`.
     **stated

@@ -56,7 +56,7 @@ def measure_matrix(
     band: tuple[float, float] | None = None,
     settle: float = SETTLED,
 ) -> MatrixMeasurement:
-    """Return the responses of all outputs to all inputs, each of which has a multisine.
+    """Return the responses of all outputs to all inputs; every input has a multisine.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def measure_matrix(
     inputs, outputs : sequence of str
         ``"MESSAGE.Field"``, or with names of one's own ``"u=RATE.POut"``.
     period : float, s
-        Of the multisines.
+        Period of the multisines.
     excitations : sequence of str
         The injected signals, one for each input: the test is where they move, and the lines of each
         input are those of its excitation. By default the inputs, of the whole log.

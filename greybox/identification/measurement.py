@@ -76,7 +76,7 @@ class Settings:
         Further inputs that move with this one in a sweep or noise, as ``"MESSAGE.Field"`` or with a
         name. Their effect on the output is removed, see `spectral_response`.
     drop_warned : bool
-        Leave out the frequencies of which the check of the response warns.
+        Leave out the frequencies that the check of the response warns about.
     refined : bool
         Measure sweeps and noise twice: the second time, the local polynomials describe what the
         best rational function leaves.

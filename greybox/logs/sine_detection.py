@@ -62,7 +62,7 @@ FOLLOWS = 0.05
 # Least number of half periods of a sweep. With fewer, sticks and noise may follow one another as
 # smoothly.
 SWEEP_HALF_PERIODS = 12
-SWEEP_PARTS = 6  # in each of which a sweep is faster, or slower, than in the one before
+SWEEP_PARTS = 6  # a sweep is faster, or slower, in every part than in the one before
 
 # Least ratio of the frequencies at the ends of a sweep. At 1.1 and at 1.3, all 24 are found as one
 # sweep.
@@ -84,7 +84,7 @@ def sines_and_sweeps(time: Array, values: Array) -> list[Segment]:
     A half period ends where the signal crosses the middle between two turning points. Several least
     heights of turning points are tried. Crossings on one line form a piece. A piece is a sine if a
     fitted sine explains 85 % of its variance and its phase does not bend. A bent piece is a part of
-    a sweep, which reaches as far as a smooth change of frequency predicts the crossings.
+    a sweep, which ends where a smooth change of frequency no longer predicts the crossings.
     """
     # Squares must neither vanish nor overflow.
     if time.size < SAMPLES or not 1e-100 < np.ptp(values) < 1e100:

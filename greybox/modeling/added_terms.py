@@ -70,7 +70,7 @@ def factors_of_derivatives(derivatives: Array, outputs: Array) -> Array:
     derivatives : (n, m, s) array
         Slopes of the derivatives by m parameters and inputs, at s points.
     outputs : (k, m, s) array
-        Those of the outputs.
+        Slopes of the outputs, likewise.
     """
     factors = np.zeros((len(outputs), len(derivatives)))
     for i, slopes in enumerate(derivatives):

@@ -15,7 +15,7 @@ _serialized: WeakKeyDictionary[ca.Function, str] = WeakKeyDictionary()
 
 
 def _reduced(function: ca.Function) -> tuple[type[str], tuple[str]]:
-    """Return a function for a pickle of which only the key matters; serialize it once."""
+    """Return a function for a pickle whose contents only make a key; serialize it once."""
     if function not in _serialized:
         _serialized[function] = hashlib.sha256(function.serialize().encode()).hexdigest()
     return str, (_serialized[function],)

@@ -113,8 +113,8 @@ class HarmonicBalance:
     means of the other inputs, about the operating point (`trim`), divided by the amplitude.
     Settings are parameters, operating point, omega and amplitude.
 
-    `guess` finds harmonics from the settings. Of both, `finish` gives the response, and whether the
-    harmonics are a motion; `linear` the equations (u,) and the response (2,), with their
+    `guess` finds harmonics from the settings. From both, `finish` gives the response, and whether
+    the harmonics are a motion; `linear` gives the equations (u,) and the response (2,), with their
     derivatives by harmonics and settings in further columns.
     """
 

@@ -41,7 +41,7 @@ class Series:
     labels : sequence of str
         Written beside the points.
     is_hollow : bool
-        Of a line: hair-thin.
+        Whether a line is hair-thin.
     is_across : bool
         The error bars `low` to `high` are horizontal.
     """
@@ -142,7 +142,7 @@ class Figure:
     ticks : sequence of str
         Names at 1, 2, ... of the horizontal axis in place of numbers.
     unit : str
-        Of the frequencies that are written beside points of the complex plane.
+        Unit of the frequencies that are written beside points of the complex plane.
     """
 
     title: str

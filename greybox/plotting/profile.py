@@ -36,7 +36,7 @@ def profile_figures(profiles: Profiles) -> list[Figure]:
 
 def _figure(profile: ProfileOf, limit: float, interval_name: str) -> Figure:
     ends = profile.values[[0, -1]]
-    # An open interval is shaded as far as the profile goes.
+    # An open interval is shaded to the end of the profile.
     interval = np.where(np.isfinite(profile.interval), profile.interval, ends)
     # With a bias the limit of |r| differs on the two sides of the estimate.
     sides = np.array([ends[0], profile.estimate, profile.estimate, ends[1]])

@@ -156,8 +156,8 @@ def structures(results: Study | Comparison, ax: Axes | None = None) -> Axes:
     Parameters
     ----------
     results : Study or Comparison
-        Of a study, the share of the starts that agree on the best minimum; of
-        ``gb.compare(study)``, how far BIC is above the least.
+        A study shows the share of the starts that agree on the best minimum, and
+        ``gb.compare(study)`` how far BIC is above the least.
     ax : Axes, optional
         By default a new figure is made.
     """

@@ -23,7 +23,7 @@ class NearPair:
 
     @property
     def stable(self) -> bool:
-        """Whether both are in the open left half plane; only then may they be cancelled."""
+        """Whether both are in the open left half plane; only then may they be canceled."""
         return self.zero.real < 0 and self.pole.real < 0
 
     def __str__(self) -> str:

@@ -24,7 +24,7 @@ def samples_ahead(share: float, samples: int) -> int:
 
 def reported_shares(horizons: Sequence[int]) -> list[float]:
     """Return the shares of horizons (in samples) to report."""
-    # Short horizons have several shares at one sample, of which the largest is reported.
+    # Short horizons have several shares at one sample; the largest is reported.
     places = {share: tuple(samples_ahead(share, h) for h in horizons) for share in AHEAD}
     return [
         share

@@ -254,7 +254,7 @@ class Simulator:
         )
 
     def _first_states(self, windows: Windows, past: Array) -> Array:
-        """Return states (w, n) at which the windows begin, as far as measurements show them."""
+        """Return the initial states (w, n) of the windows where measurements show them."""
         model = self._model
         # The first measurement of every output, if it was measured at all.
         first = np.isfinite(past).argmax(axis=1)[:, None]

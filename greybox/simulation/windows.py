@@ -29,7 +29,7 @@ class Windows:
     rows : (w, lead + horizon) int array
         Indices in the record.
     lead, horizon : int
-        Numbers of samples; 0 and 1 for rows without a time, each of which is a window.
+        Numbers of samples; 0 and 1 for rows without a time, where every row is a window.
     """
 
     record: Record

@@ -73,7 +73,7 @@ def run_all(
         If the stored runs began from other starts.
     """
     memory = memory or Memory()
-    # Of more starts than one batch, few come first: Ctrl-C soon has an answer.
+    # If there are more starts than one batch, few come first: Ctrl-C soon has an answer.
     first = min(FIRST if count > solver.together else count, solver.together)
     batches = _batches(numbered, first, solver.together)
     remaining = count

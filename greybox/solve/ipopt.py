@@ -92,7 +92,7 @@ class StopCheck(ca.Callback):
             return False
         if cost < self._lowest:
             self._lowest, self.best = cost, x.copy()
-        # Minima are distinguished to 1e-4. Of 60 runs on each of eleven included problems, none
+        # Minima are distinguished to 1e-4. In 60 runs on each of eleven included problems, none
         # that converged had more than 39 iterations in a row with a smaller decrease than this;
         # twice that is the limit.
         if not math.isfinite(self._level) or cost < self._level - 1e-6 * abs(self._level):

@@ -25,7 +25,7 @@ TOLD_APART = 0.1  # of a unit of log-likelihood
 SAME_RESPONSE = 1e-2
 
 Signatures = Sequence[NDArray[np.floating] | None] | NDArray[np.floating]
-"""Those of the responses of all runs, see `Part.signature`."""
+"""Signatures of the responses of all runs, see `Part.signature`."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -80,7 +80,7 @@ def multistart(
     the current run is the last. With an executor its workers make the runs
     (`greybox.solve.executors`). Runs that were `kept` are not made again.
     """
-    # Of 18 runs each, 16 instead of 8 end at the best minimum of the tanks, and 16 instead of 14 at
+    # In 18 runs each, 16 instead of 8 end at the best minimum of the tanks, and 16 instead of 14 at
     # that of the conversion.
     points = FiniteStarts(nlp, solver, starts) if movable else starts
     memory = Memory() if kept is None else Memory(kept, value_fingerprint(solver))

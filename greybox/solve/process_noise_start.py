@@ -7,7 +7,7 @@ Y = C (jωI - A)⁻¹. With a covariance Q of w and R of the measured responses,
 
 the least sum of squared errors of all equations over the states x. Without noise they are the
 output error, whose minima are many in wide boxes. With much noise the states follow from the
-measured responses, as far as these show them, and the errors are those of the state equations,
+measured responses where these show them, and the errors are those of the state equations,
 which are linear in most parameters. A start passes from much noise to little, first behind a strong
 barrier at its bounds, so that most starts meet.
 
@@ -28,7 +28,7 @@ from greybox.files.arrays import Array, ComplexArray
 FIRST = 30.0, 3.0
 STAGES = 1.0, 0.1, 0.01
 
-# Of noise over errors: beyond, the sum of both is no definite matrix in double precision.
+# Ratio of noise to errors, beyond which their sum is not definite in double precision.
 LARGEST = 1e7
 
 

@@ -17,8 +17,8 @@ from greybox.compiled.response_part import SMOOTHING, ResponsePart
 from greybox.compiled.response_programs import CostProgram
 
 # Height of the wall at the first level of a search, as a share of the cost of a zero response. The
-# square root of the smoothing takes it down by ten from level to level. Of 1024 searches for (2.7)
-# in the box above, 99.9 % end at the minimum with 0.5, 93 % with 1 and 71 % with 0.2; in its
+# square root of the smoothing takes it down by ten from level to level. In the box above, 99.9 %
+# of 1024 searches for (2.7) end at the minimum with 0.5, 93 % with 1 and 71 % with 0.2; in its
 # declared box 86 % do if it falls with the root, and half of them if it falls with the smoothing.
 WALL = 0.5
 

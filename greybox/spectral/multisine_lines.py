@@ -144,7 +144,7 @@ def _estimates(u: ComplexArray, y: ComplexArray, r: ComplexArray) -> list[Estima
         k = power(u) * spread
         noise = power(y - response * u) / (n - 2 + k)
         dof = 2 * (n - 2 + k) ** 2 / (n - 2 + k**2)
-        # Those of the instrument with input and output.
+        # The instrument's coherences with input and output.
         coherences = np.array([1 / k, np.abs(response) ** 2 / (power(y) * spread)])
     if not np.array_equal(r, u):
         # Noise that adds to a weak line makes it look strong, its response too large and its

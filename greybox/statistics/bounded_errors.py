@@ -1,4 +1,4 @@
-"""Errors of which the large ones are bounded, so that outliers do not decide an estimate.
+"""Errors with bounded large values, so that outliers do not decide an estimate.
 
 An estimate is robust if errors count as ψ(e), with Huber's ψ that is linear up to a bound and
 constant beyond it. Least squares on the *pseudo-values* model + ψ(e) / mean(ψ') have the same

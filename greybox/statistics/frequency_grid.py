@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from greybox.files.arrays import Array, ComplexArray, IntArray
 from greybox.statistics.residual_autocorrelation import HIGHEST_ORDER
 
-LOWEST = 256  # lowest frequencies, each of which is a band of its own
+LOWEST = 256  # lowest frequencies; each one is a band
 MOST_PADDING = 50_000  # zeros after records of up to 200 000 samples; after longer ones a quarter
 COLUMNS = 65536  # frequencies at once in memory: 25 MB for three outputs and eight parameters
 

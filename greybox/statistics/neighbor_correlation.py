@@ -195,7 +195,7 @@ def averaged_meat(
         Derivatives of the residuals times the deviations of their scores if the errors are
         independent, by frequency.
     root : (k, r) array
-        Of the inverse bread.
+        Root of the inverse bread.
     known : NeighborCorrelation
     correlation : function of an array
         The correlation of scores by that of their errors.

@@ -314,7 +314,8 @@ class ResidualSpectra:
     def transforms(self) -> Iterator[ComplexArray]:
         """Yield the transforms (k, p, frequencies) of the weighted sensitivities of every stretch.
 
-        Those of many stretches are not stored: each has as many frequencies as the longest one.
+        The transforms of many stretches are not stored: all have as many frequencies as the
+        longest stretch.
         """
         if len(self.weighted) == 1:
             yield self._only_transform
@@ -468,7 +469,7 @@ class ResidualSpectra:
 
     @cached_property
     def _measured_pairs(self) -> Array:
-        """Shares (k, k, lags) of pairs of samples of which neither is missing."""
+        """Shares (k, k, lags) of pairs of samples without a missing one."""
         # A missing sample reduces the expected covariance at every lag at which it is missing.
         masks = [np.fft.rfft((e != 0).astype(float), self.grid.size) for e in self.residuals]
         pairs = np.fft.irfft(sum(mask[:, None] * mask.conj() for mask in masks), self.grid.size)
@@ -614,7 +615,7 @@ def product_over_time(weighted: Array, noise: Array) -> Array:
 
 
 def unmasked(density: ComplexArray, shares: Array, grid: FrequencyGrid) -> ComplexArray:
-    """Return the spectrum of errors of which shares (k,) were measured, at random.
+    """Return the spectrum of errors when only random shares (k,) of them were measured.
 
     Missing samples multiply covariances at all lags but zero by the share, as if part of the errors
     were white.

@@ -44,7 +44,7 @@ class VarianceComponents:
     variance : (c,) array
         In units of the expected periodograms.
     covariance : (c, c) array
-        Of their logarithms.
+        Covariance of their logarithms.
     score : float
         -2 log likelihood.
     """

@@ -145,7 +145,7 @@ def in_band(problem: AnyProblem, band: Any) -> AnyProblem:
     def within(part: Problem) -> Problem:
         data = part.data
         if not isinstance(data, FrequencyResponse):
-            raise ValueError(f"band=... is for frequency responses, and {part.name} is none.")
+            raise ValueError(f"band=... is for frequency responses, and {part.name} is not one.")
         return part.with_(data=data.between(low, high))
 
     return problem.with_parts([within(part) for part in problem.parts])

@@ -54,7 +54,7 @@ def compare(
     Parameters
     ----------
     *fits : Fit, or a single Study
-        Of a study, the structures are compared over its data sets, see `Study.ranking`.
+        The structures of a study are compared over its data sets, see `Study.ranking`.
     records : Record or sequence of them, optional
         Held out from all fits. Without them the fits must have the same data. Members of a study
         state them as `held`.

@@ -16,7 +16,7 @@ from greybox.simulation.simulate import cure, predict_windows
 from greybox.simulation.windows import cut, default_length
 
 Predictions = tuple[tuple[Prediction, ...], ...]
-"""Of every fit, of every record."""
+"""Predictions by every fit, of every record."""
 
 
 def window_lengths(

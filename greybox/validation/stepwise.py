@@ -139,7 +139,7 @@ def stepwise(
         With a model that has all candidates.
     candidates : sequence of str, mapping of name to value, or Misfit
         Parameters, by their names in the problem, and the value of each where its term is absent:
-        zero by default. Of a misfit those terms are added to the model that are significant and
+        zero by default. From a misfit those terms are added to the model that are significant and
         belong into the equation of a state: `Fit.misfit`, or `gb.misfit` with terms of your own.
     starts : int
         Sobol points from which every structure is fitted, beside the previous estimate.

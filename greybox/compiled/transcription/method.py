@@ -55,7 +55,7 @@ class Transcription(ABC):
         Samples between the nodes of multiple shooting, which every method starts from; by default
         chosen from the growth of the unstable poles, between 5 and 10.
     hessian : "gauss-newton" or "exact"
-        Of the problem that IPOPT solves.
+        Hessian of the problem that IPOPT solves.
     """
 
     segment: int | None = None

@@ -48,7 +48,7 @@ UNEXPLAINED = (
 def warnings_of_failure(
     nlp: CompiledProblem, search: Multistart, solver: LocalSolver
 ) -> tuple[str, ...]:
-    """Return the warnings of a fit of which no run converged."""
+    """Return the warnings of a fit without a converged run."""
     return (
         *not_finite_warnings(nlp, search),
         *failure_warnings(nlp, search, solver),

@@ -53,9 +53,9 @@ class Deviation:
     Attributes
     ----------
     index : int
-        Of the point in the data.
+        Index of the point in the data.
     probability : float
-        Of a deviation as unlikely as this one, at a point of clean data.
+        Probability of a deviation as unlikely as this one at a point of clean data.
     relative : float
         The deviation over the model's magnitude.
     """

@@ -76,7 +76,7 @@ def record_warnings(
 
 
 def _flattened_inputs(parts: Sequence[RecordPart]) -> Iterator[Finding]:
-    """Name inputs of a limited band of which lines between samples lose a part."""
+    """Name inputs of a limited band that lines between samples attenuate."""
     for part in parts:
         stretch, record = max(part.data.stretches, key=len), part.model.record
         is_uniform = record.has_time and stretch.times is None
@@ -127,7 +127,7 @@ def _short(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[Finding]:
 def unexplained_outputs(
     part: RecordPart, fitted: FittedRecord, *, alone: bool
 ) -> Iterator[Finding]:
-    """Name outputs of which the model reproduces almost nothing."""
+    """Name outputs that the model hardly reproduces."""
     # With constant inputs a static model is a mean, which reproduces no variation by definition.
     is_mean = part.is_static and (part.data.constant_inputs or not part.system.inputs)
     if part.model.criterion.corrects_states or is_mean:

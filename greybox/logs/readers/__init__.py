@@ -111,8 +111,8 @@ def read(
     messages : collection of str, optional
         Read only these, e.g. ``("ATT", "RATE")``; all by default.
     columns : mapping of str to str, optional
-        Of a table whose own names do not say what is in it, by new name: the column and, behind a
-        colon, its unit, ``{"time": "t:ms", "theta": "pitch:deg"}``. These signals are in SI
+        Columns of a table whose own names do not say what is in it: by new name, the column and,
+        after a colon, its unit, ``{"time": "t:ms", "theta": "pitch:deg"}``. These signals are in SI
         then; the others stay as they are. The columns of a file without a header line go by their
         numbers: ``{"time": "1", "u": "2", "theta": "3:deg"}``.
     rate : float, Hz, optional

@@ -56,8 +56,8 @@ def read(
     messages : collection of str, optional
         Not used: a table is one record, and all of it is read.
     stated : mapping of str to str, optional
-        Columns by new name, see `greybox.logs.read`. Those of a table without a header line have
-        numbers, from 1, for names; blanks may separate them too.
+        Columns by new name, see `greybox.logs.read`. Columns of a table without a header line are
+        named by their numbers, from 1; blanks may separate them too.
     rate : float, Hz, optional
         The sampling rate of a table without a time.
 

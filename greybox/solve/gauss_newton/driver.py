@@ -163,10 +163,9 @@ class GaussNewton(LocalSolver):
         """Compare the starts (r, p) by prediction errors over short segments, see `screening`.
 
         The first start, the declared values, is among the promising ones in any case, and as it is.
-        Of several that lead to one point the best begins there; the others are tried last,
-        unchanged.
+        If several lead to one point, the best begins there; the others are tried last, unchanged.
         """
-        # Of 17 fits from the default starts ten take 1.5 to 8 times as long without screening, and
+        # Ten of 17 fits from the default starts take 1.5 to 8 times as long without screening, and
         # four of NIST's regressions more than 40 s; MGH17 takes half as long.
         if not can_screen(self.nlp):
             return None

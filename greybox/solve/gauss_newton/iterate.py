@@ -83,7 +83,7 @@ LARGEST_DAMPING = 1e6  # beyond which a run has stalled
 
 
 def next_damping(damping: float, length: float, ratio: float, last_full: float) -> float:
-    """Return the damping after a step of which a share `length` was taken.
+    """Return the damping after a step that was shortened to a share `length`.
 
     `ratio` is the actual decrease of the merit function over the predicted one. `last_full` is the
     damping of the last full step: a step that was cut short is damped at least as much.
