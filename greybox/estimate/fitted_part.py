@@ -210,12 +210,16 @@ class FittedRecord(FittedPart):
         return len(self.driven) or sum(of == output for _, of in self.gains)
 
     @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the inputs: the signals that are no outputs."""
+        return tuple(name for name in self.data.signals if name not in self.outputs)
+
+    @property
     def between(self) -> dict[str, str]:
         """How every input ran between its samples, in words; empty for a static model."""
         if self.is_static:
             return {}
-        names = [name for name in self.data.signals if name not in self.outputs]
-        return described_inputs(self.inputs, names, self.data)
+        return described_inputs(self.inputs, self.input_names, self.data)
 
     @property
     def residuals(self) -> Array:

@@ -95,13 +95,3 @@ def expected_errors(problem: Problem | Sum, values: Mapping[str, float]) -> Expe
     units = {name: nlp.problem.parameters[name].unit for name in nlp.free}
     standard_error = dict(zip(nlp.free, errors.tolist(), strict=True))
     return ExpectedErrors(at, standard_error, information, undetermined, units)
-
-
-def wanted_rows(
-    standard_error: Mapping[str, float], wanted: Mapping[str, float]
-) -> list[tuple[str, str, str]]:
-    """Return rows of a table: name, expected and wanted error."""
-    return [
-        (name, f"± {error:.2g}", f"± {wanted[name]:.2g}" if name in wanted else "")
-        for name, error in standard_error.items()
-    ]

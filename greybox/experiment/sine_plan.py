@@ -17,7 +17,6 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.experiment.controller import Controller
 from greybox.experiment.excitation import Excitation
-from greybox.experiment.expected_errors import wanted_rows
 from greybox.experiment.optimal_design import require_determined, shares, time_needed
 from greybox.experiment.sampled_loop import sampled_loop
 from greybox.experiment.sines import sine_schedule
@@ -94,7 +93,11 @@ class SinePlan:
                 self.omega, self.amplitude, self.limited_by, self.duration, strict=True
             )
         ]
-        errors = wanted_rows(self.standard_error, self.wanted)
+        wanted = {name: f"± {error:.2g}" for name, error in self.wanted.items()}
+        errors = [
+            (name, f"± {error:.2g}", wanted.get(name, ""))
+            for name, error in self.standard_error.items()
+        ]
         unit = f" ({self.unit})" if self.unit else ""
         return "\n".join(
             [

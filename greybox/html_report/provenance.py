@@ -75,8 +75,7 @@ def _signals(part: FittedResponse | FittedRecord | FittedSpectrum) -> str:
     if isinstance(part, FittedSpectrum):
         return f"{', '.join(part.data.inputs)} → {', '.join(part.outputs)}"
     if isinstance(part, FittedRecord):
-        inputs = [name for name in part.data.signals if name not in part.outputs]
-        return f"{', '.join(inputs) or 'no input'} → {', '.join(part.outputs)}"
+        return f"{', '.join(part.input_names) or 'no input'} → {', '.join(part.outputs)}"
     named = part.curve or part.data
     return f"{named.input or 'input'} → {named.output or 'output'}"
 

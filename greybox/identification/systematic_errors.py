@@ -16,7 +16,7 @@ from greybox.files.arrays import Array, ComplexArray
 from greybox.logs.ardupilot.motors import motor_outputs, pwm_of_control, rounding_error, saturation
 from greybox.logs.flight_controllers import axis_of
 from greybox.logs.loop_rate import thinning, thinning_error
-from greybox.spectral.test_quality import SATURATED, Finding
+from greybox.spectral.test_quality import SATURATED, Finding, graded
 
 # An error that is a smaller share of the response everywhere is not mentioned: a tenth of the
 # standard errors of sine tests of ten periods, 0.2 to 1 %.
@@ -110,18 +110,11 @@ def motor_saturation(
 ) -> list[Finding]:
     """Return a finding if a motor was at its limit for long, from the motor outputs in the log."""
     share = saturation(recording, spans) if axis_of(control) else math.nan
-    if not share > SATURATED[0]:
-        return []
-    text = f"a motor is at its limit for {100 * share:.0f} % of the time: "
-    text += "a linear model is wrong there"
-    return [
-        Finding(
-            "motors",
-            "refusal" if share > SATURATED[1] else "warning",
-            share,
-            f"{text}; use a smaller amplitude.",
-        )
-    ]
+    text = (
+        f"a motor is at its limit for {100 * share:.0f} % of the time: a linear model is wrong "
+        "there; use a smaller amplitude."
+    )
+    return [*graded("motors", share, SATURATED, text)]
 
 
 def _thinned(

@@ -74,8 +74,8 @@ def residual_figures(part: FittedRecord) -> list[Figure]:
     record = f", {part.data.name}" if part.data.name else ""
     for output in part.outputs:
         # A constant input cannot have caused anything.
-        causes = part.data.signals.keys() - part.outputs
-        inputs = {name: part.data[name] for name in sorted(causes) if np.ptp(part.data[name])}
+        causes = sorted(part.input_names)
+        inputs = {name: part.data[name] for name in causes if np.ptp(part.data[name])}
         signals = {"time, s": part.data.time} if part.data.has_time else {}
         signals |= {**inputs, f"fitted {output}": part.simulated[output]}
         figures += [_means(part, output, *signal) for signal in signals.items()]

@@ -165,10 +165,9 @@ def _history(item: Fit | Prediction, record: int) -> History:
     if not isinstance(item, Fit):
         raise TypeError(f"cannot draw {item!r:.80}: give a Fit or a Prediction.")
     part = chosen(item.records, record, "record")
-    inputs = tuple(name for name in part.data.signals if name not in part.outputs)
     label = f"fit of {part.label}"
     pieces = part.data.independent_pieces
-    return History(label, part.data, part.simulated, part.outputs, inputs, pieces)
+    return History(label, part.data, part.simulated, part.outputs, part.input_names, pieces)
 
 
 def _along(data: Record) -> Array:

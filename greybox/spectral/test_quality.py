@@ -145,7 +145,7 @@ def check(
     return Quality(()).with_findings(*findings)
 
 
-def _graded(about: str, value: float, limits: tuple[float, float], text: str) -> Iterator[Finding]:
+def graded(about: str, value: float, limits: tuple[float, float], text: str) -> Iterator[Finding]:
     """Yield a warning beyond the first limit, and a refusal beyond the second."""
     warning, refusal = limits
     sign = 1 if refusal > warning else -1  # too much, or too little
@@ -200,7 +200,7 @@ def _saturation(record: Record, segments: Sequence[Segment], name: str) -> Itera
         f"the control {name} is at a limit for {100 * share:.0f} % of the time: a linear model is "
         "wrong there; use a smaller amplitude."
     )
-    yield from _graded("saturation", share, SATURATED, text)
+    yield from graded("saturation", share, SATURATED, text)
 
 
 def _amplitude(record: Record, names: Sequence[str]) -> Iterator[Finding]:
@@ -214,7 +214,7 @@ def _amplitude(record: Record, names: Sequence[str]) -> Iterator[Finding]:
                 f"{name} takes only {levels.size} values: its amplitude is close to its "
                 "resolution; excite more."
             )
-            yield from _graded("amplitude", float(levels.size), LEVELS, text)
+            yield from graded("amplitude", float(levels.size), LEVELS, text)
 
 
 def _segments(segments: Sequence[Segment]) -> Iterator[Finding]:
@@ -264,7 +264,7 @@ def _length(record: Record, lowest: float, segments: Sequence[Segment]) -> Itera
         # Nothing is estimated across a gap.
         longest = max(piece.duration for piece in record.pieces)
         periods = longest * lowest / (2 * math.pi)
-    yield from _graded(
+    yield from graded(
         "length",
         periods,
         PERIODS,
@@ -293,7 +293,7 @@ def _rate(
 
     samples = 2 * math.pi * record.rate / highest
     text = f"there are {samples:.2g} samples per period of the highest frequency, {highest:g} "
-    yield from _graded(
+    yield from graded(
         "rate",
         samples,
         (SAMPLES[0], SAMPLES[1] * (1 - ROUNDING)),
@@ -309,7 +309,7 @@ def _noise(response: FrequencyResponse) -> Iterator[Finding]:
         f"half of the points have a standard deviation above {100 * error:.0f} %: excite more or "
         "longer."
     )
-    yield from _graded("noise", error, ERROR, text)
+    yield from graded("noise", error, ERROR, text)
 
 
 def _coherence(response: FrequencyResponse) -> Iterator[Finding]:
@@ -327,4 +327,4 @@ def _coherence(response: FrequencyResponse) -> Iterator[Finding]:
         f"half of the points have a coherence below {median:.2f}: the output is mostly noise or "
         "the effect of other inputs; excite more."
     )
-    yield from _graded("coherence", median, COHERENCE, text)
+    yield from graded("coherence", median, COHERENCE, text)

@@ -213,7 +213,7 @@ def gust_criterion(part: RecordPart) -> str:
 
 def _by_piece(record: Record, values: Array) -> list[Array]:
     """Return values (n,) split at gaps: lags across one would compare samples far apart."""
-    return np.split(values, np.cumsum([len(piece) for piece in record.pieces])[:-1])
+    return [values[rows] for rows in record.independent_pieces]
 
 
 def biased_by_feedback(

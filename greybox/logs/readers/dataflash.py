@@ -136,7 +136,7 @@ def _decoded(
         values = bodies[f"f{i}"]
         if name == timer:
             time = values / CLOCKS.get(name, 1e3)
-        elif not _is_wanted(layout.name, messages):
+        elif not is_wanted(layout.name, messages):
             continue
         elif letter in "nNZ":
             texts[name] = [text(value) for value in values.tolist()]
@@ -149,7 +149,8 @@ def _decoded(
     return Messages(layout.name, order, time, columns, texts, units.columns, units.instance)
 
 
-def _is_wanted(name: str, messages: Collection[str] | None) -> bool:
+def is_wanted(name: str, messages: Collection[str] | None) -> bool:
+    """Return whether messages of this name are read, for their signals or as metadata."""
     if messages is None:
         return name != "FILE"  # whole files of the vehicle, as text
     return name in {*messages, *ALWAYS, *TABLES}

@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.data.record import Recording
 from greybox.files.text_table import is_number
-from greybox.logs.readers.dataflash import ALWAYS, CLOCKS, TABLES, clock_column, recording
+from greybox.logs.readers.dataflash import CLOCKS, TABLES, clock_column, is_wanted, recording
 from greybox.logs.readers.dataflash_index import Layout, sound_layout
 from greybox.logs.readers.dataflash_units import Units, UnitTables
 from greybox.logs.readers.messages import Messages, bare
@@ -30,7 +30,7 @@ def _layout(body: str) -> Layout | None:
 class _MessageLines:
     """The columns of all lines of one name, converted line by line; or their times alone."""
 
-    def __init__(self, layout: Layout, is_wanted: bool) -> None:
+    def __init__(self, layout: Layout, is_stored: bool) -> None:
         self.layout = layout
         self.damaged = 0
         self.timer = clock_column(layout)
@@ -39,7 +39,7 @@ class _MessageLines:
         self.columns: dict[str, array[float] | list[str]] = {
             name: [] if letter in TEXTS and name != self.timer else array("d")
             for name, letter in self.letters.items()
-            if is_wanted or name == self.timer
+            if is_stored or name == self.timer
         }
 
     def append(self, number: int, body: str) -> None:
@@ -104,8 +104,8 @@ def read(path: Path, messages: Collection[str] | None = None) -> Recording:
             name, comma, body = line.partition(",")
             if name == "FMT":
                 if layout := _layout(body):
-                    is_wanted = messages is None or layout.name in {*messages, *ALWAYS, *TABLES}
-                    lines.setdefault(layout.name, _MessageLines(layout, is_wanted))
+                    is_stored = is_wanted(layout.name, messages)
+                    lines.setdefault(layout.name, _MessageLines(layout, is_stored))
             elif name in lines:
                 lines[name].append(number, body)
             else:
