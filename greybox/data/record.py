@@ -4,7 +4,6 @@ import hashlib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any, Self
 
 import numpy as np
@@ -160,11 +159,7 @@ class Record:
         """Median sampling interval, s; NaN for a single sample, and 1 for rows without a time."""
         return median_step(self.time) if self.has_time else 1.0
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Return what was measured: a key of equal records must not depend on what was asked."""
-        return {name: value for name, value in vars(self).items() if name != "is_irregular"}
-
-    @cached_property
+    @property
     def is_irregular(self) -> bool:
         """Whether samples lie neither one step apart nor, after gaps, several: one in ten is off.
 

@@ -56,11 +56,11 @@ class Collector:
         self.findings: list[str] = []
         self.about: dict[str, Any] = {}
 
-    def reserve(self, numbers: int) -> bool:
-        """Return whether this many numbers fit, and reserve their memory if so."""
-        fits = 8 * numbers <= self.room and len(self.arrays) < MOST
-        self.room -= 8 * numbers if fits else 0
-        return fits
+    def reserve(self, numbers: int) -> None:
+        """Reserve the memory of this many numbers; ValueError if they do not fit."""
+        if 8 * numbers > self.room or len(self.arrays) >= MOST:
+            raise ValueError("its arrays are too large for the size of the file")
+        self.room -= 8 * numbers
 
     def add(self, path: str, values: np.ndarray, **about: Any) -> None:
         """Store an array."""
@@ -148,8 +148,7 @@ def _keep_dataset(name: str, dataset: Any, collector: Collector) -> None:
     numeric = dataset.dtype.kind in "biuf" or (fields and dataset.ndim == 1)
     if not numeric or not 1 <= dataset.ndim <= 2 or not dataset.size:
         return
-    if not collector.reserve(_stored(dataset)):
-        raise ValueError
+    collector.reserve(_stored(dataset))
     values = dataset[()]
     if not fields:
         collector.add(
@@ -207,8 +206,7 @@ def keep_struct(group: str, contents: Mapping[str, Any], collector: Collector) -
             and value.ndim in (1, 2)
             and value.size
         ):
-            if not collector.reserve(value.size):
-                raise ValueError("its arrays are too large for the size of the file")
+            collector.reserve(value.size)
             collector.add(f"{group}{key}", value, unit="")
 
 
@@ -237,8 +235,7 @@ def ulog(path: str, collector: Collector, topics: list[str]) -> None:
     for topic in log.data_list:
         name = f"{topic.name}[{topic.multi_id}]" if topic.name in repeated else topic.name
         for field, values in topic.data.items():
-            if not collector.reserve(values.size):
-                raise ValueError("its arrays are too large for the size of the file")
+            collector.reserve(values.size)
             collector.add(f"{name}/{field}", values, unit="us" if field == "timestamp" else "")
 
     parameters = {

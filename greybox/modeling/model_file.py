@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+from greybox.files.safe_files import require_file
 from greybox.modeling.model import Model
 
 
@@ -14,14 +15,12 @@ def module_from_file(path: Path) -> ModuleType:
 
     Raises
     ------
-    FileNotFoundError
-        If there is no such file.
+    OSError
+        If it is not a file; FileNotFoundError if it does not exist.
     ValueError
         If it has the name of another module.
     """
-    if not path.is_file():
-        raise FileNotFoundError(f"there is no file {path}.")
-    sys.audit("greybox.read", str(path))
+    require_file(path)
     # The file may import its neighbors.
     folder = str(path.resolve().parent)
     if folder not in sys.path:

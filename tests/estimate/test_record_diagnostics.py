@@ -390,7 +390,7 @@ class Signals(dict):
     def __init__(self, signals, *, has_time, name, samples):
         super().__init__(signals)
         self.has_time, self.name = has_time, name
-        self.pieces = [range(samples // 2), range(samples - samples // 2)]
+        self.independent_pieces = np.split(np.arange(samples), [samples // 2])
 
 
 def fitted_with(residuals, *, white=True, inputs=None, time=True, name="one"):

@@ -17,11 +17,12 @@ from greybox.files.subprocess_main import MOST, SMALL, Collector, RefusedError
 
 def test_arrays_beyond_what_a_file_can_hold_are_refused():
     collector = Collector(SMALL)
-    assert collector.reserve(SMALL // 8)
-    assert not collector.reserve(1)
+    collector.reserve(SMALL // 8)
     many = Collector(SMALL)
     many.arrays = [np.zeros(0)] * MOST
-    assert not many.reserve(1)
+    for full in (collector, many):
+        with pytest.raises(ValueError, match="too large for the size of the file"):
+            full.reserve(1)
 
 
 def test_what_is_written_is_a_line_of_json_and_the_numbers(monkeypatch):
@@ -141,11 +142,18 @@ def test_of_a_table_of_rows_the_columns_of_numbers_are_kept(tmp_path):
 def test_room_is_taken_by_what_fits_alone():
     """8 bytes a number."""
     collector = Collector(100)
-    assert [collector.reserve(n) for n in (5, 8, 7, 1)] == [True, False, True, False]
+    for numbers, room in ((5, 60), (8, None), (7, 4), (1, None)):
+        if room is None:
+            with pytest.raises(ValueError, match="too large for the size of the file"):
+                collector.reserve(numbers)
+        else:
+            collector.reserve(numbers)
+            assert collector.room == room
     assert collector.room == 4
     few = Collector(SMALL)
     few.arrays = [np.zeros(0)] * (MOST - 1)
-    assert few.reserve(1)
+    few.reserve(1)
+    assert few.room == SMALL - 8
 
 
 @pytest.fixture

@@ -170,12 +170,7 @@ def colored_predictions(
 
     A free gain removes the correlation from one sample to the next, so that many lags are tested.
     """
-    tested = [
-        (part, fitted)
-        for part, fitted in pairs
-        if fitted.data.has_time and part.model.criterion.corrects_states
-    ]
-    outputs = sum(len(fitted.outputs) for _, fitted in tested)
+    tested, outputs = _in_time(pairs, corrected=True)
     values = []
     for part, fitted in tested:
         for output in fitted.outputs:
@@ -211,6 +206,18 @@ def gust_criterion(part: RecordPart) -> str:
     return f"PredictionError(disturbance={{{part.system.states[place]!r}: 'colored'}})"
 
 
+def _in_time(
+    pairs: Sequence[tuple[RecordPart, FittedRecord]], *, corrected: bool
+) -> tuple[list[tuple[RecordPart, FittedRecord]], int]:
+    """Return the pairs in time whose states are corrected, or not, and their number of outputs."""
+    chosen = [
+        (part, fitted)
+        for part, fitted in pairs
+        if fitted.data.has_time and part.model.criterion.corrects_states == corrected
+    ]
+    return chosen, sum(len(fitted.outputs) for _, fitted in chosen)
+
+
 def _by_piece(record: Record, values: Array) -> list[Array]:
     """Return values (n,) split at gaps: lags across one would compare samples far apart."""
     return [values[rows] for rows in record.independent_pieces]
@@ -230,12 +237,7 @@ def biased_by_feedback(
     `unstable` model stay within the record only by feedback, which then needs no test: past errors
     reach the inputs through many samples, and the second test misses them.
     """
-    tested = [
-        (part, fitted)
-        for part, fitted in pairs
-        if fitted.data.has_time and not part.model.criterion.corrects_states
-    ]
-    outputs = sum(len(fitted.outputs) for _, fitted in tested)
+    tested, outputs = _in_time(pairs, corrected=False)
     responding = []
 
     for part, fitted in tested:
