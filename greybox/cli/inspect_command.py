@@ -126,7 +126,7 @@ def contents(messages: Sequence[Mapping[str, Any]]) -> str:
 
 def message(name: str, record: Record) -> dict[str, Any]:
     """Return the facts of a message."""
-    times = (rate(record), record.time[0], record.time[-1]) if record.has_time else [None] * 3
+    times = (rate(record), *record.span) if record.has_time else [None] * 3
     return {
         "name": name,
         "samples": len(record),

@@ -126,12 +126,10 @@ class Segments:
             built[key] = Columns(function, shared=shared)
         return built[key]
 
-    def _evaluate(
-        self, columns: Callable[..., Sequence[Array]], states: Array, q: Array, data: Array
-    ) -> Sequence[Array]:
-        """Evaluate for columns of the segments that q is given for."""
+    def _evaluate(self, name: str, states: Array, q: Array, data: Array) -> Sequence[Array]:
+        """Evaluate the function of this name for columns of the segments that q is given for."""
         q = np.tile(q, data.shape[1] // q.shape[1]) if self._own else q
-        return columns(states, q, data)
+        return self._columns(name)(states, q, data)
 
     @cached_property
     def record_rows(self) -> list[slice]:
@@ -174,11 +172,10 @@ class Segments:
         x = nodes.T
         states = np.empty((self.n, self.length * s))
 
-        advance = self._columns("advance")
         for i in range(self.length if self.n else 0):
             sample = slice(i * s, (i + 1) * s)
             states[:, sample] = x
-            (x,) = self._evaluate(advance, x, q, data[:, sample])
+            (x,) = self._evaluate("advance", x, q, data[:, sample])
 
         return states, x.T
 
@@ -208,7 +205,7 @@ class Segments:
 
     def residuals(self, states: Array, q: Array, data: Array) -> Array:
         """Return measured less simulated outputs (k, columns), zero where nothing was measured."""
-        return self._evaluate(self._columns("output"), states, q, data)[0]
+        return self._evaluate("output", states, q, data)[0]
 
     def products(self, residuals: Array) -> Array:
         """Return the residual products (r, k, k) of every record; residuals are (k, columns)."""
@@ -231,7 +228,7 @@ class Segments:
 
     def outputs(self, states: Array, q: Array, data: Array) -> Array:
         """Return simulated outputs (k, columns)."""
-        return self._evaluate(self._columns("output"), states, q, data)[1]
+        return self._evaluate("output", states, q, data)[1]
 
     # --- linearization
 
@@ -289,9 +286,7 @@ class Segments:
             return by_sample.reshape(len(values), length * count)
 
         q = q[:, batch] if self._own else q
-        A, C, e = _finite(
-            self._evaluate(self._columns("derivatives"), chosen(states), q, chosen(data))
-        )
+        A, C, e = _finite(self._evaluate("derivatives", chosen(states), q, chosen(data)))
         S, J = self._propagated(A, C, count)
         return S, J, e.reshape(self.k, length, count).transpose(1, 0, 2)
 
@@ -300,7 +295,7 @@ class Segments:
 
         They are (v, n, columns) and (v, k, columns), of every sample alone.
         """
-        A, C, _ = _finite(self._evaluate(self._columns("derivatives"), states, q, data))
+        A, C, _ = _finite(self._evaluate("derivatives", states, q, data))
         columns = data.shape[1]
         v = self.n + len(self.active)
         return A.reshape(v, self.n, columns), C.reshape(v, self.k, columns)
@@ -321,7 +316,7 @@ class Segments:
 
         Not finite from where the simulation is not.
         """
-        A, C, _ = self._evaluate(self._columns("output_derivatives"), states, q, data)
+        A, C, _ = self._evaluate("output_derivatives", states, q, data)
         # The sums are finite if all entries are, which costs less than testing each.
         if not math.isfinite(A.sum() + C.sum()):
             lost = ~(np.isfinite(A).all(axis=0) & np.isfinite(C).all(axis=0)) & np.isfinite(
@@ -353,8 +348,8 @@ class Segments:
                     point = [x.copy(), q.copy()]
                     point[place][row] += change
                     states, values = point
-                    end = self._evaluate(self._columns("advance"), states, values, d)[0]
-                    output = self._evaluate(self._columns("output"), states, values, d)[1]
+                    end = self._evaluate("advance", states, values, d)[0]
+                    output = self._evaluate("output", states, values, d)[1]
                     moved.append([end, output])
                 slopes.append([(up - down) / (2 * h) for up, down in zip(*moved, strict=True)])
 

@@ -14,7 +14,7 @@ from greybox.data.intersample import HOLD, NO_HOLD
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.units import known_unit, to_si
 from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
-from greybox.files.text_table import all_printable, counted, one_line, printable
+from greybox.files.text_table import counted, one_line, printable, write_out
 
 COLUMNS = ("omega", "response", "coherence", "variance", "dof")
 
@@ -109,8 +109,7 @@ class FrequencyResponse:
 
     def __post_init__(self) -> None:
         """Convert to read-only arrays, check every value, and write out control characters."""
-        for name in ("input", "output", "name", "source", "units", "about"):
-            vars(self)[name] = all_printable(getattr(self, name))
+        write_out(self, "input", "output", "name", "source", "units", "about")
         self._check_columns()
         # The variance includes them, so it is checked first.
         errors = None if self.common_errors is None else self._checked_errors(self.common_errors)

@@ -19,7 +19,7 @@ from greybox.data.checked_array import (
 from greybox.data.intersample import checked_hold
 from greybox.data.pandas_frames import Frame, columns_of, frame_of, require_frame, times_of
 from greybox.files.arrays import Array, IntArray
-from greybox.files.text_table import all_printable, alternatives, counted, one_line, some
+from greybox.files.text_table import all_printable, alternatives, counted, one_line, some, write_out
 
 # A step longer than this number of median steps is a gap, across which nothing is interpolated. One
 # lost sample makes a step of two, which is not a gap; the half allows for jitter.
@@ -141,8 +141,7 @@ class Record:
         vars(self).update(
             time=time, signals=signals, hold=hold, checksum=checksum, findings=findings
         )
-        for name in ("name", "source", "units", "findings"):
-            vars(self)[name] = all_printable(getattr(self, name))
+        write_out(self, "name", "source", "units", "findings")
 
     def __len__(self) -> int:
         return self.time.size
@@ -175,6 +174,11 @@ class Record:
     def rate(self) -> float:
         """Sampling rate, Hz, from the median interval."""
         return 1 / self.step
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """Times of the first and the last sample, s."""
+        return float(self.time[0]), float(self.time[-1])
 
     @property
     def duration(self) -> float:
@@ -343,8 +347,7 @@ class Recording(Mapping[str, Record]):
 
     def __post_init__(self) -> None:
         """Write out control characters in names and texts, which come from a file."""
-        for name in ("records", "source", "metadata", "findings"):
-            vars(self)[name] = all_printable(getattr(self, name))
+        write_out(self, "records", "source", "metadata", "findings")
 
     def __getitem__(self, name: str) -> Record:
         if name in self.records:

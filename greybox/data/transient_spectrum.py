@@ -9,7 +9,7 @@ import numpy as np
 from greybox.data.checked_array import finite_array, require_size
 from greybox.data.frequency_response import Stretch
 from greybox.files.arrays import Array, ComplexArray
-from greybox.files.text_table import all_printable, one_line, printable
+from greybox.files.text_table import one_line, printable, write_out
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +57,7 @@ class TransientSpectrum:
 
     def __post_init__(self) -> None:
         """Convert to read-only arrays and check them."""
-        for name in ("name", "source", "units", "input_change"):
-            vars(self)[name] = all_printable(getattr(self, name))
+        write_out(self, "name", "source", "units", "input_change")
         if not (np.isfinite(self.duration) and 0 < self.step < self.duration):
             raise ValueError(
                 f"duration is {self.duration!r} s and step {self.step!r} s: give finite numbers, "

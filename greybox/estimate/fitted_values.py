@@ -3,7 +3,6 @@
 import contextlib
 from collections.abc import Callable
 from dataclasses import replace
-from functools import singledispatch
 from typing import Any
 
 import numpy as np
@@ -22,7 +21,6 @@ from greybox.modeling.model_reference import reference, source_text
 from greybox.modeling.periodic_motions import response_of_test
 
 
-@singledispatch
 def fitted_part(
     part: Part, trajectory: Trajectory | None, x: Array, values: dict[str, float]
 ) -> AnyFittedPart:
@@ -38,13 +36,15 @@ def fitted_part(
     values : mapping of name to float
         The values of the model's parameters by its own names.
     """
-    raise TypeError(f"{type(part).__name__} cannot be stored in an answer.")
+    if isinstance(part, ResponsePart):
+        return _fitted_response(part, x, values)
+    if isinstance(part, RecordPart):
+        return _fitted_record(part, trajectory)
+    assert isinstance(part, TransientPart)
+    return _fitted_spectrum(part, trajectory)
 
 
-@fitted_part.register
-def _(
-    part: ResponsePart, trajectory: Trajectory | None, x: Array, values: dict[str, float]
-) -> FittedResponse:
+def _fitted_response(part: ResponsePart, x: Array, values: dict[str, float]) -> FittedResponse:
     problem = part.problem
     data = problem.response
     response = part.response(x)
@@ -116,10 +116,7 @@ def _rounded(values: Array, digits: int) -> Array:
     return np.rint(values * unit) / unit
 
 
-@fitted_part.register
-def _(
-    part: RecordPart, trajectory: Trajectory | None, x: Array, values: dict[str, float]
-) -> FittedRecord:
+def _fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedRecord:
     model = part.model
     data = model.record
     used = [*part.system.inputs, *part.outputs]
@@ -193,10 +190,7 @@ def _simulated(part: RecordPart, trajectory: Trajectory | None) -> dict[str, Arr
     return signals
 
 
-@fitted_part.register
-def _(
-    part: TransientPart, trajectory: Trajectory | None, x: Array, values: dict[str, float]
-) -> FittedSpectrum:
+def _fitted_spectrum(part: TransientPart, trajectory: Trajectory | None) -> FittedSpectrum:
     count = len(part.outputs)
     noise = np.full((count, count), np.nan)
     fitted = np.full((count, len(part.data)), np.nan, complex)

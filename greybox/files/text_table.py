@@ -37,6 +37,12 @@ def all_printable(thing: Any) -> Any:
     return thing
 
 
+def write_out(thing: Any, *names: str) -> None:
+    """Write out control characters in these attributes of a new object, at any depth."""
+    for name in names:
+        vars(thing)[name] = all_printable(getattr(thing, name))
+
+
 def text_table(
     header: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = (0,)
 ) -> str:

@@ -88,7 +88,7 @@ def measure_matrix(
     if rate is None and period * record.rate >= 2:
         record = prepare(recording, signals, math.floor(period * record.rate * (1 + 1e-9)) / period)
     # The excitations show the test; inputs in a loop move before and after it.
-    start, end = _moving(record, e) if e else (float(record.time[0]), float(record.time[-1]))
+    start, end = _moving(record, e) if e else record.span
     record = record.between(start + settle, end)
     responses = response_matrix(record, period, u, y, excitations=e, name=record.name)
     if band is not None:

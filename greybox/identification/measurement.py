@@ -282,7 +282,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
     record = prepare(recording, signals, _rate(recording, settings, used), start=start, end=end)
     # Time stamps of the log itself: those of the record are uniform.
     raw, _ = recording.locate(output)
-    during = raw.between(record.time[0], record.time[-1])
+    during = raw.between(*record.span)
     # Tests that were refused stay among the judged ones, so that the verdict names them.
     judged = [segment for segment in tests if segment in used or not segment.usable]
 
@@ -292,7 +292,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
 
     quality, response, detail, linear = quality_of(None), None, "", {}
     # Between tests the vehicle is flown by hand, in closed loop and without an instrument.
-    spans = spans or [(float(record.time[0]), float(record.time[-1]))]
+    spans = spans or [record.span]
     pieces = [record.between(*span) for span in spans]
     if quality.usable:
         try:

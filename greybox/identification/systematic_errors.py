@@ -65,7 +65,7 @@ def systematic_errors(
     # Only the logs of known controllers say how their outputs were thinned and rounded.
     if not axis:
         return []
-    spans = [(s.start, s.end) for s in used] or [(float(record.time[0]), float(record.time[-1]))]
+    spans = [(s.start, s.end) for s in used] or [record.span]
     errors = [
         _thinned(recording, response, control, axis, spans),
         _rounded(recording, record, response, used, spans, amplitudes),

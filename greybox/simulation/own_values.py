@@ -26,6 +26,7 @@ from greybox.simulation.model_at_estimate import ModelAtEstimate
 from greybox.simulation.simulator import Simulator
 from greybox.simulation.state_estimation import whitening
 from greybox.simulation.windows import Windows, cut
+from greybox.statistics.column_space import pseudo_inverse
 
 BLIND = 1e-9  # relative eigenvalue of the information below which a direction is not determined
 
@@ -136,7 +137,7 @@ class _Estimate:
 
     @property
     def inverse(self) -> Array:
-        return pseudo_inverse(self.matrix)
+        return pseudo_inverse(self.matrix, BLIND)
 
     @property
     def covariance(self) -> Array:
@@ -281,20 +282,10 @@ def _linearized(
     # The deviations of single windows were eliminated above; now the mean is.
     flat = columns.reshape(-1, n + a + 1)
     gram = flat.T @ flat
-    mean = pseudo_inverse(gram[:n, :n])
+    mean = pseudo_inverse(gram[:n, :n], BLIND)
     gram = gram[n:, n:] - gram[n:, :n] @ mean @ gram[:n, n:]
     numbers = int(used.sum())
     return _Estimate(model, windows, places, gram[:a, :a], gram[:a, a], float(gram[a, a]), numbers)
-
-
-def pseudo_inverse(matrix: Array) -> Array:
-    """Return the inverse of an information matrix (a, a), zero along undetermined directions."""
-    # A diagonal of ones makes the result independent of units.
-    diagonal = np.diag(matrix)
-    scale = (diagonal > 0) / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
-    scales = np.outer(scale, scale)
-    inverse = np.linalg.pinv(matrix * scales, BLIND, hermitian=True)
-    return inverse * scales
 
 
 def _not_determined(estimate: _Estimate, parameters: Mapping[str, Parameter]) -> str:

@@ -22,6 +22,7 @@ from greybox.solve.interruption import stop_requested
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Minimum, Multistart, distinct_ends, find_minima
 from greybox.solve.runs import TOO_COARSE, Outcome, Runs
+from greybox.statistics.column_space import pseudo_inverse
 
 # Cost above the best up to which minima are followed to the finer steps, at least one run each:
 # they may become the best.
@@ -242,12 +243,9 @@ def _in_standard_errors(hessian: Array, change: Array) -> Array:
     if not np.all(np.isfinite(change)):
         return np.full(len(change), math.inf)
 
-    # Scaled to a diagonal of one, since parameters have different units.
-    size = np.sqrt(np.maximum(np.diag(hessian), 0.0))
-    unit = 1 / np.where(size > 0, size, 1.0)
-    inverse = np.linalg.pinv(hessian * unit * unit[:, None], rcond=1e-12, hermitian=True)
+    inverse = pseudo_inverse(hessian, 1e-12)
     errors = np.sqrt(np.maximum(np.diag(inverse), 0.0))
-    return -(inverse @ (change * unit)) / np.where(errors > 0, errors, 1.0)
+    return -(inverse @ change) / np.where(errors > 0, errors, 1.0)
 
 
 def _widened(coarse: Array, fine: Array) -> Array:

@@ -305,9 +305,11 @@ def fit_band(
         return None
 
     transients = _transients(lines, rows, stretches, transient_order)
-    regressors = _without(transients, np.hstack([c[:, None] * powers for c in (u, *conditioned)]))
     # Least squares is the special case in which the regressors are their own instruments.
-    instruments = _without(transients, np.hstack([c[:, None] * powers for c in (r, *conditioned)]))
+    regressors, instruments = (
+        _without(transients, np.hstack([c[:, None] * powers for c in (signal, *conditioned)]))
+        for signal in (u, r)
+    )
     solved = _solved(regressors, instruments)
     if solved is None:
         return None

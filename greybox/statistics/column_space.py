@@ -17,6 +17,18 @@ def column_basis(columns: Array) -> Array:
     return vectors[:, singular > DEPENDENT * max(singular, default=0.0)]
 
 
+def pseudo_inverse(information: Array, least: float) -> Array:
+    """Return the inverse of an information matrix (p, p), zero along undetermined directions.
+
+    Their eigenvalues are below `least` times the largest one, with a diagonal of ones, which makes
+    the result independent of units.
+    """
+    diagonal = np.diag(information)
+    scale = (diagonal > 0) / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    scales = np.outer(scale, scale)
+    return np.linalg.pinv(information * scales, least, hermitian=True) * scales
+
+
 def beside(values: Array, columns: Array) -> Array:
     """Return the part of values (n, c) that is orthogonal to columns (n, p)."""
     return outside(values, column_basis(columns))

@@ -8,7 +8,6 @@ from drag_flights import Drag, LinearDrag, fitted, flight
 from numpy.testing import assert_allclose
 
 import greybox as gb
-from greybox.simulation import own_values
 from greybox.simulation.model_at_estimate import model_at
 
 TRUTH = {"a5": 0.2, "C_x": 0.05}
@@ -201,18 +200,6 @@ def test_the_error_of_a_constant_offset_is_that_of_a_mean(every):
     value, error = found.own["y_bias"]
     assert value == pytest.approx(np.nanmean(y - 2 * u), abs=0.3 * error)
     assert error == pytest.approx(0.1 / np.sqrt(400 / every), rel=0.12)
-
-
-def test_directions_that_are_not_seen_have_no_inverse():
-    random = np.random.default_rng(0)
-    size = np.array([1e3, 1.0, 1e-4])
-    J = random.normal(size=(6, 3)) * size
-    assert_allclose(own_values.pseudo_inverse(J.T @ J), np.linalg.inv(J.T @ J), rtol=1e-9)
-    J[:, 1] = 0
-    found = own_values.pseudo_inverse(J.T @ J)
-    assert np.all(found[1] == 0)
-    seen = np.ix_([0, 2], [0, 2])
-    assert_allclose(found[seen], np.linalg.inv((J.T @ J)[seen]), rtol=1e-9)
 
 
 def test_the_error_of_the_model_is_in_that_of_an_own_value_that_follows_it():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from greybox.statistics.column_space import column_basis
+from greybox.statistics.column_space import column_basis, pseudo_inverse
 
 
 def test_the_basis_projects_as_least_squares_do():
@@ -36,3 +36,15 @@ def test_columns_that_differ_by_rounding_are_one(apart, rank):
 def test_without_columns_there_is_nothing():
     assert column_basis(np.zeros((4, 0))).shape == (4, 0)
     assert column_basis(np.zeros((4, 2))).shape == (4, 0)
+
+
+def test_directions_that_are_not_seen_have_no_inverse():
+    random = np.random.default_rng(0)
+    size = np.array([1e3, 1.0, 1e-4])
+    J = random.normal(size=(6, 3)) * size
+    assert_allclose(pseudo_inverse(J.T @ J, 1e-9), np.linalg.inv(J.T @ J), rtol=1e-9)
+    J[:, 1] = 0
+    found = pseudo_inverse(J.T @ J, 1e-9)
+    assert np.all(found[1] == 0)
+    seen = np.ix_([0, 2], [0, 2])
+    assert_allclose(found[seen], np.linalg.inv((J.T @ J)[seen]), rtol=1e-9)

@@ -56,8 +56,8 @@ class Step:
         Predicted decrease of the merit function.
     distance : float
         Half the squared length of the step: in standard errors, where the cost is a likelihood.
-    hessian : (p, p) array
-        Hessian of the cost by z, without damping.
+    gradient, hessian : (p,) and (p, p) arrays
+        Derivatives of the cost by z, without damping.
     multipliers : sequence of (n,) arrays
         Penalty on the gaps of every state in the exact merit function; empty while continuity is
         relaxed.
@@ -70,6 +70,7 @@ class Step:
     dz: Array
     decrease: float
     distance: float
+    gradient: Array
     hessian: Array
     multipliers: Sequence[Array]
     constraint_penalty: float

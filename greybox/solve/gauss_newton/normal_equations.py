@@ -73,7 +73,15 @@ def gauss_newton_step(
             pairs = zip(progress.multipliers, multipliers, strict=True)
             multipliers = [np.maximum(previous, largest) for previous, largest in pairs]
     return Step(
-        linearizations, systems, dz, float(decrease), distance, hessian, multipliers, penalty
+        linearizations,
+        systems,
+        dz,
+        float(decrease),
+        distance,
+        gradient,
+        hessian,
+        multipliers,
+        penalty,
     )
 
 

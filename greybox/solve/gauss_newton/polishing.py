@@ -116,19 +116,12 @@ def sharp_step(nlp: CompiledProblem, parts: AllParts, iterate: Iterate, step: St
         bread, _ = information.spread(1.0)
         rows.append(math.sqrt(part.weight * bread) * information.jacobian[:, :free] / slope)
     jacobian = np.vstack(rows)
-    gradient = sum(
-        (
-            weight * system.gradient
-            for weight, system in zip(parts.weights, step.condensed, strict=True)
-        ),
-        np.zeros(free),
-    )
 
     size = np.linalg.norm(jacobian, axis=0)
     unit = 1 / np.where(size > 0, size, 1.0)
     _, singular, axes = np.linalg.svd(np.linalg.qr(jacobian * unit, mode="r"))
     determined = singular > 1e-8 * singular[0]  # smaller singular values are rounding as well
-    along = (axes @ (gradient * unit))[determined] / singular[determined]
+    along = (axes @ (step.gradient * unit))[determined] / singular[determined]
     dz = -unit * (axes[determined].T @ (along / singular[determined]))
     squares = float(along @ along)
     return replace(step, dz=dz, decrease=squares / 2, distance=squares / 2)

@@ -20,30 +20,28 @@ def best_gains(parts: AllParts, iterate: Iterate, variances: Sequence[Array]) ->
     noise is a share of them.
     """
     predictors = [
-        (gain, part, trajectory, size)
-        for gain, part, trajectory, size in zip(
-            parts.gains, parts.parts, iterate.trajectories, variances, strict=True
-        )
+        (gain, trajectory, size)
+        for gain, trajectory, size in zip(parts.gains, iterate.trajectories, variances, strict=True)
         if gain is not None
     ]
     filters = [
         gain.steady_state(trajectory, [share * size for share in DECADES])
-        for gain, _, trajectory, size in predictors
+        for gain, trajectory, size in predictors
     ]
     candidates = [iterate.z] if are_stable(parts, iterate) else []
 
     # The same share for all records at a time: all combinations would be too many.
     for entries in zip(*filters, strict=True):
         trial = iterate.z
-        for (gain, _, trajectory, _), values in zip(predictors, entries, strict=True):
+        for (gain, trajectory, _), values in zip(predictors, entries, strict=True):
             trial = trial if values is None else gain.placed(trajectory, trial, values)
         if all(values is not None for values in entries):
             candidates.append(parts.limits.clipped(trial))
 
     def cost(z: Array) -> float:
         return sum(
-            part.weight * gain.simulated_cost(z, trajectory.nodes)
-            for gain, part, trajectory, _ in predictors
+            gain.part.weight * gain.simulated_cost(z, trajectory.nodes)
+            for gain, trajectory, _ in predictors
         )
 
     return min(candidates, key=cost, default=iterate.z)

@@ -82,7 +82,8 @@ def solved(jacobians, gradients, weights, breads, slope):
     groups = SimpleNamespace(split=lambda trajectories: [None] * len(weights))
     parts = SimpleNamespace(weights=weights, groups=groups)
     condensed = [SimpleNamespace(gradient=g) for g in gradients]
-    step = Step((), condensed, np.zeros(2), 0.0, 0.0, np.eye(2), (), 0.0)
+    gradient = sum(weight * each for weight, each in zip(weights, gradients, strict=True))
+    step = Step((), condensed, np.zeros(2), 0.0, 0.0, gradient, np.eye(2), (), 0.0)
     iterate = SimpleNamespace(z=np.array([3.0, 10.0]), trajectories=())
     return sharp_step(nlp, parts, iterate, step)
 

@@ -55,9 +55,11 @@ def along(gain, *, simulated=False, nodes=0.0):
 
 
 def parts_of(*gains, weights=(1.0, 1.0), low=0.0):
-    parts = tuple(SimpleNamespace(weight=w) for w in weights[: len(gains)])
+    for gain, weight in zip(gains, weights, strict=False):
+        if gain is not None:
+            gain.part.weight = weight
     limits = SimpleNamespace(clipped=lambda z: np.maximum(z, low))
-    return SimpleNamespace(gains=gains, parts=parts, limits=limits)
+    return SimpleNamespace(gains=gains, limits=limits)
 
 
 def test_predictors_are_stable_together_and_those_that_are_simulated_alone():
