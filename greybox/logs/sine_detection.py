@@ -94,13 +94,17 @@ def sines_and_sweeps(time: Array, values: Array) -> list[Segment]:
     candidates = []
     # Low heights first: each next one needs only the turning points of the previous one.
     for height in np.ptp(values) * HEIGHTS:
-        corners = _turning_points(values, corners, float(height))
+        higher = _turning_points(values, corners, float(height))
+        if candidates and np.array_equal(higher, corners):
+            continue  # the runs would be the same
+        corners = higher
         crossings, swings = _crossings(time, values, corners)
         for a, b in _runs(crossings, swings):
             piece = _fitted(time, values, crossings[a:b])
             if piece and piece.kind == "sweep":
                 piece = _sweep(time, values, corners, crossings, swings, (a, b), piece)
-            candidates += [piece] if piece else []
+            if piece:
+                candidates.append(piece)
 
     # The longest run wins. Neighbors may overlap by a tenth, since their ends are uncertain by a
     # period.
@@ -180,7 +184,7 @@ def _continues(crossings: Array, swings: Array) -> bool:
     past = crossings[:-1]
     centered = np.arange(n) - (n - 1) / 2
     # Slope of the regression line.
-    half_period = 12 * float(centered @ past) / (n * (n * n - 1))
+    half_period = 12 * (centered @ past) / (n * (n * n - 1))
     error = abs(crossings[-1] - past.mean() - half_period * (n + 1) / 2)
     ratio = swings[-1] / np.median(swings[:-1])
     return bool(error < OFF_LINE * half_period and SWING[0] < ratio < SWING[1])
@@ -192,32 +196,31 @@ def _fitted(time: Array, values: Array, crossings: Array) -> Segment | None:
     apart = crossings.size // 2
     half_period = float(np.median(crossings[apart:] - crossings[:-apart])) / apart
     error = np.abs(crossings - half_period * index - np.median(crossings - half_period * index))
-    good = crossings[error < max(TRANSIENT * half_period, 5 * float(np.median(error)))]
+    good = crossings[error < max(TRANSIENT * half_period, 5 * np.median(error))]
     if good.size < CROSSINGS or good[-1] - good[0] < SAMPLES * median_step(time):
         return None
 
-    start = float(good[0])
-    end = float(good[-1])
+    start, end = good[[0, -1]].tolist()
     period = 2 * half_period
     window = slice(*np.searchsorted(time, (start - period, end + period)))
     time = time[window]
     values = values[window]
     rows = (time >= start) & (time <= end)
-    t = time[rows]
+    # With times from the middle, offset, trend and phase are hardly correlated.
+    middle = (start + end) / 2
+    t = time[rows] - middle
     x = values[rows]
     if t.size < SAMPLES * (end - start) / period:
         return None
 
-    middle = (start + end) / 2
-    # With times from the middle, offset, trend and phase are hardly correlated.
-    omega = _refined_frequency(t - middle, x, math.pi / half_period)
-    bend = _phase_bend(t - middle, x, omega, (end - start) / 2)
-    c = np.linalg.lstsq(_waves(t - middle, omega, 4), x, rcond=None)[0]
+    omega = _refined_frequency(t, x, math.pi / half_period)
+    bend = _phase_bend(t, x, omega, (end - start) / 2)
+    c = _factors(t, x, omega, 4)
     amplitude = math.hypot(c[2], c[3])
     deviation = np.abs(values - _waves(time - middle, omega, 4) @ c)
-    noise = float(np.sqrt(np.mean(deviation[rows] ** 2)))
+    noise = np.sqrt(np.mean(deviation[rows] ** 2))
     unexplained = BENT_UNEXPLAINED if bend > BENT else UNEXPLAINED
-    if amplitude < LEAST_AMPLITUDE * float(np.ptp(values)) or noise**2 > unexplained * (
+    if amplitude < LEAST_AMPLITUDE * np.ptp(values) or noise**2 > unexplained * (
         amplitude**2 / 2 + noise**2
     ):
         return None
@@ -239,7 +242,7 @@ def _refined_frequency(t: Array, x: Array, omega: float) -> float:
     """Fit the frequency of a sine by Gauss-Newton steps, of a tenth at most."""
     # The derivative of a sin ωt + b cos ωt by ω is a t cos ωt - b t sin ωt.
     for _ in range(4):
-        c = np.linalg.lstsq(_waves(t, omega, 6), x, rcond=None)[0]
+        c = _factors(t, x, omega, 6)
         step = (c[2] * c[4] + c[3] * c[5]) / (c[2] ** 2 + c[3] ** 2 + 1e-300)
         omega += float(np.clip(step, -0.1 * omega, 0.1 * omega))
     return omega
@@ -247,8 +250,8 @@ def _refined_frequency(t: Array, x: Array, omega: float) -> float:
 
 def _phase_bend(t: Array, x: Array, omega: float, half: float) -> float:
     """Return how far the phase bends off that of one frequency at `half` seconds, rad."""
-    c = np.linalg.lstsq(_waves(t, omega, 8), x, rcond=None)[0]
-    return abs(c[2] * c[7] - c[3] * c[6]) / (c[2] ** 2 + c[3] ** 2 + 1e-300) * (2 * half) ** 2 / 4
+    c = _factors(t, x, omega, 8)
+    return abs(c[2] * c[7] - c[3] * c[6]) / (c[2] ** 2 + c[3] ** 2 + 1e-300) * half**2
 
 
 def _sweep(
@@ -336,6 +339,11 @@ def _part_of(sine: Segment, sweep: Segment) -> bool:
     within = sweep.band[0] / 1.5 < sine.omega < sweep.band[1] * 1.5
     short = (within and sine.duration < 0.15 * sweep.duration) or sine.periods < 4
     return sine.kind == "sine" and near and short
+
+
+def _factors(t: Array, x: Array, omega: float, columns: int) -> Array:
+    """Return the factors on these waves whose sum is closest to x (n,)."""
+    return np.linalg.lstsq(_waves(t, omega, columns), x, rcond=None)[0]
 
 
 def _waves(x: Array, omega: float, columns: int) -> Array:
