@@ -101,6 +101,11 @@ class CompiledProblem(Portable):
         """(z, smoothing, data) -> the cost of the frequency responses, and what must be >= 0."""
         return self.programs[-1].function
 
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (p,) of the solver's variables z."""
+        return self.scaling.to_solver(self.lower), self.scaling.to_solver(self.upper)
+
     def limits_at(self, z: Any) -> Any:
         """Return what must be >= 0 at symbols z (p,) of the solver's variables."""
         return self.constraint(ca.vertcat(*self.scaling.expressions(z), *self.constant_values))

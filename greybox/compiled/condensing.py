@@ -15,7 +15,7 @@ import numpy as np
 from greybox.compiled.part import Condensed, Trajectory
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization, Segments
-from greybox.files.arrays import Array, BoolArray
+from greybox.files.arrays import Array, BoolArray, all_finite
 
 # Curvature, relative to that of the outputs, that keeps states in place which no output shows.
 RIDGE = 1e-10
@@ -162,7 +162,7 @@ def solve_continuity(
     # It works in this memory: `scipy.linalg.solve_banded` would copy the bands twice.
     (gbsv,) = get_lapack_funcs(("gbsv",), (matrix, right))
     *_, solution, failure = gbsv(width, width, matrix, right, overwrite_ab=1, overwrite_b=1)
-    if failure or not np.all(np.isfinite(solution)):
+    if failure or not all_finite(solution):
         raise np.linalg.LinAlgError("the nodes of the record are not determined.")
     solution = solution.reshape(s, 2 * n, r)
 

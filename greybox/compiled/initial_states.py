@@ -11,7 +11,7 @@ import numpy as np
 
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
+from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, positive_or_one
 from greybox.modeling.realization import Dynamics
 
 # Multiples of the golden ratio modulo one are spread more evenly than those of any other number.
@@ -121,7 +121,7 @@ class InitialStates:
         finite = np.asarray(np.isfinite(np.vstack([f, y, slopes])).all(axis=0))
         scale = np.abs(measured).max(axis=1, initial=0.0, keepdims=True)
         with np.errstate(all="ignore"):
-            return finite, (((y - measured) / np.where(scale > 0, scale, 1.0)) ** 2).sum(axis=0)
+            return finite, (((y - measured) / positive_or_one(scale)) ** 2).sum(axis=0)
 
 
 def _links(y: ca.SX, x: ca.SX, others: ca.SX) -> dict[int, tuple[int, float, float]]:

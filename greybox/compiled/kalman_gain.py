@@ -16,7 +16,7 @@ from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.riccati import reached, steady_state_gain
 from greybox.compiled.segmented_part import Placed
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, all_finite
 from greybox.modeling.one_thread import cached_property
 
 
@@ -167,6 +167,4 @@ def kalman_gain(part: Part) -> KalmanGain | None:
 
 def spectral_radius(A: Array) -> float:
     """Return the largest magnitude of an eigenvalue of A (n, n); infinite where A is not finite."""
-    return (
-        float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) if np.all(np.isfinite(A)) else math.inf
-    )
+    return float(np.abs(np.linalg.eigvals(A)).max(initial=0.0)) if all_finite(A) else math.inf

@@ -20,7 +20,7 @@ from typing import Any, ClassVar
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, all_finite
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.error_spectrum import ErrorSpectrum
@@ -69,7 +69,7 @@ class Trajectory:
     @property
     def finite(self) -> bool:
         """True when nothing diverged."""
-        return bool(np.all(np.isfinite(self.gaps)) and np.all(np.isfinite(self.products)))
+        return all_finite(self.gaps, self.products)
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, all_finite, positive_or_one
 from greybox.files.text_table import listed
 from greybox.formulation.time_criteria import TimeCriterion
 
@@ -84,7 +84,7 @@ class ResidualCovariance:
 
     def cost(self, products: Array) -> float:
         """Return the negative log-likelihood; infinite where the products are not finite."""
-        if not np.all(np.isfinite(products)):
+        if not all_finite(products):
             return math.inf
         covariance = self.covariance(products)
         if self.predicted is not None:
@@ -139,4 +139,4 @@ def _counts_and_spread(measured: Array) -> tuple[IntArray, Array]:
     rows = [row[finite] for row, finite in zip(measured, present, strict=True)]
     # The scale of a constant output is its size.
     spread = np.array([(np.std(row) or np.abs(row).max()) if row.size else 0.0 for row in rows])
-    return present.sum(axis=1), np.where(spread > 0, spread, 1.0)
+    return present.sum(axis=1), positive_or_one(spread)

@@ -16,7 +16,7 @@ import numpy as np
 
 from greybox.compiled.residual_covariance import diagonal
 from greybox.compiled.sample_step import SampleStep
-from greybox.files.arrays import Array, BoolArray, IntArray
+from greybox.files.arrays import Array, BoolArray, IntArray, all_finite
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -41,7 +41,7 @@ def steady_covariance(F: Any, C: Any, process: Any) -> Any:
     eye = np.eye(F.shape[-1])
 
     for _ in range(60):  # doublings of the time: 2^60 samples
-        if not np.all(np.isfinite(A)) or not np.all(np.isfinite(H)):
+        if not all_finite(A, H):
             break
         try:
             step = np.linalg.solve(eye + G @ H, A)
@@ -66,7 +66,7 @@ def steady_state_gain(F: Array, C: Array, process: Array) -> Array:
     The sensors have unit variances.
     """
     P = steady_covariance(F, C, np.diag(process))
-    if not np.all(np.isfinite(P)):
+    if not all_finite(P):
         return np.full((len(F), len(C)), np.nan)
     return np.linalg.solve(C @ P @ C.T + np.eye(len(C)), C @ P).T.astype(float)
 
@@ -156,7 +156,7 @@ class NoiseModel:
         root = np.sqrt(np.diagonal(V, axis1=1, axis2=2))[:, :, None]
         P = steady_covariance(F, C / root, Q)
         S = C @ P @ transposed(C) + V
-        if not np.all(np.isfinite(S)):
+        if not all_finite(S):
             K[:, r] = np.nan
             return K, V
 

@@ -27,7 +27,7 @@ import numpy as np
 from greybox.compiled.part import NO_NODES, Information, Part, Program, Trajectory
 from greybox.compiled.residual_covariance import ResidualCovariance, residual_covariance_of
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, all_finite, positive_or_one
 from greybox.formulation.problem import Problem
 from greybox.formulation.spectrum_criteria import EquationError, outputs_in_spectrum
 from greybox.formulation.time_criteria import TimeCriterion
@@ -176,7 +176,7 @@ class TransientPart(Part):
         errors = self._transformed(transform, self._measured - modeled)
         basis = self._real((transform @ by_ends).swapaxes(0, 1))
         logarithms = float(np.linalg.slogdet(transform)[1].sum())
-        if not all(np.all(np.isfinite(values)) for values in (errors, basis, logarithms)):
+        if not all_finite(errors, basis, logarithms):
             return None
 
         covariance = self._covariance.along(self._transformed(transform, self._measured))
@@ -343,7 +343,7 @@ class TransientPart(Part):
     def signature(self, trajectory: Trajectory) -> Array:
         """Return the modeled outputs over the root mean square of the measured ones."""
         size = np.sqrt(np.mean(np.abs(self._measured) ** 2, axis=1, keepdims=True))
-        values = trajectory.detail.modeled / np.where(size > 0, size, 1.0)
+        values = trajectory.detail.modeled / positive_or_one(size)
         return np.concatenate([values.real.ravel(), values.imag.ravel()])
 
     # --- for IPOPT and for the covariance of the estimate

@@ -14,7 +14,7 @@ from greybox.estimate.undetermined import (
     collinear_groups,
     invisible_groups,
 )
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, all_finite, positive_or_one
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.discretization_error import quadratic_model
 
@@ -200,7 +200,7 @@ def assess(
         informations=tuple(parts),
     )
 
-    if accuracy.dof > 0 and all(np.all(np.isfinite(share.root)) for share in shares):
+    if accuracy.dof > 0 and all_finite(*(share.root for share in shares)):
         accuracy = _with_covariance(nlp, accuracy, shares, seen * size[:, None], known_noise)
 
     # Collinearity matters where an error exceeds half of a value.
@@ -303,7 +303,7 @@ def known_directions(
 
     None without a covariance. A parameter at its bound counts as known, as in all errors of a fit.
     """
-    if not np.all(np.isfinite(accuracy.covariance)) or not accuracy.shares:
+    if not all_finite(accuracy.covariance) or not accuracy.shares:
         return None
     # Directions of parameters at their bounds are among the blind ones only because these are held.
     scaled = slopes * accuracy.size
@@ -367,7 +367,7 @@ def degrees(accuracy: Accuracy, gradient: Array) -> Array:
         return np.full(len(gradient), accuracy.dof)
     v = np.array([np.einsum("ij,jk,ik->i", gradient, c, gradient) for c, _ in accuracy.shares])
     spread = (v**2 / np.array([dof for _, dof in accuracy.shares])[:, None]).sum(axis=0)
-    return np.where(spread > 0, v.sum(axis=0) ** 2 / np.where(spread > 0, spread, 1.0), math.inf)
+    return np.where(spread > 0, v.sum(axis=0) ** 2 / positive_or_one(spread), math.inf)
 
 
 def propagate(accuracy: Accuracy, gradient: Array) -> Array:

@@ -14,7 +14,7 @@ from greybox.compiled.transient_part import Along, TransientPart
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.diagnostics.delay_approximation import pade_error
 from greybox.estimate.fitted_part import AnyFittedPart, FittedRecord, FittedResponse, FittedSpectrum
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, all_finite
 from greybox.formulation.problem import Problem
 from greybox.modeling.model import equation
 from greybox.modeling.model_reference import reference, source_text
@@ -49,7 +49,7 @@ def _fitted_response(part: ResponsePart, x: Array, values: dict[str, float]) -> 
     data = problem.response
     response = part.response(x)
     curve = error = None
-    if np.all(np.isfinite(response)):
+    if all_finite(response):
         error = pade_error(problem, values)
 
         def at(omega: Array) -> FrequencyResponse:

@@ -10,6 +10,7 @@ import numpy as np
 from greybox.estimate.fitted_part import FittedRecord, FittedResponse, FittedSpectrum
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.verdict import verdict
+from greybox.files.arrays import all_finite
 from greybox.files.text_table import counted, number, percent, some, text_table, with_error
 from greybox.formulation.spectrum_criteria import EquationError
 from greybox.solve.minima import Multistart
@@ -281,7 +282,7 @@ def _response_texts(responses: Sequence[FittedResponse]) -> list[str]:
         # A response that contains a zero has no relative residual: it has no line.
         with np.errstate(divide="ignore", invalid="ignore"):
             error = np.abs(part.data.response - part.response) / np.abs(part.data.response)
-        if np.all(np.isfinite(error)):
+        if all_finite(error):
             worst = int(np.argmax(error))
             place = f" ({part.name})" if part.name and len(responses) > 1 else ""
             line = (

@@ -15,7 +15,7 @@ from greybox.data.record import Record
 from greybox.estimate.covariance import informations
 from greybox.estimate.identifiability import KnownDirections, identifiability
 from greybox.estimate.undetermined import Combination, invisible_groups
-from greybox.files.arrays import Array, BoolArray
+from greybox.files.arrays import Array, BoolArray, all_finite, positive_or_one
 from greybox.files.text_table import counted, listed, one_line
 from greybox.formulation.frequency_criteria import SquaredRelativeError
 from greybox.formulation.problem import Problem
@@ -226,7 +226,7 @@ def _directions(x: Array, jacobian: Array, reach: Array) -> KnownDirections:
 
     `reach` (p,) has the lengths of its columns at known initial states.
     """
-    size = 1 / np.where(reach > 0, reach, 1.0)
+    size = 1 / positive_or_one(reach)
     _, singular, rows = np.linalg.svd(jacobian * size)
     rank = int(np.sum(singular > SEEN))
     scaled = rows[:rank] * size
@@ -257,7 +257,7 @@ def _of_responses(
     x = np.array([values[name] for name in nlp.free])
     # A response of zero at all frequencies would count every parameter as lost.
     seen = np.asarray(nlp.responses(nlp.all_values(x)))
-    if not (np.all(np.isfinite(seen)) and np.any(seen)):
+    if not (all_finite(seen) and np.any(seen)):
         return None
     jacobian = np.vstack([part.jacobian for part in informations(nlp, x)])[:, : len(x)]
     return _Sensitivity(nlp, _directions(x, jacobian, np.linalg.norm(jacobian, axis=0)), {})

@@ -4,7 +4,7 @@ Begin with `text_table`.
 
 | file | contents |
 | --- | --- |
-| `arrays` | types of numpy arrays for annotations |
+| `arrays` | types of numpy arrays for annotations, whether arrays are finite, divisors |
 | `text_table` | tables and numbers as people read them |
 | `html_text` | the same tables for notebooks |
 | `delimited_text` | tables of numbers in files: separator, decimal mark, comments, facts |

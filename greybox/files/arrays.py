@@ -1,4 +1,6 @@
-"""Types of numpy arrays for annotations."""
+"""Types of numpy arrays for annotations, whether arrays are finite, and divisors."""
+
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -7,6 +9,16 @@ Array = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.integer]
+
+
+def all_finite(*arrays: Any) -> bool:
+    """Return whether every number of these arrays is finite."""
+    return all(np.all(np.isfinite(values)) for values in arrays)
+
+
+def positive_or_one(sizes: Array) -> Array:
+    """Return the sizes as divisors: one in place of those that are not above zero."""
+    return np.where(sizes > 0, sizes, 1.0)
 
 
 def complex_array(real: Array, imaginary: Array) -> ComplexArray:

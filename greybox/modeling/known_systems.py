@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, all_finite
 from greybox.modeling.function_of_s import polynomial_value
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.state_space import StateSpace
@@ -104,7 +104,7 @@ class KnownStateSpace(StateSpace):
             matrix = value.reshape(shape) if value.size == n == 0 else value
             if matrix.shape != shape:
                 raise ValueError(f"{name} has shape {matrix.shape} where the others need {shape}.")
-            if not np.all(np.isfinite(matrix)):
+            if not all_finite(matrix):
                 raise ValueError(f"{name} has an entry that is not finite: give finite numbers.")
             arrays.append(matrix)
 
@@ -132,7 +132,7 @@ class KnownStateSpace(StateSpace):
 def _coefficients(values: Sequence[float], what: str) -> list[float]:
     """Return the coefficients without leading zeros."""
     numbers: Array = np.atleast_1d(np.array(values, dtype=float))
-    if numbers.ndim != 1 or not numbers.size or not np.all(np.isfinite(numbers)):
+    if numbers.ndim != 1 or not numbers.size or not all_finite(numbers):
         raise ValueError(
             f"the {what} is {values!r:.60}: give finite coefficients, highest power of s first."
         )

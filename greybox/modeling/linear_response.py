@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, all_finite
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.elimination import eliminated, elimination_order, solve_pencils
 from greybox.modeling.function_of_s import CASADI_TYPES, is_casadi
@@ -73,7 +73,7 @@ def frequency_response(
             delayed = exp(shift) * plant
             response = delayed.re + 1j * delayed.im
 
-    if not np.all(np.isfinite(response)):
+    if not all_finite(response):
         worst = omega[np.argmin(np.isfinite(response))]
         raise ValueError(
             f"{model.label} has no finite response at omega = {worst:g} rad/s: a pole lies there."
@@ -156,7 +156,7 @@ def _elimination_order(
     closed = trim.closed()
     samples = [np.asarray(ca.DM(system(point, *closed(point)))) for point in points]
     # A draw may have no operating point.
-    samples = [sample for sample in samples if np.all(np.isfinite(sample))]
+    samples = [sample for sample in samples if all_finite(sample)]
     if not samples:
         return tuple(range(len(model.states)))
     # Fifty frequencies limit the time of the search.

@@ -7,7 +7,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, all_finite
 from greybox.files.text_table import one_line
 from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace
@@ -87,7 +87,7 @@ def linearize(
     x, u = trim_of(model, at or {}).closed()(vector)
     point = np.concatenate([np.asarray(x).ravel(), np.asarray(u).ravel()])
     # Without an operating point, `trim_of` returns an infinite one, so that a search can continue.
-    if not np.all(np.isfinite(point)):
+    if not all_finite(point):
         raise ValueError(
             f"{model.label} has no operating point with {dict(at or {})} at {dict(p)}: check `at` "
             "and the values."

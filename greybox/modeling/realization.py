@@ -8,6 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from greybox.files.arrays import all_finite
 from greybox.modeling.model import Model
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import MOST_EXACT, pade_rows, pade_steady, pade_step
@@ -170,7 +171,7 @@ def _time_scale(a: list[Any], p: ca.SX, model: Model) -> float:
     values = ca.Function("a", [p], [ca.vertcat(*a)])([q.start for q in model.parameters.values()])
     coefficients = np.asarray(values).ravel()
     # Any scale is right; this one only keeps the states of one size.
-    if not np.all(np.isfinite(coefficients)):
+    if not all_finite(coefficients):
         return 1.0
     poles = np.abs(np.roots(coefficients))
     poles = poles[poles > NO_POLE]

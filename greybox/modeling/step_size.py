@@ -19,7 +19,7 @@ import math
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, positive_or_one
 
 # Substeps a sample. An explicit step follows poles up to `reach` per step, RK4 to 64 · 2.7 = 170
 # per sample; a model with faster ones is stiff, and the implicit `Radau` takes fewer steps.
@@ -67,5 +67,5 @@ def relative_change(change: Array, *states: Array) -> float:
     """
     size = np.max([np.abs(x).max(axis=1, initial=0.0) for x in states], axis=0)
     size = np.maximum(size, NEGLIGIBLE * size.max(initial=0.0))
-    largest = np.abs(change).max(axis=1, initial=0.0) / np.where(size > 0, size, 1.0)
+    largest = np.abs(change).max(axis=1, initial=0.0) / positive_or_one(size)
     return float(largest.max(initial=0.0))

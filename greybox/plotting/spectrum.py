@@ -7,7 +7,7 @@ import numpy as np
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.estimate.fitted_part import FittedSpectrum
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, all_finite
 from greybox.files.text_table import counted, in_greek
 from greybox.plotting.figure import ANGLES, CROSS, GRAY, INK, Figure, Panel, Series, rule
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
@@ -98,7 +98,7 @@ def _output_panels(
         phase.append(Series(label, "line", omega, angle + np.degrees(np.angle(values / measured))))
         # Only output error estimates the noise of the outputs; equation error estimates that of
         # equations.
-        if fitted.criterion == "output-error" and np.all(np.isfinite(fitted.noise)):
+        if fitted.criterion == "output-error" and all_finite(fitted.noise):
             k = fitted.outputs.index(name)
             # The root mean square of the integral of white noise over the manoeuvre.
             level = math.sqrt(float(fitted.noise[k, k]) * data.step * data.duration)

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 
 from greybox.compiled.sampled_data import gapless
 from greybox.data.record import Record, share_samples
-from greybox.files.arrays import Array, BoolArray
+from greybox.files.arrays import Array, BoolArray, all_finite
 from greybox.files.text_table import counted, some
 from greybox.formulation.input_assumptions import Inputs
 from greybox.modeling.integrators import Integrator
@@ -367,7 +367,7 @@ def _initial_states(
     states = np.zeros((stretches, len(model.system.states)))
     for name, value in initial.items():
         values = np.asarray(value)
-        is_number = values.dtype.kind in "iuf" and np.all(np.isfinite(values))
+        is_number = values.dtype.kind in "iuf" and all_finite(values)
         if not is_number or values.ndim > 1 or values.size not in (1, stretches):
             raise ValueError(
                 f"initial gives {name!r} the value {value!r:.60}: give a finite number, or one for "

@@ -11,7 +11,7 @@ from greybox.compiled.initial_states import InitialStates
 from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.sampled_data import SampledData, Stretch
 from greybox.compiled.segments import Segments
-from greybox.files.arrays import Array, BoolArray, IntArray
+from greybox.files.arrays import Array, BoolArray, IntArray, all_finite
 from greybox.modeling.implicit_integrators import Radau
 from greybox.modeling.integrators import Integrator, RungeKutta
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -288,7 +288,7 @@ class Simulator:
             if chosen or not result.states.size or self._substeps >= MOST_SUBSTEPS:
                 return result
             error = self._local_error(result)
-            if error <= TOLERANCE and np.all(np.isfinite(result.states)):
+            if error <= TOLERANCE and all_finite(result.states):
                 return result
             # Steps that are too long may be the reason why states are not finite.
             error = error if error > TOLERANCE else np.inf

@@ -131,8 +131,7 @@ class BatchedNewton:
     @one_thread_at_a_time
     def of(cls, problem: CompiledProblem, program: CostProgram) -> "BatchedNewton":
         """Return the search for the minima of a program of the problem."""
-        lower, upper = map(problem.scaling.to_solver, (problem.lower, problem.upper))
-        return cls(program.second_order, lower, upper, problem.data, program.roots)
+        return cls(program.second_order, *problem.bounds, problem.data, program.roots)
 
     def minimize(
         self,

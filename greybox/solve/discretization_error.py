@@ -16,7 +16,7 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Part, Trajectory
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, all_finite, positive_or_one
 from greybox.modeling.step_size import MOST_SUBSTEPS, substep_growth
 from greybox.solve.interruption import stop_requested
 from greybox.solve.local_solver import LocalSolver
@@ -240,12 +240,12 @@ def _is_rounding(trajectory: Trajectory, finer: Trajectory) -> bool:
 
 def _in_standard_errors(hessian: Array, change: Array) -> Array:
     """Return the step -H⁻¹ g in standard errors, along directions that the data determine."""
-    if not np.all(np.isfinite(change)):
+    if not all_finite(change):
         return np.full(len(change), math.inf)
 
     inverse = pseudo_inverse(hessian, 1e-12)
     errors = np.sqrt(np.maximum(np.diag(inverse), 0.0))
-    return -(inverse @ change) / np.where(errors > 0, errors, 1.0)
+    return -(inverse @ change) / positive_or_one(errors)
 
 
 def _widened(coarse: Array, fine: Array) -> Array:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, positive_or_one
 
 
 def solve_small_qp(hessian: Array, gradient: Array, normals: Array, limits: Array) -> Array:
@@ -18,7 +18,7 @@ def solve_small_qp(hessian: Array, gradient: Array, normals: Array, limits: Arra
     if p == 0:
         return np.zeros(0)
     diagonal = np.diag(hessian)
-    scale = 1 / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    scale = 1 / np.sqrt(positive_or_one(diagonal))
     values, vectors = np.linalg.eigh(hessian * scale * scale[:, None])
     largest = max(values.max(), 0.0)
     # Flatter directions move only where a limit needs it, and then count little.
@@ -36,7 +36,7 @@ def solve_small_qp(hessian: Array, gradient: Array, normals: Array, limits: Arra
     rows = normals @ mapping
     least = limits - normals @ step
     size = np.linalg.norm(rows, axis=1)
-    size = np.where(size > 0, size, 1.0)
+    size = positive_or_one(size)
     rows, least = rows / size[:, None], least / size
     reach = max(float(np.abs(least).max()), 1e-300)
     system = np.vstack([rows.T, least / reach])

@@ -68,15 +68,8 @@ class ResponseSolver(LocalSolver):
         self.problem, self._options, self._batched = problem, dict(options), batched
         if options:  # those that IPOPT does not take are refused here
             _ = [stage.solver for stage in self._stages]
-        self.lower = problem.scaling.to_solver(problem.lower)
-        self.upper = problem.scaling.to_solver(problem.upper)
-        limits = np.zeros(problem.constraint.numel_out())
-        self._bounds = {
-            "lbx": self.lower,
-            "ubx": self.upper,
-            "lbg": limits,
-            "ubg": limits + np.inf,
-        }
+        self.lower, self.upper = problem.bounds
+        self._bounds = {"lbx": self.lower, "ubx": self.upper, "lbg": 0.0, "ubg": np.inf}
         self.limits = {
             "max_iterations": int(self._options.get("max_iter", ITERATIONS)),
             "tolerance": float(self._options.get("tol", TOLERANCE)),

@@ -82,7 +82,7 @@ class TranscribedProgram(LocalSolver):
 
         # States may go anywhere: a bound would only cut off their search.
         unbounded = np.full(unknowns.numel() - z.numel(), np.inf)
-        low, high = nlp.scaling.to_solver(nlp.lower), nlp.scaling.to_solver(nlp.upper)
+        low, high = nlp.bounds
         self._bounds = {
             "lbx": np.concatenate([low, -unbounded]),
             "ubx": np.concatenate([high, unbounded]),

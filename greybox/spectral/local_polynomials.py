@@ -33,7 +33,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.files.arrays import Array, ComplexArray, IntArray
+from greybox.files.arrays import Array, ComplexArray, IntArray, all_finite
 from greybox.spectral.estimated_points import HZ, STRONG, WORST_CONDITION, EstimatedPoint
 from greybox.spectral.uniform_stretches import UniformStretch
 
@@ -504,7 +504,7 @@ def _with_pole(
     response = numerator * (center / omega) / (1 + pole * at)
     correction = fitted.weights(omega) @ output[places] - response
     squares = float(np.sum(np.abs(y - output) ** 2))
-    if not (np.all(np.isfinite(correction)) and math.isfinite(squares)):
+    if not all_finite(correction, squares):
         return None
     return correction, squares, number
 

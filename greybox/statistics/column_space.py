@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, positive_or_one
 
 DEPENDENT = 1e-9  # of the largest singular value of columns of unit length: rounding errors
 
@@ -24,7 +24,7 @@ def pseudo_inverse(information: Array, least: float) -> Array:
     the result independent of units.
     """
     diagonal = np.diag(information)
-    scale = (diagonal > 0) / np.sqrt(np.where(diagonal > 0, diagonal, 1.0))
+    scale = (diagonal > 0) / np.sqrt(positive_or_one(diagonal))
     scales = np.outer(scale, scale)
     return np.linalg.pinv(information * scales, least, hermitian=True) * scales
 

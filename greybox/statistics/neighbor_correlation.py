@@ -27,7 +27,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, all_finite
 from greybox.statistics.column_space import column_basis
 
 # Posterior probability above which errors count as independent. Intervals then change by less than
@@ -110,7 +110,7 @@ def neighbor_correlation(
 
     n = errors.size
     norm = np.linalg.norm(errors)
-    if not (np.all(np.isfinite(design)) and EXACT * math.sqrt(n) < norm < math.inf):
+    if not (all_finite(design) and EXACT * math.sqrt(n) < norm < math.inf):
         return None
 
     # The residuals lack what the parameters took from the errors.

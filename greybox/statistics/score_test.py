@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, positive_or_one
 from greybox.statistics.column_space import column_basis, outside
 
 # Share of the length of a term that must remain beside the parameters: less is an error of the
@@ -53,7 +53,7 @@ def score_tests(residuals: Array, fitted: Array, terms: Array) -> Array:
     """
     basis = column_basis(fitted)
     before = np.linalg.norm(terms, axis=0)
-    terms = outside(terms / np.where(before > 0, before, 1.0), basis)
+    terms = outside(terms / positive_or_one(before), basis)
     length = np.linalg.norm(terms, axis=0)
     is_new = (length > REMAINS) & (before > 0)
     rows = np.where(is_new, terms / np.where(is_new, length, 1.0), 0.0)

@@ -189,7 +189,7 @@ class ResponseReplicates(Replicates):
         # IPOPT takes much longer than a batch: check the time limit before each solve.
         if cut := reason_to_end():
             return self._outcome(np.full(len(self.start), np.nan), cut, 0)
-        lower, upper = self._bounds
+        lower, upper = self.nlp.bounds
         bounds = {"lbx": lower, "ubx": upper, "lbg": 0.0, "ubg": math.inf}
         p = np.append(SMOOTHING, data)
         return self._outcome(*self._ipopt.solve(self._begin, p, bounds))
@@ -201,12 +201,7 @@ class ResponseReplicates(Replicates):
 
     @cached_property
     def _begin(self) -> Array:
-        return np.clip(self.nlp.scaling.to_solver(self.start), *self._bounds)
-
-    @property
-    def _bounds(self) -> tuple[Array, Array]:
-        scaling = self.nlp.scaling
-        return scaling.to_solver(self.nlp.lower), scaling.to_solver(self.nlp.upper)
+        return np.clip(self.nlp.scaling.to_solver(self.start), *self.nlp.bounds)
 
     @cached_property
     def _newton(self) -> BatchedNewton | None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from greybox.estimate.fitted_part import FittedPart, FittedResponse
 from greybox.estimate.result import Fit
+from greybox.files.arrays import all_finite
 from greybox.files.text_table import listed, number, one_line
 from greybox.validation.comparison import SIGNIFICANT, p_text
 from greybox.validation.nesting import NotNestedError, nested_values
@@ -159,9 +160,7 @@ def nested_test_at(
     if independent and large.independent is not None:
         alone, dof = large.independent
         covariance = np.where(np.isnan(covariance), np.nan, alone[np.ix_(rows, rows)])
-    if not (
-        dof > 0 and np.all(np.isfinite(covariance)) and np.all(np.linalg.eigvalsh(covariance) > 0)
-    ):
+    if not (dof > 0 and all_finite(covariance) and np.all(np.linalg.eigvalsh(covariance) > 0)):
         raise ValueError(
             f"the data do not determine {listed(list(values))} of {labels[1]}: nothing can be "
             "tested."

@@ -10,7 +10,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, all_finite
 from greybox.modeling.integrators import RungeKutta
 from greybox.solve.ipopt import INVALID
 from greybox.solve.minima import Multistart
@@ -65,7 +65,7 @@ def _not_finite(runs: Runs) -> Runs:
 def _trouble(nlp: CompiledProblem, run: Run) -> Trouble | None:
     """Return the trouble of the first part that has one where a run began, or else ended."""
     # Screening moves starts: a run may begin elsewhere, and then it ends there.
-    points = [x for x in (run.start, run.estimate) if np.all(np.isfinite(x))]
+    points = [x for x in (run.start, run.estimate) if all_finite(x)]
     with np.errstate(all="ignore"):
         for x, part in itertools.product(points, nlp.parts):
             z = nlp.scaling.to_solver(np.clip(x, nlp.lower, nlp.upper))

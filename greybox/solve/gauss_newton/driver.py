@@ -250,4 +250,4 @@ def _limits(nlp: CompiledProblem) -> Limits:
     z = ca.SX.sym("z", len(nlp.free))
     g = nlp.limits_at(z)
     constraints = ca.Function("constraints", [z], [g, ca.densify(ca.jacobian(g, z))])
-    return Limits(nlp.scaling.to_solver(nlp.lower), nlp.scaling.to_solver(nlp.upper), constraints)
+    return Limits(*nlp.bounds, constraints)

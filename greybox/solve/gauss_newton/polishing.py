@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, positive_or_one
 from greybox.solve.gauss_newton.all_parts import COST_ROUNDING, AllParts
 from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Progress, Step
 from greybox.solve.gauss_newton.iteration import descend
@@ -118,7 +118,7 @@ def sharp_step(nlp: CompiledProblem, parts: AllParts, iterate: Iterate, step: St
     jacobian = np.vstack(rows)
 
     size = np.linalg.norm(jacobian, axis=0)
-    unit = 1 / np.where(size > 0, size, 1.0)
+    unit = 1 / positive_or_one(size)
     _, singular, axes = np.linalg.svd(np.linalg.qr(jacobian * unit, mode="r"))
     determined = singular > 1e-8 * singular[0]  # smaller singular values are rounding as well
     along = (axes @ (step.gradient * unit))[determined] / singular[determined]
