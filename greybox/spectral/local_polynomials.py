@@ -22,7 +22,8 @@ Error of the polynomials
     Symposium on System Identification).
 Noise
     Its spectrum S is estimated from the residuals of the band, with the pole if one is needed, and
-    of the bands beside it if these are few. For the estimate aY, the variance E|P̂ - P|² is S aaᴴ.
+    of the bands beside it if these are few. For the estimate aY, the variance E|P̂ - P|² is S aaᴴ;
+    with an instrument, the one that the points beside it expect.
 """
 
 import math
@@ -77,6 +78,10 @@ NEIGHBORHOOD = 12
 # either side, by least squares on logarithms, with a prior of this standard deviation.
 STEEP = 1.0
 
+# Points by which the gain from instrument to input is expected, and standard deviations of noise
+# in it that count as noise.
+BESIDE, LIKELY = 6, 2
+
 # Largest half-width of a band over its frequency: 0.15 decades on either side.
 WIDEST = 0.35
 
@@ -124,6 +129,8 @@ class Fitted(NamedTuple):
         An orthonormal basis of the transients.
     order : int
         Order of the response.
+    alone : (m, n) complex array
+        The solution if the input were the instrument.
     """
 
     center: float
@@ -135,6 +142,7 @@ class Fitted(NamedTuple):
     solution: ComplexArray
     transients: Array
     order: int
+    alone: ComplexArray
 
     def weights(self, omega: Array) -> ComplexArray:
         """Return the matrix (k, n) from the output at the lines to the response at `omega` (k,)."""
@@ -224,8 +232,8 @@ def tiled_points(
     ]
     if near is not None:
         bands = _beside(lines, bands, near)
-    estimates = [point for band in bands for point in _estimates(lines, band, bands)]
-    return np.concatenate([band.omega for band in bands] or [np.zeros(0)]), estimates
+    omega = np.concatenate([band.omega for band in bands] or [np.zeros(0)])
+    return omega, _estimates(lines, bands)
 
 
 def points_at(lines: Lines, omega: Array) -> list[EstimatedPoint]:
@@ -242,8 +250,8 @@ def points_at(lines: Lines, omega: Array) -> list[EstimatedPoint]:
         _centered(lines, center, half, narrowest)
         for center, half in zip(omega.tolist(), halves.tolist(), strict=True)
     ]
-    fitted = [band for band in bands if band is not None]
-    return [_estimates(lines, band, fitted)[0] if band else EstimatedPoint() for band in bands]
+    estimates = iter(_estimates(lines, [band for band in bands if band]))
+    return [next(estimates) if band else EstimatedPoint() for band in bands]
 
 
 def _narrowest(lines: Lines, omega: float) -> float:
@@ -311,10 +319,10 @@ def fit_band(
         for signal in (u, r)
     )
     solved = _solved(regressors, instruments)
-    if solved is None:
+    alone = solved if lines.direct else _solved(instruments, instruments)
+    if solved is None or alone is None:
         return None
-    basis, solution = solved
-    return Fitted(center, half, rows, x, regressors, basis, solution, transients, order)
+    return Fitted(center, half, rows, x, regressors, *solved, transients, order, alone[1])
 
 
 def _transients(lines: Lines, rows: IntArray, stretches: Sequence[int], order: int) -> Array:
@@ -509,22 +517,45 @@ def _with_pole(
     return correction, squares, number
 
 
-def _estimates(lines: Lines, band: Band, bands: Sequence[Band]) -> list[EstimatedPoint]:
-    """Return the estimates of a band at its frequencies."""
-    fitted = band.fitted
-    noise, dof = _noise(band, bands)
-    weights = fitted.weights(band.omega)
-    spread = np.sum(np.abs(weights) ** 2, axis=1)
-    response = weights @ lines.values[1, fitted.rows] - band.correction
-    variance = noise * spread + band.squared_error
-    coherence, input_noise = _coherence(lines, fitted, noise)
-    weak = STRONG * spread * input_noise > 1
-    return [
-        EstimatedPoint(weak=True)
-        if hidden
-        else EstimatedPoint(complex(p), float(v), dof, coherence)
-        for p, v, hidden in zip(response, variance, weak, strict=True)
-    ]
+def _estimates(lines: Lines, bands: Sequence[Band]) -> list[EstimatedPoint]:
+    """Return the estimates of bands at their frequencies."""
+    points = []
+    for band in bands:
+        fitted = band.fitted
+        noise, dof = _noise(band, bands)
+        coherence, input_noise = _coherence(lines, fitted, noise)
+        weights = fitted.weights(band.omega)
+        response = weights @ lines.values[1, fitted.rows] - band.correction
+        alone = fitted._replace(solution=fitted.alone).weights(band.omega)
+        spreads = (np.sum(np.abs(w) ** 2, axis=1) for w in (weights, alone))
+        for point in zip(response, band.omega, *spreads, band.squared_error, strict=True):
+            points.append((*point, noise, dof, coherence, input_noise, band.number))
+    response, *others = np.reshape(points, (-1, 10)).T
+    omega, spread, alone, error, noise, dof, coherence, input_noise, own = np.real(others)
+
+    change = _change(omega, spread, alone, input_noise)
+    weak = STRONG * input_noise * spread * np.exp(change) > 1
+    variance = np.where(weak, np.nan, noise * spread * np.exp((1 + 2 * own / dof) * change) + error)
+    columns = (response, variance, dof, coherence, weak)
+    return [EstimatedPoint(*point) for point in zip(*columns, strict=True)]
+
+
+def _change(omega: Array, spread: Array, alone: Array, input_noise: Array) -> Array:
+    """Return the logarithm (n,) of the spreads that neighbors expect over those of the estimates.
+
+    Noise that feedback adds to the input makes it strong where the response is wrong in one
+    direction: variances by its own strength, or a choice of points by it, would bias a fit. The
+    residuals of a band grow as the input shrinks, too.
+    """
+    gain = np.log(alone / spread)  # from instrument to input, of the power
+    change = np.zeros_like(gain)
+    if gain.size > BESIDE and input_noise.any():
+        for k, away in enumerate(np.log(omega / omega[:, None])):
+            near = np.argsort(np.abs(away))[1 : 1 + BESIDE]
+            change[k] = gain[k] - np.polyfit(away[near], gain[near], 1)[1]
+    # Beyond what noise can change, the gain is no straight line.
+    limit = LIKELY * np.sqrt(2 * input_noise * spread * np.exp(np.minimum(change, 0)))
+    return np.clip(change, -limit, limit)
 
 
 def _noise(band: Band, bands: Sequence[Band]) -> tuple[float, float]:

@@ -22,7 +22,7 @@ def test_pairs_are_matched_once_closest_first():
     assert_allclose([p.distance for p in pairs], [0.01 / 1.05, 0.1 / abs(2.1 + 3j)])
     assert (
         near_pairs([-1e-3], [0.0]) == ()
-    )  # an integrator is canceled by a zero at the origin only
+    )  # an integrator is cancelled by a zero at the origin only
     assert near_pairs([0.01], [-0.01]) == ()
 
 

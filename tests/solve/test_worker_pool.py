@@ -62,7 +62,7 @@ def test_a_worker_that_is_killed_between_two_calls_is_replaced():
         assert pool.submit(os.getpid).result() != number
 
 
-def test_calls_that_have_not_begun_are_canceled(tmp_path):
+def test_calls_that_have_not_begun_are_cancelled(tmp_path):
     pool = WorkerPool(1)
     pipe = tmp_path / "pipe"
     os.mkfifo(pipe)

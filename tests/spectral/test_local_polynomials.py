@@ -305,3 +305,25 @@ def test_a_pole_inside_a_band_is_estimated_with_the_polynomials(joint):
         by_matrices(lines, 19.0, 6.65)[2][:1] @ lines.values[1, np.abs(lines.omega - 19.0) <= 6.65]
     )
     assert abs(point.response / truth[0] - 1) < 0.2 * abs(plain / truth[0] - 1)
+
+
+def test_variances_do_not_favor_points_that_feedback_made_strong():
+    """A gain of 2 in a loop, u = (r - v) / 3: a mean of points by their variances is off by chance alone."""
+    rng, count = np.random.default_rng(0), 2000
+    r = np.exp(2j * np.pi * rng.random(count))
+    v = 0.5 * (rng.standard_normal((count, 2)) @ [1, 1j]) / np.sqrt(2)
+    u = (r - v) / 3
+    lines = local_polynomials.Lines(
+        np.arange(1.0, count + 1),
+        np.array([u, 2 * u + v, r]),
+        np.zeros(count, dtype=int),
+        1.0,
+        False,
+    )
+    points = local_polynomials.points_at(lines, np.arange(20.0, count - 10, 10.0))
+    response, variance = np.array([(p.response, p.variance) for p in points if not p.weak]).T
+    weight = 1 / variance.real
+    assert len(weight) > 0.9 * len(points)
+    assert np.mean(np.abs(response - 2) ** 2 * weight) == pytest.approx(1, abs=0.35)
+    # By the own strength of the points, the mean is off by -6.4 standard errors.
+    assert abs(weight @ (response.real - 2)) < 2.5 * np.sqrt(weight.sum() / 2)

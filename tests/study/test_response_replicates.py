@@ -69,7 +69,7 @@ OMEGA = np.array([0.5, 1.0, 2.0, 4.0, 8.0])
 
 
 def lag_draws(noise, criterion, x=(2.0, 0.5), fixed=None, **columns):
-    """The draws at K = 2 and T = 0.5, the modeled response, and the residuals over it."""
+    """The draws at K = 2 and T = 0.5, the modelled response, and the residuals over it."""
     model = 2 / (0.5j * OMEGA + 1)
     random = np.random.default_rng(3)
     left = noise * (random.normal(size=5) + 1j * random.normal(size=5))
