@@ -519,19 +519,18 @@ def _with_pole(
 
 def _estimates(lines: Lines, bands: Sequence[Band]) -> list[EstimatedPoint]:
     """Return the estimates of bands at their frequencies."""
-    points = []
+    rows: list[Any] = [np.zeros((10, 0))]
     for band in bands:
         fitted = band.fitted
         noise, dof = _noise(band, bands)
-        coherence, input_noise = _coherence(lines, fitted, noise)
         weights = fitted.weights(band.omega)
         response = weights @ lines.values[1, fitted.rows] - band.correction
         alone = fitted._replace(solution=fitted.alone).weights(band.omega)
         spreads = (np.sum(np.abs(w) ** 2, axis=1) for w in (weights, alone))
-        for point in zip(response, band.omega, *spreads, band.squared_error, strict=True):
-            points.append((*point, noise, dof, coherence, input_noise, band.number))
-    response, *others = np.reshape(points, (-1, 10)).T
-    omega, spread, alone, error, noise, dof, coherence, input_noise, own = np.real(others)
+        known = band.omega, *spreads, band.squared_error, noise, dof, band.number
+        rows.append(np.broadcast_arrays(response, *known, *_coherence(lines, fitted, noise)))
+    response, *others = np.hstack(rows)
+    omega, spread, alone, error, noise, dof, own, coherence, input_noise = np.real(others)
 
     change = _change(omega, spread, alone, input_noise)
     weak = STRONG * input_noise * spread * np.exp(change) > 1
