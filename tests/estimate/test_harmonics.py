@@ -8,16 +8,16 @@ from evaluation import numeric_jacobian
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import assess
-from greybox.estimate.diagnostics.harmonics import harmonic_warnings
+from greybox.estimate.diagnostics import harmonics
 from greybox.modeling import Sine, harmonic_response
 
 OMEGA = np.array([0.45, 1.7])
 
 
-def response(x, harmonics):
+def response(x, number):
     values = {"b": x[0], "d": x[1]}
     return harmonic_response(
-        Spring(), values, OMEGA, amplitude=Sine("u", 0.7, harmonics=harmonics)
+        Spring(), values, OMEGA, amplitude=Sine("u", 0.7, harmonics=number)
     ).response
 
 
@@ -31,7 +31,7 @@ def test_harmonics_that_would_shift_the_estimate_are_asked_for(noise, matters):
         Spring(), measured, gb.SquaredRelativeError(), amplitude=Sine("u", 0.7, harmonics=1)
     )
     nlp = compile_problem(problem)
-    texts = [*harmonic_warnings(nlp, x)]
+    texts = [*harmonics.harmonic_warnings(nlp, x)]
     assert bool(texts) == matters
 
     # The step of least squares, in standard errors.
@@ -45,3 +45,14 @@ def test_harmonics_that_would_shift_the_estimate_are_asked_for(noise, matters):
     if matters:
         change = 100 * np.abs(more / few - 1).max()
         assert f"with 5 the response changes by up to {change:.2g} %" in texts[0]
+
+
+def test_where_more_harmonics_find_no_motion_is_said(monkeypatch):
+    """The finer balance is made to fail at one of two frequencies."""
+    x = [1.1, 0.4]
+    measured = gb.FrequencyResponse(OMEGA, response(x, 7), "u", "x", name="run")
+    problem = gb.Problem(Spring(), measured, amplitude=Sine("u", 0.7, harmonics=7))
+    found = np.array([response(x, 7)[0], np.nan])
+    monkeypatch.setattr(harmonics, "directly_found", lambda *_, **__: (found, 17))
+    (text,) = harmonics.harmonic_warnings(compile_problem(problem), np.array(x))
+    assert "no motion was found at 1 of 2" in text

@@ -25,7 +25,7 @@ ROUNDING = 1e-7
 
 
 def harmonic_warnings(nlp: CompiledProblem, x: Array) -> Iterator[str]:
-    """Warn if more harmonics would change the estimate `x` (p,) noticeably."""
+    """Warn if more harmonics would change the estimate `x` (p,) noticeably, or cannot be tried."""
     values = nlp.all_values(x)
     named = dict(zip(nlp.names, values.tolist(), strict=True))
     for part in nlp.parts_of(ResponsePart):
@@ -41,12 +41,18 @@ def harmonic_warnings(nlp: CompiledProblem, x: Array) -> Iterator[str]:
             replace(sine, harmonics=more),
             **problem.signals,
         )
-        # NaN where no motion was found.
-        change = np.abs(many / few - 1)
+        lost = np.isnan(many)
+        change = np.where(lost, 0.0, np.abs(many / few - 1))
         noise = rms(np.abs(part.data.response / few - 1))
         if np.linalg.norm(change) > max(NOTICEABLE * noise, ROUNDING):
             count = counted(sine.harmonics, "harmonic is", "harmonics are")
             yield (
                 f"{count} too few for {problem.name!r}: with {more} the response changes by up to "
                 f"{100 * change.max():.2g} %; use Sine({sine.signal!r}, ..., harmonics={more})."
+            )
+        if lost.any():
+            yield (
+                f"with {more} harmonics no motion was found at {lost.sum()} of {lost.size} "
+                f"frequencies of {problem.name!r}: whether {sine.harmonics} are enough there is "
+                "not known."
             )
