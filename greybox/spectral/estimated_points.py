@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.intersample import hold_of_response
-from greybox.files.arrays import Array, BoolArray
+from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.files.text_table import counted
 from greybox.spectral.uniform_stretches import UniformStretch
 
@@ -28,21 +28,19 @@ COHERENT = 0.6  # least coherence of an automatic point: Tischler and Remple, se
 WORST_CONDITION = 1e6
 
 
-class EstimatedPoint(NamedTuple):
-    """The estimate at one frequency; NaN with too few data or a `weak` instrument."""
+class EstimatedPoints(NamedTuple):
+    """The estimates at frequencies (n,); the variances are NaN where the instrument is `weak`."""
 
-    response: complex = complex("nan")
-    variance: float = math.nan
-    dof: float = math.nan
-    coherence: float = math.nan
-    weak: bool = False
+    omega: Array
+    response: ComplexArray
+    variance: Array
+    dof: Array
+    coherence: Array
+    weak: BoolArray
 
 
 def response_at(
-    omega: Array,
-    estimates: Sequence[EstimatedPoint],
-    names: tuple[str, str, str],
-    stretches: Sequence[UniformStretch],
+    points: EstimatedPoints, names: tuple[str, str, str], stretches: Sequence[UniformStretch]
 ) -> FrequencyResponse:
     """Return the points that could be estimated; `names` are those of input, output and response.
 
@@ -53,14 +51,7 @@ def response_at(
     ValueError
         If no point could be estimated.
     """
-    if not estimates:
-        raise ValueError(
-            "no frequency has enough data: the excitation must cover a band, and be longer than "
-            "six periods of its lowest frequency."
-        )
-    response, variance, dof, coherence, weak = (
-        np.array(column) for column in zip(*estimates, strict=True)
-    )
+    omega, response, variance, dof, coherence, weak = points
     # A response without a variance has no weight in a likelihood.
     good = np.isfinite(variance)
     input, output, name = names
@@ -70,7 +61,10 @@ def response_at(
             "strong as the noise; excite more strongly or longer, or use another instrument."
         )
     if not good.any():
-        raise ValueError("no frequency has enough data for a variance: record longer.")
+        raise ValueError(
+            "no frequency has enough data: the excitation must cover a band, and be longer than "
+            "six periods of its lowest frequency."
+        )
 
     facts = measured_in(stretches, input, output)
     if weak.any():

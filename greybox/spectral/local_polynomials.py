@@ -35,7 +35,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from greybox.files.arrays import Array, ComplexArray, IntArray, all_finite
-from greybox.spectral.estimated_points import HZ, STRONG, WORST_CONDITION, EstimatedPoint
+from greybox.spectral.estimated_points import HZ, STRONG, WORST_CONDITION, EstimatedPoints
 from greybox.spectral.uniform_stretches import UniformStretch
 
 # Order of the response in a band. The error of order R in a band of half-width b at the distance ρ
@@ -218,8 +218,8 @@ def tiled_points(
     high: float,
     points: int,
     near: Callable[[Array], ComplexArray] | None = None,
-) -> tuple[Array, list[EstimatedPoint]]:
-    """Return frequencies between `low` and `high`, and the estimates there.
+) -> EstimatedPoints:
+    """Return the estimates at frequencies between `low` and `high`.
 
     If the response is smooth, there are about `points`, log spaced; more where it is not, and fewer
     where the lines do not resolve as many. The bands do not depend on the response `near` the true
@@ -232,15 +232,14 @@ def tiled_points(
     ]
     if near is not None:
         bands = _beside(lines, bands, near)
-    omega = np.concatenate([band.omega for band in bands] or [np.zeros(0)])
-    return omega, _estimates(lines, bands)
+    return _estimates(lines, bands)
 
 
-def points_at(lines: Lines, omega: Array) -> list[EstimatedPoint]:
+def points_at(lines: Lines, omega: Array) -> EstimatedPoints:
     """Return the estimates at `omega` (n,), each from a band that reaches halfway to its neighbors.
 
-    If frequencies are closer than the resolution, the bands overlap and the errors of neighbors are
-    correlated.
+    Frequencies with too few lines have none. If they are closer than the resolution, the bands
+    overlap and the errors of neighbors are correlated.
     """
     narrowest = _narrowest(lines, float(np.exp(np.mean(np.log(omega)))))
     gaps = np.abs(omega[:, None] - omega)
@@ -250,8 +249,7 @@ def points_at(lines: Lines, omega: Array) -> list[EstimatedPoint]:
         _centered(lines, center, half, narrowest)
         for center, half in zip(omega.tolist(), halves.tolist(), strict=True)
     ]
-    estimates = iter(_estimates(lines, [band for band in bands if band]))
-    return [next(estimates) if band else EstimatedPoint() for band in bands]
+    return _estimates(lines, [band for band in bands if band])
 
 
 def _narrowest(lines: Lines, omega: float) -> float:
@@ -517,7 +515,7 @@ def _with_pole(
     return correction, squares, number
 
 
-def _estimates(lines: Lines, bands: Sequence[Band]) -> list[EstimatedPoint]:
+def _estimates(lines: Lines, bands: Sequence[Band]) -> EstimatedPoints:
     """Return the estimates of bands at their frequencies."""
     rows: list[Any] = [np.zeros((10, 0))]
     for band in bands:
@@ -535,8 +533,7 @@ def _estimates(lines: Lines, bands: Sequence[Band]) -> list[EstimatedPoint]:
     change = _change(omega, spread, alone, input_noise)
     weak = STRONG * input_noise * spread * np.exp(change) > 1
     variance = np.where(weak, np.nan, noise * spread * np.exp((1 + 2 * own / dof) * change) + error)
-    columns = (response, variance, dof, coherence, weak)
-    return [EstimatedPoint(*point) for point in zip(*columns, strict=True)]
+    return EstimatedPoints(omega, response, variance, dof, coherence, weak)
 
 
 def _change(omega: Array, spread: Array, alone: Array, input_noise: Array) -> Array:

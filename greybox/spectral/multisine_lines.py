@@ -21,7 +21,7 @@ from greybox.spectral.estimated_points import (
     EPS,
     HZ,
     STRONG,
-    EstimatedPoint,
+    EstimatedPoints,
     response_at,
     without_incoherent,
 )
@@ -69,9 +69,9 @@ def periodic_response(
     # The instrument has no noise of the loop, so that its lines stand out best.
     amplitude = np.linalg.norm(spectra[:, 2], axis=0)
     lines = np.flatnonzero(amplitude > EXCITED * amplitude.max())
-    points = _estimates(*np.moveaxis(spectra[:, :, lines], 1, 0))
     omega = (1 + lines) * (HZ / period)
-    return without_incoherent(response_at(omega, points, (input, output, name), stretches))
+    points = _estimates(omega, *np.moveaxis(spectra[:, :, lines], 1, 0))
+    return without_incoherent(response_at(points, (input, output, name), stretches))
 
 
 def period_spectra(
@@ -127,7 +127,7 @@ def whole_periods(stretch: UniformStretch, period: float) -> UniformStretch:
     )
 
 
-def _estimates(u: ComplexArray, y: ComplexArray, r: ComplexArray) -> list[EstimatedPoint]:
+def _estimates(omega: Array, u: ComplexArray, y: ComplexArray, r: ComplexArray) -> EstimatedPoints:
     """Return the estimates at all lines from the spectra (periods, lines) of the three signals."""
     from scipy.ndimage import correlate1d  # noqa: PLC0415  (takes a tenth of a second)
 
@@ -159,7 +159,5 @@ def _estimates(u: ComplexArray, y: ComplexArray, r: ComplexArray) -> list[Estima
         expected = np.exp(correlate1d(np.log(spread * drive), BESIDE, mode="mirror")) / drive
         spread[2:-2] = (expected**2 / spread)[2:-2]
     weak = STRONG * (1 / coherences[0] - 1) > n - 1
-    coherence = coherences.min(axis=0)
-
-    columns = (response, np.where(weak, np.nan, noise * spread), dof, coherence, weak)
-    return [EstimatedPoint(*point) for point in zip(*columns, strict=True)]
+    variance = np.where(weak, np.nan, noise * spread)
+    return EstimatedPoints(omega, response, variance, dof, coherences.min(axis=0), weak)

@@ -104,7 +104,7 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     if omega is None:
         limits = (lowest, HIGHEST * HZ / max(s.step for s in stretches))
         ends = _excited_band(lines, *limits) if band is None else _within(band, *limits)
-        grid, estimated = tiled_points(lines, *ends, max(points, 2), near)
+        estimated = tiled_points(lines, *ends, max(points, 2), near)
     else:
         grid = np.array(omega, dtype=float, ndmin=1)
         too_low = grid[~(grid >= lowest * (1 - 1e-9))]
@@ -116,7 +116,7 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
             )
         estimated = points_at(lines, grid)
 
-    response = response_at(grid, estimated, (input, output, name), stretches)
+    response = response_at(estimated, (input, output, name), stretches)
     return response if omega is not None else without_incoherent(response)
 
 

@@ -2,30 +2,25 @@ import numpy as np
 import pytest
 
 from greybox.data.frequency_response import FrequencyResponse, Stretch
-from greybox.spectral.estimated_points import EstimatedPoint, response_at, without_incoherent
+from greybox.spectral.estimated_points import EstimatedPoints, response_at, without_incoherent
 from greybox.spectral.uniform_stretches import UniformStretch
 
 
 def points(*kinds):
-    known = [
-        EstimatedPoint(2.0 + k * 1j, 0.1 * (k + 1), 8.0 + k, 0.5 + 0.1 * k)
-        for k in range(len(kinds))
-    ]
-    other = {"weak": EstimatedPoint(weak=True), "lost": EstimatedPoint()}
-    return [other.get(kind, point) for kind, point in zip(kinds, known, strict=True)]
+    k = np.arange(len(kinds))
+    variance = np.where([bool(kind) for kind in kinds], np.nan, 0.1 * (k + 1))
+    weak = np.array([kind == "weak" for kind in kinds])
+    return EstimatedPoints(1.0 + k, 2 + 1j * k, variance, 8.0 + k, 0.5 + 0.1 * k, weak)
 
 
 def test_what_could_be_estimated_is_collected_with_where_it_comes_from():
-    omega = np.array([1.0, 2.0, 3.0, 4.0, 5.0])
     origin = Stretch("x", 1.0, 2.0)
     stretches = [
         UniformStretch(np.zeros((2, 2)), 0.1, "a.bin", origin, {"u": "N", "y": "", "z": "m"}, {}),
         UniformStretch(np.zeros((2, 2)), 0.1, "b.bin", origin, {"y": "m"}, {}),
         UniformStretch(np.zeros((2, 2)), 0.1, "a.bin", origin, {}, {}),
     ]
-    found = response_at(
-        omega, points("", "weak", "", "lost", "weak"), ("u", "y", "name"), stretches
-    )
+    found = response_at(points("", "weak", "", "lost", "weak"), ("u", "y", "name"), stretches)
     np.testing.assert_allclose(found.omega, [1, 3])
     np.testing.assert_allclose(found.response, [2, 2 + 2j])
     np.testing.assert_allclose(found.variance, [0.1, 0.3])
@@ -42,15 +37,15 @@ def test_what_could_be_estimated_is_collected_with_where_it_comes_from():
     assert found.about == {
         "dropped": "2 of 5 points, where the instrument hardly moves u, at 2 to 5 rad/s"
     }
-    one = response_at(omega[:2], points("", "weak"), ("u", "y", ""), [])
+    one = response_at(points("", "weak"), ("u", "y", ""), [])
     assert one.about == {
         "dropped": "1 of 2 points, where the instrument hardly moves u, at 2 rad/s"
     }
-    assert response_at(omega[:2], points("", "lost"), ("u", "y", ""), []).about == {}
+    assert response_at(points("", "lost"), ("u", "y", ""), []).about == {}
     with pytest.raises(ValueError, match="the instrument hardly moves u"):
-        response_at(omega[:2], points("weak", "lost"), ("u", "y", ""), [])
+        response_at(points("weak", "lost"), ("u", "y", ""), [])
     with pytest.raises(ValueError, match="no frequency has enough data"):
-        response_at(omega[:2], points("lost", "lost"), ("u", "y", ""), [])
+        response_at(points("lost", "lost"), ("u", "y", ""), [])
 
 
 def test_points_of_a_coherence_below_six_tenths_are_left_out_unless_all_are():
