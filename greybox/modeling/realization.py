@@ -120,9 +120,7 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
             inputs=tuple(model.inputs),
             outputs=tuple(model.outputs),
             parameters=tuple(names),
-            derivative=ca.Function("derivative", [x, u, p], [f]),
-            output=ca.Function("output", [x, u, p], [traced_output(model, z, p)]),
-            delay=ca.Function("delay", [p], [ca.vertcat(*delays)]),
+            **_functions(x, u, p, f, traced_output(model, z, p), ca.vertcat(*delays)),
         ),
         pade,
     )
@@ -160,10 +158,16 @@ def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
         inputs=(model.input,),
         outputs=(model.output,),
         parameters=tuple(model.parameters),
-        derivative=ca.Function("derivative", [x, u, p], [f]),
-        output=ca.Function("output", [x, u, p], [y]),
-        delay=ca.Function("delay", [p], [ca.SX(rational.delay)]),
+        **_functions(x, u, p, f, y, ca.SX(rational.delay)),
     )
+
+
+def _functions(x: ca.SX, u: ca.SX, p: ca.SX, *rows: ca.SX) -> dict[str, Any]:
+    """Return the functions to derivative, output and delay of `Dynamics`."""
+    return {
+        name: ca.Function(name, [p] if name == "delay" else [x, u, p], [row])
+        for name, row in zip(("derivative", "output", "delay"), rows, strict=True)
+    }
 
 
 def _time_scale(a: list[Any], p: ca.SX, model: Model) -> float:
@@ -210,11 +214,14 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
     return replace(
         exact,
         states=tuple(names),
-        derivative=ca.Function(
-            "derivative", [full, u, p], [ca.vertcat(exact.derivative(x, delayed, p), *rows)]
+        **_functions(
+            full,
+            u,
+            p,
+            ca.vertcat(exact.derivative(x, delayed, p), *rows),
+            exact.output(x, delayed, p),
+            ca.SX.zeros(u.numel()),
         ),
-        output=ca.Function("output", [full, u, p], [exact.output(x, delayed, p)]),
-        delay=ca.Function("delay", [p], [ca.SX.zeros(u.numel())]),
         undelayed=exact if pade <= MOST_EXACT else None,
         delay_step=delay_step,
         delay_rest=ca.Function("delay_rest", [u], [ca.vertcat(*rests)]),

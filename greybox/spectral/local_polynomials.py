@@ -300,17 +300,11 @@ def fit_band(
     and is left out.
     """
     order, transient_order = ORDER + extra, TRANSIENT_ORDER + extra
-    rows, stretches = _rows(lines, center, half, transient_order)
-    x = (lines.omega[rows] - center) / half
-    u, _, r, *conditioned = lines.values[:, rows]
+    rows, x, (u, _, r, *conditioned), transients = _in_band(lines, center, half, transient_order)
     powers = np.vander(x, order + 1, increasing=True)
-    if (
-        rows.size - (order + 1) * (1 + len(conditioned)) - (transient_order + 1) * len(stretches)
-        < residuals
-    ):
+    if rows.size - (order + 1) * (1 + len(conditioned)) - transients.shape[1] < residuals:
         return None
 
-    transients = _transients(lines, rows, stretches, transient_order)
     # Least squares is the special case in which the regressors are their own instruments.
     regressors, instruments = (
         _without(transients, np.hstack([c[:, None] * powers for c in (signal, *conditioned)]))
@@ -323,37 +317,32 @@ def fit_band(
     return Fitted(center, half, rows, x, regressors, *solved, transients, order, alone[1])
 
 
-def _transients(lines: Lines, rows: IntArray, stretches: Sequence[int], order: int) -> Array:
-    """Return an orthonormal basis (n, t) of polynomials in 1/ω for each stretch."""
-    omega = lines.omega[rows]
-    # Integrators and drift leave transients that are proportional to 1/ω.
-    powers = np.vander(omega.mean() / omega - 1, order + 1, increasing=True)
-    basis = np.zeros((rows.size, len(stretches), order + 1))
-    for place, number in enumerate(stretches):
-        within = lines.stretch[rows] == number
-        basis[within, place] = np.linalg.qr(powers[within])[0]
-    return basis.reshape(rows.size, -1)
-
-
 def _without(basis: Array, columns: ComplexArray) -> ComplexArray:
     """Return the part of columns (n, ...) that is orthogonal to an orthonormal basis (n, t)."""
     orthogonal: ComplexArray = columns - basis @ (basis.T @ columns)
     return orthogonal
 
 
-def _rows(
-    lines: Lines, center: float, half: float, transient_order: int
-) -> tuple[IntArray, list[int]]:
-    """Return the indices of the lines in a band, and their stretches."""
-    first, last = np.searchsorted(
-        lines.omega, [(center - half) * (1 - 1e-9), (center + half) * (1 + 1e-9)]
-    )
-    rows = np.arange(first, last)
+def _in_band(
+    lines: Lines, center: float, half: float, order: int
+) -> tuple[IntArray, Array, ComplexArray, Array]:
+    """Return the lines in a band, and an orthonormal basis (n, t) of their transients.
+
+    The lines are their indices, positions from -1 to 1, and values.
+    """
+    ends = [(center - half) * (1 - 1e-9), (center + half) * (1 + 1e-9)]
+    rows = np.arange(*np.searchsorted(lines.omega, ends))
     numbers, counts = np.unique(lines.stretch[rows], return_counts=True)
-    stretches = numbers[counts > transient_order + 1]
-    if len(stretches) < len(numbers):
-        rows = rows[np.isin(lines.stretch[rows], stretches)]
-    return rows, stretches.tolist()
+    stretches = numbers[counts > order + 1]
+    rows = rows[np.isin(lines.stretch[rows], stretches)]
+    omega = lines.omega[rows]
+    # Integrators and drift leave transients that are proportional to 1/ω.
+    powers = np.vander(center / omega - 1, order + 1, increasing=True)
+    basis = [
+        np.linalg.qr(powers * (lines.stretch[rows] == number)[:, None])[0] for number in stretches
+    ]
+    transients = np.hstack([np.zeros((rows.size, 0)), *basis])
+    return rows, (omega - center) / half, lines.values[:, rows], transients
 
 
 def _solved(
@@ -480,12 +469,9 @@ def _with_pole(
     T. The instrument of x Y is the next power times the input, which the noise in Y does not enter.
     """
     center, half = fitted.center, DOUBLED * fitted.half
-    rows, stretches = _rows(lines, center, half, TRANSIENT_ORDER)
-    x = (lines.omega[rows] - center) / half
-    u, y, r, *conditioned = lines.values[:, rows]
+    rows, x, (u, y, r, *conditioned), transients = _in_band(lines, center, half, TRANSIENT_ORDER)
     # Divided by the frequency, the numerator allows for an integrator beside the pole.
     powers = np.vander(x, ORDER + 2, increasing=True) * (center / lines.omega[rows])[:, None]
-    transients = _transients(lines, rows, stretches, TRANSIENT_ORDER)
     shared = [c[:, None] * powers[:, :-1] for c in conditioned]
     regressors = np.hstack([u[:, None] * powers[:, :-1], -(x * y)[:, None], *shared])
     instruments = np.hstack([r[:, None] * powers, *shared])
