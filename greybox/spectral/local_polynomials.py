@@ -247,7 +247,7 @@ def points_at(lines: Lines, omega: Array) -> EstimatedPoints:
     halves = np.maximum(np.minimum(gaps.min(axis=1) / 2, WIDEST * omega), narrowest / 2)
     bands = [
         _centered(lines, center, half, narrowest)
-        for center, half in zip(omega.tolist(), halves.tolist(), strict=True)
+        for center, half in zip(omega, halves, strict=True)
     ]
     return _estimates(lines, [band for band in bands if band])
 
@@ -428,11 +428,10 @@ def _judged(lines: Lines, fitted: Fitted, omega: Array) -> tuple[Band, bool]:
     """Return the band evaluated at `omega`, and whether its polynomials are visibly wrong."""
     squares = float(np.sum(np.abs(fitted.residuals(lines.values[1, fitted.rows])) ** 2))
     squares *= fitted.number / fitted.trace()
-    nothing = np.zeros(omega.size)
-    plain = Band(fitted, omega, nothing.astype(complex), nothing, squares, fitted.number)
-    wide, wider_half = fitted.center, DOUBLED * fitted.half
-    quadratic = fit_band(lines, wide, wider_half)
-    quartic = fit_band(lines, wide, wider_half, extra=EXTRA)
+    plain = Band(fitted, omega, 0j * omega, 0 * omega, squares, fitted.number)
+    quadratic, quartic = (
+        fit_band(lines, fitted.center, DOUBLED * fitted.half, extra=extra) for extra in (0, EXTRA)
+    )
     if quadratic is None or quartic is None or not np.array_equal(quadratic.rows, quartic.rows):
         return plain, False
 
@@ -545,11 +544,11 @@ def _noise(band: Band, bands: Sequence[Band]) -> tuple[float, float]:
     if band.number >= NEIGHBORHOOD:
         return band.squares / band.number, 2 * band.number
 
-    away = np.log([b.fitted.center / band.fitted.center for b in bands])
-    squares, number = np.array([(b.squares, b.number) for b in bands]).T
-    near = np.argsort(np.abs(away), kind="stable")
-    near = near[np.abs(away[near]) <= math.log(2)]
-    away, squares, number = away[near], squares[near], number[near]
+    table = np.array(
+        [(math.log(b.fitted.center / band.fitted.center), b.squares, b.number) for b in bands]
+    )
+    table = table[np.argsort(np.abs(table[:, 0]), kind="stable")]
+    away, squares, number = table[np.abs(table[:, 0]) <= math.log(2)].T
 
     level = np.log(np.maximum(squares / number, np.finfo(float).tiny))
     x = away - number @ away / number.sum()
