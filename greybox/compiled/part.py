@@ -133,8 +133,9 @@ class ColoredErrors:
     spectrum : ErrorSpectrum or None
         Spectrum of the errors, enlarged for what the fit took from them; None where all residuals
         are zero.
-    process_noise : float
-        -2 log of the evidence for other errors, less that for process noise: white, or gusts.
+    process_noise : function
+        Returns -2 log of the evidence for other errors, less that for process noise: white, or
+        gusts.
     """
 
     meat: Array
@@ -143,7 +144,7 @@ class ColoredErrors:
     duration: float
     is_long_enough: bool
     spectrum: ErrorSpectrum | None
-    process_noise: float
+    process_noise: Callable[[], float]
 
 
 @dataclass(frozen=True, eq=False)

@@ -80,8 +80,9 @@ class ColoredInformation:
         Whether the spectrum is corrected for what the fit took from the errors.
     spectrum : ErrorSpectrum or None
         Spectrum of the errors; None where all residuals are zero.
-    process_noise : float
-        -2 log of the evidence for other errors, less that for process noise: white, or gusts.
+    process_noise : function
+        Returns -2 log of the evidence for other errors, less that for process noise: white, or
+        gusts. It takes time, and few ask.
     """
 
     meat: Array
@@ -90,7 +91,7 @@ class ColoredInformation:
     correlation_times: Array
     corrected: bool
     spectrum: ErrorSpectrum | None
-    process_noise: float = 0.0
+    process_noise: Callable[[], float] = lambda: 0.0
 
 
 def colored_information(
@@ -144,8 +145,6 @@ def colored_information(
     meat = spectra.grid.score_covariance(spectra.transforms(), mixture.density)
     times = np.zeros(k)
     times[compared] = spectra.grid.correlation_times(mixture.typical)
-    # Gusts take time to compare, and leave no residuals that look white.
-    gusts = spectra.gain_of_gusts() if times.max() > 1 else 0.0
     density = np.zeros((k, k, len(spectra.grid.omega)), dtype=complex)
     density[np.ix_(compared, compared)] = mixture.density
     deviation = np.ones(k)
@@ -158,7 +157,8 @@ def colored_information(
         correlation_times=times,
         corrected=corrected,
         spectrum=ErrorSpectrum(spectra.grid.omega, density, deviation),
-        process_noise=mixture.score + gusts,
+        # Gusts leave no residuals that look white.
+        process_noise=lambda: mixture.score + (spectra.gain_of_gusts() if times.max() > 1 else 0.0),
     )
 
 
@@ -544,48 +544,56 @@ class ResidualSpectra:
         Residuals r = (1 - P) e, with P = J B⁻¹ (R⁻¹ J)ᵀ, have the covariance Σ - P Σ - Σ Pᵀ + P Σ
         Pᵀ. The errors of other data of the fit are assumed to have the same color.
         """
-        grid = self.grid
+        grid, p, size = self.grid, len(self.inverse), self.deviation[:, None, None]
         # Bands are wider than the lines of the transform: the density is interpolated.
         spread = grid.spread_out(density)
-        # They are used twice; records that are corrected are short enough to store them.
-        stretches = []
-        for s, J in enumerate(self.weighted):
-            A = J if self.initial is None else np.concatenate([J, self.initial[s]], axis=1)
-            transform = grid.transform(A, self.deviation)
-            colored = np.fft.irfft(filtered(spread, transform), grid.size)[..., : A.shape[2]]
-            stretches.append((A, transform, colored))
-
-        p = len(self.inverse)
-        size = self.deviation[:, None, None]
-        bread = sum(product_over_time(J, self.noise) for J in self.weighted)
-        meat = sum(products(A[:, :p] * size, colored[:, :p]) for A, _, colored in stretches)
-        own = self.inverse @ bread @ self.inverse
-        factor = np.sum(self.inverse * meat) / max(float(np.sum(self.inverse * bread)), TINY)
+        colored = [
+            np.fft.irfft(filtered(spread, transform), grid.size)[..., : A.shape[2]]
+            for A, transform, *_ in self._stretches
+        ]
+        stretches = [*zip(self._stretches, colored, self.residuals, strict=True)]
+        meat = sum(products(A[:, :p] * size, C[:, :p]) for (A, *_), C, _ in stretches)
+        own = self.inverse @ self._bread @ self.inverse
+        factor = np.sum(self.inverse * meat) / max(float(np.sum(self.inverse * self._bread)), TINY)
         middle = self.inverse @ meat @ self.inverse + factor * (self.inverse - own)
 
         pairs = []
-        sizes = self.noise / self.deviation[:, None]
-        unit = np.sqrt(self.counts)
-        for (A, transform, colored), e in zip(stretches, self.residuals, strict=True):
+        for (A, _, first, taken), C, e in stretches:
             # The errors of a stretch's initial states are correlated with those of the parameters,
             # which other stretches determine, too.
             inverse = np.eye(A.shape[1])
             inverse[:p, :p] = self.inverse
-            covariance = inverse @ products(A * size, colored) @ inverse
+            covariance = inverse @ products(A * size, C) @ inverse
             covariance[:p, :p] = middle
-            half = inverse @ colored - covariance.T @ np.tensordot(sizes, A, 1) / 2
-            half *= (e != 0)[:, None] / unit[:, None, None]
-            first = np.tensordot(sizes / self.deviation / unit[:, None], transform, 1)
+            half = inverse @ C - covariance.T @ taken / 2
+            half *= (e != 0)[:, None] / np.sqrt(self.counts)[:, None, None]
             pairs.append((first, np.fft.rfft(half, grid.size).conj()))
 
         def product(i: int, j: int) -> ComplexArray:
-            total = np.zeros(len(grid.weight), dtype=complex)
-            for first, second in pairs:
-                total += (first[i] * second[j]).sum(axis=0)
-                total += (first[j] * second[i]).sum(axis=0).conj()
-            return total
+            parts = ((a[i] * b[j] + (a[j] * b[i]).conj()).sum(axis=0) for a, b in pairs)
+            return sum(parts, np.zeros((), dtype=complex))
 
-        return grid.covariances(product, len(unit), self.highest_order)
+        return grid.covariances(product, len(size), self.highest_order)
+
+    @cached_property
+    def _bread(self) -> Array:
+        return sum((product_over_time(J, self.noise) for J in self.weighted), np.zeros(()))
+
+    @cached_property
+    def _stretches(self) -> list[tuple[Array, ComplexArray, ComplexArray, Array]]:
+        """Sensitivities (k, q, n) of every stretch, with products of their transforms and of them.
+
+        Records that are corrected are short enough to store them.
+        """
+        sizes = self.noise / self.deviation[:, None]
+        scaled = sizes / self.deviation / np.sqrt(self.counts)[:, None]
+        stretches = []
+        for s, J in enumerate(self.weighted):
+            A = J if self.initial is None else np.concatenate([J, self.initial[s]], axis=1)
+            transform = self.grid.transform(A, self.deviation)
+            first, taken = np.tensordot(scaled, transform, 1), np.tensordot(sizes, A, 1)
+            stretches.append((A, transform, first, taken))
+        return stretches
 
 
 class _NoiseParts(NamedTuple):

@@ -56,9 +56,18 @@ class VarianceComponents:
 
 def whittle_score(spectrum: ComplexArray, periodogram: ComplexArray, numbers: Array) -> float:
     """Return -2 log likelihood of a periodogram (b, k, k) of `numbers` (b,), given its mean."""
+    return _likelihood(spectrum, periodogram, numbers)[0]
+
+
+def _likelihood(
+    spectrum: ComplexArray, periodogram: ComplexArray, numbers: Array
+) -> tuple[float, ComplexArray, ComplexArray]:
+    """Return -2 log likelihood, the inverse of the mean, and its product with the periodogram."""
     spectrum = spectrum + LEAST * np.eye(spectrum.shape[1])
-    ratio = np.linalg.solve(spectrum, periodogram)
-    return float(numbers @ (np.linalg.slogdet(spectrum)[1] + np.einsum("bii->b", ratio).real))
+    inverse = np.linalg.inv(spectrum)
+    ratio = inverse @ periodogram
+    terms = np.linalg.slogdet(spectrum)[1] + np.trace(ratio, axis1=1, axis2=2).real
+    return float(numbers @ terms), inverse, ratio
 
 
 def variance_components(
@@ -85,19 +94,17 @@ def variance_components(
     def spectrum(variance: Array) -> ComplexArray:
         return np.tensordot(variance, expected, 1)
 
-    def slopes(variance: Array) -> tuple[Array, Array]:
+    def slopes(variance: Array, inverse: ComplexArray, ratio: ComplexArray) -> tuple[Array, Array]:
         # The expected curvature is positive, that of the likelihood need not be: Fisher scoring.
-        inverse = np.linalg.inv(spectrum(variance) + LEAST * np.eye(k))
         parts = inverse @ expected
-        misfit = np.eye(k) - inverse @ periodogram
         # Traces of products as products of rows: einsum spends more time on finding its order.
         rows = (numbers[:, None, None] * parts).reshape(len(parts), -1)
-        gradient = (rows @ misfit.swapaxes(1, 2).ravel()).real * variance
+        gradient = (rows @ (np.eye(k) - ratio).swapaxes(1, 2).ravel()).real * variance
         information = (rows @ parts.swapaxes(2, 3).reshape(len(parts), -1).T).real
         return gradient, information * variance * variance[:, None]
 
-    score = whittle_score(spectrum(variance), periodogram, numbers)
-    gradient, information = slopes(variance)
+    score, *products = _likelihood(spectrum(variance), periodogram, numbers)
+    gradient, information = slopes(variance, *products)
     damping = DAMPING
     for _ in range(ITERATIONS):
         # Scaled by its diagonal, damping does not depend on the units of the parts. The rest is for
@@ -106,14 +113,14 @@ def variance_components(
         step = np.clip(-np.linalg.solve(curvature, gradient), -LONGEST_STEP, LONGEST_STEP)
         # Steps of the logarithm keep variances positive.
         trial = np.maximum(variance * np.exp(step), LEAST**2)
-        new = whittle_score(spectrum(trial), periodogram, numbers)
+        new, *products = _likelihood(spectrum(trial), periodogram, numbers)
         if not new < score:
             damping *= 5
             if damping > NO_STEP:
                 break
             continue
         better, score, variance = score - new, new, trial
-        gradient, information = slopes(variance)
+        gradient, information = slopes(variance, *products)
         damping = max(damping / 5, UNDAMPED)
         if better < CLOSE:
             break

@@ -142,7 +142,7 @@ def test_outputs_that_are_almost_dependent_have_the_errors_of_their_combinations
     )
     assert_allclose(mixed.meat, apart.meat, rtol=1e-6)
     assert mixed.dof == pytest.approx(apart.dof, rel=1e-6)
-    assert mixed.process_noise == pytest.approx(apart.process_noise, rel=1e-6)
+    assert mixed.process_noise() == pytest.approx(apart.process_noise(), rel=1e-6)
     assert_allclose(mixed.spectrum.deviation[1], mixed.spectrum.deviation[0], rtol=1e-9)
 
 

@@ -31,14 +31,14 @@ def gusts(
         steady, evidence = trajectory.detail.filter, errors.colored.process_noise
         if part.gains and (steady is None or steady.gain.any()):
             continue
-        if evidence > CLEAR and noisy and isinstance(part.problem.model, StateSpace):
+        if noisy and isinstance(part.problem.model, StateSpace) and evidence() > CLEAR:
             cure = "start process noise above zero" if part.gains else f"use {gust_criterion(part)}"
             yield (
                 f"the residuals of {part.name!r} look like gusts, not like noise of sensors: "
                 f"{cure}."
             )
         elif part.gains:
-            verdict = "show no process noise" if evidence < 0 else "hardly show process noise"
+            verdict = "show no process noise" if evidence() < 0 else "hardly show process noise"
             yield (
                 f"these data {verdict}: w_{' and w_'.join(part.model.driven)} of {part.name!r} "
                 "ended at zero, and OutputError has fewer unknowns."
