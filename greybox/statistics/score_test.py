@@ -23,6 +23,8 @@ from greybox.statistics.column_space import column_basis, outside
 REMAINS = 0.01
 FEWEST = 6.0  # numbers beyond those that the parameters take
 
+ROUNDING = 1e-12  # of products of columns
+
 # Correlations of neighbors that are tried, each with equal errors.
 CORRELATIONS = np.tanh(np.linspace(0.0, 2.5, 20))
 # Errors of independent points that are larger or smaller beyond a share of the points.
@@ -92,15 +94,24 @@ def correlated_score(blocks: Sequence[tuple[Array, Array, Sequence[int]]]) -> tu
     for residuals, fitted, lengths in blocks:
         numbers, firsts = len(residuals), np.cumsum([0, *lengths[:-1]])
         values = np.hstack([column_basis(fitted), residuals])
+        # Products of orthonormal columns keep twelve digits where their lengths change tenfold.
+        total, later = values.T @ values, np.delete(np.arange(numbers), firsts)
+        now, before = values[later], values[later - 1]
+        product, cross = now.T @ now, now.T @ before
         # Less what the neighbor predicts.
         rho = CORRELATIONS[:, None, None]
-        white = (values - rho * np.roll(values, 1, axis=0)) / np.sqrt(1 - rho**2)
-        white[:, firsts] = values[firsts]
+        white = product - rho * (cross + cross.T) + rho**2 * (before.T @ before)
+        white = white / (1 - rho**2) + total - product
         place = np.concatenate([np.arange(length) / length for length in lengths])
-        size = np.where(place < SHARES[:, None, None], 1.0, np.array(RATIOS)[:, None])
-        size = size.reshape(-1, numbers)
+        is_before = place < SHARES[:, None, None]
+        size = np.where(is_before, 1.0, np.array(RATIOS)[:, None]).reshape(-1, numbers)
+        near = ((is_before * values.T) @ values)[:, None]
+        sized = near + (total - near) / np.array(RATIOS)[:, None, None] ** 2
+        products = np.concatenate([white, sized.reshape(-1, *total.shape)])
+        # A part that is fitted exactly would leave a negative remainder by rounding.
+        products += (ROUNDING * products + np.finfo(float).tiny) * np.eye(len(total))
         # The last diagonal element is the length of what the columns leave of the residuals.
-        logarithms = _squares_of_lengths(np.concatenate([white, values / size[..., None]]))
+        logarithms = _squares_of_lengths(np.linalg.cholesky(products))
         squares += np.exp(logarithms[:, -1])
         counted += logarithms[:, :-1].sum(axis=1)
         count, rank = count + numbers, rank + values.shape[1] - 1
@@ -121,14 +132,15 @@ def scores_of_powers(residuals: Array, fitted: Array, omega: Array) -> Array:
     unequal, Biometrika 58.
     """
     size = np.tile(omega, 2)[:, None] ** (-POWERS / 2)
-    logarithms = _squares_of_lengths(np.column_stack([column_basis(fitted), residuals]) / size)
+    columns = np.column_stack([column_basis(fitted), residuals]) / size
+    logarithms = _squares_of_lengths(np.asarray(np.linalg.qr(columns, mode="r")))
     scores = logarithms.sum(axis=1) + 2 * np.log(size).sum(axis=(1, 2))
     return scores + (len(residuals) - logarithms.shape[1]) * logarithms[:, -1]
 
 
-def _squares_of_lengths(values: Array) -> Array:
-    """Return the logarithms of the squared remainders of columns, each less those before it."""
-    diagonal = np.abs(np.diagonal(np.linalg.qr(values, mode="r"), axis1=1, axis2=2))
+def _squares_of_lengths(triangles: Array) -> Array:
+    """Return the logarithms of the squares of their diagonals, lengths beside earlier columns."""
+    diagonal = np.abs(np.diagonal(triangles, axis1=1, axis2=2))
     return 2 * np.log(np.maximum(diagonal, np.finfo(float).tiny))
 
 

@@ -27,20 +27,21 @@ def residuals(values, responses):
     """
     modes, gains = values[1:33].reshape(4, 8), values[33:].reshape(3, 3)
     s = 1j * responses[0].omega
-    errors = []
-    for response in responses:
-        i, j = int(response.output[1]) - 1, int(response.input[1]) - 1
-        total = gains[i, j]
-        for mode, guess in zip(modes, mirror.MODES, strict=True):
-            omega, zeta, c = 1e4 * mode[0], mode[1], mode[2:5]
-            b = mode[5:] if guess.actuators[j] != 1 else np.ones(3)
-            total = total + c[i] * b[j] * omega**2 / (s**2 + 2 * zeta * omega * s + omega**2)
-        error = total * np.exp(-1e-4 * s * values[0]) - response.response
-        squared = np.abs(error) ** 2 / response.variance
-        cost = (NU + 2) / 2 * np.log1p(2 * squared / NU)
-        error *= np.sqrt(cost / squared / response.variance)
-        errors += [error.real, error.imag]
-    return np.concatenate(errors)
+    i, j = ([int(getattr(r, side)[1]) - 1 for r in responses] for side in ("output", "input"))
+    measured, variance = (
+        np.array([getattr(r, name) for r in responses]) for name in ("response", "variance")
+    )
+    total = gains[i, j, None]
+    for mode, guess in zip(modes, mirror.MODES, strict=True):
+        omega, zeta, c = 1e4 * mode[0], mode[1], mode[2:5]
+        b = np.where(np.array(guess.actuators) != 1, mode[5:], 1.0)
+        shape = omega**2 / (s**2 + 2 * zeta * omega * s + omega**2)
+        total = total + (c[i] * b[j])[:, None] * shape
+    error = total * np.exp(-1e-4 * s * values[0]) - measured
+    squared = np.abs(error) ** 2 / variance
+    cost = (NU + 2) / 2 * np.log1p(2 * squared / NU)
+    error *= np.sqrt(cost / squared / variance)
+    return np.concatenate([error.real.ravel(), error.imag.ravel()])
 
 
 def test_scipy_finds_the_same_modes():
