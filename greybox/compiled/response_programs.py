@@ -1,8 +1,8 @@
 """The frequency responses of a problem as programs: cost and constraints for a solver.
 
-Most responses are one SX expression. The operating point of some is found by Newton's method: a
-root finder is not an SX function, and CasADi's derivatives through one take several times as long
-as those of the cost.
+Most responses are one SX expression, large ones a formula of one frequency, mapped over all. The
+operating point of some is found by Newton's method: a root finder is not an SX function, and
+CasADi's derivatives through one take several times as long as those of the cost.
 With the roots as inputs the program is an SX function whose derivatives hold them (see
 `modeling.trim.Trimmed`), so that it can be evaluated for many points at once.
 
@@ -49,6 +49,9 @@ Named = Mapping[str, Any]
 ChooseCriterion = Callable[[Problem], Criterion]
 
 MOST_UNKNOWNS = 20  # of a batch
+# Points times unknowns from which on responses are mapped over their frequencies. A batch takes no
+# program of so many: its cost alone has some ten instructions a point.
+LARGE = 2500
 
 # Compiled problems of the same formulas share what was built for the last ones: some 1 MB a
 # structure. In a study, each has two keys.
@@ -169,7 +172,9 @@ class ResponseCompiler:
         is_located = any(_own_criterion(part).locator is not None for part in self.parts)
         self.criteria = (_locator, _own_criterion) if is_located else (_own_criterion,)
 
-        self.formulas = [*_formulas(self.parts)]
+        points = sum(len(part.response) for part in self.parts)
+        is_large = points * self.point.numel() > LARGE
+        self.formulas = [*_formulas(self.parts, is_large=is_large)]
         self.models = [
             formula.closed() if isinstance(formula, Trimmed) else formula
             for formula in self.formulas
@@ -185,7 +190,7 @@ class ResponseCompiler:
         symbols, self.measured = self.source.at(self.data)
         self.named = self.values_at(self.z, symbols)
         # Large problems are recognized without another copy of their costs.
-        structure = self.structure() if len(self.names) <= MOST_UNKNOWNS else None
+        structure = None if is_large else self.structure()
         if structure is None or not fits_a_batch(structure):
             return self.built()
         return _stored.result((structure.serialize(), *self.weights), self.built)
@@ -270,7 +275,8 @@ class ResponseCompiler:
     def program(self, costs: Sequence[Any], choose: ChooseCriterion) -> CostProgram:
         """Return the program of the costs of all parts in the solver's variables."""
         trimmed = [formula for formula in self.formulas if isinstance(formula, Trimmed)]
-        if self.kind is ca.MX and len(trimmed) == len(self.parts):
+        has_roots = any(formula.root is not None for formula in trimmed)
+        if has_roots and len(trimmed) == len(self.parts):
             return self.program_at_roots(trimmed, choose)
 
         outputs = [self.kind(self.weighted(costs)), self.limits(self.named)]
@@ -350,8 +356,11 @@ def _values(part: Problem, named: Named) -> Any:
 # --- the models
 
 
-def _formulas(parts: Sequence[Problem]) -> Iterator[Trimmed | ca.Function]:
-    """Yield the responses of all parts; those of one state space share an elimination."""
+def _formulas(parts: Sequence[Problem], *, is_large: bool) -> Iterator[Trimmed | ca.Function]:
+    """Yield the responses of all parts; those of one state space share an elimination.
+
+    Large ones are formulas of one frequency, mapped over all of them.
+    """
 
     def place(part: Problem) -> tuple[Any, ...]:
         is_sine_test = part.amplitude is not None
@@ -366,9 +375,18 @@ def _formulas(parts: Sequence[Problem]) -> Iterator[Trimmed | ca.Function]:
                 yield balance.function()
             continue
         pairs = [(names["input"], names["output"]) for names in signals]
-        yield from response_formulas(
-            first.model, omega, pairs, at=first.at, pade=delay_order(first.delay)
-        )
+        symbol = ca.SX.sym("omega") if is_large else None
+        for formula in response_formulas(
+            first.model, omega, pairs, symbol, at=first.at, pade=delay_order(first.delay)
+        ):
+            yield Trimmed(formula.root, _mapped(formula.function, omega)) if is_large else formula
+
+
+def _mapped(function: ca.Function, omega: Array) -> ca.Function:
+    """Return a response (p, w, omega) at all frequencies, as a function (p, w)."""
+    p, w, _ = function.mx_in()
+    rows: Any = function.map("rows", "serial", omega.size, [0, 1], [])(p, w, omega[None])
+    return ca.Function("response", [p, w], [row.T for row in rows])
 
 
 # --- the costs

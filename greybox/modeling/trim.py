@@ -15,6 +15,7 @@ from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import (
     column,
     derivative_function,
+    input_symbols,
     parameter_names,
     symbols,
     traced,
@@ -33,10 +34,10 @@ class Trimmed:
         (p) -> the unknowns w of ``derivative = 0``, by Newton's method; None without unknowns, when
         w is empty.
     function : casadi.Function
-        (p, w, ...) -> the result, an SX function. Its first and second derivatives by p, with w
-        held, are those at the operating point: from a root, one step of Newton's method has the
-        first derivatives of the root, a second step the second ones. They take a fraction of the
-        time of CasADi's derivatives through its root finder.
+        (p, w, ...) -> the result, an SX function or one mapped over frequencies. Its first and
+        second derivatives by p, with w held, are those at the operating point: from a root, one
+        step of Newton's method has the first derivatives of the root, a second step the second
+        ones. They take a fraction of the time of CasADi's derivatives through its root finder.
     """
 
     root: ca.Function | None
@@ -44,8 +45,7 @@ class Trimmed:
 
     def closed(self) -> ca.Function:
         """Return the function of (p, ...), with the operating point inside."""
-        is_explicit = self.root is None
-        symbols: Any = self.function.sx_in() if is_explicit else self.function.mx_in()
+        symbols: Any = self.function.mx_in() if self.root else input_symbols(self.function)
         p, w, *arguments = symbols
         w = w if self.root is None else self.root(p)
         return ca.Function(self.function.name(), [p, *arguments], self.function(p, w, *arguments))

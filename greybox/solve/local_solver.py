@@ -75,11 +75,12 @@ class LocalSolver(Runner):
     starts : int
         Default number of starts.
     promising : tuple of int
-        How many of the screened starts are run first, and how many of these must agree.
+        How many of the screened starts are run first, in one or several batches, and how many of
+        these must agree.
     """
 
     starts: ClassVar[int] = 20
-    promising: ClassVar[tuple[int, int]] = (4, 3)
+    promising: ClassVar[tuple[int, ...]] = (4, 3)
 
     @abstractmethod
     def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:

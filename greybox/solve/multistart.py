@@ -1,7 +1,7 @@
 """Many runs of one compiled problem: their solver, the order of their starts, and their minima."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import replace
 from types import MappingProxyType
@@ -65,14 +65,15 @@ def multistart(
     movable: bool = True,
     executor: Executor | None = None,
     kept: KeptRuns | None = None,
-    promising: tuple[int, int] | None = None,
+    promising: tuple[int, ...] = (),
 ) -> Multistart:
     """Run the solver from all `starts` (r, p) and group the runs into minima.
 
-    With `promising`, the solver first runs this many of the most promising starts; the
-    others follow if not enough of these, the second number, agree. On the fits of the paper each of
-    eight nearly always reaches the best minimum. With four of eight, as with three of four, the
-    chance of an error is below 2 % if less than one start in six leads there.
+    With `promising`, the solver first runs this many of the most promising starts, and then perhaps
+    up to a second number of them; the others follow if not enough of these, the last number, agree.
+    On the fits of the paper each of eight nearly always reaches the best minimum. With four of
+    eight, as with three of four, the chance of an error is below 2 % if less than one start in six
+    leads there.
 
     A `movable` start moves to where the model is finite. An unfinished run at a lower cost than all
     before it is continued. All runs are stored. A run that fails is a result with its status, and
@@ -84,16 +85,16 @@ def multistart(
     # that of the conversion.
     points = FiniteStarts(nlp, solver, starts) if movable else starts
     memory = Memory() if kept is None else Memory(kept, value_fingerprint(solver))
-    few, enough = promising or (len(starts), 0)
-    screened = solver.screened(starts) if movable and few < len(starts) else None
+    *counts, enough = promising or (len(starts), 0)
+    screened = solver.screened(starts) if movable and counts[-1] < len(starts) else None
     begins = {} if screened is None else dict(enumerate(screened.begins))
 
     results: dict[int, tuple[Array, Outcome]] = {}
     runs, minima, lowest = Runs.of(()), (), math.inf
-    waves: list[Sequence[int]] = [range(len(starts))]
+    waves = [[*range(len(starts))]]
     if screened is not None:
-        first = screened.order[:few].tolist()
-        waves = [first, sorted({*range(len(starts))} - {*first})]
+        waves = [wave.tolist() for wave in np.split(screened.order, counts)]
+        waves[-1].sort()
     for wave in waves:
         numbered = ((number, points[number]) for number in wave)
         for number, start, ended in run_all(solver, numbered, len(wave), executor, memory, begins):

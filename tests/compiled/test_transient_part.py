@@ -125,7 +125,7 @@ def test_the_cost_is_that_of_normal_errors(made, equation_error):
     measured = np.array([part.data.outputs[name] for name in part.outputs])
     unit = np.sqrt(part.data.step * part.data.duration / 2)
     if not equation_error:
-        left = (measured - at.modelled) / unit
+        left = (measured - at.modeled) / unit
         assert_allclose(at.errors, np.hstack([left.real, left.imag]), rtol=1e-9, atol=1e-12)
     weight = at.covariance.weight(trajectory.products)
     by_ends = np.einsum("ka,aln->kln", weight, at.basis).reshape(-1, at.basis.shape[-1])
@@ -137,7 +137,7 @@ def test_the_cost_is_that_of_normal_errors(made, equation_error):
     size = np.sqrt(np.mean(np.abs(measured) ** 2, axis=1))[:, None]
     assert_allclose(
         signature,
-        np.concatenate([v.ravel() for v in ((at.modelled / size).real, (at.modelled / size).imag)]),
+        np.concatenate([v.ravel() for v in ((at.modeled / size).real, (at.modeled / size).imag)]),
     )
 
 
@@ -161,7 +161,7 @@ def test_the_information_of_the_values_is_that_of_the_search(made):
 def test_errors_by_output_follow_the_parameters(made):
     """Turned by the phase of the modelled output, which is held."""
     _, part, z, trajectory = made
-    turn = np.exp(-1j * np.angle(trajectory.detail.modelled))
+    turn = np.exp(-1j * np.angle(trajectory.detail.modeled))
     lines = len(part.data)
     slopes = numeric_jacobian(lambda v: fixed_ends(part, v, trajectory.detail.ends).ravel(), z)
     slopes = slopes.reshape(len(part.outputs), 2 * lines, -1)
