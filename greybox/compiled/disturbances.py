@@ -115,7 +115,7 @@ class DisturbedRecord:
         later = np.hstack([derivatives[:, 1:], derivatives[:, -1:]])
         later = derivatives if self.is_predicted or is_held else later
         mean = self.part.segments.columns((derivatives + later) / 2)
-        # Most terms add to one state: of 100 states the others take half of the time of the test.
+        # Most terms add to one state: of 20 states the others take a quarter of the test's time.
         moved = mean.any(axis=1)
         A = self._slopes[0][: self.part.states][moved]
         return self._placed.data[-1] / 2 * (mean + np.einsum("jac,jc->ac", A, mean[moved]))
