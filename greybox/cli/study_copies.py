@@ -12,6 +12,7 @@ import json
 import os
 import shutil
 import sys
+from functools import cache
 from pathlib import Path
 
 from greybox.files.safe_files import replacing, write_text
@@ -27,6 +28,13 @@ def note_opened_files() -> None:
     """Note every file that Python opens for reading from now on, and those that greybox reads."""
     _opened.clear()
     _read.clear()
+    _listen()
+
+
+@cache
+def _listen() -> None:
+    # An audit hook stays until the process ends: a second one would note everything again.
+    sys.addaudithook(_note)
 
 
 def _note(event: str, arguments: tuple) -> None:
@@ -34,10 +42,6 @@ def _note(event: str, arguments: tuple) -> None:
         _read.add(Path(arguments[0]).resolve())
     elif event == "open" and arguments[1] in ("r", "rb"):
         _opened.add(Path(str(arguments[0])))
-
-
-# An audit hook stays until the process ends: a second one would note everything again.
-sys.addaudithook(_note)
 
 
 def copy_inputs(study: Path, folder: Path, starts: int | None) -> None:

@@ -13,7 +13,7 @@ from greybox.data.checked_array import checked_array, finite_array, require, req
 from greybox.data.intersample import HOLD, NO_HOLD
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.units import known_unit, to_si
-from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
+from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, all_finite
 from greybox.files.text_table import counted, one_line, printable, write_out
 
 COLUMNS = ("omega", "response", "coherence", "variance", "dof")
@@ -143,7 +143,7 @@ class FrequencyResponse:
 
     def _checked_errors(self, value: ArrayLike) -> ComplexArray | None:
         errors = np.atleast_2d(np.array(value, dtype=np.complex128))
-        if errors.ndim != 2 or errors.shape[1] != self.omega.size or not np.isfinite(errors).all():
+        if errors.ndim != 2 or errors.shape[1] != self.omega.size or not all_finite(errors):
             raise ValueError(
                 f"common_errors has shape {np.shape(value)}: give finite numbers, a row of "
                 f"{self.omega.size} for each."

@@ -34,8 +34,7 @@ class Accuracy:
     ----------
     covariance : (k, k) array
         Covariance of the free parameters, then the constants, in the directions that the data
-        determine.
-        Constants have the covariance of the earlier fit that they come from, or zero.
+        determine. Constants have the covariance of the earlier fit that they come from, or zero.
     blind : (k, b) array
         Directions, in multiples of `size`, about which the data say nothing: invisible ones, and
         parameters at a bound.

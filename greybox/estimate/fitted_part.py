@@ -211,7 +211,7 @@ class FittedRecord(FittedPart):
 
     @property
     def input_names(self) -> tuple[str, ...]:
-        """Names of the inputs: the signals that are no outputs."""
+        """Names of the inputs: the signals that are not outputs."""
         return tuple(name for name in self.data.signals if name not in self.outputs)
 
     @property

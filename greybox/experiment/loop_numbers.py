@@ -203,9 +203,9 @@ def closed_loop_numbers(
 ) -> Numbers:
     """Return numbers of the closed loops from a setpoint to a response.
 
-    The criteria of ADS-33 use those of an `attitude`: `integrals`, how often the response is
-    integrated to it, None if it is not an angle or a rate; and `boundary`, phase delays and
-    bandwidths (2, n).
+    The options `attitude` are for the criteria of ADS-33: `integrals` is how often the response is
+    integrated to an angle (None if it is neither an angle nor a rate), and `boundary` has phase
+    delays and bandwidths (2, n).
     """
     return {
         **_response_numbers(loop, omega, setpoint, response, **attitude),

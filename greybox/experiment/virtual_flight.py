@@ -19,7 +19,7 @@ from greybox.data.record import Record
 from greybox.experiment.controller import Controller, connected, run_controllers, sensors_of
 from greybox.experiment.excitation import Excitation
 from greybox.experiment.sampled_loop import measured_signal
-from greybox.files.arrays import Array, BoolArray
+from greybox.files.arrays import Array, BoolArray, all_finite
 from greybox.modeling.integrators import RungeKutta
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -350,7 +350,7 @@ def _as_excitation(given: Excitation | Mapping[str, ArrayLike], rate: float | No
     arrays = {n: np.array(v, dtype=float) for n, v in given.items()}
     shapes = {v.shape for v in arrays.values()}
     if len(shapes) != 1 or any(
-        v.ndim != 1 or not (v.size and np.isfinite(v).all()) for v in arrays.values()
+        v.ndim != 1 or not (v.size and all_finite(v)) for v in arrays.values()
     ):
         raise ValueError(
             "the arrays of the excitation have the shapes "

@@ -91,13 +91,14 @@ def sines_and_sweeps(time: Array, values: Array) -> list[Segment]:
         return []
 
     corners = np.arange(time.size)
+    tried = corners[:0]
     candidates = []
     # Low heights first: each next one needs only the turning points of the previous one.
     for height in np.ptp(values) * HEIGHTS:
-        higher = _turning_points(values, corners, float(height))
-        if candidates and np.array_equal(higher, corners):
+        corners = _turning_points(values, corners, float(height))
+        if np.array_equal(corners, tried):
             continue  # the runs would be the same
-        corners = higher
+        tried = corners
         crossings, swings = _crossings(time, values, corners)
         for a, b in _runs(crossings, swings):
             piece = _fitted(time, values, crossings[a:b])

@@ -162,11 +162,14 @@ def _realized(model: TransferFunction, p: ca.SX, pade: int | None) -> Dynamics:
     )
 
 
-def _functions(x: ca.SX, u: ca.SX, p: ca.SX, *rows: ca.SX) -> dict[str, Any]:
-    """Return the functions to derivative, output and delay of `Dynamics`."""
+def _functions(
+    x: ca.SX, u: ca.SX, p: ca.SX, derivative: ca.SX, output: ca.SX, delay: ca.SX
+) -> dict[str, Any]:
+    """Return the functions of `Dynamics` with these values at x, u and p."""
     return {
-        name: ca.Function(name, [p] if name == "delay" else [x, u, p], [row])
-        for name, row in zip(("derivative", "output", "delay"), rows, strict=True)
+        "derivative": ca.Function("derivative", [x, u, p], [derivative]),
+        "output": ca.Function("output", [x, u, p], [output]),
+        "delay": ca.Function("delay", [p], [delay]),
     }
 
 

@@ -11,7 +11,7 @@ from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.intersample import hold_of_response
 from greybox.data.record import Record, median_step, require_time
 from greybox.data.test_segment import Segment, checked_segments
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, all_finite
 from greybox.spectral.demodulation import (
     UnusableSegmentError,
     least_squares,
@@ -282,7 +282,7 @@ def _response(
     rounding = 1e-12
     errors = np.array([p.standard_error for p in points])
     variance = np.maximum(errors, rounding * np.abs(values)) ** 2
-    has_variance = bool(np.isfinite(variance).all())
+    has_variance = all_finite(variance)
     return FrequencyResponse(
         omega,
         values,
