@@ -18,7 +18,7 @@ from greybox.solve.interruption import Interrupted
 from greybox.solve.worker_pool import ExecutorLostError
 from greybox.study.batch import Member, batch
 from greybox.study.progress import progress
-from greybox.study.store import DATABASE, locked
+from greybox.study.store import DATABASE, is_study, locked
 from greybox.study.study import Study, read_study
 
 EXAMPLES = (
@@ -66,7 +66,9 @@ def run(options: argparse.Namespace) -> Answer:
     if options.check:
         require_file(Path(options.study, DATABASE))
         with locked(Path(options.study)):
-            return _answer(read_study(options.study))
+            is_whole = is_study(Path(options.study))  # a damaged database was set aside
+            none = ({"error": f"no member is whole; {RESUME.format(options.study)}."},)
+            return _answer(read_study(options.study)) if is_whole else none
     folder = Path(options.study) if options.resume else options.out
     stated = stated_inputs(folder) if options.resume else (options.study, None)
     note_opened_files()

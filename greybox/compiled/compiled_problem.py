@@ -17,6 +17,7 @@ from greybox.compiled.scaling import Scaling, scaling_of
 from greybox.compiled.transcription.method import Transcription
 from greybox.compiled.transcription.multiple_shooting import MultipleShooting
 from greybox.compiled.transient_part import TransientPart
+from greybox.compiled.vectorized import Columns
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
@@ -28,6 +29,8 @@ from greybox.modeling.one_thread import one_thread_at_a_time
 
 AnyProblem = Problem | Sum[Problem]
 PartKind = TypeVar("PartKind", bound=Part)
+# Of a problem without frequency responses.
+NOTHING = Columns(ca.Function("nothing", [], []))
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,10 +64,10 @@ class CompiledProblem(Portable):
         The cost of a zero response, by frequency response, as the first program weighs it.
     data : (g,) array
         The constants and the data of all frequency responses, an input of their functions.
-    response_cost : casadi.Function
+    response_cost : Columns
         (all values, data) -> the cost without smoothing of every frequency response, unweighted,
         stacked.
-    responses : casadi.Function
+    responses : Columns
         (all values) -> real and imaginary parts of all frequency responses, stacked: (2 N,).
 
     From `programs` on, the attributes are empty where no data are frequency responses.
@@ -84,8 +87,8 @@ class CompiledProblem(Portable):
     programs: tuple[CostProgram, ...] = ()
     zero_costs: Array = field(default_factory=lambda: np.zeros(0))
     data: Array = field(default_factory=lambda: np.zeros(0))
-    response_cost: ca.Function = field(default_factory=ca.Function)
-    responses: ca.Function = field(default_factory=ca.Function)
+    response_cost: Columns = NOTHING
+    responses: Columns = NOTHING
 
     def parts_of(self, kind: type[PartKind]) -> list[PartKind]:
         """Return the parts of one class."""
@@ -112,9 +115,9 @@ class CompiledProblem(Portable):
 
     def all_values(self, x: Array) -> Array:
         """Append the constants to unknowns x (..., p)."""
-        x = np.asarray(x, dtype=float)
-        constants = np.broadcast_to(self.constant_values, (*x.shape[:-1], len(self.constants)))
-        return np.concatenate([x, constants], axis=-1)
+        values = np.empty((*np.shape(x)[:-1], len(self.names)))
+        values[..., : len(self.free)], values[..., len(self.free) :] = x, self.constant_values
+        return values
 
     def estimate_at(self, z: Array) -> Array:
         """Return the unknowns (..., p) at the solver's variables z (..., p), within the bounds."""
@@ -124,28 +127,26 @@ class CompiledProblem(Portable):
 
     def cost(self, values: Array) -> float:
         """Return the cost without smoothing of the frequency responses at all values (k,)."""
-        return float(self._weights @ np.asarray(self.response_cost(values, self.data)).ravel())
+        return float(self._costs(values[:, None])[0])
 
     def costs(self, x: Array) -> Array:
         """Return the costs (r,) of the frequency responses without smoothing, for x (r, p)."""
-        if not len(x):
-            return np.zeros(0)
-        return self._weights @ np.asarray(self.response_cost(self.all_values(x).T, self.data))
+        return self._costs(self.all_values(x).T)
+
+    def _costs(self, values: Array) -> Array:
+        weights = np.array([part.weight for part in self.parts if not part.has_states])
+        return weights @ self.response_cost(values, self.data)[0]
 
     def data_of(self, constants: Array, responses: Iterable[ComplexArray]) -> Array:
         """Return the data (g,) for other constants (c,) and other measured responses."""
         pairs = zip(self.parts_of(ResponsePart), responses, strict=True)
         return np.concatenate([constants, *(part.numbers_of(each) for part, each in pairs)])
 
-    @property
-    def _weights(self) -> Array:
-        return np.array([part.weight for part in self.parts if not part.has_states])
-
     def signatures(self, x: Array) -> Array:
         """Return the signatures (r, 2 N) of the responses for x (r, p), see `Part.signature`."""
         sizes = [part.magnitude for part in self.parts_of(ResponsePart)]
         # Over the measured magnitudes, so that responses of unlike units can be compared.
-        responses = np.asarray(self.responses(self.all_values(x).T))
+        [responses] = self.responses(self.all_values(x).T)
         return (responses / np.concatenate([np.zeros(0), *sizes, *sizes])[:, None]).T
 
 
@@ -180,18 +181,19 @@ def compile_problem(problem: AnyProblem, method: Transcription | None = None) ->
         """Return all values by name, at symbols of the solver's variables and the constants."""
         return dict(zip(names, [*scaling.expressions(z), *constants], strict=True))
 
-    point = ca.SX.sym("z", len(free))
-    named = values_at(point, constant_values)
     limits, constraint = limits_of(problem, names)
     parts: dict[Problem, Part] = {}
     functions: dict[str, Any] = {}
     if problem.parts_with(FrequencyResponse):
-        responses = ResponseCompiler(problem, names, constant_values, point, values_at, constraint)
+        responses = ResponseCompiler(problem, names, constant_values, values_at, constraint)
         response_parts, functions = responses.compiled()
         parts |= response_parts
     for part in problem.parts_with(TransientSpectrum):
-        parts[part] = TransientPart(part, named, point)
+        point = ca.SX.sym("z", len(free))
+        parts[part] = TransientPart(part, values_at(point, constant_values), point)
     if recorded := problem.parts_with(Record):
+        point = ca.SX.sym("z", len(free))
+        named = values_at(point, constant_values)
         record_parts = compile_records(recorded, named, point, method)
         parts |= zip(recorded, record_parts, strict=True)
         method = record_parts[0].model.method

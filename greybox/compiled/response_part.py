@@ -259,6 +259,7 @@ class ResponsePart(Part):
 
             return CorrelatedPoints(meat, remaining_dof, scale, neighbors)
 
+        @cache
         def offset(correction: float) -> Array:
             bias = criterion.gain_bias(criterion.noise(response, data, correction), len(data))
             return bias * criterion.jacobian(response, response[:, None], data)[:, 0]

@@ -31,6 +31,7 @@ from greybox.compiled.shared_response import (
     shared_responses,
     shared_systems,
 )
+from greybox.compiled.vectorized import CHUNK, Columns
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.files.arrays import Array
 from greybox.formulation.frequency_criteria import Criterion, cost_of_zero
@@ -119,9 +120,8 @@ def instructions(program: ca.Function) -> int:
 class ResponseCompiler:
     """The frequency responses of a problem as expressions, and the functions that follow.
 
-    `names` are those of all values; `values_at` turns symbols of the solver's variables, such as
-    `point` (p,), and of the constants into these values by name, of which `constraint` makes what
-    must be >= 0.
+    `names` are those of all values; `values_at` turns symbols of the solver's variables and of the
+    constants into these values by name, of which `constraint` makes what must be >= 0.
     """
 
     def __init__(
@@ -129,12 +129,10 @@ class ResponseCompiler:
         problem: Problem | Sum[Problem],
         names: Sequence[str],
         constants: Array,
-        point: ca.SX,
         values_at: Callable[[Any, Any], Named],
         constraint: ca.Function,
     ) -> None:
-        self.problem, self.constants, self.point = problem, constants, point
-        self.names = names
+        self.problem, self.names, self.constants = problem, names, constants
         self.values_at, self.constraint = values_at, constraint
         self.parts: list[Problem] = problem.parts_with(FrequencyResponse)
         self.weights = solver_weights(self.parts)
@@ -169,6 +167,7 @@ class ResponseCompiler:
 
     def traced(self) -> tuple[list[ResponseFunctions], dict[str, Any]]:
         """Trace the formulas; return what was built for the same ones, or build it."""
+        self.point = ca.SX.sym("z", len(self.names) - len(self.constants))
         is_located = any(_own_criterion(part).locator is not None for part in self.parts)
         self.criteria = (_locator, _own_criterion) if is_located else (_own_criterion,)
 
@@ -268,8 +267,8 @@ class ResponseCompiler:
         costs = self.costs(self.responses, self.measured, 0.0, _own_criterion)
         return functions, {
             "programs": programs,
-            "response_cost": ca.Function("cost", [x, data], [ca.vertcat(kind(0, 1), *costs)]),
-            "responses": ca.Function("responses", [x], [self.stacked]),
+            "response_cost": _columns("cost", [x, data], ca.vertcat(kind(0, 1), *costs)),
+            "responses": _columns("responses", [x], self.stacked),
         }
 
     def program(self, costs: Sequence[Any], choose: ChooseCriterion) -> CostProgram:
@@ -346,6 +345,13 @@ class ResponseCompiler:
             self.point,
             lambda part: ca.SX(_values(part, named)),
         )
+
+
+def _columns(name: str, inputs: list[Any], output: Any) -> Columns:
+    """Return a function of columns of the first input, and of data that all of them share."""
+    # CasADi evaluates any number of columns, so that one has the same digits as many.
+    shared = (1,)[: len(inputs) - 1]
+    return Columns(ca.Function(name, inputs, [output]), shared, fewest=CHUNK + 1)
 
 
 def _values(part: Problem, named: Named) -> Any:

@@ -134,10 +134,11 @@ class FrequencyResponse:
         cure = "frequencies must be finite and above 0 rad/s"
         require("omega", self.omega, self.omega > 0, cure)
         # Two points at one frequency would count as independent in a fit.
-        values, counts = np.unique(self.omega, return_counts=True)
-        if counts.max() > 1:
+        values = np.sort(self.omega)
+        repeated = values[1:][np.diff(values) == 0]
+        if repeated.size:
             raise ValueError(
-                f"omega = {values[counts.argmax()]:g} rad/s is repeated: average the points of one "
+                f"omega = {repeated[0]:g} rad/s is repeated: average the points of one "
                 "frequency, or add two problems, one for each experiment."
             )
 

@@ -155,7 +155,9 @@ def assess(
     """
     p, k = len(nlp.free), len(nlp.names)
     parts = informations(nlp, x, trajectories)
-    shares = [_share(part, p=p) for part in parts]
+    # A part alone pays for all parameters: its errors are then computed once.
+    paid = p if len(parts) == 1 else 0
+    shares = [_share(part, p=p, correction=_correction(part, paid)) for part in parts]
     jacobian = np.vstack([share.limit * share.root[:, :p] for share in shares])
     at_bound = _at_bound(nlp, x, shares, trajectories)
     active, holding = _active_constraints(nlp, x)
@@ -387,13 +389,13 @@ def _corrected(part: Information, share: _Share, root: Array) -> PartAccuracy:
     # A whole number for a single part.
     paid = round(float(np.sum((share.root[:, :p] @ root) ** 2)), 9)
     numbers = max(part.numbers - paid, 0.5)
+    correction = _correction(part, paid)
     colored = part.colored and part.colored(math.sqrt(problem.weight) * root)
     if colored:
         meat = problem.weight * colored.meat
         return PartAccuracy(share, meat, colored.dof, meat, colored.dof, colored)
 
     dof = math.inf if problem.criterion.known_noise else numbers
-    correction = math.sqrt(max(part.numbers, numbers) / numbers)
     share = _share(part, p=p, correction=correction)
     meat = independent = root.T @ share.meat @ root
     neighbors = part.correlated and part.correlated(correction, root, dof)
@@ -401,6 +403,12 @@ def _corrected(part: Information, share: _Share, root: Array) -> PartAccuracy:
         meat = problem.weight**2 * root.T @ neighbors.meat[:p, :p] @ root
         dof = neighbors.dof
     return PartAccuracy(share, meat, dof, independent, numbers, neighbors=neighbors)
+
+
+def _correction(part: Information, paid: float) -> float:
+    """Return the factor on the noise of a part whose residuals have `paid` for parameters."""
+    numbers = max(part.numbers - paid, 0.5)
+    return math.sqrt(max(part.numbers, numbers) / numbers)
 
 
 def _root_of_inverse(shares: Sequence[_Share], basis: Array) -> Array:

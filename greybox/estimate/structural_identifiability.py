@@ -256,7 +256,7 @@ def _of_responses(
     nlp = compile_problem(Problem(model, data, SquaredRelativeError("model"), at=at, **options))
     x = np.array([values[name] for name in nlp.free])
     # A response of zero at all frequencies would count every parameter as lost.
-    seen = np.asarray(nlp.responses(nlp.all_values(x)))
+    [seen] = nlp.responses(nlp.all_values(x)[:, None])
     if not (all_finite(seen) and np.any(seen)):
         return None
     jacobian = np.vstack([part.jacobian for part in informations(nlp, x)])[:, : len(x)]

@@ -8,8 +8,8 @@ EXPANSION = 1000
 
 def packed(value: bytes, like: bytes = b"") -> bytes:
     """Return compressed bytes, fewer if they share words with the end of `like`."""
-    # The usual level, 6, takes twice the time for 3 % fewer bytes of a fit.
-    deflate = zlib.compressobj(level=4, zdict=like)
+    # The usual level, 6, takes three times the time for 5 % fewer bytes of a fit.
+    deflate = zlib.compressobj(level=2, zdict=like)
     return deflate.compress(value) + deflate.flush()
 
 

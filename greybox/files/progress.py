@@ -18,4 +18,5 @@ def bar(items: Iterable[Any] | None = None, *, is_shown: bool = True, **options:
     in_notebook = "ipykernel" in sys.modules
     hidden = (None if not in_notebook else False) if is_shown else True
     tqdm = import_module("tqdm.auto" if in_notebook and find_spec("ipywidgets") else "tqdm").tqdm
-    return tqdm(items, disable=hidden, delay=DELAY, leave=False, **options)
+    # A terminal that states no size, as some remote ones do, would show no bar.
+    return tqdm(items, disable=hidden, delay=DELAY, leave=False, nrows=24, **options)

@@ -22,7 +22,7 @@ def study_section(study: Study) -> Iterator[Element]:
     texts = (f"{grades[grade]} {text}" for grade, text in GRADES.items() if grades[grade])
     yield tag("p", f"{study.state}. The fits: {', '.join(texts)}.")
     figures = [structures_figure(study), estimates_figure(study, "cost")]
-    if len(study.groups(study.structures)) > 1:
+    if len(study.select(status="done").groups(study.structures)) > 1:
         comparison = study.ranking()
         yield from (tag("p", text) for text in (comparison.verdict, *comparison.statements) if text)
         figures.insert(0, structures_figure(comparison))

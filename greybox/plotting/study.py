@@ -184,9 +184,9 @@ def structures_figure(results: Study | Comparison) -> Figure:
     height = max(0.6, len(rows) / 10)
     limits = (0.5, len(rows) + 0.5), (0.5, len(columns) + 0.5)
     panel = Panel("", series, height, limits=limits[0], ticks=rows[::-1])
-    return Figure(
-        f"{title} by structure and data set", "", [panel], limits=limits[1], ticks=columns
-    )
+    names = columns if len(columns) <= NAMED else [""]
+    title = f"{title} by structure and data set"
+    return Figure(title, "", [panel], limits=limits[1], ticks=names)
 
 
 def _evidence(comparison: Comparison) -> dict[tuple[str, str], float]:

@@ -29,6 +29,11 @@ QUIET = {"print_level": 0, "sb": "yes", "max_iter": 500}
 # between the bounds.
 WARM = {"mu_init": 1e-5, "bound_push": 1e-8, "bound_frac": 1e-8, "max_iter": 200}
 
+# Options of a run that confirms a minimum: the barrier of WARM leads away from it, and three or
+# four iterations back. With 1e-9, within IPOPT's tolerance, a saddle, where two lags are equal,
+# would count as a minimum, since no step is tried.
+CONFIRMING = {**WARM, "mu_init": 1e-7}
+
 # Options of a run that begins where another stagnated. In directions that the data do not determine
 # only the barrier has a slope, and its long steps leave a curved valley again and again: without a
 # barrier 127 of 129 such runs, on random structures with a redundant product, ended at a minimum,

@@ -126,9 +126,12 @@ def agreeing_runs(
     n real numbers is proportional to the noise or its square, and the log-likelihood to
     n log(cost): a unit of it is cost / n.
     """
-    if not minima or explains_nothing(minima[0].cost, zero_cost(nlp)):
+    if not minima:
         return ()
-    best = minima[0].cost
+    best, responses = minima[0].cost, nlp.parts_of(ResponsePart)
+    zero = sum(part.weight * cost_of_zero(part.criterion, part.data) for part in responses)
+    if len(responses) == len(nlp.parts) and explains_nothing(best, zero):
+        return ()
     numbers = max(sum(part.numbers for part in nlp.parts), 1)
     is_likelihood = any(part.is_likelihood for part in nlp.parts)
     limit = best + TOLD_APART * (1.0 if is_likelihood else abs(best) / numbers)
@@ -141,14 +144,6 @@ def agreeing_runs(
 def explains_nothing(cost: Any, zero: float) -> Any:
     """Return whether a cost (any shape) is that of a response of zero, to a percent."""
     return cost >= 0.99 * zero
-
-
-def zero_cost(nlp: CompiledProblem) -> float:
-    """Return the cost of a response that is zero; infinite with parts that are not responses."""
-    responses = nlp.parts_of(ResponsePart)
-    if len(responses) < len(nlp.parts):
-        return math.inf
-    return sum(part.weight * cost_of_zero(part.criterion, part.data) for part in responses)
 
 
 def find_minima(

@@ -23,7 +23,7 @@ from greybox.files.arrays import Array
 from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BatchedNewton, Ends
 from greybox.solve.interruption import Response, reason_to_end, responding, stop_requested
-from greybox.solve.ipopt import CONVERGED, ROUNDED, WARM, WITHOUT_BARRIER, Ipopt
+from greybox.solve.ipopt import CONFIRMING, CONVERGED, ROUNDED, WITHOUT_BARRIER, Ipopt
 from greybox.solve.local_solver import LocalSolver, Profile, Screened
 from greybox.solve.minima import AT_ONCE, Minimum, Multistart, explains_nothing, same_cost
 from greybox.solve.runs import CUT_SHORT, IMPROVED, STAGNATED, Outcome, Run, Runs, spent
@@ -68,8 +68,8 @@ class ResponseSolver(LocalSolver):
         self.problem, self._options, self._batched = problem, dict(options), batched
         if options:  # those that IPOPT does not take are refused here
             _ = [stage.solver for stage in self._stages]
-        self.lower, self.upper = problem.bounds
-        self._bounds = {"lbx": self.lower, "ubx": self.upper, "lbg": 0.0, "ubg": np.inf}
+        lower, upper = problem.bounds
+        self._bounds = {"lbx": lower, "ubx": upper, "lbg": 0.0, "ubg": np.inf}
         self.limits = {
             "max_iterations": int(self._options.get("max_iter", ITERATIONS)),
             "tolerance": float(self._options.get("tol", TOLERANCE)),
@@ -203,14 +203,11 @@ class ResponseSolver(LocalSolver):
         program = self.problem.programs[0]
         if program.explicit is None or program.roots is not None:
             return ends
-        costs = program.explicit(ends.z, SMOOTHING, self.problem.data)[0].full().ravel()
-        zero = np.flatnonzero(explains_nothing(costs, self.problem.zero_costs.sum()))
+        zero = np.flatnonzero(explains_nothing(ends.cost, self.problem.zero_costs.sum()))
         if not zero.size:
             return ends
 
-        again = self._walled.minimize(z[:, zero], **self.limits)
-        ends.z[:, zero], ends.at_minimum[zero] = again.z, again.at_minimum
-        ends.iterations[zero] += again.iterations
+        ends.put(zero, self._walled.minimize(z[:, zero], **self.limits))
         return ends
 
     @cached_property
@@ -253,7 +250,7 @@ class ResponseSolver(LocalSolver):
         if stop_requested():
             return True
         # From inside its bounds IPOPT would leave a valley that is narrow in a wide box.
-        outcome = self._judged_run(run, run.estimate, WARM)
+        outcome = self._judged_run(run, run.estimate, CONFIRMING)
 
         # A run that leaves its end for a lower one was at no minimum.
         higher = outcome.cost - run.cost

@@ -70,7 +70,7 @@ class SharedSolver(ResponseSolver):
         moved = np.arange(z.shape[1]) > 0
         near, stages = z[:, moved], np.zeros(z.shape[1], int)
         ratios = np.array(FIRST)[np.arange(near.shape[1]) // 2 % 2]
-        search = BatchedNewton(ProcessNoise(self._shared, z), self.lower, self.upper)
+        search = BatchedNewton(ProcessNoise(self._shared, z), *self.problem.bounds)
         for stage in STAGES:
             ends = search.minimize(
                 near,
@@ -80,21 +80,19 @@ class SharedSolver(ResponseSolver):
                 given=stage * ratios[None],
             )
             near, stages[moved] = ends.z, stages[moved] + ends.iterations
-        at_minimum, iterations = np.zeros(z.shape[1], bool), np.zeros(z.shape[1], int)
-        z = z.copy()
-        z[:, moved] = near
+        whole = Ends(z.copy(), np.zeros(z.shape[1], bool), stages, np.zeros(z.shape[1]))
+        whole.z[:, moved] = near
         if moved.any():
             limits = {"max_iterations": min(self.limits["max_iterations"], MOST)} | limits
         for columns in (moved, ~moved):
             if not columns.any():
                 continue
-            ends = super().improved(z[:, columns], **limits, from_near=columns is moved)
-            z[:, columns], at_minimum[columns] = ends.z, ends.at_minimum
-            iterations[columns] = ends.iterations + stages[columns]
+            ends = super().improved(whole.z[:, columns], **limits, from_near=columns is moved)
+            whole.put(columns, ends)
             if ends.at_minimum.any():
-                typical = int(np.median(iterations[columns][ends.at_minimum]))
+                typical = int(np.median(whole.iterations[columns][ends.at_minimum]))
                 limits = {"max_iterations": min(TIMES * typical, MOST)}
-        return Ends(z, at_minimum, iterations)
+        return whole
 
     def again(
         self, x: Array, earlier: Outcome | Run, options: Mapping[str, Any] = NO_OPTIONS

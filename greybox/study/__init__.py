@@ -13,7 +13,7 @@ Begin with `batch`.
 | `progress` | how far a study is |
 | `ranking` | which structure describes the data sets best |
 | `latex` | tables for a paper |
-| `store` | a study on disk: one SQLite database and a file for each fit |
+| `store` | a study on disk: one SQLite database |
 | `bootstrap` | repeat one fit on data that are drawn anew |
 | `replicates` | replicates of any data, by their number |
 | `response_replicates` | drawn frequency responses and their refits |

@@ -98,7 +98,6 @@ def test_a_rival_is_within_three_of_a_log_likelihood_or_a_hundredth_of_the_cost(
     ],
 )
 def test_a_tenth_of_the_starts_shall_agree_and_a_half_converge(agreeing, converged, count, texts):
-    nlp = SimpleNamespace(parts=[None], parts_of=lambda kind: [])
     runs = [None] * count
     search = SimpleNamespace(
         brought=runs,
@@ -107,7 +106,7 @@ def test_a_tenth_of_the_starts_shall_agree_and_a_half_converge(agreeing, converg
         converged=converged,
         failures=f"{count - converged} failed",
     )
-    assert [*few_agreeing_starts(nlp, search, agreeing)] == texts
+    assert [*few_agreeing_starts(search, agreeing)] == texts
 
 
 def test_the_lowest_end_that_did_not_converge_is_named():

@@ -94,7 +94,7 @@ def warnings(
         *no_degrees_of_freedom(nlp),
         *prior_conflicts(answer),
         *at_bounds(nlp, best, accuracy),
-        *few_agreeing_starts(nlp, search, answer.agreeing),
+        *few_agreeing_starts(search, answer.agreeing),
         *unfinished_runs(search),
         *rival_minima(nlp, search),
         *several_estimates_of_one_response(nlp, search, accuracy),

@@ -7,7 +7,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.estimate.covariance import Accuracy
 from greybox.files.text_table import listed
-from greybox.solve.minima import Multistart, explains_nothing, zero_cost
+from greybox.solve.minima import Multistart
 from greybox.solve.runs import TOO_COARSE
 
 # Difference of negative log-likelihoods up to which another minimum is a rival: at 3 it is twenty
@@ -15,10 +15,10 @@ from greybox.solve.runs import TOO_COARSE
 RIVAL_LIKELIHOOD = 3.0
 
 
-def few_agreeing_starts(nlp: CompiledProblem, search: Multistart, agreeing: int) -> Iterator[str]:
+def few_agreeing_starts(search: Multistart, agreeing: int) -> Iterator[str]:
     """Warn where fewer than a tenth of the starts reached the best minimum, or most runs failed."""
     count = len(search.brought)
-    if explains_nothing(search.minima[0].cost, zero_cost(nlp)):
+    if not agreeing:
         yield (
             f"the model explains nothing: the cost {search.minima[0].cost:.6g} is that of a "
             "response of zero; narrow the start boxes or the bounds, or use more starts."

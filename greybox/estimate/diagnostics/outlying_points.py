@@ -89,7 +89,8 @@ def _unequal_sizes(part: ResponsePart, values: Array, level: float) -> Iterator[
     size = np.maximum(criterion.error_size(model, part.data), TINY)
     ratio = (np.abs(part.data.response - model) / size)[np.argsort(part.data.omega)]
     n = len(ratio)
-    r = np.corrcoef(np.arange(n), np.argsort(np.argsort(ratio)))[0, 1] if n > 1 else 0.0
+    apart = np.sum((np.arange(n) - np.argsort(np.argsort(ratio))) ** 2)
+    r = 1 - 6 * apart / (n**3 - n) if n > 1 else 0.0  # Spearman's
     cure = "give variances and MaximumLikelihood()"
     if criterion.known_noise:
         louder = np.array_split(ratio, 2)[int(r > 0)]
