@@ -239,7 +239,7 @@ class BatchedNewton:
             numbers[rows.trial] = np.where(outside, trials, numbers[rows.trial])
 
 
-def _narrowed(searches: _Searches, count: int) -> _Searches:
+def _narrowed(searches: _Searches, count: np.intp) -> _Searches:
     """Return the `count` searches that have not ended, alone if the others are many.
 
     Three of four, so that few layouts of registers are built; half where none are built, and any
