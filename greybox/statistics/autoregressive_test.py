@@ -15,26 +15,28 @@ Vogelsang (1999), Sources of nonmonotonic power when testing for a shift in mean
 series, Journal of Econometrics 88.
 """
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from greybox.files.arrays import Array, IntArray
+from greybox.statistics.column_space import column_basis
 from greybox.statistics.score_test import chance
 
 ORDER = 20
 SAMPLES = 8  # of an output for each order
-ROUNDING = 1e-12  # of the power
+# Share of the power of columns that may be rounding, as errors that are white and independent.
+ROUNDING = 1e-12
 UNCHANGED = 1e-9  # decrease of -2 log likelihood that is rounding alone
 # Factors on a smooth term beside errors that drift settle in the third round.
 ROUNDS = 3
+HELD = 1e30  # times the square of a factor: leaves none of it
 TINY = 1e-300
 
 # For every output: the rows of its measured samples, for each stretch in order of time.
 Outputs = Sequence[Sequence[IntArray]]
-# Number of windows of samples, and the sums of products in them.
+# Number of windows of samples, and the sums of their products (q + 1, q + 1, c, c).
 Products = tuple[int, Array]
 
 
@@ -66,68 +68,50 @@ def autoregressive_p_values(
         What unit terms would add to the model's outputs.
     outputs : sequence of sequence of (n,) arrays of int
     """
-    values = np.column_stack([residuals, fitted, terms])
+    # Columns that nearly depend on each other would have large factors, and errors of rounding.
+    values = np.column_stack([residuals, column_basis(fitted), terms])
     values /= np.linalg.norm(values, axis=0) + TINY
     pieces = [[values[rows] for rows in stretches] for stretches in outputs]
     differences = [[np.diff(piece, axis=0) for piece in stretches] for stretches in pieces]
     # Each term is fitted beside the parameters; at last, these alone are.
-    taken = np.zeros((terms.shape[1] + 1, values.shape[1]))
-    taken[:, 1 : -terms.shape[1]] = 1.0
-    taken[:, -terms.shape[1] :] = np.eye(*taken[:, -terms.shape[1] :].shape)
-    p_values, factors = [], None
+    tests, columns = terms.shape[1] + 1, values.shape[1]
+    held = 1 - np.eye(tests, columns, columns - tests + 1)
+    held[:, 1 : columns - tests + 1] = 0.0
+    p_values, factors = list[Array](), held
     for samples in (pieces, differences):
         products = [*map(_products, samples)]
-        factors, scores = _scores(products, taken, factors)
+        filters, scores = [np.eye(1, len(sums)) for _, sums in products], list[Array]()
+        for turn in range(ROUNDS):
+            # The likelihood has several maxima: differences begin at the factors of the samples.
+            if turn or not p_values:
+                pairs = zip(filters, products, strict=True)
+                squares = [_squares("hl,hm,lmij->hij", w, sums) for w, (_, sums) in pairs]
+                factors = _least(np.sum(squares, axis=0), held)
+            # The errors are those beside the columns: what follows a missing term is an
+            # autoregression, too, and would leave nothing of the term if the filters came from it.
+            filters = [_filters(factors, *pair) for pair in products]
+            pairs = zip(filters, products, strict=True)
+            scores.append(np.sum([-2 * count * np.log(w[:, 0]) for w, (count, _) in pairs], axis=0))
+        *beside, without = np.min(scores, axis=0)
         # A probability near one depends on the root of the decrease, which may be all rounding.
-        decrease = np.maximum(scores[-1] - scores[:-1] - UNCHANGED, 0.0)
+        decrease = np.maximum(without - beside - UNCHANGED, 0.0)
         count = sum(number for number, _ in products)
-        remaining = count - np.sum(taken[0]) - sum(math.isqrt(len(sums)) for _, sums in products)
+        remaining = count - (columns - tests + 1) - sum(len(sums) for _, sums in products)
         p_values.append(chance(np.exp(-decrease / count), max(remaining, 1)))
     return np.max(p_values, axis=0)
-
-
-def _scores(products: Sequence[Products], taken: Array, begin: Array | None) -> tuple[Array, Array]:
-    """Return the factors (h, c) on columns that leave least, and -2 log likelihood (h,).
-
-    The first column has the residuals; those `taken` (h, c) are fitted to it. The errors are those
-    beside them: what follows a missing term is an autoregression, too, and would leave nothing of
-    the term if the filters came from it. The likelihood has several maxima: differences begin at
-    the factors of the samples.
-    """
-    filters, scores, factors = [np.eye(1, math.isqrt(len(sums))) for _, sums in products], [], begin
-    for turn in range(ROUNDS):
-        if turn or factors is None:
-            pairs = zip(filters, products, strict=True)
-            normal = sum(_squares(w) @ sums for w, (_, sums) in pairs).reshape(
-                -1, *2 * taken.shape[1:]
-            )
-            fitted = _regular(normal * taken[:, None] * taken[..., None])
-            factors = (
-                np.eye(1, len(taken[0]))
-                - np.linalg.solve(fitted, normal[..., :1] * taken[..., None])[..., 0]
-            )
-        filters = [_filters(count, _squares(factors) @ sums.T) for count, sums in products]
-        scores.append(
-            -2
-            * sum(
-                count * np.log(weights[:, 0])
-                for weights, (count, _) in zip(filters, products, strict=True)
-            )
-        )
-    return factors, np.min(scores, axis=0)
 
 
 def whitening_filters(residuals: Array, outputs: Outputs) -> list[Array]:
     """Return the filters (q + 1,) that make residuals (N,) white, of unit variance, by output."""
     pieces = [[residuals[rows, None] for rows in stretches] for stretches in outputs]
-    return [_filters(count, sums.T)[0] for count, sums in map(_products, pieces)]
+    return [_filters(np.ones((1, 1)), *_products(stretches))[0] for stretches in pieces]
 
 
 def _products(pieces: Sequence[Array]) -> Products:
     """Return the number of windows of pieces (n, c), and the sums of products of their samples.
 
-    Sums ((q + 1)², c²) over windows of q + 1 samples, the last one first, are the Toeplitz ones of
-    pieces between zeros, less the products of windows that have such zeros.
+    Windows are of q + 1 samples, the last one first. Sums are the Toeplitz ones of pieces between
+    zeros, less the products of windows that have such zeros.
     """
     total, columns = sum(map(len, pieces)), pieces[0].shape[1]
     # Short stretches would lose all of their samples.
@@ -135,33 +119,39 @@ def _products(pieces: Sequence[Array]) -> Products:
     lags = np.arange(order + 1)
     count, sums = 0, np.zeros((order + 1, order + 1, columns, columns))
     for piece in pieces:
-        if (n := len(piece)) > order:
-            count += n - order
-            by_lag = np.array([piece[lag:].T @ piece[: n - lag] for lag in lags])
-            both = np.concatenate([by_lag[:0:-1].swapaxes(1, 2), by_lag])
-            padded = np.pad(piece, ((order, order), (0, 0)))
-            windows = sliding_window_view(padded, order + 1, axis=0)[..., ::-1]
-            ends = np.concatenate([windows[:order], windows[n:]])
-            sums += both[order + lags - lags[:, None]]
-            sums -= np.tensordot(ends, ends, (0, 0)).transpose(1, 3, 0, 2)
-    return count, sums.reshape(len(lags) ** 2, -1)
+        n = len(piece)
+        padded = np.pad(piece, ((order, order), (0, 0)))
+        by_lag = sliding_window_view(padded, n, axis=0) @ piece
+        windows = sliding_window_view(padded, order + 1, axis=0)[..., ::-1]
+        ends = np.delete(windows, slice(order, n), axis=0)
+        sums += by_lag[order + lags - lags[:, None]]
+        sums -= np.tensordot(ends, ends, (0, 0)).transpose(1, 3, 0, 2)
+        count += max(n - order, 0)
+    # What is predicted exactly would have no filter, and leave rounding errors alone.
+    sums[lags, lags] += np.diag(ROUNDING * np.diag(sums[0, 0]) + TINY)
+    return count, sums
 
 
-def _filters(count: int, moments: Array) -> Array:
-    """Return weights (h, q + 1) of least squares, which the ends of a record do not disturb."""
-    orders = math.isqrt(moments.shape[1])
-    moments = _regular(moments.reshape(-1, orders, orders) / max(count, 1))
-    weights = -np.linalg.solve(moments[:, 1:, 1:], moments[:, 1:, :1])[..., 0]
-    weights = np.insert(weights, 0, 1.0, axis=1)
+def _filters(factors: Array, count: int, sums: Array) -> Array:
+    """Return filters (h, q + 1) of columns by factors (h, c).
+
+    They follow by least squares, which the ends of a record do not disturb.
+    """
+    moments = _squares("hi,hj,lmij->hlm", factors, sums) / max(count, 1)
+    weights = _least(moments, np.eye(1, len(sums)))
     return weights / np.sqrt(np.einsum("hl,hlm,hm->h", weights, moments, weights))[:, None]
 
 
-def _squares(values: Array) -> Array:
-    """Return the products (h, n²) of all pairs of values (h, n)."""
-    return np.einsum("hi,hj->hij", values, values).reshape(len(values), -1)
+def _squares(axes: str, factors: Array, sums: Array) -> Array:
+    return np.asarray(np.einsum(axes, factors, factors, sums, optimize=True))
 
 
-def _regular(matrices: Array) -> Array:
-    """Return symmetric matrices (h, n, n) that have an inverse: residuals may have no errors."""
-    diagonal = np.einsum("hii->hi", matrices)
-    return matrices + np.eye(matrices.shape[1]) * (ROUNDING * diagonal + TINY)[:, None]
+def _least(squares: Array, held: Array) -> Array:
+    """Return factors (h, n) with the least `squares` (h, n, n), one on the first column.
+
+    Factors that are `held` (h, n), by ones, are zero.
+    """
+    matrices = squares + HELD * held[..., None] * np.eye(held.shape[1])
+    factors = -np.linalg.solve(matrices, squares[..., :1])[..., 0]
+    factors[:, 0] = 1.0
+    return factors
