@@ -29,8 +29,8 @@ SAMPLES = 8  # of an output for each order
 # Share of the power of columns that may be rounding, as errors that are white and independent.
 ROUNDING = 1e-12
 UNCHANGED = 1e-9  # decrease of -2 log likelihood that is rounding alone
-# Factors on a smooth term beside errors that drift settle in the third round.
-ROUNDS = 3
+# Factors on a smooth term beside errors that drift settle in up to seven rounds.
+ROUNDS = 8
 HELD = 1e30  # times the square of a factor: leaves none of it
 TINY = 1e-300
 
@@ -77,21 +77,19 @@ def autoregressive_p_values(
     tests, columns = terms.shape[1] + 1, values.shape[1]
     held = 1 - np.eye(tests, columns, columns - tests + 1)
     held[:, 1 : columns - tests + 1] = 0.0
-    p_values, factors = list[Array](), held
+    p_values, factors = list[Array](), _least(values.T @ values, held)
     for samples in (pieces, differences):
-        products = [*map(_products, samples)]
-        filters, scores = [np.eye(1, len(sums)) for _, sums in products], list[Array]()
-        for turn in range(ROUNDS):
-            # The likelihood has several maxima: differences begin at the factors of the samples.
-            if turn or not p_values:
-                pairs = zip(filters, products, strict=True)
-                squares = [_squares("hl,hm,lmij->hij", w, sums) for w, (_, sums) in pairs]
-                factors = _least(np.sum(squares, axis=0), held)
-            # The errors are those beside the columns: what follows a missing term is an
-            # autoregression, too, and would leave nothing of the term if the filters came from it.
+        products, scores = [*map(_products, samples)], list[Array]()
+        # The errors are those beside the columns: what follows a missing term is an autoregression,
+        # too, and would leave nothing of the term if the filters came from it. The likelihood has
+        # several maxima: differences begin at the factors of the samples.
+        for _ in range(ROUNDS):
             filters = [_filters(factors, *pair) for pair in products]
-            pairs = zip(filters, products, strict=True)
-            scores.append(np.sum([-2 * count * np.log(w[:, 0]) for w, (count, _) in pairs], axis=0))
+            pairs = [*zip(filters, products, strict=True)]
+            sizes = [-2 * count * np.log(w[:, 0]) for w, (count, _) in pairs]
+            scores.append(np.sum(sizes, axis=0))
+            squares = [_squares("hl,hm,lmij->hij", w, sums) for w, (_, sums) in pairs]
+            factors = _least(np.sum(squares, axis=0), held)
         *beside, without = np.min(scores, axis=0)
         # A probability near one depends on the root of the decrease, which may be all rounding.
         decrease = np.maximum(without - beside - UNCHANGED, 0.0)
