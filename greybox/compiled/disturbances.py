@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from greybox.compiled.condensing import solve_continuity
@@ -98,16 +97,11 @@ class DisturbedRecord:
     @cached_property
     def _slopes_of_formulas(self) -> Array:
         """The slopes of derivatives and outputs (n + k, parameters and inputs, samples)."""
-        system = self.part.system
-        x, u, p = system.symbols
-        rows = [system.outputs.index(name) for name in self.part.outputs]
-        formulas = ca.vertcat(system.derivative(x, u, p), system.output(x, u, p)[rows])
-        by = ca.vertcat(p, u)
-        slope = ca.Function("slope", [x, u, p], [ca.vec(ca.densify(ca.jacobian(formulas, by)))])
+        system, n = self.part.system, self.part.states
+        rows = [*range(n), *(n + system.outputs.index(name) for name in self.part.outputs)]
         # A gain that ended at zero would hide every term of its input.
-        q = self._placed.q[: p.numel()]
-        slopes = slope(self.states, self.inputs, np.where(q == 0, 1e-12, q)).full()
-        return slopes.reshape(by.numel(), formulas.numel(), -1).swapaxes(0, 1)
+        q = self._placed.q[: len(system.parameters)]
+        return system.slopes(self.states, self.inputs, np.where(q == 0, 1e-12, q))[rows]
 
     def _by_derivatives(self, derivatives: Array, is_held: bool = False) -> Array:
         """Return the mean of additional derivatives over a step, propagated over half of it."""

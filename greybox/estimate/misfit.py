@@ -301,9 +301,7 @@ def assessed_misfit(
     most = max(MOST // max(len(records), 1), FEWEST)
     regressions = [_of_record(part, trajectory, candidates, most) for part, trajectory in records]
     groups = [
-        _of_group(parts, in_time=in_time)
-        for parts, in_time in ((responses, False), (regressions, True))
-        if any(part.terms for part in parts)
+        _of_group(parts) for parts in (responses, regressions) if any(part.terms for part in parts)
     ]
     if not groups:
         return None
@@ -320,7 +318,7 @@ def assessed_misfit(
     )
 
 
-def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
+def _of_group(parts: Sequence[_Regression]) -> Misfit:
     """Return the misfit of all records or of all responses, in which a term is missing alike."""
     # With two parts, either one may need another value; a single part has no counterpart.
     either = parts[0].terms if len(parts) < 3 else {}
@@ -341,7 +339,7 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
     filters = whitening_filters(residuals[:, 0], outputs)
 
     def white(values: Array) -> Array:
-        return whitened(values, filters, outputs) if in_time else values
+        return whitened(values, filters, outputs) if outputs else values
 
     white_residuals, white_fitted = white(residuals), white(fitted)
     tried, ranked = _ranked(parts, [*terms], white, white_residuals[:, 0], white_fitted)
@@ -359,13 +357,13 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
         alone = score_tests(residuals[:, 0], fitted, best_columns)[0] / len(residuals)
         shares = np.maximum(shares, alone).tolist()
     p_values = [p_value for (_, p_value, *_), *_ in ranked]
-    if in_time:
+    if outputs:
         p_values = autoregressive_p_values(residuals[:, 0], fitted, best_columns, outputs).tolist()
 
     # Real and imaginary parts follow one another in every response.
     lengths = [n // 2 for part in parts if (n := len(part.residuals)) for _ in "ri"]
     p_common, score, apart, noise_apart = 1.0, None, (0.0, 0), 0.0
-    if not in_time and ranked:
+    if ranked and not outputs:
         score = correlated_score([(residuals, fitted, lengths)])
     if score is not None and len(parts) > 1:
         # Other values may be far from the common ones: each part is fitted by itself.
@@ -391,6 +389,9 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
         added = (term.b, term.added) if term.added else None
         causes.append(Cause(*texts[k], value, error, *numbers, alike=alike[k], added=added))
 
+    # What earlier samples do not predict.
+    innovations = [len(residuals) / float(weights[0]) ** 2 for weights in filters]
+    squares = float(np.sum(residuals**2)) + TINY
     tests = [*zip(ranked, causes, strict=True)]
     causes += [cause for part in parts for cause in part.causes]
     return Misfit(
@@ -399,16 +400,10 @@ def _of_group(parts: Sequence[_Regression], *, in_time: bool) -> Misfit:
         tried,
         tuple(causes),
         p_common,
-        _drift(residuals, filters),
+        1 - min(innovations, default=squares) / squares,
         any(part.is_unstable for part in parts),
         _shape(parts, tests, white, white_residuals, white_fitted),
     )
-
-
-def _drift(residuals: Array, filters: Sequence[Array]) -> float:
-    """Return the share of the squares of the residuals (N, 1) that earlier samples predict."""
-    squares = float(np.sum(residuals**2)) + TINY
-    return 1 - min((len(residuals) / float(w[0]) ** 2 for w in filters), default=squares) / squares
 
 
 def _shares(
@@ -435,13 +430,13 @@ def _shape(
     """Return the shape of the best term over the signal that explains most of residuals (N, 1)."""
     # A wrong value has no shape; the next best term shows what it stands for.
     drawn = [
-        (cause, value, key, column)
-        for ((_, _, value, _), key, column), cause in tests
+        (cause, key, column)
+        for (_, key, column), cause in tests
         if key[0][0] != "fixed" and cause.p_value < FALSE_ALARMS
     ]
     if not drawn:
         return None
-    cause, value, key, column = max(drawn, key=lambda test: test[0].share)
+    cause, key, column = max(drawn, key=lambda test: test[0].share)
     best, least = None, np.inf
     # A value that one record needs has no place in the others.
     terms = [part.terms[key] for part in parts if key in part.terms]
@@ -460,7 +455,7 @@ def _shape(
         size = float(np.std(residuals - effects @ values))
         if size < least:
             errors = size * np.linalg.norm(inverse, axis=1)
-            by_term = inverse @ beside(white(value * column), fitted)
+            by_term = inverse @ beside(white(cause.value * column), fitted)
             rows = (np.ravel(row).tolist() for row in (knots, values, errors, by_term))
             best, least = Shape(cause.text, name, *map(tuple, rows)), size
     return best

@@ -360,7 +360,7 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
 def _of_feedback(record: DisturbedRecord) -> Iterator[Term]:
     by_input, name = partial(record.by_input, 0), record.part.system.inputs[0]
     for y, b in zip(record.outputs, record.part.outputs, strict=True):
-        for signal, row in ((b, y), (f"{b}'", _rate(record, y))):
+        for signal, row in ((b, y), (f"{b}'", record.by_stretch(_backward, y))):
             for a, form in _forms(signal, row).items():
                 yield Term("feedback", form(row), by_input, a, name)
 
@@ -452,13 +452,6 @@ def dynamic_equations(part: RecordPart) -> dict[int, tuple[frozenset[str], set[s
         )
         for i in dynamic or own
     }
-
-
-def _rate(record: DisturbedRecord, row: Array) -> Array:
-    if record.is_predicted:
-        return record.by_stretch(_backward, row)
-    # A stretch may have one sample.
-    return record.by_stretch(lambda y, step: np.gradient(np.append(y, y[-1]), step)[:-1], row)
 
 
 def _backward(piece: Array, step: float) -> Array:

@@ -3,19 +3,14 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import once
 from greybox.modeling.parameter import Parameter
+from greybox.modeling.realization import dynamics
 from greybox.modeling.state_space import StateSpace
-from greybox.modeling.symbolic_reading import (
-    as_list,
-    derivative_function,
-    symbols,
-    traced_output,
-)
+from greybox.modeling.symbolic_reading import as_list
 
 Formula = Callable[[Any, Any, Any], Any]
 """A term as a function of states, inputs and parameters, ``lambda x, u, p: ...``."""
@@ -85,19 +80,13 @@ def factors_of_derivatives(derivatives: Array, outputs: Array) -> Array:
 
 @once
 def _factors(model: StateSpace) -> Array:
-    z, p = symbols(model)
-    n = len(model.states)
-    formulas = ca.vertcat(derivative_function(model)(z, p), traced_output(model, z, p))
-    by = ca.vertcat(p, z[n:])
-    slope = ca.Function("slope", [z, p], [ca.vec(ca.densify(ca.jacobian(formulas, by)))])
-
-    random = np.random.default_rng(0)
+    random, n = np.random.default_rng(0), len(model.states)
     start = np.array([parameter.start for parameter in model.parameters.values()])
     near = random.uniform(0.9, 1.1, (len(start), POINTS)) * start[:, None]
-    slopes = slope(random.normal(size=(z.numel(), POINTS)), near).full()
+    x, u = np.split(random.normal(size=(n + len(model.inputs), POINTS)), [n])
+    slopes = dynamics(model).slopes(x, u, near)
     # A formula may have no value at some of the points, as a root has none below zero.
-    slopes = slopes[:, np.isfinite(slopes).all(axis=0)]
-    slopes = slopes.reshape(by.numel(), formulas.numel(), -1).swapaxes(0, 1)
+    slopes = slopes[..., np.isfinite(slopes).all(axis=(0, 1))]
     return factors_of_derivatives(slopes[:n], slopes[n:])
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import all_finite
+from greybox.files.arrays import Array, all_finite
 from greybox.modeling.model import Model
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import MOST_EXACT, pade_rows, pade_steady, pade_step
@@ -71,6 +71,18 @@ class Dynamics:
     def delayed(self) -> bool:
         """True if some input has a delay."""
         return not self.delay(self.symbols[2]).is_zero()
+
+    @one_thread_at_a_time
+    def slopes(self, x: Array, u: Array, p: Array) -> Array:
+        """Return slopes of derivatives and outputs by parameters and inputs, (n + k, ·, samples).
+
+        All arguments have samples last, or one value for all of them.
+        """
+        symbols = self.symbols
+        formulas = ca.vertcat(self.derivative(*symbols), self.output(*symbols))
+        by = ca.vertcat(*symbols[:0:-1])
+        slope = ca.Function("slope", symbols, [ca.vec(ca.densify(ca.jacobian(formulas, by)))])
+        return slope(x, u, p).full().reshape(by.numel(), formulas.numel(), -1).swapaxes(0, 1)
 
     def later(self, seconds: Sequence[float]) -> "Dynamics":
         """Return the same dynamics with inputs that act later by these seconds (m,)."""

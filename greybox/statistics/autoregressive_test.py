@@ -74,9 +74,9 @@ def autoregressive_p_values(
     pieces = [[values[rows] for rows in stretches] for stretches in outputs]
     differences = [[np.diff(piece, axis=0) for piece in stretches] for stretches in pieces]
     # Each term is fitted beside the parameters; at last, these alone are.
-    tests, columns = terms.shape[1] + 1, values.shape[1]
-    held = 1 - np.eye(tests, columns, columns - tests + 1)
-    held[:, 1 : columns - tests + 1] = 0.0
+    first = values.shape[1] - terms.shape[1]
+    held = 1 - np.eye(terms.shape[1] + 1, values.shape[1], first)
+    held[:, 1:first] = 0.0
     p_values, factors = list[Array](), _least(values.T @ values, held)
     for samples in (pieces, differences):
         products, scores = [*map(_products, samples)], list[Array]()
@@ -94,7 +94,7 @@ def autoregressive_p_values(
         # A probability near one depends on the root of the decrease, which may be all rounding.
         decrease = np.maximum(without - beside - UNCHANGED, 0.0)
         count = sum(number for number, _ in products)
-        remaining = count - (columns - tests + 1) - sum(len(sums) for _, sums in products)
+        remaining = count - first - sum(len(sums) for _, sums in products)
         p_values.append(chance(np.exp(-decrease / count), max(remaining, 1)))
     return np.max(p_values, axis=0)
 
