@@ -139,6 +139,11 @@ class SampledData:
             joined.append(np.concatenate([value, np.repeat(last, missing, axis=1)], axis=1))
         return np.concatenate(joined, axis=1)
 
+    def at_samples(self, values: Array) -> Array:
+        """Choose the samples (r, samples) of all stretches from rows (r, n) of the whole record."""
+        rows = np.atleast_2d(values)
+        return self.padded([rows[:, stretch.rows] for stretch in self.stretches], None)
+
     def unpadded(self, values: Array) -> list[Array]:
         """Cut (r, samples) into the samples of every stretch."""
         ends = np.cumsum([count * self.segment_length for count in self.segment_counts])[:-1]

@@ -605,8 +605,7 @@ def _on_excerpts(
     for stretch, row in zip(part.data.stretches, in_order, strict=True):
         states[:, stretch.rows] = row
 
-    pieces = [states[:, stretch.rows] for stretch in excerpt.data.stretches]
-    nodes = excerpt.data.padded(pieces, None)[:, :: excerpt.data.segment_length].T
+    nodes = excerpt.data.at_samples(states)[:, :: excerpt.data.segment_length].T
     return excerpt, excerpt.trajectory(trajectory.z, nodes)
 
 

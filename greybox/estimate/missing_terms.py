@@ -290,8 +290,7 @@ def signals_of_record(record: DisturbedRecord) -> dict[str, Array]:
     signals = dict(zip(part.system.states, record.states, strict=True))
     for u, a in zip(record.inputs, part.system.inputs, strict=True):
         signals |= {a: u, f"rate of {a}": record.by_stretch(_backward, u)}
-    times = [part.model.record.time[None, stretch.rows] for stretch in part.data.stretches]
-    return signals | {"time, s": part.data.padded(times, None)[0]}
+    return signals | {"time, s": part.data.at_samples(part.model.record.time)[0]}
 
 
 def _of_parameters(record: DisturbedRecord) -> Iterator[Term]:
@@ -303,8 +302,7 @@ def _of_parameters(record: DisturbedRecord) -> Iterator[Term]:
     # A signal that the model does not use, such as an airspeed, may order the flights.
     for b in sorted(log.signals.keys() - {*part.system.inputs, *part.system.outputs}):
         if np.ptp(log[b]) > 0:
-            pieces = [log[b][None, stretch.rows] for stretch in part.data.stretches]
-            changes.append(("schedule", part.data.padded(pieces, None)[0], b))
+            changes.append(("schedule", part.data.at_samples(log[b])[0], b))
     gains = {f"K_{state}_{output}" for state, output in part.gains}
     for place, k in enumerate(part.model.active):
         # Gains correct what the model misses: they are not what it misses.
@@ -360,7 +358,7 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
 def _of_feedback(record: DisturbedRecord) -> Iterator[Term]:
     by_input, name = partial(record.by_input, 0), record.part.system.inputs[0]
     for y, b in zip(record.outputs, record.part.outputs, strict=True):
-        for signal, row in ((b, y), (f"{b}'", record.by_stretch(_backward, y))):
+        for signal, row in ((b, y), (f"{b}'", _rate(record, y))):
             for a, form in _forms(signal, row).items():
                 yield Term("feedback", form(row), by_input, a, name)
 
@@ -452,6 +450,13 @@ def dynamic_equations(part: RecordPart) -> dict[int, tuple[frozenset[str], set[s
         )
         for i in dynamic or own
     }
+
+
+def _rate(record: DisturbedRecord, row: Array) -> Array:
+    if record.is_predicted:
+        return record.by_stretch(_backward, row)
+    # A stretch may have one sample.
+    return record.by_stretch(lambda y, step: np.gradient(np.append(y, y[-1]), step)[:-1], row)
 
 
 def _backward(piece: Array, step: float) -> Array:

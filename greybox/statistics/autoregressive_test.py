@@ -79,18 +79,16 @@ def autoregressive_p_values(
     held[:, 1:first] = 0.0
     p_values, factors = list[Array](), _least(values.T @ values, held)
     for samples in (pieces, differences):
-        products, scores = [*map(_products, samples)], list[Array]()
+        products = [*map(_products, samples)]
         # The errors are those beside the columns: what follows a missing term is an autoregression,
         # too, and would leave nothing of the term if the filters came from it. The likelihood has
         # several maxima: differences begin at the factors of the samples.
         for _ in range(ROUNDS):
-            filters = [_filters(factors, *pair) for pair in products]
-            pairs = [*zip(filters, products, strict=True)]
-            sizes = [-2 * count * np.log(w[:, 0]) for w, (count, _) in pairs]
-            scores.append(np.sum(sizes, axis=0))
+            pairs = [(_filters(factors, *pair), pair) for pair in products]
             squares = [_squares("hl,hm,lmij->hij", w, sums) for w, (_, sums) in pairs]
             factors = _least(np.sum(squares, axis=0), held)
-        *beside, without = np.min(scores, axis=0)
+        sizes = [-2 * count * np.log(w[:, 0]) for w, (count, _) in pairs]
+        *beside, without = np.sum(sizes, axis=0)
         # A probability near one depends on the root of the decrease, which may be all rounding.
         decrease = np.maximum(without - beside - UNCHANGED, 0.0)
         count = sum(number for number, _ in products)
@@ -141,7 +139,7 @@ def _filters(factors: Array, count: int, sums: Array) -> Array:
 
 
 def _squares(axes: str, factors: Array, sums: Array) -> Array:
-    return np.asarray(np.einsum(axes, factors, factors, sums, optimize=True))
+    return np.einsum(axes, factors, factors, sums, optimize=True)
 
 
 def _least(squares: Array, held: Array) -> Array:

@@ -109,7 +109,7 @@ def _of_record(part: RecordPart, trajectory: Trajectory) -> Trouble | None:
         return None
     at = int(np.argmax(lost.any(axis=0)))
     first = int(np.argmax(lost[:, at]))
-    times = sampled.padded([part.model.record.time[None, s.rows] for s in sampled.stretches], None)
+    times = sampled.at_samples(part.model.record.time)
     label, method = part.problem.model.label, part.model.method
     cure = f"start elsewhere, or bound the parameters to where {label} has finite values"
     if part.states:
