@@ -30,7 +30,7 @@ SAMPLES = 8  # of an output for each order
 ROUNDING = 1e-12
 UNCHANGED = 1e-9  # decrease of -2 log likelihood that is rounding alone
 # Factors on a smooth term beside errors that drift settle in up to seven rounds.
-ROUNDS = 8
+ROUNDS = 7
 HELD = 1e30  # times the square of a factor: leaves none of it
 TINY = 1e-300
 
@@ -84,10 +84,11 @@ def autoregressive_p_values(
         # too, and would leave nothing of the term if the filters came from it. The likelihood has
         # several maxima: differences begin at the factors of the samples.
         for _ in range(ROUNDS):
-            pairs = [(_filters(factors, *pair), pair) for pair in products]
+            filters = [_filters(factors, *pair) for pair in products]
+            pairs = zip(filters, products, strict=True)
             squares = [_squares("hl,hm,lmij->hij", w, sums) for w, (_, sums) in pairs]
             factors = _least(np.sum(squares, axis=0), held)
-        sizes = [-2 * count * np.log(w[:, 0]) for w, (count, _) in pairs]
+        sizes = [-2 * pair[0] * np.log(_filters(factors, *pair)[:, 0]) for pair in products]
         *beside, without = np.sum(sizes, axis=0)
         # A probability near one depends on the root of the decrease, which may be all rounding.
         decrease = np.maximum(without - beside - UNCHANGED, 0.0)
@@ -114,7 +115,7 @@ def _products(pieces: Sequence[Array]) -> Products:
     order = min(ORDER, total // SAMPLES, total // (2 * max(len(pieces), 1)))
     lags = np.arange(order + 1)
     count, sums = 0, np.zeros((order + 1, order + 1, columns, columns))
-    for piece in pieces:
+    for piece in filter(len, pieces):
         n = len(piece)
         padded = np.pad(piece, ((order, order), (0, 0)))
         by_lag = sliding_window_view(padded, n, axis=0) @ piece
