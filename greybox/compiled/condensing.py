@@ -65,7 +65,7 @@ def condense(
     gaps = (variance * multiplier[:, :, 0])[:, relaxed] ** 2 - trajectory.gaps[:, relaxed] ** 2
     lost += 0.5 * float((gaps / variance[relaxed]).sum())
 
-    hessian = (hessian + hessian.transpose(0, 2, 1)) / 2
+    hessian = (hessian + hessian.swapaxes(1, 2)) / 2
     slope = trajectory.detail.slope
     slopes = np.broadcast_to(slope, (segments.number, *slope.shape[-2:]))
     by_z = slopes.reshape(-1, slope.shape[-1])

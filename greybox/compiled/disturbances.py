@@ -138,7 +138,7 @@ class DisturbedRecord:
             weight, linearization = self._linearized
             rows = np.einsum("ab,slbv->slav", weight, J).reshape(len(J), -1, J.shape[-1])
             known = part.known_states
-            cross = -rows[:, :, :n].transpose(0, 2, 1) @ rows[:, :, n:]
+            cross = -rows[:, :, :n].swapaxes(1, 2) @ rows[:, :, n:]
             cross[known] = 0
             nodes, _ = solve_continuity(
                 linearization.node_hessian,

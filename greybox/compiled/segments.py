@@ -212,7 +212,7 @@ class Segments:
         if self.number == 1:
             return (residuals @ residuals.T)[None]
         by_segment = self.by_segment(residuals)
-        return self.by_record(by_segment.transpose(0, 2, 1) @ by_segment)
+        return self.by_record(by_segment.swapaxes(1, 2) @ by_segment)
 
     def by_record(self, values: Array, batch: slice = slice(None)) -> Array:
         """Return the sums (r, ...) by record of the values (c, ...) of a batch of segments."""
@@ -256,7 +256,7 @@ class Segments:
 
             # Products of stacked matrices are fast for contiguous ones.
             J = np.ascontiguousarray(J.reshape(-1, v + 1, e.shape[-1]).transpose(2, 0, 1))
-            H = J.transpose(0, 2, 1) @ J
+            H = J.swapaxes(1, 2) @ J
             pieces.append((ends.transpose(2, 0, 1), H[:, :n].copy()))
             by_parameters += self.by_record(H[:, n:, n:], batch)
 

@@ -60,7 +60,7 @@ class Excitation:
         for values in (self.time, *self.signals.values()):
             values.setflags(write=False)
         for name in ("signals", "units", "settings"):
-            object.__setattr__(self, name, MappingProxyType(dict(getattr(self, name))))
+            vars(self)[name] = MappingProxyType(dict(getattr(self, name)))
 
     def __getitem__(self, name: str) -> Array:
         if name not in self.signals:

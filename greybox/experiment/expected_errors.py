@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.compiled.compiled_problem import compile_problem
-from greybox.estimate.covariance import assess
+from greybox.estimate.covariance import assess, propagate
 from greybox.files.arrays import Array
 from greybox.files.text_table import text_table
 from greybox.formulation.problem import Problem
@@ -88,9 +88,7 @@ def expected_errors(problem: Problem | Sum, values: Mapping[str, float]) -> Expe
     scale = np.outer(accuracy.size[:count], accuracy.size[:count])
     # Below this share of the largest variance, in units that the data notice, is rounding.
     information = np.linalg.pinv(covariance / scale, rcond=1e-13, hermitian=True) / scale
-    errors = np.sqrt(np.diag(covariance))
-    # The covariance has zeros in directions without information; an error of zero would be wrong.
-    errors[np.linalg.norm(accuracy.blind[:count], axis=1) > 0] = np.nan
+    errors = propagate(accuracy, np.eye(count, len(nlp.names)))
     undetermined = tuple(dict.fromkeys(name for c in accuracy.combinations for name in c.names))
     units = {name: nlp.problem.parameters[name].unit for name in nlp.free}
     standard_error = dict(zip(nlp.free, errors.tolist(), strict=True))

@@ -185,7 +185,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
             raise TypeError(f"data is {_wrong_data(self.data)}.")
         if isinstance(self.data, FrequencyResponse):
             # In records and spectra of manoeuvres too, a hold is not a part of the model.
-            object.__setattr__(self, "data", self.data.without_hold())
+            vars(self)["data"] = self.data.without_hold()
         self._fill_in_defaults()
 
         kind, cure = (
@@ -198,7 +198,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
             raise ValueError(f"weight {self.weight!r} must be a finite number above 0.")
 
         if isinstance(self.criterion, TimeCriterion) and isinstance(self.data, Record):
-            object.__setattr__(self, "model", self.criterion.disturbed(self.model, self.data))
+            vars(self)["model"] = self.criterion.disturbed(self.model, self.data)
 
         # An unknown word is refused here, not in the middle of a search.
         delay_order(self.delay)
@@ -217,17 +217,17 @@ class Problem(Addable, metaclass=_OneOrSeveral):
             )
 
     def _fill_in_defaults(self) -> None:
-        object.__setattr__(self, "_has_default_criterion", self.criterion is None)
+        vars(self)["_has_default_criterion"] = self.criterion is None
         if self.criterion is None:
             usual = RelativeError() if isinstance(self.data, FrequencyResponse) else OutputError()
-            object.__setattr__(self, "criterion", usual)
+            vars(self)["criterion"] = usual
         if isinstance(self.free, str):
-            object.__setattr__(self, "free", (self.free,))
+            vars(self)["free"] = (self.free,)
         if not self.name:
             model, data = self.model, self.data
             has_several = len(model.input_names) * len(model.output_names) > 1
             pair = _pair(data) if has_several and isinstance(data, FrequencyResponse) else ""
-            object.__setattr__(self, "name", data.name or pair or model.label)
+            vars(self)["name"] = data.name or pair or model.label
 
     def _added_by_criterion(self) -> Mapping[str, Parameter]:
         """Check model, data and criterion; return the parameters that the criterion adds."""
@@ -310,7 +310,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
                 "amplitude is for frequency responses and the data are a record: leave it out."
             )
 
-        object.__setattr__(self, "amplitude", as_sine(self.amplitude))
+        vars(self)["amplitude"] = as_sine(self.amplitude)
         input, _ = pick_signals(self.model, self.data.input, self.data.output)
         check_sine(self.model, self.amplitude, input, self.data.omega)
 

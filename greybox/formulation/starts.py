@@ -136,9 +136,7 @@ class Chained(Starts):
 
     def __post_init__(self) -> None:
         """Take over the seed."""
-        object.__setattr__(
-            self, "seed", next((rule.seed for rule in self.rules if rule.seed is not None), None)
-        )
+        vars(self)["seed"] = next((rule.seed for rule in self.rules if rule.seed is not None), None)
 
     def __repr__(self) -> str:
         return one_line(self, str(self))

@@ -80,13 +80,13 @@ class Sum(Addable, Generic[Part]):
         """Choose criteria whose costs add, number biases, merge parameters, compare ties."""
         _require_data_once(self)
         # Stored for further sums: `a + b + c` must number biases once, over all records.
-        object.__setattr__(self, "_as_added", self.parts)
-        object.__setattr__(self, "parts", with_numbered_biases(_with_costs_that_add(self.parts)))
+        vars(self)["_as_added"] = self.parts
+        vars(self)["parts"] = with_numbered_biases(_with_costs_that_add(self.parts))
         if not self.name:
             names = list(dict.fromkeys(part.name for part in self.parts))
             if len(names) > 8:  # more names do not fit into a line
                 names = [*names[:2], "...", f"{names[-1]} ({len(names)} in all)"]
-            object.__setattr__(self, "name", " + ".join(names))
+            vars(self)["name"] = " + ".join(names)
 
         self._check_ties()
 

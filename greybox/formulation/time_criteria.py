@@ -86,7 +86,7 @@ class TimeCriterion(AnyCriterion):
 
         require_inputs(self.inputs)
         if isinstance(self.biases, str):
-            object.__setattr__(self, "biases", (self.biases,))
+            vars(self)["biases"] = (self.biases,)
         if not isinstance(self.initial, Mapping):
             raise TypeError(
                 f"initial is {self.initial!r:.60}: give {{state: value or function of the "
@@ -280,7 +280,7 @@ class PredictionError(TimeCriterion):
         """Check the options."""
         super().__post_init__()
         if isinstance(self.process_noise, str):
-            object.__setattr__(self, "process_noise", (self.process_noise,))
+            vars(self)["process_noise"] = (self.process_noise,)
         if not isinstance(self.disturbance, Mapping) or {*self.disturbance.values()} - {"colored"}:
             raise ValueError(f"disturbance is {self.disturbance!r}: give {{state: 'colored'}}.")
         if self.driven() and self.corrected:

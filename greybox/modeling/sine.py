@@ -53,7 +53,7 @@ class Sine:
 
         amplitude = amplitude.astype(float)
         amplitude.setflags(write=False)
-        object.__setattr__(self, "amplitude", amplitude if amplitude.ndim else float(amplitude))
+        vars(self)["amplitude"] = amplitude if amplitude.ndim else float(amplitude)
         if self.harmonics is not None:
             is_whole = isinstance(self.harmonics, int | np.integer) and self.harmonics is not True
             if not is_whole or not 1 <= self.harmonics <= MOST_HARMONICS:

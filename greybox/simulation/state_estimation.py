@@ -194,7 +194,7 @@ def information_of(e: Array, S: Array, R: Array) -> tuple[Array, Array]:
     w, samples, k, n = S.shape
     J = (weight @ S).reshape(w, samples * k, n)
     r = (e @ weight.T).reshape(w, -1)
-    return J.transpose(0, 2, 1) @ J, np.einsum("wmn,wm->wn", J, r)
+    return J.swapaxes(1, 2) @ J, np.einsum("wmn,wm->wn", J, r)
 
 
 def whitening(covariance: Array) -> Array:

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Any
 
@@ -170,33 +170,35 @@ def _certified(
             outcomes[k] = outcome
 
 
+@dataclass(frozen=True, eq=False)
 class FiniteStarts:
     """Starts (p,) by number; those without a finite model move toward the first with one.
 
     A start is moved when it is asked for, so that the first run does not wait for the last start.
     """
 
-    def __init__(self, nlp: CompiledProblem, solver: LocalSolver, starts: Array) -> None:
-        self._nlp, self._solver, self._starts = nlp, solver, starts
+    nlp: CompiledProblem
+    solver: LocalSolver
+    starts: Array
 
     @cached_property
     def _home(self) -> Array | None:
         """Return the first start with a finite model."""
-        finite = (s for s in self._starts if stop_requested() or self._solver.is_finite_at(s))
+        finite = (s for s in self.starts if stop_requested() or self.solver.is_finite_at(s))
         return next(finite, None)
 
     def __getitem__(self, number: int) -> Array:
-        start = self._starts[number]
-        if self._solver.is_finite_at(start) or self._home is None:
+        start = self.starts[number]
+        if self.solver.is_finite_at(start) or self._home is None:
             return start
 
         # The farthest point on the way, halved up to six times, in the solver's variables.
-        nlp = self._nlp
+        nlp = self.nlp
         home = nlp.scaling.to_solver(self._home)
         away = nlp.scaling.to_solver(start) - home
         for halvings in range(1, 7):
             z = home + 0.5**halvings * away
             point = nlp.estimate_at(z)
-            if self._solver.is_finite_at(point):
+            if self.solver.is_finite_at(point):
                 return point
         return start

@@ -83,7 +83,7 @@ class ErrorSpectrum:
 
     def _roots(self, power: float) -> ComplexArray:
         size, vectors = self._principal
-        return (vectors * size[:, None] ** power) @ vectors.conj().transpose(0, 2, 1)
+        return (vectors * size[:, None] ** power) @ vectors.conj().swapaxes(1, 2)
 
     @cached_property
     def _principal(self) -> tuple[Array, ComplexArray]:

@@ -90,7 +90,7 @@ class Member:
         self.by  # noqa: B018  (checks the options)
         as_starts(2 if self.starts is None else self.starts, self.seed)  # checks both
         if not self.name:
-            object.__setattr__(self, "name", self.problem.name)
+            vars(self)["name"] = self.problem.name
         if self.name != printable(self.name):
             raise ValueError(
                 f"name={self.name!r} has characters that cannot be printed: omit them."

@@ -137,7 +137,7 @@ class RecordReplicates(Replicates):
 
         # Only the data change: what was compiled is shared with the original.
         nlp = copy(self.nlp)
-        object.__setattr__(nlp, "parts", tuple(parts))
+        vars(nlp)["parts"] = tuple(parts)
         solver = GaussNewton(nlp)
         outcome = solver.solved_from(self.start, self.nodes)
         # The states of the fit are a good start only if the drawn errors are small.

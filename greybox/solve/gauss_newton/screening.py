@@ -155,7 +155,7 @@ class ShortSegments:
         model = (
             np.trace(errors, axis1=1, axis2=2) / 2,
             np.einsum("rap,ra->rp", slope, b.parameter_gradient),
-            slope.transpose(0, 2, 1) @ b.parameter_hessian @ slope,
+            slope.swapaxes(1, 2) @ b.parameter_hessian @ slope,
             b.node_hessian.reshape(r, m, n, n),
             b.cross_hessian.reshape(r, m, n, -1) @ slope[:, None],
             b.node_gradient.reshape(r, m, n),
