@@ -31,7 +31,7 @@ ROUNDING = 1e-12
 UNCHANGED = 1e-9  # decrease of -2 log likelihood that is rounding alone
 # Factors on a smooth term beside errors that drift settle in up to seven rounds.
 ROUNDS = 7
-HELD = 1e30  # times the square of a factor: leaves none of it
+PENALTY = 1e30  # on the square of a factor that is held at zero
 TINY = 1e-300
 
 # For every output: the rows of its measured samples, for each stretch in order of time.
@@ -148,7 +148,7 @@ def _least(squares: Array, held: Array) -> Array:
 
     Factors that are `held` (h, n), by ones, are zero.
     """
-    matrices = squares + HELD * held[..., None] * np.eye(held.shape[1])
+    matrices = squares + PENALTY * held[..., None] * np.eye(held.shape[1])
     factors = -np.linalg.solve(matrices, squares[..., :1])[..., 0]
     factors[:, 0] = 1.0
     return factors
