@@ -7,6 +7,7 @@ import signal
 import sqlite3
 import sys
 from contextlib import closing
+from pathlib import Path
 from unittest.mock import Mock
 
 import pytest
@@ -261,6 +262,22 @@ def test_a_check_finds_what_is_damaged_and_resuming_makes_it_again(study, capsys
     assert status == 0
     for member, wanted in zip(result["members"], whole, strict=True):
         assert member["answer"]["estimate"] == wanted["answer"]["estimate"]
+
+
+def test_a_check_sets_a_damaged_database_aside_and_resuming_makes_its_members_again(study, capsys):
+    study.write_text('starts = 2\n[[member]]\nproblem = "mine.py:small"\n')
+    whole = answer(capsys, "batch", study, "--out", "out")[1]["members"]
+    damaged = b"garbage" + Path("out/study.sqlite").read_bytes()[7:]
+    Path("out/study.sqlite").write_bytes(damaged)
+    status, result, message = answer(capsys, "batch", "--check", "out")
+    assert status == 1
+    assert "kept as study.damaged" in message
+    assert "`greybox batch --resume out` continues" in result["error"]
+    assert Path("out/study.damaged").read_bytes() == damaged
+    del sys.modules["mine"]  # a new process has none
+    status, result, _ = answer(capsys, "batch", "--resume", "out")
+    assert status == 0
+    assert result["members"][0]["answer"]["estimate"] == whole[0]["answer"]["estimate"]
 
 
 def test_a_study_resumes_where_its_folder_is_moved(study, capsys, tmp_path):
