@@ -63,13 +63,14 @@ def run(options: argparse.Namespace) -> Answer:
         study = read_study(options.study)
         drawn = save_figure(options.plot, "estimates", study, "cost")
         return as_json(study), "\n".join([progress(study), *drawn])
+    folder = Path(options.study)
     if options.check:
-        require_file(Path(options.study, DATABASE))
-        with locked(Path(options.study)):
-            is_whole = is_study(Path(options.study))  # a damaged database was set aside
-            none = ({"error": f"no member is whole; {RESUME.format(options.study)}."},)
-            return _answer(read_study(options.study)) if is_whole else none
-    folder = Path(options.study) if options.resume else options.out
+        require_file(folder / DATABASE)
+        with locked(folder):
+            is_whole = is_study(folder)  # a damaged database was set aside
+            none = ({"error": f"no member is whole; {RESUME.format(folder)}."},)
+            return _answer(read_study(folder)) if is_whole else none
+    folder = folder if options.resume else options.out
     stated = stated_inputs(folder) if options.resume else (options.study, None)
     note_opened_files()
     path, starts = find_study(stated[0]), options.starts or stated[1]

@@ -142,7 +142,8 @@ def greek(name: str) -> str:
     """Return the Greek letter of this name, as θ for ``theta``; any other name as it is."""
     size = "SMALL" if name.islower() else "CAPITAL" if name.istitle() else "no"
     try:
-        return unicodedata.lookup(f"GREEK {size} LETTER {name}")
+        # Unicode spells it "lamda".
+        return unicodedata.lookup(f"GREEK {size} LETTER {name}".replace("ambda", "amda"))
     except KeyError:
         return name
 

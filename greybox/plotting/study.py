@@ -13,7 +13,7 @@ from greybox.files.arrays import Array
 from greybox.files.text_table import number, some
 from greybox.plotting.figure import CROSS, Figure, Panel, Series
 from greybox.plotting.matplotlib_figure import draw
-from greybox.plotting.signals import distinct_labels
+from greybox.plotting.signals import distinct_labels, with_unit
 from greybox.study.ranking import EVIDENCE
 from greybox.study.store import StudyMember
 from greybox.study.study import Study, names_by_difference, shown
@@ -84,7 +84,7 @@ def trend_figure(study: Study, quantity: str, over: str | Mapping[str, float]) -
         sets = [*study.groups("data")]
         raise ValueError(f"over={over!r:.80} has none of the data sets: name {some(sets)}.")
     panel = Panel(_label(study, quantity), series)
-    return Figure("Trend", _label(study, label), [panel], f"{quantity} over {label}")
+    return Figure("Trend", _label(study, label), [panel], f"Trend of {quantity}")
 
 
 def _line(model: str, x: Array, y: Array, error: Array, color: int) -> Series:
@@ -226,8 +226,8 @@ def _values(study: Study, quantity: str) -> list[Value]:
 
 def _label(study: Study, quantity: str) -> str:
     units = {n: unit for m in study.done for n, unit in m.answer.get("unit", {}).items()}
-    unit = units.get(quantity, "1")
-    return quantity if unit in ("", "1") else f"{quantity}, {unit}"
+    unit = units.get(quantity, "")
+    return with_unit(quantity, "" if unit == "1" else unit)
 
 
 def _by_model(values: list[Value]) -> list[tuple[str, list[Value]]]:

@@ -29,19 +29,25 @@ def latex_text(text: str) -> str:
 def latex_symbol(name: str, unit: str = "") -> str:
     """Return the name of a parameter as mathematics, followed by its unit."""
     # omega_p is omega with the index p, a1 is a with the index 1.
-    base, *indices = name.strip("_").split("_") if name.strip("_") else [name]
+    base, *indices = re.findall("[^_]+|^_+$", name)
     if numbered := re.fullmatch(r"([^\W\d]+)(\d+)", base):
         base, digits = numbered.groups()
         indices = [digits, *indices]
-    # Letters side by side are a product, and italic.
-    letter = latex_text(base) if len(base) == 1 else f"\\mathrm{{{latex_text(base)}}}"
-    letter = letter if greek(base) == base else f"\\{base}"
+    letter = latex_text(base) if len(base) == 1 else _upright(base)
     if indices and indices[-1] in ACCENTS:
         letter = f"\\{indices.pop()}{{{letter}}}"
-    index = ",".join(latex_text(text) for text in indices)
-    symbol = f"${letter}_{{\\mathrm{{{index}}}}}$" if indices else f"${letter}$"
+    index = ",".join(map(_upright, indices))
+    symbol = f"${letter}_{{{index}}}$" if indices else f"${letter}$"
     powers = re.sub(r"\\textasciicircum\{\}(-?\d+)", r"$^{\1}$", latex_text(unit))
     return f"{symbol} ({powers})" if unit not in ("", "1") else symbol
+
+
+def _upright(name: str) -> str:
+    """Return the macro of a Greek letter, or other letters upright."""
+    # In italics letters side by side are a product. LaTeX has no macro for Greek letters that look
+    # like Latin ones.
+    is_greek = name != greek(name) in "αβγδεζηθικλμνξπρστυφχψωΓΔΘΛΞΠΣΥΦΨΩ"
+    return f"\\{name}" if is_greek else f"\\mathrm{{{latex_text(name)}}}"
 
 
 def latex_number(value: float | None, error: float | None = None) -> str:

@@ -149,9 +149,8 @@ def test_a_misspelled_name_is_recognized():
 
 
 def test_names_of_greek_letters():
-    assert [in_greek(name) for name in ("theta", "u_phi", "Omega_x", "PI", "thetas")] == [
-        "θ", "u_φ", "Ω_x", "PI", "thetas",
-    ]  # fmt: skip
+    names = "theta", "u_phi", "Omega_x", "lambda_0", "PI", "thetas"
+    assert [*map(in_greek, names)] == ["θ", "u_φ", "Ω_x", "λ_0", "PI", "thetas"]
 
 
 def test_the_longest_representation_is_119_characters():

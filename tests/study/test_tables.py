@@ -79,6 +79,11 @@ def test_numbers_in_latex(value, error, shown):
 
 def test_names_in_latex():
     assert latex_symbol("omega_p", "rad/s") == r"$\omega_{\mathrm{p}}$ (rad/s)"
+    assert latex_symbol("M_theta") == r"$M_{\theta}$"
+    assert latex_symbol("lambda_dot", "1/s") == r"$\dot{\lambda}$ (1/s)"
+    assert latex_symbol("Tau_n") == r"$\mathrm{Tau}_{\mathrm{n}}$"  # LaTeX has no \Tau
+    assert latex_symbol("_") == r"$\_$"
+    assert latex_symbol("M_θ") == r"$M_{\mathrm{θ}}$"
     assert latex_symbol("a3_tilde") == r"$\tilde{a}_{\mathrm{3}}$"
     assert latex_symbol("damping", "kg m/s^2") == r"$\mathrm{damping}$ (kg m/s$^{2}$)"
     assert latex_text("50 % of a_1 & {b}") == r"50 \% of a\_1 \& \{b\}"
