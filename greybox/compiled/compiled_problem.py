@@ -100,11 +100,6 @@ class CompiledProblem(Portable):
         return (*self.free, *self.constants)
 
     @property
-    def program(self) -> ca.Function:
-        """(z, smoothing, data) -> the cost of the frequency responses, and what must be >= 0."""
-        return self.programs[-1].function
-
-    @property
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds (p,) of the solver's variables z."""
         return self.scaling.to_solver(self.lower), self.scaling.to_solver(self.upper)

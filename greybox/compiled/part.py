@@ -365,10 +365,11 @@ class Part(Portable, ABC):
         Without nodes, return the gradient (p,) and a Hessian (p, p) without negative eigenvalues.
         """
 
-    def continuity_variance(self, linearization: Any, spread: float) -> Array:
-        """Return the variances (n,) of state jumps that change a segment's outputs by `spread`.
+    def continuity_variance(self, linearization: Any) -> Array:
+        """Return the variances (n,) of the gaps in the first stage, where nodes follow the data.
 
-        In units of the residuals that the linearization was weighted with.
+        Their standard deviations are the jumps of a state that move a segment's outputs by three
+        standard deviations of their signals, linearized with `initial_weight`.
         """
         return np.zeros(0)
 

@@ -22,6 +22,9 @@ from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.metrics import whiteness
 
+# Three standard deviations of a signal, in assumed output errors.
+JUMP = 3.0 / ASSUMED_ERROR
+
 
 @dataclass(frozen=True, eq=False)
 class Placed:
@@ -247,14 +250,14 @@ class SegmentedPart(Part):
         """Samples at which an output is compared."""
         return int(self.covariance.counts.max())
 
-    def continuity_variance(self, linearization: Linearization, spread: float) -> Array:
-        """Return the variances (n,) of state jumps that change a segment's outputs by `spread`."""
+    def continuity_variance(self, linearization: Linearization) -> Array:
+        """Return the variances (n,) of state jumps that move a segment's outputs by `JUMP`."""
         samples = self.data.segment_length * len(self.outputs)
         diagonals = linearization.node_hessian.diagonal(axis1=1, axis2=2)
         curvature = np.nan_to_num(np.mean(diagonals, axis=0))
         # A state that no output shows has no such scale: any will do.
         visible = np.maximum(curvature, 1e-200)
-        variance = np.where(curvature > 1e-200, spread**2 * samples / visible, 1.0)
+        variance = np.where(curvature > 1e-200, JUMP**2 * samples / visible, 1.0)
         # With gaps, the states of a delay would be another input.
         variance[self.driven :] = 0
         return variance

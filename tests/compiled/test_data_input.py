@@ -46,7 +46,7 @@ def test_the_cost_for_data_as_an_input_is_that_of_a_problem_with_them(criterion)
     x = np.array([values[name] for name in nlp.free])
     measured = [points(3).response, two.response]
     numbers = nlp.data_of(np.array([0.07]), measured)
-    cost = float(nlp.program(nlp.scaling.to_solver(x), 0.0, numbers)[0])
+    cost = float(nlp.programs[-1].function(nlp.scaling.to_solver(x), 0.0, numbers)[0])
     wanted = sum(
         weight
         * gb.cost(
@@ -70,7 +70,7 @@ def test_limits_come_along():
         gb.Problem(LagLagDelay(), points(1), constraints=[lambda p: p.T1 - 2 * p.T2])
     )
     z = nlp.scaling.to_solver(np.array([4.0, 0.5, 0.1, 0.05]))
-    cost, limits = nlp.program(z, 0.0, nlp.data_of(np.zeros(0), [points(1).response]))
+    cost, limits = nlp.programs[-1].function(z, 0.0, nlp.data_of(np.zeros(0), [points(1).response]))
     assert_allclose(limits.full().ravel(), [0.3])
     assert float(cost) == pytest.approx(nlp.cost(np.array([4.0, 0.5, 0.1, 0.05])))
 
@@ -83,7 +83,7 @@ def test_sines_of_finite_amplitude_take_other_data_too():
     x = np.array([nlp.problem.parameters[name].start for name in nlp.free])
     other = gb.FrequencyResponse(omega, 1.1 * data.response, "u", "theta")
     numbers = nlp.data_of(nlp.constant_values, [other.response])
-    cost = float(nlp.program(nlp.scaling.to_solver(x), 0.0, numbers)[0])
+    cost = float(nlp.programs[-1].function(nlp.scaling.to_solver(x), 0.0, numbers)[0])
     values = dict(zip(nlp.names, nlp.all_values(x), strict=True))
     assert cost == pytest.approx(gb.cost(problem.with_(data=other), values), rel=1e-9)
 

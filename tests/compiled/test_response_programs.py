@@ -65,7 +65,9 @@ def test_an_explicit_program_at_its_roots_is_the_program_and_has_its_derivatives
     assert nlp.free == ("c", "m", "w", "w2")
 
     def whole(v):
-        return np.concatenate([value.full().ravel() for value in nlp.program(v, 0.0, nlp.data)])
+        return np.concatenate(
+            [value.full().ravel() for value in nlp.programs[-1].function(v, 0.0, nlp.data)]
+        )
 
     assert_allclose(
         np.concatenate(
@@ -86,7 +88,7 @@ def test_an_explicit_program_at_its_roots_is_the_program_and_has_its_derivatives
     multipliers = np.array([1.7, 0.6, -0.9])
     wanted = numeric_jacobian(lambda v: multipliers @ numeric_jacobian(whole, v, 1e-3), z, 1e-3)
     x = ca.MX.sym("x", z.size)
-    stacked = ca.vertcat(*nlp.program(x, 0.0, nlp.data))
+    stacked = ca.vertcat(*nlp.programs[-1].function(x, 0.0, nlp.data))
     hessian, _ = ca.hessian(ca.dot(multipliers, stacked), x)
     found, curvature = ca.Function("d", [x], [ca.jacobian(stacked, x), hessian])(z)
     assert_allclose(found.full(), slopes, rtol=1e-6, atol=1e-8)
@@ -133,7 +135,10 @@ def test_problems_with_other_data_share_a_program_and_have_the_answers_they_have
         for seed in range(3)
     ]
     together = [answers(member) for member in members]
-    assert compile_problem(members[0]).program is compile_problem(members[2]).program
+    assert (
+        compile_problem(members[0]).programs[-1].function
+        is compile_problem(members[2]).programs[-1].function
+    )
     assert len(store._results) == 1
     for member, found in zip(members, together, strict=True):
         store._results.clear()
@@ -165,7 +170,7 @@ def test_what_a_user_changes_is_compiled_again(store):
 
     def cost(problem):
         nlp = compile_problem(problem)
-        value, _ = nlp.program(nlp.scaling.to_solver(np.array([0.7])), 0.0, nlp.data)
+        value, _ = nlp.programs[-1].function(nlp.scaling.to_solver(np.array([0.7])), 0.0, nlp.data)
         return float(value)
 
     def errors(order):
@@ -191,4 +196,4 @@ def test_threads_share_no_program(store):
     problem = gb.Problem(Lag(), lag_response(1))
     with ThreadPoolExecutor(1) as other:
         theirs = other.submit(compile_problem, problem).result()
-    assert theirs.program is not compile_problem(problem).program
+    assert theirs.programs[-1].function is not compile_problem(problem).programs[-1].function

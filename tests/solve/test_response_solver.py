@@ -137,7 +137,7 @@ def test_derivatives_with_the_roots_held_are_those_through_the_root_finder():
     through = sum(part.weight * part.objective(z, p) for part in nlp.parts)
     wanted, held = (
         ca.Function("derivatives", [z, p], [*ca.hessian(cost, z)])
-        for cost in (through, nlp.program(z, p, nlp.data)[0])
+        for cost in (through, nlp.programs[-1].function(z, p, nlp.data)[0])
     )
     point = 0.3 + 0.5 * np.random.default_rng(0).random(len(nlp.free))
     for found, exact in zip(held(point, 1e-8), wanted(point, 1e-8), strict=True):

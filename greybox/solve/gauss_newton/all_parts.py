@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.kalman_gain import kalman_gain
-from greybox.compiled.part import ASSUMED_ERROR, Part
+from greybox.compiled.part import Part
 from greybox.compiled.record_group import Groups
 from greybox.compiled.response_part import SMOOTHING
 from greybox.files.arrays import Array
@@ -32,7 +32,6 @@ class AllParts:
         """Group the parts; `free` are the names of the solver's variables."""
         self.groups = Groups(parts)
         self.parts = self.groups.parts
-        self.weights = [part.weight for part in self.parts]
         self.gains = [kalman_gain(part) for part in self.parts]
         self.has_free_gains = any(
             gain and np.isin(gain.unknowns, gain.part.model.active).any() for gain in self.gains
@@ -127,25 +126,11 @@ class AllParts:
         """Return square roots of the inverse residual covariances at an iterate."""
         return [part.residual_weight(trajectory) for part, trajectory in self._along(iterate)]
 
-    def initial_weights(self) -> list[Array]:
-        """Return the weights that are assumed as long as continuity is a penalty."""
-        return [part.initial_weight() for part in self.parts]
-
     # --- linearization and steps
 
     def linearize(self, iterate: Iterate, weights: Sequence[Array]) -> list[Any]:
         """Return the linearization of every part."""
         return [part.linearize(t, weight) for part, t, weight in self._along(iterate, weights)]
-
-    def gap_variances(self, linearizations: Sequence[Any]) -> list[Array]:
-        """Return the variances of the gaps in the first stage, where nodes follow the data freely.
-
-        Their standard deviations are the jumps of a state that move a segment's outputs by three
-        standard deviations of their signals.
-        """
-        spread = 3.0 / ASSUMED_ERROR
-        zipped = zip(self.parts, linearizations, strict=True)
-        return [part.continuity_variance(linearization, spread) for part, linearization in zipped]
 
     def moved(self, iterate: Iterate, step: Step, length: float) -> Iterate:
         """Return the iterate after the share `length` of a step."""

@@ -89,10 +89,17 @@ def _iterated(
             return End(iterate, interruption, count, hessian)
 
         # Linearize and step.
-        weights = parts.residual_weights(iterate) if progress.is_exact else parts.initial_weights()
+        weights = (
+            parts.residual_weights(iterate)
+            if progress.is_exact
+            # As long as continuity is a penalty, errors have an assumed size.
+            else [part.initial_weight() for part in parts.parts]
+        )
         linearizations = parts.linearize(iterate, weights)
         if not progress.gap_variance:
-            progress = replace(progress, gap_variance=parts.gap_variances(linearizations))
+            pairs = zip(parts.parts, linearizations, strict=True)
+            variances = [part.continuity_variance(linear) for part, linear in pairs]
+            progress = replace(progress, gap_variance=variances)
         nodes_alone = states_only or progress.state_iterations > 0
         step = gauss_newton_step(parts, iterate, linearizations, progress, states_only=nodes_alone)
         hessian = step.hessian

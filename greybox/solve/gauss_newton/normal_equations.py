@@ -36,7 +36,7 @@ def gauss_newton_step(
             parts.parts, linearizations, iterate.trajectories, variances, strict=True
         )
     ]
-    weighted = list(zip(parts.weights, systems, strict=True))
+    weighted = [(part.weight, system) for part, system in zip(parts.parts, systems, strict=True)]
     hessian = sum((w * system.hessian for w, system in weighted), np.zeros((p, p)))
     gradient = sum((w * system.gradient for w, system in weighted), np.zeros(p))
     decrease = sum(w * system.decrease for w, system in weighted)

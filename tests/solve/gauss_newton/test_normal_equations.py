@@ -40,7 +40,8 @@ def prepared(values, **options):
 
 
 def relaxed_progress(parts, linearizations):
-    return replace(relaxed(), gap_variance=parts.gap_variances(linearizations))
+    pairs = zip(parts.parts, linearizations, strict=True)
+    return replace(relaxed(), gap_variance=[part.continuity_variance(b) for part, b in pairs])
 
 
 @pytest.mark.parametrize("damping", [0.0, 0.5])
@@ -87,7 +88,7 @@ def test_held_delays_do_not_move():
     iterate = parts.at(
         nlp.scaling.to_solver(np.array([p.start for p in direct_delay().parameters.values()]))
     )
-    linearizations = parts.linearize(iterate, parts.initial_weights())
+    linearizations = parts.linearize(iterate, [part.initial_weight() for part in parts.parts])
     step = gauss_newton_step(parts, iterate, linearizations, replace(EXACT, delays_held=True))
     is_delay = np.array([name == "d" for name in nlp.free])
     assert step.dz[is_delay] == pytest.approx(0, abs=1e-12)
@@ -209,10 +210,13 @@ def test_damping_of_nodes_shortens_a_step_and_is_no_part_of_what_it_promises():
         )
 
     systems = [system(A, g) for A, g in zip(curvatures, slopes, strict=True)]
+    weights = [1.0, 4.0]
     parts = SimpleNamespace(
         settings=Settings(),
-        parts=[SimpleNamespace(condense=lambda *_, one=one: one) for one in systems],
-        weights=[1.0, 4.0],
+        parts=[
+            SimpleNamespace(condense=lambda *_, one=one: one, weight=weight)
+            for one, weight in zip(systems, weights, strict=True)
+        ],
         is_discontinuous=np.zeros(1, dtype=bool),
         gains=[None, None],
         limits=SimpleNamespace(
@@ -223,17 +227,17 @@ def test_damping_of_nodes_shortens_a_step_and_is_no_part_of_what_it_promises():
     nodes = [np.zeros((1, 1))] * 2
     iterate = SimpleNamespace(z=np.zeros(1), trajectories=[None, None], nodes=nodes)
     step = gauss_newton_step(parts, iterate, [None, None], progress)
-    hessian = sum(w * one.hessian for w, one in zip(parts.weights, systems, strict=True))
-    gradient = sum(w * one.gradient for w, one in zip(parts.weights, systems, strict=True))
+    hessian = sum(w * one.hessian for w, one in zip(weights, systems, strict=True))
+    gradient = sum(w * one.gradient for w, one in zip(weights, systems, strict=True))
     assert step.dz == pytest.approx(-gradient / hessian[0] / (1 + damping), rel=1e-8)
     assert step.distance == pytest.approx(step.dz @ hessian @ step.dz / 2)
     promised = 0.0
-    for weight, one, A, g in zip(parts.weights, systems, curvatures, slopes, strict=True):
+    for weight, one, A, g in zip(weights, systems, curvatures, slopes, strict=True):
         v = np.array([one.nodes_after(np.zeros((1, 1)), step.dz, 1.0)[0, 0], step.dz[0]])
         promised -= weight * (g @ v + v @ A @ v / 2)
     assert step.decrease == pytest.approx(promised)
     alone = gauss_newton_step(parts, iterate, [None, None], progress, states_only=True)
     assert alone.decrease == pytest.approx(
-        sum(w * one.decrease for w, one in zip(parts.weights, systems, strict=True))
+        sum(w * one.decrease for w, one in zip(weights, systems, strict=True))
     )
     assert alone.distance == 0
