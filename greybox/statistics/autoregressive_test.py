@@ -31,12 +31,11 @@ ROUNDING = 1e-12
 UNCHANGED = 1e-9  # decrease of -2 log likelihood that is rounding alone
 # Factors on a smooth term beside errors that drift settle in up to seven rounds.
 ROUNDS = 7
-PENALTY = 1e30  # on the square of a factor that is held at zero
 TINY = 1e-300
 
 # For every output: the rows of its measured samples, for each stretch in order of time.
 Outputs = Sequence[Sequence[IntArray]]
-# Number of windows of samples, and the sums of their products (q + 1, q + 1, c, c).
+# Number of windows of samples, and the sums of their products (h, q + 1, q + 1, k, k).
 Products = tuple[int, Array]
 
 
@@ -69,46 +68,50 @@ def autoregressive_p_values(
     outputs : sequence of sequence of (n,) arrays of int
     """
     # Columns that nearly depend on each other would have large factors, and errors of rounding.
-    values = np.column_stack([residuals, column_basis(fitted), terms])
+    basis = column_basis(fitted)
+    # The last term is of zeros: what the residuals are without any.
+    values = np.column_stack([residuals, basis, terms, np.zeros(len(residuals))])
     values /= np.linalg.norm(values, axis=0) + TINY
     pieces = [[values[rows] for rows in stretches] for stretches in outputs]
     differences = [[np.diff(piece, axis=0) for piece in stretches] for stretches in pieces]
-    # Each term is fitted beside the parameters; at last, these alone are.
-    first = values.shape[1] - terms.shape[1]
-    held = 1 - np.eye(terms.shape[1] + 1, values.shape[1], first)
-    held[:, 1:first] = 0.0
-    p_values, factors = list[Array](), _least(values.T @ values, held)
+    # Each term is fitted beside the parameters, by columns of its own.
+    first = 1 + basis.shape[1]
+    fits = np.array([[*range(first), k] for k in range(first, values.shape[1])])
+    squares = values.T @ values + TINY * np.eye(values.shape[1])
+    p_values, factors = list[Array](), _least(_of_fits(squares, fits))
     for samples in (pieces, differences):
-        products = [*map(_products, samples)]
+        products = [_products(stretches, fits) for stretches in samples]
         # The errors are those beside the columns: what follows a missing term is an autoregression,
         # too, and would leave nothing of the term if the filters came from it. The likelihood has
         # several maxima: differences begin at the factors of the samples.
+        filters = [_filters(factors, *pair) for pair in products]
         for _ in range(ROUNDS):
-            filters = [_filters(factors, *pair) for pair in products]
             pairs = zip(filters, products, strict=True)
-            squares = [_squares("hl,hm,lmij->hij", w, sums) for w, (_, sums) in pairs]
-            factors = _least(np.sum(squares, axis=0), held)
-        sizes = [-2 * pair[0] * np.log(_filters(factors, *pair)[:, 0]) for pair in products]
-        *beside, without = np.sum(sizes, axis=0)
+            added = [np.einsum("hlm,hlmij->hij", _squares(w), sums) for w, (_, sums) in pairs]
+            factors = _least(np.sum(added, axis=0))
+            filters = [_filters(factors, *pair) for pair in products]
+        counts = [count for count, _ in products]
+        pairs = zip(counts, filters, strict=True)
+        *beside, without = np.sum([-2 * n * np.log(w[:, 0]) for n, w in pairs], axis=0)
         # A probability near one depends on the root of the decrease, which may be all rounding.
         decrease = np.maximum(without - beside - UNCHANGED, 0.0)
-        count = sum(number for number, _ in products)
-        remaining = count - first - sum(len(sums) for _, sums in products)
-        p_values.append(chance(np.exp(-decrease / count), max(remaining, 1)))
+        remaining = sum(counts) - first - sum(w.shape[1] for w in filters)
+        p_values.append(chance(np.exp(-decrease / sum(counts)), max(remaining, 1)))
     return np.max(p_values, axis=0)
 
 
 def whitening_filters(residuals: Array, outputs: Outputs) -> list[Array]:
     """Return the filters (q + 1,) that make residuals (N,) white, of unit variance, by output."""
     pieces = [[residuals[rows, None] for rows in stretches] for stretches in outputs]
-    return [_filters(np.ones((1, 1)), *_products(stretches))[0] for stretches in pieces]
+    alone = np.zeros((1, 1), int)
+    return [_filters(np.ones((1, 1)), *_products(stretches, alone))[0] for stretches in pieces]
 
 
-def _products(pieces: Sequence[Array]) -> Products:
+def _products(pieces: Sequence[Array], fits: IntArray) -> Products:
     """Return the number of windows of pieces (n, c), and the sums of products of their samples.
 
     Windows are of q + 1 samples, the last one first. Sums are the Toeplitz ones of pieces between
-    zeros, less the products of windows that have such zeros.
+    zeros, less the products of windows that have such zeros, of the columns of `fits` (h, k).
     """
     total, columns = sum(map(len, pieces)), pieces[0].shape[1]
     # Short stretches would lose all of their samples.
@@ -126,29 +129,30 @@ def _products(pieces: Sequence[Array]) -> Products:
         count += max(n - order, 0)
     # What is predicted exactly would have no filter, and leave rounding errors alone.
     sums[lags, lags] += np.diag(ROUNDING * np.diag(sums[0, 0]) + TINY)
-    return count, sums
+    return count, _of_fits(sums, fits)
+
+
+def _of_fits(products: Array, fits: IntArray) -> Array:
+    """Return products (h, ..., k, k) of the columns of each fit from those (..., c, c) of all."""
+    chosen = products[..., fits[:, :, None], fits[:, None]]
+    return np.ascontiguousarray(np.moveaxis(chosen, -3, 0))
 
 
 def _filters(factors: Array, count: int, sums: Array) -> Array:
-    """Return filters (h, q + 1) of columns by factors (h, c).
+    """Return filters (h, q + 1) of columns by factors (h, k).
 
     They follow by least squares, which the ends of a record do not disturb.
     """
-    moments = _squares("hi,hj,lmij->hlm", factors, sums) / max(count, 1)
-    weights = _least(moments, np.eye(1, len(sums)))
+    moments = np.einsum("hij,hlmij->hlm", _squares(factors), sums) / max(count, 1)
+    weights = _least(moments)
     return weights / np.sqrt(np.einsum("hl,hlm,hm->h", weights, moments, weights))[:, None]
 
 
-def _squares(axes: str, factors: Array, sums: Array) -> Array:
-    return np.einsum(axes, factors, factors, sums, optimize=True)
+def _squares(factors: Array) -> Array:
+    return factors[:, :, None] * factors[:, None]
 
 
-def _least(squares: Array, held: Array) -> Array:
-    """Return factors (h, n) with the least `squares` (h, n, n), one on the first column.
-
-    Factors that are `held` (h, n), by ones, are zero.
-    """
-    matrices = squares + PENALTY * held[..., None] * np.eye(held.shape[1])
-    factors = -np.linalg.solve(matrices, squares[..., :1])[..., 0]
-    factors[:, 0] = 1.0
-    return factors
+def _least(squares: Array) -> Array:
+    """Return factors (h, n) with the least `squares` (h, n, n), one on the first column."""
+    others = -np.linalg.solve(squares[:, 1:, 1:], squares[:, 1:, :1])[..., 0]
+    return np.insert(others, 0, 1.0, axis=1)
