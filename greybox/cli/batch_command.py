@@ -71,9 +71,9 @@ def run(options: argparse.Namespace) -> Answer:
             none = ({"error": f"no member is whole; {RESUME.format(folder)}."},)
             return _answer(read_study(folder)) if is_whole else none
     folder = folder if options.resume else options.out
-    stated = stated_inputs(folder) if options.resume else (options.study, None)
+    place, starts = stated_inputs(folder) if options.resume else (options.study, None)
     note_opened_files()
-    path, starts = find_study(stated[0]), options.starts or stated[1]
+    path, starts = find_study(place), options.starts or starts
     members = read_study_file(path, starts)
     if options.dry_run:
         return _listed(members)
@@ -99,13 +99,12 @@ def run(options: argparse.Namespace) -> Answer:
 def _answer(study: Study) -> Answer:
     """Return the answer of a study, an error if members are missing."""
     answer = as_json(study)
-    missing = [member for member in study.members if member.status != "done"]
+    missing = [member.name for member in study.members if member.status != "done"]
     if missing:
         # A script must notice that members are missing, although the others have answers.
         hint = f"; {RESUME.format(study.folder)}" if study.count("unfinished") else ""
         answer["error"] = (
-            f"{len(missing)} of {len(study.members)} members have no answer: "
-            f"{some([member.name for member in missing])}{hint}."
+            f"{len(missing)} of {len(study.members)} members have no answer: {some(missing)}{hint}."
         )
 
     return answer, str(study)

@@ -81,8 +81,12 @@ def stated_inputs(folder: Path):
 
     Raises
     ------
-    ValueError, OSError
-        If the folder has none.
+    FileNotFoundError
+        If the folder has none, as that of a program.
     """
+    if not (folder / STATED).exists():
+        raise FileNotFoundError(
+            f"{folder} has no study file: run the command or the program that began it again."
+        )
     name, starts = json.loads((folder / STATED).read_text())
     return str(folder / INPUTS / name), starts

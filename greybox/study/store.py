@@ -159,8 +159,8 @@ class StudyMember:
             value = self.answer.get(name)
             if isinstance(value, dict):
                 value = ", ".join(f"{key} = {number:g}" for key, number in value.items())
-                # A structure with all parameters free is one, too.
-                value = value or ("nothing" if name == "fixed" else "")
+                if name == "fixed":  # a structure with all parameters free is one, too
+                    value = value or "nothing"
             elif isinstance(value, list):
                 value = ", ".join(value)
             if value not in (None, ""):

@@ -122,7 +122,7 @@ class Study(Printed):
         A table for every group of members that estimate the same quantities. Its rows are named by
         the factors in which they differ.
         """
-        return "\n\n".join(_latex(members) for members in _alike(self.done))
+        return "\n\n".join(map(_latex, _alike(self.done)))
 
     @property
     def structures(self) -> str:
@@ -194,9 +194,9 @@ class Study(Printed):
         return f"{counted(len(self.members), 'member')}: {', '.join(counts) or 'none'}"
 
     def __str__(self) -> str:
-        blocks = [f"Study {printable(str(self.folder))}, {self.state}", _overview(self.members)]
-        blocks += [_estimates(members) for members in _alike(self.done)]
-        return "\n\n".join([*blocks, *filter(None, [self.failures])])
+        title = f"Study {printable(str(self.folder))}, {self.state}"
+        blocks = [title, _overview(self.members), *map(_estimates, _alike(self.done))]
+        return "\n\n".join(filter(None, [*blocks, self.failures]))
 
 
 def read_study(folder: str | Path, models: Sequence[Any] = ()) -> Study:
@@ -252,11 +252,13 @@ def _overview(members: Sequence[StudyMember]) -> str:
 
 def _rows(member: StudyMember) -> list[dict[str, Any]]:
     answer, is_done = member.answer, member.status == "done"
-    common = {"member": member.name, **dict.fromkeys(FACTORS), **member.factors}
-    common["grade"] = answer["verdict"]["grade"] if is_done else ""
     numbers = ("cost", "converged", "agreeing", "minima", "held_out")
-    common |= {name: answer.get(name) for name in numbers}
-    common |= {
+    common = {
+        "member": member.name,
+        **dict.fromkeys(FACTORS),
+        **member.factors,
+        "grade": answer["verdict"]["grade"] if is_done else "",
+        **{name: answer.get(name) for name in numbers},
         "explains": (answer.get("misfit") or {}).get("explains"),
         "starts": member.runs,
         "warnings": len(answer["warnings"]) if is_done else None,

@@ -280,6 +280,12 @@ def test_a_check_sets_a_damaged_database_aside_and_resuming_makes_its_members_ag
     assert result["members"][0]["answer"]["estimate"] == whole[0]["answer"]["estimate"]
 
 
+def test_the_folder_of_a_program_has_no_study_file_to_resume(tmp_path, capsys):
+    status, result, _ = answer(capsys, "batch", "--resume", tmp_path)
+    assert status == 2
+    assert "no study file: run the command or the program" in result["error"]
+
+
 def test_a_study_resumes_where_its_folder_is_moved(study, capsys, tmp_path):
     here = study.parent
     flights = tmp_path / "flights"
