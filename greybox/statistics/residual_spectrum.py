@@ -22,7 +22,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -336,7 +336,7 @@ class ResidualSpectra:
 
         if k > 1:
             candidates += [self.joint_outputs(candidates[0], banded, n) for n in BLOCKS]
-        if self.noise_parts is not None:
+        if self.white_process_noise is not None:
             candidates = [self.judged_on_residuals(average, banded) for average in candidates]
 
         shares = remaining_products(self.residuals)
@@ -352,7 +352,7 @@ class ResidualSpectra:
         score, density, typical, taken, within = (
             np.array([getattr(average, name) for average in candidates]) for name in fields
         )
-        evidence = 0.0 if self.noise_parts is None else float(score[:-1].min() - score[-1])
+        evidence = 0.0 if self.white_process_noise is None else float(score[:-1].min() - score[-1])
         return averaged(score, density, typical, taken, within, evidence)
 
     def independent_outputs(self, alone: Sequence[AveragedSpectrum]) -> AveragedSpectrum:
@@ -390,14 +390,22 @@ class ResidualSpectra:
         """Independent numbers (b,) of every output in a band."""
         return self.counts.max() * self.grid.band_weight
 
-    def process_noise(self, parts: "_NoiseParts") -> AveragedSpectrum:
-        """Return white sensor noise with process noise, by the variances of the residuals."""
+    def process_noise(self, correlation: float) -> AveragedSpectrum | None:
+        """Return white sensor noise with process noise, by the variances of the residuals.
+
+        `correlation` is that of the process noise from one sample to the next. None if no output
+        shows process noise, and for long records.
+        """
+        parts = self.noise_parts(correlation)
+        if parts is None:
+            return None
+        densities, of_residuals = parts
         sensors = len(self.counts)
         residuals = self.periodogram[1].transpose(2, 0, 1)
-        estimated = variance_components(parts.of_residuals, residuals, self._numbers, sensors)
+        estimated = variance_components(of_residuals, residuals, self._numbers, sensors)
         variance = estimated.variance
-        density = np.tensordot(variance, parts.density, 1)
-        taken = np.array([self.taken_by(part) for part in parts.density]) * variance
+        density = np.tensordot(variance, densities, 1)
+        taken = np.array([self.taken_by(part) for part in densities]) * variance
         share = taken / max(float(taken.sum()), TINY)
 
         return AveragedSpectrum(
@@ -412,22 +420,21 @@ class ResidualSpectra:
         """Return by how much gusts of the best time constant are likelier than white ones."""
         if self.white_process_noise is None:
             return 0.0
-        scores = [self.process_noise(part).score for part in map(self._noise_parts, GUSTS) if part]
+        scores = [gusts.score for gusts in map(self.process_noise, GUSTS) if gusts]
         # The time constant is an unknown, which the criterion of Akaike counts as 2.
         return max(self.white_process_noise.score - min(scores) - 2, 0.0)
 
     @cached_property
     def white_process_noise(self) -> AveragedSpectrum | None:
         """White sensor noise with white process noise, which does not depend on corrections."""
-        return None if self.noise_parts is None else self.process_noise(self.noise_parts)
+        return self.process_noise(0.0)
 
-    @cached_property
-    def noise_parts(self) -> "_NoiseParts | None":
-        """White noise of every sensor and process noise of every state, of variance one."""
-        return self._noise_parts(0.0)
+    def noise_parts(self, correlation: float) -> tuple[ComplexArray, ComplexArray] | None:
+        """Return white noise of every sensor and process noise of every state, of variance one.
 
-    def _noise_parts(self, correlation: float) -> "_NoiseParts | None":
-        """Return these parts for process noise of a correlation from one sample to the next."""
+        They are the spectra (c, k, k, b) of these c parts, and the periodograms (c, b, k, k) of the
+        residuals that they lead to, after the fit and with the missing samples.
+        """
         # A longer record shows the spectrum of process noise without the model's dynamics.
         if self.shocks is None or self.counts.max() > 10_000:
             return None
@@ -445,7 +452,7 @@ class ResidualSpectra:
         if len(parts) == len(self._sensor_parts):
             return None
         density, of_residuals = zip(*parts, strict=True)
-        return _NoiseParts(np.array(density), np.array(of_residuals))
+        return np.array(density), np.array(of_residuals)
 
     @cached_property
     def _shock_transforms(self) -> ComplexArray:
@@ -594,21 +601,6 @@ class ResidualSpectra:
             first, taken = np.tensordot(scaled, transform, 1), np.tensordot(sizes, A, 1)
             stretches.append((A, transform, first, taken))
         return stretches
-
-
-class _NoiseParts(NamedTuple):
-    """Parts of the errors, of variance one.
-
-    Attributes
-    ----------
-    density : (c, k, k, b) array
-        Their spectra.
-    of_residuals : (c, b, k, k) array
-        Expected periodograms of the residuals, after the fit and with the missing samples.
-    """
-
-    density: ComplexArray
-    of_residuals: ComplexArray
 
 
 def _positive(matrices: ComplexArray) -> ComplexArray:

@@ -473,18 +473,18 @@ def test_expected_periodograms_are_those_of_residuals_by_dense_matrices(missing)
     ]
     jumps[1, 0] = np.cumsum(jumps[0, 0])
     made = small(initial=True, shocks=lambda: jumps, missing=missing)
-    parts = made.noise_parts
-    assert parts.density.shape[0] == 4
+    densities, of_residuals = made.noise_parts(0.0)
+    assert len(densities) == 4
     for i in (0, 1):
         assert_allclose(
-            parts.density[i], np.diag(np.eye(2)[i])[:, :, None] * np.ones(len(made.grid.omega))
+            densities[i], np.diag(np.eye(2)[i])[:, :, None] * np.ones(len(made.grid.omega))
         )
     for s in (0, 1):  # through each state alone, of one unit of power for each output
         through = np.fft.rfft(jumps[:, s] / made.deviation[:, None], made.grid.size)
         power = np.einsum("ib,jb->ijb", through, through.conj())
         power *= 2 / made.grid.mean(np.einsum("iib->b", power).real)
-        assert_allclose(parts.density[2 + s], power, atol=1e-12)
-    for density, found in zip(parts.density, parts.of_residuals, strict=True):
+        assert_allclose(densities[2 + s], power, atol=1e-12)
+    for density, found in zip(densities, of_residuals, strict=True):
         _, left = left_by_a_fit(made, density)
         for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
             for lag in (0, 1, 5):
@@ -495,11 +495,12 @@ def test_expected_periodograms_are_those_of_residuals_by_dense_matrices(missing)
 
 
 def test_process_noise_is_looked_for_where_jumps_move_an_output():
-    assert small().noise_parts is None
-    assert small(shocks=lambda: np.zeros((2, 2, 12))).noise_parts is None
+    assert small().noise_parts(0.0) is None
+    assert small(shocks=lambda: np.zeros((2, 2, 12))).noise_parts(0.0) is None
     jumps = np.zeros((2, 2, 12))
     jumps[0, 1, 3] = 1.0
-    assert len(small(shocks=lambda: jumps).noise_parts.density) == 3
+    densities, _ = small(shocks=lambda: jumps).noise_parts(0.0)
+    assert len(densities) == 3
 
 
 def test_missing_samples_multiply_covariances_by_their_share():
@@ -771,24 +772,24 @@ def resonant():
 
 def test_process_noise_is_judged_by_the_variances_of_its_parts():
     made = resonant()
-    parts = made.noise_parts
-    found = made.process_noise(parts)
+    densities, of_residuals = made.noise_parts(0.0)
+    found = made.process_noise(0.0)
     power, numbers = (
         made.periodogram[1].transpose(2, 0, 1),
         made.counts.max() * made.grid.band_weight,
     )
-    variances = variance_components(parts.of_residuals, power, numbers, sensors=2)
+    variances = variance_components(of_residuals, power, numbers, sensors=2)
     assert variances.variance.shape == (4,)
     assert_allclose(
         found.density,
-        sum(v * part for v, part in zip(variances.variance, parts.density, strict=True)),
+        sum(v * part for v, part in zip(variances.variance, densities, strict=True)),
     )
     assert_allclose(found.typical, [found.density[i, i].real for i in (0, 1)])
     assert found.taken == pytest.approx(made.taken_by(found.density))
     assert found.score == pytest.approx(variances.score + 8 + 2 * 4 * 5 / (120 - 5))
 
     def logarithm(logs):
-        return np.log(made.taken_by(np.tensordot(np.exp(logs), parts.density, 1)))
+        return np.log(made.taken_by(np.tensordot(np.exp(logs), densities, 1)))
 
     logs = np.log(variances.variance)
     slope = np.array([(logarithm(logs + d) - logarithm(logs - d)) / 2e-5 for d in 1e-5 * np.eye(4)])
