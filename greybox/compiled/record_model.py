@@ -1,7 +1,7 @@
 """A record with its model, compiled independently of segments and substeps."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -118,9 +118,13 @@ class RecordModel(Portable):
 
 
 def record_model(
-    problem: Problem, q: ca.SX, z: ca.SX, method: Transcription, others: Sequence[RecordModel] = ()
+    problem: Problem,
+    expressions: Mapping[str, Any],
+    z: ca.SX,
+    method: Transcription,
+    others: Sequence[RecordModel] = (),
 ) -> RecordModel:
-    """Compile a record's model; `q` are the declared parameters at z.
+    """Compile a record's model; `expressions` are the parameters at z, by outside name.
 
     Functions that equal those of one of the `others` are shared with it.
     """
@@ -130,8 +134,8 @@ def record_model(
         kin = _first_of_its_kind(problem, kind, method)
 
     # Gains that follow from process noise come last; the filter fills them in.
-    q = ca.vertcat(q, ca.SX.zeros(len(kin.parameters) - q.numel()))
-    expressions = tuple(str(q[i]) for i in range(q.numel()))
+    declared = problem.local_values(expressions).values()
+    q = ca.vertcat(*declared, ca.SX.zeros(len(kin.parameters) - len(declared)))
     slope = ca.jacobian(q, z)
     # Gains that follow from process noise have no expression in z: the filter gives their slopes.
     following = range(len(problem.declared), q.numel())
@@ -154,7 +158,7 @@ def record_model(
         active=np.array(active, dtype=int),
         locate=ca.Function("locate", [z], [q, ca.densify(slope[active, :]), ca.densify(delay)]),
         initial=ca.Function("initial", [symbol], [initial, by_active]),
-        expressions=expressions,
+        expressions=tuple(str(q[i]) for i in range(q.numel())),
     )
 
 

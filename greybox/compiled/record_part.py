@@ -19,7 +19,7 @@ from greybox.compiled.riccati import NoiseModel, noise_model
 from greybox.compiled.sampled_data import SampledData, joined, sampled_data
 from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Segments
-from greybox.compiled.step_size import drawn_parameters, pole_samples, substeps_and_segment
+from greybox.compiled.step_size import drawn_parameters, substeps_and_segment
 from greybox.compiled.transcription.method import Transcription
 from greybox.files.arrays import Array
 from greybox.files.grouping import grouped
@@ -199,8 +199,7 @@ class RecordPart(SegmentedPart):
             point = ca.SX.sym("x", len(places))
             named: dict[str, Any] = dict(zip(names, values.tolist(), strict=True))
             named |= {names[place]: point[i] for i, place in enumerate(places)}
-            q = ca.vertcat(ca.SX(0, 1), *self.problem.local_values(named).values())
-            model = record_model(self.problem, q, point, self.model.method)
+            model = record_model(self.problem, named, point, self.model.method)
             part = RecordPart(model, self.data, self.substeps)
             trajectory = part.trajectory(
                 values[list(places)], trajectory.nodes, simulated=trajectory.simulated
@@ -278,8 +277,7 @@ def compile_records(
     """
     models: list[RecordModel] = []
     for problem in problems:
-        q = ca.vertcat(ca.SX(0, 1), *problem.local_values(expressions).values())
-        models.append(record_model(problem, q, z, method, models))
+        models.append(record_model(problem, expressions, z, method, models))
     data = [
         sampled_data(
             model.record,
@@ -310,23 +308,9 @@ def compile_records(
 
     parts: dict[int, RecordPart] = {}
     for lot in grouped(range(len(models)), kind):
-        model, every = models[lot[0]], joined([data[k] for k in lot])
-        count = pole_samples(len(model.system.states))
-        looks = at_samples(every, max(every.segments // count, 1), spread=True)
-
-        # Drawn vectors do not contain the gains of process noise, on which no initial state
-        # depends.
-        def known_initial(q: Array, model: RecordModel = model) -> Array:
-            return model.initial(np.pad(q, (0, len(model.parameters) - len(q))))[0].full().ravel()
-
+        first, every = lot[0], joined([data[k] for k in lot])
         substeps, segment_length = substeps_and_segment(
-            model.problem,
-            drawn[lot[0]],
-            method,
-            model.initial_states,
-            looks,
-            longest[lot[0]],
-            known_initial,
+            models[first], drawn[first], every, longest[first]
         )
         is_stiff = method.scheme.substeps is None and substeps > MOST_SUBSTEPS
         if is_stiff and method.for_stiff_models() != method:

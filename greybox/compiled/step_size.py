@@ -6,12 +6,13 @@ search will go. Whether that many substeps are accurate enough is judged at the 
 (`greybox.solve.discretization_error`).
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from greybox.compiled.initial_states import InitialStates
-from greybox.compiled.transcription.method import Transcription
+from greybox.compiled.initial_states import at_samples
+from greybox.compiled.record_model import RecordModel
+from greybox.compiled.sampled_data import SampledData
 from greybox.files.arrays import Array
 from greybox.formulation.problem import Problem
 from greybox.modeling.step_size import MOST_SUBSTEPS, stable_substeps
@@ -27,13 +28,7 @@ SEGMENT_GROWTH = 2.0  # an unstable mode may grow by exp(2), sevenfold, over a s
 
 
 def substeps_and_segment(
-    problem: Problem,
-    drawn: Array,
-    method: Transcription,
-    initial_states: InitialStates,
-    samples: tuple[Array, Array],
-    step: float,
-    known_initial: Callable[[Array], Array],
+    model: RecordModel, drawn: Array, data: SampledData, step: float
 ) -> tuple[int, int]:
     """Return the substeps per sample and samples per segment: of the method, or as needed.
 
@@ -44,24 +39,30 @@ def substeps_and_segment(
     ----------
     drawn : (draws, declared) array
         See `drawn_parameters`.
-    samples : (k, s) and (m, s) arrays
-        Measured outputs and inputs at some samples.
+    data : SampledData
+        In segments of one sample.
     step : float
         The longest from one sample to the next, s.
-    known_initial : function
-        From the declared parameters to the known initial states (n,), NaN where unknown.
     """
+    method, system, initial_states = model.method, model.system, model.initial_states
     integrator = method.scheme
     # Computing the poles takes longer than everything else here.
     if integrator.substeps is not None and method.segment is not None:
         return integrator.substeps, method.segment
 
-    outputs, inputs = samples
+    # At twenty samples, the shortest time constant of an igniting reactor is missed, and two of
+    # three runs stall. The poles of 100 states take as long as those of 20 at 125 times as many
+    # samples.
+    samples = int(np.clip(100 * (20 / max(len(system.states), 1)) ** 3, 3, 100))
+    outputs, inputs = at_samples(data, max(data.segments // samples, 1), spread=True)
     counts: list[int] = []
     growth_rates: list[float] = []
     for declared in drawn:
-        p = declared[: len(problem.model.parameters)]
-        states = initial_states.at(outputs, inputs, p, known_initial(declared))
+        p = declared[: len(system.parameters)]
+        # Gains of process noise are not drawn, and no initial state depends on them.
+        gains = np.zeros(len(model.parameters) - len(declared))
+        known = model.initial(np.concatenate([declared, gains]))[0].full().ravel()
+        states = initial_states.at(outputs, inputs, p, known)
         poles = initial_states.poles(states, inputs, p)
         if poles.size:
             reach, wave = integrator.reach, integrator.wave
@@ -74,14 +75,6 @@ def substeps_and_segment(
     # What is stiff only far from the declared parameters need not be so at the minimum.
     substeps = max([1, *counts[:1], min(_upper_quartile(counts), MOST_SUBSTEPS)])
     return integrator.substeps or int(substeps), segment
-
-
-def pole_samples(states: int) -> int:
-    """Return the number of samples at which the poles are computed."""
-    # At twenty samples, the shortest time constant of an igniting reactor is missed, and two of
-    # three runs stall. The poles of 100 states take as long as those of 20 at 125 times as many
-    # samples.
-    return int(np.clip(100 * (20 / max(states, 1)) ** 3, 3, 100))
 
 
 def drawn_parameters(problem: Problem) -> Array:

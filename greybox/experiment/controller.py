@@ -1,7 +1,7 @@
 """Sampled controllers, declared like models: named signals, parameters with units, equations."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, ClassVar
 
@@ -15,6 +15,7 @@ from greybox.modeling.model import (
     require_usable,
 )
 from greybox.modeling.parameter import Parameter, is_finite_number
+from greybox.modeling.realization import Dynamics
 from greybox.modeling.symbolic_reading import column, traced
 
 
@@ -172,24 +173,22 @@ def updated(controller: Controller, x: ca.SX, u: Mapping[str, Any]) -> tuple[ca.
 
 
 def connected(
-    controller: Controller | Sequence[Controller] | None,
-    inputs: Sequence[str],
-    taken: Collection[str],
-    plant: str,
+    controller: Controller | Sequence[Controller] | None, plant: str, system: Dynamics
 ) -> tuple[Controller, ...]:
-    """Return the controllers of a loop, if they fit the plant and one another.
+    """Return the controllers of a loop, if they fit the system of this plant and one another.
 
     Raises
     ------
     ValueError
-        If a controller drives nothing, if a signal is driven twice or has a `taken` name, if the
-        order is wrong, or if the rates differ.
+        If a controller drives nothing, if a signal is driven twice or has the name of an output
+        or a state, if the order is wrong, or if the rates differ.
     TypeError
         If one is not a controller.
     """
     controllers: list[Controller] = []
     if controller is not None:
         controllers += controller if isinstance(controller, Sequence) else [controller]
+    inputs, taken = system.inputs, {*system.outputs, *system.states}
     driven: set[str] = set()
     for k, c in enumerate(controllers):
         if not isinstance(c, Controller):
@@ -213,7 +212,7 @@ def connected(
             )
 
         # A signal of two sources would be overwritten without notice.
-        twice = provides & driven | (provides | commanded) & {*taken}
+        twice = provides & driven | (provides | commanded) & taken
         if twice:
             raise ValueError(
                 f"two signals are called {min(twice)!r}: rename that of {label}, "

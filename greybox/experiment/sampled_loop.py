@@ -241,9 +241,7 @@ def sampled_loop(
         If the controllers do not fit the model, or a signal cannot be measured.
     """
     system = dynamics(model)
-    controllers = connected(
-        controller, system.inputs, {*system.outputs, *system.states}, model.label
-    )
+    controllers = connected(controller, model.label, system)
     if not controllers and rate is None:
         raise ValueError("a loop without a controller has no rate: give rate=... in Hz.")
     commands = {

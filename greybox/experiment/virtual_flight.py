@@ -123,9 +123,7 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
 
     system = dynamics(model)
     truth = model.values(values)
-    controllers = connected(
-        controller, system.inputs, {*system.outputs, *system.states}, model.label
-    )
+    controllers = connected(controller, model.label, system)
     test = _as_excitation(excitation, controllers[0].rate if controllers else rate)
     clock = float(controllers[0].rate if controllers else test.rate)
     places = (*(c.outside(n) for c in controllers for n in c.setpoints), *system.inputs)

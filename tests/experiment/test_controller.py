@@ -1,5 +1,7 @@
 """Sampled controllers: the declaration, and the shipped one against ArduPilot's rules written down again."""
 
+from types import SimpleNamespace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -215,6 +217,10 @@ def other(**signals):
     return RateDamper(signals=signals)
 
 
+def plant(*states):
+    return SimpleNamespace(inputs=("u", "z"), outputs=(), states=states)
+
+
 @pytest.mark.parametrize(
     ("controllers", "error", "sentence"),
     [
@@ -242,7 +248,7 @@ def other(**signals):
 )
 def test_controllers_that_do_not_fit(controllers, error, sentence):
     with pytest.raises(error, match=sentence):
-        connected(controllers, ("u", "z"), {"theta", "q"}, "Plant")
+        connected(controllers, "Plant", plant("theta", "q"))
 
 
 def test_controllers_in_the_wrong_order():
@@ -253,13 +259,11 @@ def test_controllers_in_the_wrong_order():
             return (), (u.q, u.q)
 
     with pytest.raises(ValueError, match="takes 'w' from itself or a later controller"):
-        connected([other(reference="w"), Two(signals={"u": "z"})], ("u", "z"), set(), "Plant")
-    assert (
-        len(connected([Two(signals={"u": "z"}), other(reference="w")], ("u", "z"), set(), "Plant"))
-        == 2
-    )
+        connected([other(reference="w"), Two(signals={"u": "z"})], "Plant", plant())
+    pair = [Two(signals={"u": "z"}), other(reference="w")]
+    assert len(connected(pair, "Plant", plant())) == 2
 
 
 def test_a_controller_may_drive_the_next_one_alone():
     cascade = [other(u="rate"), RateDamper(signals={"reference": "rate", "q": "r"})]
-    assert len(connected(cascade, ("u", "z"), {"theta", "q", "r"}, "Plant")) == 2
+    assert len(connected(cascade, "Plant", plant("theta", "q", "r"))) == 2
