@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import once
-from greybox.modeling.parameter import Parameter
+from greybox.modeling.parameter import Parameter, start_values
 from greybox.modeling.realization import dynamics
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import as_list
@@ -81,7 +81,7 @@ def factors_of_derivatives(derivatives: Array, outputs: Array) -> Array:
 @once
 def _factors(model: StateSpace) -> Array:
     random, n = np.random.default_rng(0), len(model.states)
-    start = np.array([parameter.start for parameter in model.parameters.values()])
+    start = start_values(model.parameters)
     near = random.uniform(0.9, 1.1, (len(start), POINTS)) * start[:, None]
     x, u = np.split(random.normal(size=(n + len(model.inputs), POINTS)), [n])
     slopes = dynamics(model).slopes(x, u, near)

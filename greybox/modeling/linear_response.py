@@ -17,6 +17,7 @@ from greybox.modeling.linearization import jacobians, linearize
 from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
+from greybox.modeling.parameter import start_values
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import parameter_names, require_no_nan, symbols, traced
 from greybox.modeling.transfer_function import TransferFunction, require_no_operating_point
@@ -151,7 +152,7 @@ def _elimination_order(
     """Choose the order of elimination from matrices at the start values and at random starts."""
     # A pivot that vanishes for all parameters does so at any few values, and at any frequencies.
     random = np.random.default_rng(0)
-    points = [[q.start for q in model.parameters.values()]]
+    points: list[Any] = [start_values(model.parameters)]
     points += [[q.draw(random) for q in model.parameters.values()] for _ in range(3)]
     closed = trim.closed()
     samples = [np.asarray(ca.DM(system(point, *closed(point)))) for point in points]

@@ -1,10 +1,13 @@
 """One unknown of a model: its start, bounds, unit and meaning."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
+from greybox.files.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -124,6 +127,11 @@ class Parameter:
             values = low + share * (high - low)
         # Rounding may lead beyond the ends.
         return np.clip(values, low, high)
+
+
+def start_values(parameters: Mapping[str, Parameter]) -> Array:
+    """Return the declared starts of parameters, (p,)."""
+    return np.array([parameter.start for parameter in parameters.values()], dtype=float)
 
 
 def is_finite_number(value: Any) -> bool:

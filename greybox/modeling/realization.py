@@ -12,6 +12,7 @@ from greybox.files.arrays import Array, all_finite
 from greybox.modeling.model import Model
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import MOST_EXACT, pade_rows, pade_steady, pade_step
+from greybox.modeling.parameter import start_values
 from greybox.modeling.rational import Rational, as_rational
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import (
@@ -187,7 +188,7 @@ def _functions(
 
 def _time_scale(a: list[Any], p: ca.SX, model: Model) -> float:
     """Return the geometric mean of the magnitudes of nonzero poles at the starts, rad/s, or 1."""
-    values = ca.Function("a", [p], [ca.vertcat(*a)])([q.start for q in model.parameters.values()])
+    values = ca.Function("a", [p], [ca.vertcat(*a)])(start_values(model.parameters))
     coefficients = np.asarray(values).ravel()
     # Any scale is right; this one only keeps the states of one size.
     if not all_finite(coefficients):

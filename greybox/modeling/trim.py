@@ -10,7 +10,7 @@ import numpy as np
 from greybox.files.arrays import Array, IntArray
 from greybox.modeling.model import Names, require_known
 from greybox.modeling.one_thread import once
-from greybox.modeling.parameter import is_finite_number
+from greybox.modeling.parameter import is_finite_number, start_values
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import (
     column,
@@ -106,7 +106,7 @@ def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> Trimmed:
     trim = _closed_form(
         model, p, [{**values, **at}.get(n, 0.0) for n in (*model.states, *model.inputs)]
     )
-    start = [q.start for q in model.parameters.values()]
+    start = start_values(model.parameters)
     point = ca.vertcat(*trim.function(start, []))
     derivative = np.asarray(derivative_function(model)(point, start)).ravel()
     # Constants in the user's formula may be rounded.
@@ -143,7 +143,7 @@ def _implicit_trim(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
 
     derivative = ca.substitute(derivative, z, point)
     residual = ca.Function("derivative", [w, p], [derivative, ca.jacobian(derivative, w)])
-    start = np.array([q.start for q in model.parameters.values()])
+    start = start_values(model.parameters)
     guess, rows = _presolve(model, at, residual, start, len(unknown))
     return _rootfinder(model, w, p, point, derivative, guess, rows)
 
@@ -218,7 +218,7 @@ def _rootfinder(
 
     parameters = ca.MX.sym("p", p.numel())
     direct = newton(x0=guess, p=parameters)["x"]
-    start = ca.DM([q.start for q in model.parameters.values()])
+    start = ca.DM(start_values(model.parameters))
     # If this does not converge, the parameters move from their start values in ten steps.
     root = ca.MX(ca.DM(guess))
     for step in range(1, 11):

@@ -23,7 +23,7 @@ from greybox.formulation.input_assumptions import (
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import OutputError, modeled_outputs
 from greybox.modeling.model import Model
-from greybox.modeling.parameter import Parameter
+from greybox.modeling.parameter import Parameter, start_values
 from greybox.modeling.realization import dynamics
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.regression.least_squares import undetermined
@@ -170,7 +170,7 @@ def equation_error(
     system = dynamics(model)
     for piece in record.pieces:
         check_uniform(piece.time, record)
-    start = np.array([p.start for p in unknown.values()])
+    start = start_values(unknown)
     equations = regressions(system, record.signals, constants)
     _require_equations(model, equations, record)
     between = dict(zip(system.inputs, between_samples(inputs, system.inputs, record), strict=True))

@@ -52,7 +52,7 @@ def solver_for(
         kind = SharedSolver if batched and SharedSolver.serves(nlp) else ResponseSolver
         return kind(nlp, options, batched=batched)
     if nlp.method.by_ipopt:
-        return TranscribedProgram(nlp, GaussNewton(nlp), options)
+        return TranscribedProgram(nlp, options)
     return GaussNewton(nlp, settings=settings(options))
 
 

@@ -11,7 +11,7 @@ from greybox.files.arrays import Array
 from greybox.solve.discretization_error import with_finer_steps
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart
-from greybox.solve.multistart import BATCHED, solver_for
+from greybox.solve.multistart import solver_for
 
 # Each fit of pseudo-values reduces the distance from the robust estimate about ten times.
 MOST_FITS = 30
@@ -40,7 +40,7 @@ def with_pseudo_values(nlp: CompiledProblem, x: Array) -> CompiledProblem:
     moved = nlp
     # Only the initial states remain to be fitted: a few rounds suffice.
     for _ in range(5 if _is_robust(nlp) else 0):
-        moved = _pseudo_values(nlp, solver_for(moved, {}, BATCHED).profile(x).trajectories)
+        moved = _pseudo_values(nlp, solver_for(moved).profile(x).trajectories)
     return moved
 
 

@@ -33,14 +33,11 @@ class TranscribedProgram(LocalSolver):
 
     @one_thread_at_a_time
     def __init__(
-        self,
-        nlp: CompiledProblem,
-        gauss_newton: GaussNewton,
-        options: Mapping[str, Any] = MappingProxyType({}),
+        self, nlp: CompiledProblem, options: Mapping[str, Any] = MappingProxyType({})
     ) -> None:
-        """Put the programs of all parts together; `gauss_newton` gives states to begin with."""
+        """Put the programs of all parts together."""
         self._nlp = nlp
-        self._gauss_newton = gauss_newton
+        self._gauss_newton = GaussNewton(nlp)  # gives states to begin with
         self._options = dict(options)
         z = ca.MX.sym("z", len(nlp.free))
         self._programs = [part.program(z) for part in nlp.parts]
@@ -92,7 +89,7 @@ class TranscribedProgram(LocalSolver):
 
     def __reduce__(self) -> tuple[Callable[..., "TranscribedProgram"], tuple[Any, ...]]:
         """Return a recipe for the same solver."""
-        return TranscribedProgram, (self._nlp, self._gauss_newton, self._options)
+        return TranscribedProgram, (self._nlp, self._options)
 
     def is_finite_at(self, start: Array) -> bool:
         """Return whether the model is finite at the parameters `start` (p,), near the data."""
