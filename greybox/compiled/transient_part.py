@@ -221,7 +221,9 @@ class TransientPart(Part):
         return self.along(q.ravel()), slope
 
     def derivatives(self, at: Along, by: Array) -> tuple[Array, Array, Array]:
-        """Return how the errors follow x, for derivatives (q, x) of the parameters, ends held.
+        """Return the derivatives of the errors by x, with the end values held.
+
+        `by` (q, x) are the derivatives of the parameters.
 
         Returns
         -------

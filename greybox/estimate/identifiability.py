@@ -283,7 +283,7 @@ def _combinations(
 
 
 def _products(members: Sequence[int]) -> Iterator[dict[int, int]]:
-    """Yield candidate powers by place: of two members, and first powers of more."""
+    """Yield candidate powers by place: up to the third for two members, the first for more."""
     # Powers without a common divisor and with a positive first one: others are powers of these.
     for count in range(2, MEMBERS + 1 if len(members) <= CANDIDATES else 3):
         highest = POWERS if count == 2 else 1

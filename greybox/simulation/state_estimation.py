@@ -111,7 +111,7 @@ def estimate_states(
 def _halved(
     step: Array, x: Array, e: Array, lead_ins: "_LeadIns", R: Array, mean: Array, precision: Array
 ) -> Array:
-    """Halve the step (w, n) of every window until it does not cost more, by more than rounding."""
+    """Halve the step (w, n) of every window until its cost grows by no more than rounding."""
     weight = whitening(R)
 
     def cost(e: Array, x: Array) -> Array:

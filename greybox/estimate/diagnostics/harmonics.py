@@ -1,8 +1,8 @@
 """Whether the harmonics of a sine test are enough for the noise.
 
 Too few harmonics shift the response of a nonlinear model, and the parameters with it, without a
-trace in the residuals. No parameter moves by more standard errors than the response does as a
-whole, in multiples of the noise of a point.
+trace in the residuals. In standard errors, the shift of a parameter is at most the shift of the
+whole response in multiples of the noise of a point.
 """
 
 from collections.abc import Iterator

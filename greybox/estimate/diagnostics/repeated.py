@@ -11,7 +11,7 @@ Finding = tuple[str, str, str]
 
 
 def once(findings: Iterable[Finding]) -> Iterator[str]:
-    """Yield up to three sentences of each kind; of more, the first with the names of the names."""
+    """Yield up to three sentences of each kind; of more, the first and the other data by name."""
     for alike in grouped(findings, itemgetter(0)):
         if len(alike) <= 3:
             yield from (text for *_, text in alike)
