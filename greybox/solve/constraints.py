@@ -45,7 +45,7 @@ class Limits:
         return np.clip(z, self.low, self.high)
 
     def after(self, z: Array, step: Array) -> Array:
-        """Return the point after a step, within the bounds; on a bound if it differs by rounding."""
+        """Return the point after a step within the bounds; on a bound if the rest is rounding."""
         end = self.clipped(z + step)
 
         # A variable next to a bound, by rounding, would still count as free. One is the size of a
