@@ -36,7 +36,6 @@ TIMES_PER_DOF = 2.0
 def colored_errors(
     weighted: Sequence[Array],
     residuals: Sequence[Array],
-    inverse: Array,
     weight: Array,
     initial_states: int,
     step: float,
@@ -49,10 +48,9 @@ def colored_errors(
     Parameters
     ----------
     weighted : sequence of (k, p, n) arrays
-        WᵀW dy/dθ, one for every stretch, initial states fitted too.
+        WᵀW dy/dθ, one for every stretch, initial states fitted too, by directions of unit variance
+        for white errors of covariance (WᵀW)⁻¹, other data included.
     residuals : sequence of (k, n) arrays
-    inverse : (p, p) array
-        The covariance of the estimate for white errors of covariance (WᵀW)⁻¹, other data included.
     weight : (k, k) array
         W.
     initial_states : int
@@ -79,12 +77,12 @@ def colored_errors(
         weight = np.eye(len(weight))
 
     noise = np.asarray(np.linalg.inv(weight.T @ weight), dtype=float)
-    effect = colored_information(weighted, residuals, inverse, noise, initial, shocks)
+    effect = colored_information(weighted, residuals, noise, initial, shocks)
     numbers = sum(int(np.count_nonzero(e)) for e in residuals)
 
     # What the parameters absorb of these residuals, and of white ones of the same variance.
     bread = sum(product_over_time(J, noise) for J in weighted)
-    paid = float(np.sum(inverse * bread))
+    paid = float(np.trace(bread))
     squares = sum(float(np.sum((weight @ e) ** 2)) for e in residuals) / max(numbers, 1)
     factor = max(effect.taken / max(paid * squares, 1e-300), 1.0)
 

@@ -242,7 +242,6 @@ def _information(part: RecordPart, trajectory: Trajectory, by_values: Array) -> 
         errors = colored_errors(
             [directions.T @ J for J in data.unpadded(weighted)],
             data.unpadded(part.residuals(trajectory)),
-            np.eye(root.shape[1]),
             weight,
             initial,
             max(data.stretches, key=len).step,

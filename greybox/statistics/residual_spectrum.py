@@ -69,7 +69,7 @@ class ColoredInformation:
     meat : (p, p) array
         Σ J' Σ_e J for sensitivities J over noise covariance.
     taken : float
-        tr(B⁻¹ meat): the sum of squares, in units of the given noise, that the parameters take from
+        Its trace: the sum of squares, in units of the given noise, that the parameters take from
         the errors.
     uncertainty : float
         Variance of the logarithm of `taken`, over the spectra that the residuals may have.
@@ -97,7 +97,6 @@ class ColoredInformation:
 def colored_information(
     weighted: Sequence[Array],
     residuals: Sequence[Array],
-    inverse: Array,
     noise: Array,
     initial: Sequence[Array] | None = None,
     shocks: Callable[[], Array] | None = None,
@@ -107,11 +106,11 @@ def colored_information(
     Parameters
     ----------
     weighted : sequence of (k, p, n) arrays
-        R⁻¹ dy/dθ, one for every stretch, zero where a sample is missing.
+        R⁻¹ dy/dθ by directions θ of the parameters, one for every stretch, zero where a sample is
+        missing. The directions have unit variance for white errors of covariance R, other data
+        included.
     residuals : sequence of (k, n) arrays
         Zero where a sample is missing.
-    inverse : (p, p) array
-        The covariance of the estimate for white errors of covariance R, other data included.
     noise : (k, k) array
         R.
     initial : sequence of (k, m, n) arrays, optional
@@ -127,7 +126,7 @@ def colored_information(
     compared = np.any([e.any(axis=1) for e in residuals], axis=0)
     k = compared.size
     if not compared.any():
-        nothing = np.zeros_like(inverse)
+        nothing = np.zeros((weighted[0].shape[1],) * 2)
         return ColoredInformation(nothing, 0.0, 0.0, np.zeros(k), corrected=True, spectrum=None)
 
     # An output without residuals has no spectrum, and would make matrices singular. A slice makes
@@ -136,7 +135,6 @@ def colored_information(
     spectra = ResidualSpectra(
         [J[rows] for J in weighted],
         [e[rows] for e in residuals],
-        inverse,
         noise[np.ix_(compared, compared)],
         None if initial is None else [X[rows] for X in initial],
         None if shocks is None else lambda: shocks()[rows],
@@ -152,7 +150,7 @@ def colored_information(
 
     return ColoredInformation(
         meat=meat,
-        taken=float(np.sum(inverse * meat)),
+        taken=float(np.trace(meat)),
         uncertainty=mixture.uncertainty,
         correlation_times=times,
         corrected=corrected,
@@ -195,7 +193,7 @@ class AveragedSpectrum:
     typical : (k, b) array, or (b,)
         The geometric mean.
     taken : float
-        tr(B⁻¹ M).
+        What the fit takes from such errors, the trace of their meat.
     uncertainty : float
         Variance of its logarithm.
     score : float
@@ -243,7 +241,6 @@ class ResidualSpectra:
 
     weighted: Sequence[Array]
     residuals: Sequence[Array]
-    inverse: Array
     noise: Array
     initial: Sequence[Array] | None = None
     shocks: Callable[[], Array] | None = None
@@ -288,12 +285,10 @@ class ResidualSpectra:
 
     @cached_property
     def power(self) -> ComplexArray:
-        """Power (k, k, b) of the sensitivities, whose mean product with a spectrum is tr(B⁻¹ M)."""
+        """Power (k, k, b) of the sensitivities; its mean product with a spectrum is `taken_by`."""
 
         def banded(H: ComplexArray, rows: ComplexArray) -> list[ComplexArray]:
-            # As pairs of reals, in place: transforms of long records fill the memory.
-            G = (self.inverse @ H.view(float)).view(complex)
-            np.conj(G, out=G)
+            G = H.conj()
             return [self.grid.banded(np.einsum("pf,pf->f", G, row)) for row in rows]
 
         return np.sum([[banded(H, rows) for H in rows] for rows in self.transforms()], axis=0)
@@ -542,16 +537,16 @@ class ResidualSpectra:
         )
 
     def taken_by(self, density: ComplexArray) -> float:
-        """Return what the estimate takes from errors of a spectrum, tr(B⁻¹ M)."""
+        """Return what the estimate takes from errors of a spectrum."""
         return float(self.grid.mean(np.einsum("ijb,ijb->b", self.power, density).real))
 
     def taken_power(self, density: ComplexArray) -> tuple[Array, ComplexArray]:
         """Return the periodogram of what the fit took from errors of this spectrum.
 
-        Residuals r = (1 - P) e, with P = J B⁻¹ (R⁻¹ J)ᵀ, have the covariance Σ - P Σ - Σ Pᵀ + P Σ
+        Residuals r = (1 - P) e, with P = J (R⁻¹ J)ᵀ, have the covariance Σ - P Σ - Σ Pᵀ + P Σ
         Pᵀ. The errors of other data of the fit are assumed to have the same color.
         """
-        grid, p, size = self.grid, len(self.inverse), self.deviation[:, None, None]
+        grid, p, size = self.grid, len(self._bread), self.deviation[:, None, None]
         # Bands are wider than the lines of the transform: the density is interpolated.
         spread = grid.spread_out(density)
         colored = [
@@ -560,19 +555,16 @@ class ResidualSpectra:
         ]
         stretches = [*zip(self._stretches, colored, self.residuals, strict=True)]
         meat = sum(products(A[:, :p] * size, C[:, :p]) for (A, *_), C, _ in stretches)
-        own = self.inverse @ self._bread @ self.inverse
-        factor = np.sum(self.inverse * meat) / max(float(np.sum(self.inverse * self._bread)), TINY)
-        middle = self.inverse @ meat @ self.inverse + factor * (self.inverse - own)
+        factor = np.trace(meat) / max(float(np.trace(self._bread)), TINY)
+        middle = meat + factor * (np.eye(p) - self._bread)
 
         pairs = []
         for (A, _, first, taken), C, e in stretches:
             # The errors of a stretch's initial states are correlated with those of the parameters,
             # which other stretches determine, too.
-            inverse = np.eye(A.shape[1])
-            inverse[:p, :p] = self.inverse
-            covariance = inverse @ products(A * size, C) @ inverse
+            covariance = products(A * size, C)
             covariance[:p, :p] = middle
-            half = inverse @ C - covariance.T @ taken / 2
+            half = C - covariance.T @ taken / 2
             half *= (e != 0)[:, None] / np.sqrt(self.counts)[:, None, None]
             pairs.append((first, np.fft.rfft(half, grid.size).conj()))
 

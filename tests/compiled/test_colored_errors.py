@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.signal import lfilter
+from unit_directions import by_parameters
 
 from greybox.compiled.colored_errors import colored_errors, independent_numbers
 from greybox.statistics.residual_spectrum import colored_information
@@ -23,7 +24,7 @@ def test_initial_states_that_were_fitted_along_are_paid_for():
     n, initial_states, dof, shares = 60, 50, [], []
     for seed in range(12):
         J, e, inverse = regression(n, seed)
-        found = colored_errors([J], [e], inverse, np.eye(1), initial_states, 1.0)
+        found = by_parameters(colored_errors, [J], [e], inverse, np.eye(1), initial_states, 1.0)
         dof.append(found.dof)
         shares.append(np.trace(found.meat @ inverse) / 4)
     assert max(dof) < n - initial_states - 4
@@ -36,7 +37,7 @@ def test_a_record_of_a_few_correlation_times_leaves_as_few_degrees_of_freedom():
     J = np.ones((1, 1, n))
     drift = np.cumsum(np.random.default_rng(1).normal(size=n))
     e = (drift - drift.mean())[None]
-    found = colored_errors([J], [e], np.eye(1) / n, np.eye(1) / np.std(e), 1, 1.0)
+    found = by_parameters(colored_errors, [J], [e], np.eye(1) / n, np.eye(1) / np.std(e), 1, 1.0)
     assert not found.is_long_enough
     assert found.dof <= max(n / found.correlation_times[0], 1)
 
@@ -49,7 +50,7 @@ def test_numbers_that_say_the_same_count_once():
 
 def test_a_record_that_is_explained_to_the_last_digit_has_no_errors():
     J, e, inverse = regression(60, 0)
-    found = colored_errors([J], [0 * e], inverse, np.eye(1), 1, 1.0)
+    found = by_parameters(colored_errors, [J], [0 * e], inverse, np.eye(1), 1, 1.0)
     assert np.all(found.meat == 0)
 
 
@@ -58,7 +59,7 @@ def test_times_are_in_seconds_and_degrees_of_freedom_do_not_depend_on_them():
     e = lfilter([1], [1, -0.8], np.random.default_rng(2).normal(size=n))[None]
     J = np.ones((1, 1, n))
     fast, slow = (
-        colored_errors([J], [e], np.eye(1) / n, np.eye(1) / np.std(e), 1, step)
+        by_parameters(colored_errors, [J], [e], np.eye(1) / n, np.eye(1) / np.std(e), 1, step)
         for step in (0.01, 1.0)
     )
     assert_allclose(slow.correlation_times, 100 * fast.correlation_times)
@@ -75,7 +76,7 @@ def test_white_errors_of_any_size_leave_no_fewer_degrees_of_freedom(size):
     """
     n = 400
     J, e, inverse = regression(n, 1)
-    found = colored_errors([J], [size * e], inverse, np.eye(1), 1, 1.0)
+    found = by_parameters(colored_errors, [J], [size * e], inverse, np.eye(1), 1, 1.0)
     assert n / 4 < found.dof < n  # how well their spectrum is known takes the rest
 
 
@@ -96,9 +97,13 @@ def test_an_estimate_pays_for_what_it_takes_from_correlated_errors(longest, monk
     weighted = [np.einsum("ka,apn->kpn", weight.T @ weight, each) for each in J]
     bread = sum(np.einsum("kpn,ka,aqn->pq", each, weight.T @ weight, each) for each in J)
     inverse = np.linalg.inv(bread + np.diag([0.5, 1.0, 2.0]) * np.diag(bread))
-    found = colored_errors(weighted, residuals, inverse, weight, initial_states, 0.02)
+    found = by_parameters(
+        colored_errors, weighted, residuals, inverse, weight, initial_states, 0.02
+    )
 
-    told = colored_information(weighted, residuals, inverse, np.linalg.inv(weight.T @ weight))
+    told = by_parameters(
+        colored_information, weighted, residuals, inverse, np.linalg.inv(weight.T @ weight)
+    )
     assert told.corrected is (longest > 100)
     numbers = 2 * 240 - 20
     paid = np.trace(inverse @ bread)
@@ -126,11 +131,14 @@ def test_outputs_that_are_almost_dependent_have_the_errors_of_their_combinations
     J, X = random.normal(size=(2, 3, n)), random.normal(size=(2, 1, n))
     inverse = np.linalg.inv(np.einsum("kpn,kqn->pq", J, J))
     X /= np.sqrt(np.sum(X**2))
-    apart = colored_errors([J], [e], inverse, np.eye(2), 1, 0.1, initial=[X], shocks=lambda: jumps)
+    apart = by_parameters(
+        colored_errors, [J], [e], inverse, np.eye(2), 1, 0.1, initial=[X], shocks=lambda: jumps
+    )
 
     mixing = np.array([[1.0, 0.0], [1.0, 1e-5]])
     weight = np.linalg.inv(mixing)
-    mixed = colored_errors(
+    mixed = by_parameters(
+        colored_errors,
         [np.tensordot(weight.T, J, 1)],
         [mixing @ e],
         inverse,
@@ -152,7 +160,9 @@ def test_twelve_correlation_times_are_long_enough():
     J, found_times = np.ones((1, 1, n)), []
     for pole in np.arange(0.86, 0.9, 0.004):
         errors = lfilter([1], [1, -pole], e)[None]
-        found = colored_errors([J], [errors], np.eye(1) / n, np.eye(1) / np.std(errors), 1, 1.0)
+        found = by_parameters(
+            colored_errors, [J], [errors], np.eye(1) / n, np.eye(1) / np.std(errors), 1, 1.0
+        )
         times = n / found.correlation_times[0]
         found_times.append(times)
         assert found.is_long_enough == (times >= 12)
@@ -179,7 +189,9 @@ def test_rounding_of_the_inverse_does_not_change_the_errors(rounding):
     deviation = np.std(errors)
     J, weight = np.ones((1, 1, n)) / deviation**2, np.eye(1) / deviation
     inverse = np.eye(1) * deviation**2 / n
-    exact = colored_errors([J], [errors], inverse, weight, 2, 0.02)
-    rounded = colored_errors([J], [errors], inverse * (1 + rounding), weight, 2, 0.02)
+    exact = by_parameters(colored_errors, [J], [errors], inverse, weight, 2, 0.02)
+    rounded = by_parameters(
+        colored_errors, [J], [errors], inverse * (1 + rounding), weight, 2, 0.02
+    )
     assert_allclose(rounded.meat, exact.meat, rtol=1e-9)
     assert_allclose(rounded.dof, exact.dof, rtol=1e-9)
