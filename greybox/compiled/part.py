@@ -377,10 +377,10 @@ class Part(Portable, ABC):
         self,
         linearization: Any,
         trajectory: Trajectory,
-        continuity_variance: Array,
+        continuity_variance: Array | None = None,
         damping: float = 0.0,
     ) -> Condensed:
-        """Eliminate the nodes; continuity is exact where its variances (n,) are zero."""
+        """Eliminate the nodes; continuity is exact where its variances (n,) are zero, or None."""
         # Without nodes the linearization is the condensed system already.
         gradient, hessian = linearization
         nothing = np.zeros((0, 0, len(gradient)))

@@ -160,9 +160,7 @@ class RecordPart(SegmentedPart):
         reference = nodes.mean(axis=1), np.vstack([*inputs, data.measured_rows]).mean(axis=1)
         step = max(data.stretches, key=len).step
 
-        return noise_model(
-            self.step, step, reference, model.parameters, model.active, model.driven, self.outputs
-        )
+        return noise_model(model, self.step, step, reference)
 
     @cached_property
     def at_nodes(self) -> tuple[Array, Array]:

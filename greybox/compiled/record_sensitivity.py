@@ -55,7 +55,7 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     data, segments, n = part.data, part.segments, part.states
     placed: Placed = trajectory.detail
     linearization = part.linearize(trajectory, weight)
-    by_nodes = part.condense(linearization, trajectory, np.zeros(n)).node_sensitivity
+    by_nodes = part.condense(linearization, trajectory).node_sensitivity
     initial_directions = _initial_directions(part, linearization)
     curvature = linearization.node_hessian.diagonal(axis1=1, axis2=2)
     noticed = np.sqrt(np.maximum(curvature, 0.0).sum(axis=0))

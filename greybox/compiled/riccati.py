@@ -7,13 +7,13 @@ P = F (P - K C P) Fᵀ + Q: Riccati's equation. Source: Maine and Iliff (1981), 
 Applied Mathematics 41(3); Simon (2006), Optimal State Estimation.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from greybox.compiled.record_model import RecordModel
 from greybox.compiled.residual_covariance import diagonal
 from greybox.compiled.sample_step import SampleStep
 from greybox.files.arrays import Array, BoolArray, IntArray, all_finite
@@ -165,19 +165,13 @@ class NoiseModel:
 
 
 def noise_model(
-    sample: SampleStep,
-    step: float,
-    reference: tuple[Array, Array],
-    names: Sequence[str],
-    active: IntArray,
-    driven: Sequence[str],
-    outputs: Sequence[str],
+    model: RecordModel, sample: SampleStep, step: float, reference: tuple[Array, Array]
 ) -> NoiseModel:
     """Compile the linearization of a `sample` of `step` s about a `reference` (state, data).
 
-    `names` are those of the parameters q, where the `active` ones are estimated; gains among them
-    are zero here.
+    Gains among the parameters q of the model are zero here.
     """
+    names, outputs = model.parameters, model.outputs
     x, q, d = sample.symbols()
     end, _, y = sample.function(x, q, d)
     by_state = ca.Function(
@@ -191,14 +185,14 @@ def noise_model(
     half, _ = by_state(point, without_gain, np.append(data[:-1], step / 2))
 
     # The filter itself gives the slopes of its gains.
-    columns = np.isin(np.arange(len(names)), active) & ~is_gain
+    columns = np.isin(np.arange(len(names)), model.active) & ~is_gain
     places = np.flatnonzero(columns).tolist()
     slopes = [ca.densify(ca.jacobian(ca.vec(M), q)[:, places]) for M in (F, half, C)]
     return NoiseModel(
         linear=ca.Function("linear", [q], [F, half, C, *slopes], {"cse": True}),
         step=step,
-        driven=np.array([sample.system.states.index(name) for name in driven], dtype=int),
-        intensities=np.array([names.index(f"w_{name}") for name in driven], dtype=int),
+        driven=np.array([sample.system.states.index(name) for name in model.driven], dtype=int),
+        intensities=np.array([names.index(f"w_{name}") for name in model.driven], dtype=int),
         deviations=np.array([names.index(f"v_{name}") for name in outputs], dtype=int),
         columns=columns,
     )

@@ -266,11 +266,12 @@ class SegmentedPart(Part):
         self,
         linearization: Linearization,
         trajectory: Trajectory,
-        continuity_variance: Array,
+        continuity_variance: Array | None = None,
         damping: float = 0.0,
     ) -> Condensed:
         """Eliminate the nodes, see `greybox.compiled.condensing`."""
-        variance = continuity_variance
+        exact = np.zeros(self.states)
+        variance = exact if continuity_variance is None else continuity_variance
         return condense(linearization, trajectory, variance, damping, self.data, self.segments)
 
     def close_gaps(self, linearization: Linearization, trajectory: Trajectory) -> Array:

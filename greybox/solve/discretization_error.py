@@ -227,7 +227,7 @@ def _changed(runs: Runs, changes: Mapping[int, Mapping[str, Any]]) -> Runs:
 def quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
     """Return Hessian and gradient of the weighted squares by the unknowns."""
     linearization = part.linearize(trajectory, weight)
-    condensed = part.condense(linearization, trajectory, np.zeros(trajectory.nodes.shape[1]))
+    condensed = part.condense(linearization, trajectory)
     return condensed.hessian, condensed.gradient
 
 

@@ -27,9 +27,8 @@ def gauss_newton_step(
 ) -> Step:
     """Return the step of nodes and z from an iterate; with `states_only` of the nodes alone."""
     p = len(iterate.z)
-    variances = progress.continuity_variance
-    if progress.is_exact:
-        variances = [np.zeros(nodes.shape[1]) for nodes in iterate.nodes]
+    exact = [None] * len(parts.parts)
+    variances = exact if progress.is_exact else progress.continuity_variance
     systems = [
         part.condense(linearization, trajectory, variance, progress.damping)
         for part, linearization, trajectory, variance in zip(
