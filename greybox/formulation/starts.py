@@ -91,6 +91,11 @@ class Listed(Starts):
 
     points: Sequence[Mapping[str, float]] = field(default=({},))
 
+    @property
+    def number(self) -> int:
+        """Number of starts."""
+        return len(self.points)
+
     def __repr__(self) -> str:
         return one_line(self, counted(len(self.points), "point"))
 
@@ -135,7 +140,8 @@ class Chained(Starts):
     rules: tuple[Starts, ...]
 
     def __post_init__(self) -> None:
-        """Take over the seed."""
+        """Take over the seed, and add up the numbers."""
+        vars(self)["number"] = sum(getattr(rule, "number", 1) for rule in self.rules)
         vars(self)["seed"] = next((rule.seed for rule in self.rules if rule.seed is not None), None)
 
     def __repr__(self) -> str:

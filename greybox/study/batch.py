@@ -103,15 +103,12 @@ class Member:
 
     @property
     def start_count(self) -> int:
-        """Number of starts; without one, the default number."""
+        """Number of starts, by default that of the solver; a rule without a number counts one."""
         responses = self.problem.parts_with(FrequencyResponse)
         alone = len(responses) == len(self.problem.parts)
         default = ResponseSolver.starts if alone else LocalSolver.starts
-        starts = default if self.starts is None else self.starts
-        if isinstance(starts, Sequence):
-            return len(starts)
-        number = starts if isinstance(starts, int | float) else getattr(starts, "number", 1)
-        return int(number)
+        rule = as_starts(default if self.starts is None else self.starts, self.seed)
+        return getattr(rule, "number", 1)
 
 
 def batch(

@@ -60,4 +60,10 @@ def test_what_a_grid_cannot_mean_is_a_sentence():
 
 def test_the_default_number_of_starts():
     assert gb.study.Member(pitch_hover.problem()).start_count == 200
-    assert gb.study.Member(pitch_hover.problem(), [{}, {}]).start_count == 2
+    for starts, count in (
+        ([{}, {}], 2),
+        ([gb.solve.Sobol(50), {}], 51),
+        (gb.solve.Sobol(9), 9),
+        (1e3, 1000),
+    ):
+        assert gb.study.Member(pitch_hover.problem(), starts).start_count == count
