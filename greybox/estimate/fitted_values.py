@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,9 @@ from greybox.estimate.diagnostics.delay_approximation import pade_error
 from greybox.estimate.fitted_part import AnyFittedPart, FittedRecord, FittedResponse, FittedSpectrum
 from greybox.files.arrays import Array, all_finite
 from greybox.formulation.problem import Problem
-from greybox.modeling.model import equation
+from greybox.modeling.model import Model, equation
 from greybox.modeling.model_reference import reference, source_text
+from greybox.modeling.one_thread import traced_once
 from greybox.modeling.periodic_motions import response_of_test
 
 
@@ -48,36 +50,30 @@ def _fitted_response(part: ResponsePart, x: Array, values: dict[str, float]) -> 
     problem = part.problem
     data = problem.response
     response = part.response(x)
-    curve = error = None
-    if all_finite(response):
-        error = pade_error(problem, values)
-
-        def at(omega: Array) -> FrequencyResponse:
-            return response_of_test(
-                problem.model,
-                values,
-                omega,
-                problem.amplitude,
-                data.omega,
-                input=data.input,
-                output=data.output,
-                at=problem.at,
-                delay=problem.delay,
-            )
-
-        with contextlib.suppress(ValueError):  # an undamped resonance exactly on the grid
-            curve = refined_curve(at, data.omega)
-
     return FittedResponse(
         **_of_problem(problem),
         data=data,
         response=response,
-        curve=curve,
+        curve=partial(_curve, problem.model, values),  # type: ignore[arg-type]
         at={name: float(value) for name, value in problem.at.items()},
-        pade_error=error,
+        pade_error=pade_error(problem, values) if all_finite(response) else None,
         sine=problem.amplitude,
         nuisances=problem.criterion.nuisances,
     )
+
+
+@traced_once()
+def _curve(
+    model: Model, values: dict[str, float], part: FittedResponse
+) -> FrequencyResponse | None:
+    """Return the fitted model for figures; None if an undamped resonance is on the grid."""
+
+    def at(omega: Array) -> FrequencyResponse:
+        return response_of_test(model, values, omega, part.sine, part.data.omega, **part.signals)
+
+    with contextlib.suppress(ValueError):
+        return refined_curve(at, part.data.omega) if all_finite(part.response) else None
+    return None
 
 
 def refined_curve(
