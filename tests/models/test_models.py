@@ -41,6 +41,12 @@ CASES = [(model(), {}) for model in SHIPPED.values()] + [
     (RigidBody(), ATTITUDE),
     (Torques(), {"Omega_1": 500.0, "Omega_2": 510.0, "Omega_3": 480.0, "Omega_4": 520.0}),
 ]
+# Without a delay, Padé's readings are the exact ones: those of Polynomial represent them all.
+READINGS = [(model, at, "exact") for model, at in CASES] + [
+    (model, at, "pade:3")
+    for model, at in CASES
+    if "T_delay" in model.parameters or isinstance(model, Polynomial)
+]
 
 
 def draws(model, count=3):
@@ -99,8 +105,9 @@ def test_forms_of_one_structure_declare_shared_parameters_alike(models):
 # --- readings
 
 
-@pytest.mark.parametrize("delay", ["exact", "pade:3"])
-@pytest.mark.parametrize(("model", "at"), CASES, ids=lambda value: repr(value).replace(" ", ""))
+@pytest.mark.parametrize(
+    ("model", "at", "delay"), READINGS, ids=lambda value: repr(value).replace(" ", "")
+)
 def test_numbers_casadi_and_rational_form_agree(model, at, delay):
     pairs = list(input_output_pairs(model))
     for u, y in pairs:
