@@ -24,8 +24,16 @@ sys.dont_write_bytecode = False
 # Frozen, they are not searched again by every full collection, which then takes 0.05 s, not 0.33 s.
 gc.disable()
 
-# Of few tests, but slow: they begin first, so that no core waits for them at the end.
-FIRST = ("test_notebooks.py", "test_nested_models.py", "test_hard_models.py", "test_kalman_gain.py")
+# The slowest files and slow ones of the last folder begin first, so that no core waits for them at
+# the end.
+FIRST = (
+    "test_readme.py",
+    "test_record_problems.py",
+    "test_nested_models.py",
+    "test_nesting.py",
+    "test_held_out.py",
+    "test_stepwise.py",
+)
 
 settings.register_profile("steady", derandomize=True, deadline=None, database=None, max_examples=40)
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "steady"))
