@@ -1,10 +1,10 @@
 """`repr` of what can be large is one line, so that a bare name at a prompt does not flood the screen."""
 
 from dataclasses import replace
+from functools import cache
 from html.parser import HTMLParser
 
 import numpy as np
-import pytest
 from declared_models import TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 from drag_flights import QUADRATIC, Drag, LinearDrag, fitted, flight
 
@@ -18,51 +18,64 @@ RESPONSE = measured(
     LagLagDelay(), TWO_LAGS_OMEGA, noise=0.02, name="a name of a test that is long " * 10
 )
 PROBLEM = gb.Problem(Lag(), RESPONSE)
-FIT = gb.fit(PROBLEM, starts=3)
-SMALL, LARGE = fitted(LinearDrag(), RECORD), fitted(Drag(), RECORD)
-SCHEDULE = gb.experiment.multisine(0.5, 5.0, 20.0, 50.0)
-VALUES = {
-    "Comparison": gb.compare(SMALL, LARGE),
-    "EquationErrorEstimate": gb.regression.equation_error(Drag(), RECORD),
-    "Excitation": SCHEDULE,
-    "FiniteFrequency": FiniteFrequency(RESPONSE, ()),
-    "Fit": FIT,
-    "FittedRecord": SMALL.parts[0],
-    "FittedResponse": FIT.parts[0],
-    "FrequencyResponse": RESPONSE,
-    "LinearSystem": gb.modeling.linearize(Drag(), {"a5": 0.2, "C_x": 0.1}, {"v": 1.0}),
-    "Listed": gb.solve.Listed([{"K": 1.0, "T": 2.0}] * 20),
-    "Minimum": FIT.minima[0],
-    "Multistart": Multistart(FIT.runs, FIT.minima),
-    "NestedTest": gb.validation.nested_test(SMALL, LARGE),
-    "Prediction": gb.predict(SMALL),
-    "Problem": PROBLEM,
-    "Quality": gb.spectral.check(RECORD, input="theta", output="v"),
-    "Quantity": FIT.quantities[0],
-    "RationalFit": gb.regression.levy(RESPONSE, 2, 0),
-    "Record": RECORD,
-    "Recording": gb.data.Recording({f"M{k}": RECORD for k in range(40)}, source="flight.BIN"),
-    "Run": FIT.runs[0],
-    "Segment": gb.data.Segment(1.0, 2.0, "sweep", "pitch", band=(1.0, 10.0)),
-    "Sine": gb.modeling.Sine("u", np.linspace(0.1, 0.2, 40)),
-    "Sum": gb.several(Drag(), [RECORD, flight(QUADRATIC, 2, duration=5.0)]),
-}
 
 
-@pytest.mark.parametrize("kind", VALUES)
-def test_the_repr_is_one_short_line(kind):
-    value = VALUES[kind]
-    assert type(value).__name__ == kind
-    text = repr(value)
-    assert len(text) < 120
-    assert "\n" not in text
-    assert text.startswith((f"<{kind}", f"{kind}("))
+@cache
+def response_fit():
+    return gb.fit(PROBLEM, starts=3)
+
+
+@cache
+def drag_fits():
+    return fitted(LinearDrag(), RECORD), fitted(Drag(), RECORD)
+
+
+@cache
+def values():
+    """One value of every kind; made in a test, since every worker collects this file."""
+    fit = response_fit()
+    small, large = drag_fits()
+    return {
+        "Comparison": gb.compare(small, large),
+        "EquationErrorEstimate": gb.regression.equation_error(Drag(), RECORD),
+        "Excitation": gb.experiment.multisine(0.5, 5.0, 20.0, 50.0),
+        "FiniteFrequency": FiniteFrequency(RESPONSE, ()),
+        "Fit": fit,
+        "FittedRecord": small.parts[0],
+        "FittedResponse": fit.parts[0],
+        "FrequencyResponse": RESPONSE,
+        "LinearSystem": gb.modeling.linearize(Drag(), {"a5": 0.2, "C_x": 0.1}, {"v": 1.0}),
+        "Listed": gb.solve.Listed([{"K": 1.0, "T": 2.0}] * 20),
+        "Minimum": fit.minima[0],
+        "Multistart": Multistart(fit.runs, fit.minima),
+        "NestedTest": gb.validation.nested_test(small, large),
+        "Prediction": gb.predict(small),
+        "Problem": PROBLEM,
+        "Quality": gb.spectral.check(RECORD, input="theta", output="v"),
+        "Quantity": fit.quantities[0],
+        "RationalFit": gb.regression.levy(RESPONSE, 2, 0),
+        "Record": RECORD,
+        "Recording": gb.data.Recording({f"M{k}": RECORD for k in range(40)}, source="flight.BIN"),
+        "Run": fit.runs[0],
+        "Segment": gb.data.Segment(1.0, 2.0, "sweep", "pitch", band=(1.0, 10.0)),
+        "Sine": gb.modeling.Sine("u", np.linspace(0.1, 0.2, 40)),
+        "Sum": gb.several(Drag(), [RECORD, flight(QUADRATIC, 2, duration=5.0)]),
+    }
+
+
+def test_the_repr_is_one_short_line():
+    for kind, value in values().items():
+        assert type(value).__name__ == kind
+        text = repr(value)
+        assert len(text) < 120, kind
+        assert "\n" not in text, kind
+        assert text.startswith((f"<{kind}", f"{kind}(")), kind
 
 
 def test_the_repr_says_what_it_is():
     assert repr(RECORD) == "<Record 'flight 1', 200 samples, 9.95 s, theta, v>"
-    assert repr(SMALL).startswith("<Fit 'flight 1', converged, cost ")
-    assert repr(FIT.minima[0]).endswith(", 3 runs, 1 variant>")
+    assert repr(drag_fits()[0]).startswith("<Fit 'flight 1', converged, cost ")
+    assert repr(response_fit().minima[0]).endswith(", 3 runs, 1 variant>")
 
 
 # --- in notebooks
@@ -88,13 +101,12 @@ class Elements(HTMLParser):
         self.text += f"{data} "
 
 
-@pytest.mark.parametrize(
-    "thing", [FIT, VALUES["Comparison"], FIT.identifiability, gb.draws(FIT, 4)]
-)
-def test_a_notebook_shows_what_else_is_printed_as_it_is(thing):
-    shown = Elements(thing._repr_html_())
-    assert shown.seen == {"pre"}
-    assert shown.text.strip() == str(thing).strip()
+def test_a_notebook_shows_what_else_is_printed_as_it_is():
+    fit = response_fit()
+    for thing in (fit, values()["Comparison"], fit.identifiability, gb.draws(fit, 4)):
+        shown = Elements(thing._repr_html_())
+        assert shown.seen == {"pre"}
+        assert shown.text.strip() == str(thing).strip()
 
 
 def test_a_notebook_shows_the_equation_of_a_model():
@@ -104,10 +116,11 @@ def test_a_notebook_shows_the_equation_of_a_model():
 
 def test_names_from_files_are_text_and_never_markup():
     evil = "<script>alert(1)</script>"
+    fit = response_fit()
     things = [
-        replace(FIT, name=evil, warnings=(evil,), notes=(evil,)),
-        replace(FIT, name=evil, minima=(), warnings=(evil,)),
-        replace(gb.draws(FIT, 4), name=evil),
+        replace(fit, name=evil, warnings=(evil,), notes=(evil,)),
+        replace(fit, name=evil, minima=(), warnings=(evil,)),
+        replace(gb.draws(fit, 4), name=evil),
     ]
     for thing in things:
         assert "script" not in Elements(thing._repr_html_()).seen
