@@ -152,10 +152,7 @@ def _fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedRec
         ),
         outputs=part.outputs,
         noise=noise,
-        initial={
-            name: nodes[part.data.begins_stretch, i].copy()
-            for i, name in enumerate(part.system.states)
-        },
+        initial=dict(zip(part.system.states, nodes[part.data.begins_stretch].T, strict=True)),
         method=part.description,
         inputs=model.criterion.inputs,
         biases=tuple(model.criterion.biases),

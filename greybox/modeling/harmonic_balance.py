@@ -375,10 +375,12 @@ def _harmonics(
     terms = ca.vertcat(formulas, entries)
     program = ca.Function("terms", inputs, [ca.densify(terms)], {"cse": True})
     # One operation on all samples at a time takes a quarter of the time of one sample after the
-    # other.
-    samples = map(ca.vertsplit, (*(series @ wave for wave in waves), sizes, p))
-    rows = [ca.MX.ones(1, points) * row for row in walk(program, [*samples], ca.MX)]
-    values, parts = ca.vertcat(*rows[: formulas.numel()]), rows[formulas.numel() :]
+    # other. Samples are columns: CasADi multiplies a long column by a matrix from the left several
+    # times as fast as a long row from the right.
+    samples = [ca.horzsplit(wave.T @ series.T) for wave in waves]
+    samples += map(ca.vertsplit, (sizes, p))
+    columns = [ca.MX.ones(points) * column for column in walk(program, samples, ca.MX)]
+    values, parts = ca.horzcat(*columns[: formulas.numel()]), columns[formulas.numel() :]
 
     # The slopes of coefficients by those of the signals, which are few, come first.
     count, width = z.numel(), series.size2()
@@ -387,7 +389,7 @@ def _harmonics(
     products = []
     for wave in waves:
         pairs = wave[:, None] * to_series.T
-        products.append(ca.sparsify(double @ pairs.reshape(-1, points).T, 1e-9))
+        products.append(ca.sparsify(pairs.reshape(-1, points) @ double.T, 1e-9))
     widths = [width] * count + [1] * (count + p.numel())
     blocks = [[ca.MX(width, each) for each in widths] for _ in range(formulas.numel())]
     sampled = ca.vertcat(z, slope, size)
@@ -395,12 +397,12 @@ def _harmonics(
     for part, entry, (row, column) in zip(parts, ca.vertsplit(entries), places, strict=True):
         kind, k = divmod(column, count)
         if kind >= len(waves):
-            blocks[row][column - count] = (part @ to_series).T
+            blocks[row][column - count] = to_series.T @ part
         elif kind or ca.depends_on(entry, sampled):
-            blocks[row][k] += ca.reshape(part @ to_double @ products[kind], width, width)
+            blocks[row][k] += ca.reshape(products[kind] @ (to_double.T @ part), width, width)
         else:  # the harmonics of a linear term are those of its signal
             blocks[row][k] += part[0] * ca.MX.eye(width)
-    return (values @ to_series).T, ca.blockcat(blocks) @ by_every
+    return to_series.T @ values, ca.blockcat(blocks) @ by_every
 
 
 def transforms(harmonics: int, points: int) -> tuple[Array, Array]:
