@@ -42,11 +42,11 @@ class DisturbedRecord:
         self.parameters = self._placed.q
 
     @property
-    def is_unstable(self) -> bool:
-        """Whether the states would grow a hundredfold over the record without other inputs."""
+    def growth(self) -> float:
+        """The logarithm of how much errors of the states grow over the record without inputs."""
         A = self._slopes[0][: self.part.states].mean(axis=2)
         growth = np.abs(np.linalg.eigvals(A)).max(initial=1.0)
-        return bool(self.part.samples * np.log(growth) > np.log(100))
+        return float(self.part.samples * np.log(growth))
 
     def by_stretch(self, function: Callable[..., Array], row: Array, *arguments: Any) -> Array:
         """Return a function of the samples and the step of every stretch, segments filled up."""

@@ -31,8 +31,9 @@ from greybox.statistics.autoregressive_test import (
     whitened,
     whitening_filters,
 )
-from greybox.statistics.column_space import beside, column_basis, outside
+from greybox.statistics.column_space import DEPENDENT, beside, column_basis, outside
 from greybox.statistics.score_test import (
+    REMAINS,
     chance,
     correlated_score,
     p_value_of_scores,
@@ -53,6 +54,7 @@ ALIKE = 0.95  # correlation of effects beyond which two terms count as one
 # seldom so slow. And of the output, what a reader would see.
 DRIFTING, NOTICED = 0.99, 0.01
 PIECES = 10  # of a record, whose means show an offset
+GROWN = 100  # factor of errors of the states over a record, from which a model counts as unstable
 LARGE = 10  # times what noise leaves, beyond which a model describes nothing
 NOISY = 0.25  # of the variance: residuals of half the standard deviation of an output
 TINY = 1e-300
@@ -258,7 +260,8 @@ class _Regression:
 
     All columns have N rows; `changes` returns those (N, c) of terms. `separate` returns the
     residuals and slopes of a response that is fitted alone; `outputs` has the rows of every output
-    of a record, by stretches, and `signals` those over which the shape of a term is drawn.
+    of a record, by stretches, and `signals` those over which the shape of a term is drawn. What
+    parameters leave of a term is an error of the integration if it is less than `remains` of it.
     """
 
     measured: Array
@@ -270,6 +273,7 @@ class _Regression:
     outputs: Outputs = ()
     causes: Sequence[Cause] = ()
     is_unstable: bool = False
+    remains: float = REMAINS
     signals: Mapping[str, Array] = field(default_factory=dict)
 
     def columns(self, keys: Sequence[Key]) -> Array:
@@ -480,11 +484,12 @@ def _ranked(
     `residuals` (N,) and `fitted` (N, p) are white.
     """
     best, tried = {}, 0
+    remains = min(part.remains for part in parts)
     size = COLUMNS // max(len(residuals), 1) + 1
     for first in range(0, len(keys), size):
         chosen = keys[first : first + size]
         columns = np.vstack([part.columns(chosen) for part in parts])
-        tests = score_tests(residuals, fitted, white(columns)).T.tolist()
+        tests = score_tests(residuals, fitted, white(columns), remains).T.tolist()
         for k, test in enumerate(tests):
             # The probability is NaN where nothing of a term is left.
             if test[1] <= 1:
@@ -549,6 +554,8 @@ def _of_record(
         ]
         for k in range(len(present[0]))
     ]
+    # From known initial states, terms and parameters grow alike, and differ by what does not grow.
+    hidden = record.growth if part.known_states.any() else 0.0
     offsets = _offsets(constants, rows(with_effects, starts), rows(by_parameters, starts), outputs)
     return _Regression(
         rows(np.nan_to_num(data.measured)[:, None]),
@@ -558,7 +565,8 @@ def _of_record(
         lambda terms: rows(record.followed_by(t.place(t.values) for t in terms if t.place)),
         outputs=outputs,
         causes=tuple(offsets),
-        is_unstable=record.is_unstable,
+        is_unstable=record.growth > np.log(GROWN),
+        remains=max(REMAINS * np.exp(-hidden), DEPENDENT),
         signals=signals_of_record(record),
     )
 

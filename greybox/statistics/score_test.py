@@ -34,7 +34,7 @@ SHARES = np.arange(1, 6) / 6
 POWERS = np.array([0, 1, 2, 4, 6])[:, None, None]
 
 
-def score_tests(residuals: Array, fitted: Array, terms: Array) -> Array:
+def score_tests(residuals: Array, fitted: Array, terms: Array, remains: float = REMAINS) -> Array:
     """Test c terms one by one.
 
     Returns
@@ -52,12 +52,14 @@ def score_tests(residuals: Array, fitted: Array, terms: Array) -> Array:
         What the fit can absorb of them.
     terms : (N, c) array
         What unit terms would add to the model's outputs.
+    remains : float
+        Share of the length of a term that must remain beside the parameters.
     """
     basis = column_basis(fitted)
     before = np.linalg.norm(terms, axis=0)
     terms = outside(terms / positive_or_one(before), basis)
     length = np.linalg.norm(terms, axis=0)
-    is_new = (length > REMAINS) & (before > 0)
+    is_new = (length > remains) & (before > 0)
     rows = np.where(is_new, terms / np.where(is_new, length, 1.0), 0.0)
     residuals = outside(residuals, basis)
 

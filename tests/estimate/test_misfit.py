@@ -639,6 +639,39 @@ def test_only_offsets_are_misfit_where_an_unstable_loop_answers_errors(offset):
         assert any("an offset of x" in cause.text for cause in misfit.likely[:2])
 
 
+@pytest.mark.parametrize("missing", [0.0, 300.0])
+def test_what_an_unstable_model_lacks_is_named_from_a_known_initial_state(missing):
+    # Errors grow a millionfold, terms and parameters alike: what differs is a small share.
+    class Levitation(Spring):
+        outputs = ("x", "v")
+        k = gb.Parameter(30.0, bounds=(0, 600))
+        b = gb.Parameter(40.0, bounds=(0, 800))
+
+        def derivative(self, x, u, p):
+            return (x.v, p.b * u.u + p.k * x.x - p.d * x.v)
+
+        def output(self, x, u, p):
+            return (x.x, x.v)
+
+    n, h, random = 300, 0.01, np.random.default_rng(3)
+    wanted = np.repeat(random.uniform(-0.3, 0.3, n // 15), 15)
+    u, y, past = np.zeros(n), np.zeros((2, n)), np.zeros(2)
+    for i in range(n):
+        y[:, i] = past + 0.002 * random.normal(size=2)
+        u[i] = wanted[i] - 2.0 * y[0, i] - 0.25 * y[1, i]
+        # Over a step the plant is nearly linear.
+        stiffness = 30.0 - missing * past[0] ** 2
+        past = expm(h * np.array([[0, 1, 0], [stiffness, -2, 40], [0, 0, 0]]))[:2] @ [*past, u[i]]
+    flight = gb.Record(h * np.arange(n), {"u": u, "x": y[0], "v": y[1]}, hold={"u": np.inf})
+    known = gb.OutputError(initial={"x": lambda p: 0.0, "v": lambda p: 0.0})
+    problem = gb.Problem(Levitation(), flight, criterion=known)
+    misfit = gb.fit(problem, starts=1, progress=False).misfit
+    assert misfit.tried > 60
+    assert misfit.explains == (not missing)
+    if missing:
+        assert any(cause.text == "x**3 in the equation of v" for cause in misfit.likely[:2])
+
+
 @pytest.mark.parametrize(("p_common", "p_value"), [(0.01, 0.02), (1.0, 0.04), (0.9, 0.08)])
 def test_both_tests_of_several_responses_are_allowed_for(p_common, p_value):
     cause = Cause("a pole", "", 1.0, 0.1, 0.5, 0.04, p_correlated=0.04)
