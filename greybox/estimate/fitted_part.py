@@ -107,8 +107,8 @@ class FittedResponse(FittedPart):
         The fitted model at the data's frequencies; NaN when no start converged.
     curve : FrequencyResponse or None
         The fitted model on a fine grid over the band, for figures; None when no start converged.
-        It may be given as a function of the part, which is evaluated when the curve is needed: in a
-        fit by harmonic balance it takes a fifth of the time.
+        It may be given as a function of the part, which is evaluated when the curve is needed: for
+        a sine, it takes an eighth of the time of a fit.
     at : mapping of name to float
     pade_error : float or None
         Largest phase error of the Padé approximation over the band, degrees; None with exact delay.
