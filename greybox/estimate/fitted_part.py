@@ -128,8 +128,8 @@ class FittedResponse(FittedPart):
     @property
     def signals(self) -> dict[str, Any]:
         """Input, output, operating point and delay, as keywords for evaluating the model."""
-        pair = {"input": self.data.input, "output": self.data.output}
-        return {**pair, "at": self.at, "delay": self.delay}
+        data = self.data
+        return {"input": data.input, "output": data.output, "at": self.at, "delay": self.delay}
 
     @property
     def residuals(self) -> ComplexArray:
@@ -295,8 +295,8 @@ class FittedSpectrum(FittedPart):
     def fit_percent(self, output: str) -> float:
         """Return 100 (1 - |residual| / |measured|) over the band."""
         # Not less the mean as in time: a band above zero frequency has none.
-        size = float(np.linalg.norm(self.data.outputs[output]))
-        return 100 * (1 - float(np.linalg.norm(self.residual(output))) / size) if size else math.nan
+        size = np.linalg.norm(self.data.outputs[output])
+        return float(100 * (1 - np.linalg.norm(self.residual(output)) / size)) if size else math.nan
 
 
 AnyFittedPart = FittedResponse | FittedRecord | FittedSpectrum

@@ -48,11 +48,10 @@ def fitted_part(
 
 def _fitted_response(part: ResponsePart, x: Array, values: dict[str, float]) -> FittedResponse:
     problem = part.problem
-    data = problem.response
     response = part.response(x)
     fitted = FittedResponse(
         **_of_problem(problem),
-        data=data,
+        data=problem.response,
         response=response,
         curve=partial(_curve, problem.model, values),  # type: ignore[arg-type]
         at={name: float(value) for name, value in problem.at.items()},
@@ -125,8 +124,7 @@ def _fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedRec
     stored = replace(
         data, signals={n: data[n] for n in used}, units=units, metadata={}, filters={}, findings=()
     )
-    count = len(part.outputs)
-    noise = np.full((count, count), np.nan)
+    noise = np.full([len(part.outputs)] * 2, np.nan)
     gain = gain_slope = None
     nodes = np.full((part.data.segments, part.states), np.nan)
 
@@ -175,13 +173,13 @@ def _simulated(part: RecordPart, trajectory: Trajectory | None) -> dict[str, Arr
     signals = {name: np.full(len(data), np.nan) for name in part.outputs}
     if trajectory is None:
         return signals
-    outputs = part.data.unpadded(part.simulated_outputs(trajectory))
     # An output that was measured, but whose past the delay hides, was not compared.
-    for stretch, values in zip(part.data.stretches, outputs, strict=True):
-        rows = stretch.rows
+    for stretch, values in zip(
+        part.data.stretches, part.data.unpadded(part.simulated_outputs(trajectory)), strict=True
+    ):
         for name, row, measured in zip(part.outputs, values, stretch.outputs, strict=True):
-            left_out = np.isfinite(data[name][rows]) & ~np.isfinite(measured)
-            signals[name][rows] = np.where(left_out, np.nan, row)
+            left_out = np.isfinite(data[name][stretch.rows]) & ~np.isfinite(measured)
+            signals[name][stretch.rows] = np.where(left_out, np.nan, row)
 
     return signals
 
