@@ -54,7 +54,7 @@ ALIKE = 0.95  # correlation of effects beyond which two terms count as one
 # seldom so slow. And of the output, what a reader would see.
 DRIFTING, NOTICED = 0.99, 0.01
 PIECES = 10  # of a record, whose means show an offset
-GROWN = 100  # factor of errors of the states over a record, from which a model counts as unstable
+GROWN = 4.6  # growth of errors of the states over a record, a hundredfold: an unstable model
 LARGE = 10  # times what noise leaves, beyond which a model describes nothing
 NOISY = 0.25  # of the variance: residuals of half the standard deviation of an output
 TINY = 1e-300
@@ -302,8 +302,9 @@ def assessed_misfit(
         elif isinstance(part, RecordPart) and part.model.has_time and not part.model.is_prior:
             records.append((part, trajectory))
 
-    most = max(MOST // max(len(records), 1), FEWEST)
-    regressions = [_of_record(part, trajectory, candidates, most) for part, trajectory in records]
+    regressions = [
+        _of_record(part, trajectory, candidates, len(records)) for part, trajectory in records
+    ]
     groups = [
         _of_group(parts) for parts in (responses, regressions) if any(part.terms for part in parts)
     ]
@@ -514,8 +515,10 @@ def _of_record(
     part: RecordPart,
     trajectory: Trajectory,
     candidates: Mapping[str, Formula],
-    most: int,
+    count: int,
 ) -> _Regression:
+    # Each of `count` records has its part of the samples.
+    most = max(MOST // count, FEWEST)
     if part.samples > most:
         part, trajectory = _on_excerpts(part, trajectory, most)
     residuals = part.residuals(trajectory)
@@ -555,8 +558,9 @@ def _of_record(
         for k in range(len(present[0]))
     ]
     # From known initial states, terms and parameters grow alike, and differ by what does not grow.
-    hidden = record.growth if part.known_states.any() else 0.0
-    offsets = _offsets(constants, rows(with_effects, starts), rows(by_parameters, starts), outputs)
+    hidden = record.growth * part.known_states.any()
+    columns = rows(with_effects, starts), rows(by_parameters, starts)
+    offsets = _offsets(constants, *columns, outputs, count)
     return _Regression(
         rows(np.nan_to_num(data.measured)[:, None]),
         rows(residuals[:, None]),
@@ -565,21 +569,22 @@ def _of_record(
         lambda terms: rows(record.followed_by(t.place(t.values) for t in terms if t.place)),
         outputs=outputs,
         causes=tuple(offsets),
-        is_unstable=record.growth > np.log(GROWN),
+        is_unstable=record.growth > GROWN,
         remains=max(REMAINS * np.exp(-hidden), DEPENDENT),
         signals=signals_of_record(record),
     )
 
 
 def _offsets(
-    terms: Sequence[Term], columns: Array, fitted: Array, outputs: Outputs
+    terms: Sequence[Term], columns: Array, fitted: Array, outputs: Outputs, count: int
 ) -> Iterator[Cause]:
     """Yield the constants that residuals follow, judged by their slow errors.
 
     These look like a constant, too, but then pieces of the record differ as much. A random walk
-    from zero has an offset of p < 0.001 in one of 2000 simulated records. The first of the columns
-    (N, 1 + c) has the residuals, and the others the effects of the terms. Both lose what the
-    parameters take: a gain that makes up for a constant leaves residuals unlike one.
+    from zero has an offset of p < 0.001 in one of 2000 simulated records, and each
+    of `count` records may have one. The first of the columns (N, 1 + c) has the residuals, and the
+    others the effects of the terms. Both lose what the parameters take: a gain that makes up for a
+    constant leaves residuals unlike one.
     """
     tests = score_tests(columns[:, 0], fitted, columns[:, 1:]).T.tolist()
     columns = beside(columns, fitted)
@@ -592,7 +597,9 @@ def _offsets(
         products = column * (columns[:, 0] - value * column)
         error = PIECES * float(np.std(np.bincount(pieces, products)) / (column @ column)) + TINY
         p_value = chance(1 / (1 + (value / error) ** 2 / PIECES), PIECES - 1)
-        numbers = np.minimum([decrease / len(columns), *2 * [len(terms) * p_value]], 1.0).tolist()
+        numbers = np.minimum(
+            [decrease / len(columns), *2 * [count * len(terms) * p_value]], 1.0
+        ).tolist()
         yield Cause(*term.described(value, error), value, error, *numbers)
 
 

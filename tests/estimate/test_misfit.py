@@ -491,6 +491,17 @@ def test_an_offset_is_named_and_drift_is_none():
     assert not any("offset" in cause.text for cause in fitted(color="drift").misfit.likely)
 
 
+def test_each_of_several_records_may_have_an_offset():
+    one = problem()
+    one = one.with_(data=one.data.with_signals(x=one.data["x"] + 0.006))
+    p_values = []
+    for parts in (one, one + one.with_(name="again")):
+        causes = gb.fit(parts, starts=1, progress=False).misfit.causes
+        p_values += [next(c.p_value for c in causes if c.text.startswith("an offset of x"))]
+    assert p_values[1] == pytest.approx(2 * p_values[0], rel=1e-3)
+    assert p_values[1] < 1
+
+
 class Heater(gb.StateSpace):
     """A heated body in a room: T' = g P - h T, above the temperature of the room."""
 
