@@ -557,10 +557,9 @@ def _of_record(
         ]
         for k in range(len(present[0]))
     ]
-    # From known initial states, terms and parameters grow alike, and differ by what does not grow.
-    hidden = record.growth * part.known_states.any()
-    columns = rows(with_effects, starts), rows(by_parameters, starts)
-    offsets = _offsets(constants, *columns, outputs, count)
+    offsets = _offsets(
+        constants, rows(with_effects, starts), rows(by_parameters, starts), outputs, count
+    )
     return _Regression(
         rows(np.nan_to_num(data.measured)[:, None]),
         rows(residuals[:, None]),
@@ -570,7 +569,8 @@ def _of_record(
         outputs=outputs,
         causes=tuple(offsets),
         is_unstable=record.growth > GROWN,
-        remains=max(REMAINS * np.exp(-hidden), DEPENDENT),
+        # From known initial states, terms grow as parameters do, and differ by what does not grow.
+        remains=max(REMAINS * np.exp(-record.growth * part.known_states.any()), DEPENDENT),
         signals=signals_of_record(record),
     )
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from greybox.files.arrays import Array, IntArray
-from greybox.statistics.column_space import column_basis
+from greybox.statistics.column_space import column_basis, outside
 from greybox.statistics.score_test import chance
 
 ORDER = 20
@@ -70,7 +70,7 @@ def autoregressive_p_values(
     # Columns that nearly depend on each other would have large factors, and errors of rounding.
     basis = column_basis(fitted)
     # The last term is of zeros: what the residuals are without any.
-    values = np.column_stack([residuals, basis, terms, np.zeros(len(residuals))])
+    values = np.column_stack([residuals, basis, outside(terms, basis), np.zeros(len(residuals))])
     values /= np.linalg.norm(values, axis=0) + TINY
     pieces = [[values[rows] for rows in stretches] for stretches in outputs]
     differences = [[np.diff(piece, axis=0) for piece in stretches] for stretches in pieces]

@@ -55,3 +55,12 @@ def test_a_constant_offset_is_never_told_from_a_drift():
         5 + rng.standard_normal(N), FITTED[:, :1], np.ones((N, 1)), OUTPUTS
     )
     assert p_value == 1.0
+
+
+def test_a_term_that_is_nearly_an_effect_of_parameters_counts_by_what_remains():
+    # As in an unstable model, where both grow alike: a billionth of the term is its own.
+    residuals = 0.5 * TERM[:, 0] + np.random.default_rng(7).standard_normal(N)
+    near = FITTED[:, 1:] + 1e-9 * TERM
+    p_near, p_alone = autoregressive_p_values(residuals, FITTED, np.hstack([near, TERM]), OUTPUTS)
+    assert p_alone < 0.1
+    assert p_near == pytest.approx(p_alone, rel=1e-4)
