@@ -65,11 +65,7 @@ def run(options: argparse.Namespace) -> Answer:
         return as_json(study), "\n".join([progress(study), *drawn])
     folder = Path(options.study)
     if options.check:
-        require_file(folder / DATABASE)
-        with locked(folder):
-            is_whole = is_study(folder)  # a damaged database was set aside
-            none = ({"error": f"no member is whole; {RESUME.format(folder)}."},)
-            return _answer(read_study(folder)) if is_whole else none
+        return _checked(folder)
     folder = folder if options.resume else options.out
     place, starts = stated_inputs(folder) if options.resume else (options.study, None)
     note_opened_files()
@@ -94,6 +90,15 @@ def run(options: argparse.Namespace) -> Answer:
     except (ExecutorLostError, OSError) as error:
         return ({"error": f"{str(error).rstrip('.')}; {RESUME.format(folder)}."},)
     return _answer(study)
+
+
+def _checked(folder: Path) -> Answer:
+    """Return what is whole in a study; what can be mended is mended first."""
+    require_file(folder / DATABASE)
+    with locked(folder):
+        if not is_study(folder):  # a damaged database was set aside
+            return ({"error": f"no member is whole; {RESUME.format(folder)}."},)
+        return _answer(read_study(folder))
 
 
 def _answer(study: Study) -> Answer:

@@ -267,8 +267,13 @@ class ResponseCompiler:
         costs = self.costs(self.responses, self.measured, 0.0, _own_criterion)
         return functions, {
             "programs": programs,
-            "response_cost": _columns("cost", [x, data], ca.vertcat(kind(0, 1), *costs)),
-            "responses": _columns("responses", [x], self.stacked),
+            # CasADi evaluates any number of columns, so that one has the same digits as many.
+            "response_cost": Columns(
+                ca.Function("cost", [x, data], [ca.vertcat(kind(0, 1), *costs)]),
+                shared=(1,),
+                fewest=CHUNK + 1,
+            ),
+            "responses": Columns(ca.Function("responses", [x], [self.stacked]), fewest=CHUNK + 1),
         }
 
     def program(self, costs: Sequence[Any], choose: ChooseCriterion) -> CostProgram:
@@ -345,13 +350,6 @@ class ResponseCompiler:
             self.point,
             lambda part: ca.SX(_values(part, named)),
         )
-
-
-def _columns(name: str, inputs: list[Any], output: Any) -> Columns:
-    """Return a function of columns of the first input, and of data that all of them share."""
-    # CasADi evaluates any number of columns, so that one has the same digits as many.
-    shared = (1,)[: len(inputs) - 1]
-    return Columns(ca.Function(name, inputs, [output]), shared, fewest=CHUNK + 1)
 
 
 def _values(part: Problem, named: Named) -> Any:

@@ -59,9 +59,11 @@ def _fitted_response(part: ResponsePart, x: Array, values: dict[str, float]) -> 
         sine=problem.amplitude,
         nuisances=problem.criterion.nuisances,
     )
-    # Curves of linear responses take a hundredth of a fit, because all responses share what is
-    # traced. One by one, later, they would take a third.
-    return fitted if fitted.sine else replace(fitted, curve=fitted.curve)
+    if fitted.sine is None:
+        # Curves of linear responses take a hundredth of a fit, because all responses share what is
+        # traced. One by one, later, they would take a third.
+        _ = fitted.curve
+    return fitted
 
 
 @traced_once()
@@ -124,7 +126,8 @@ def _fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedRec
     stored = replace(
         data, signals={n: data[n] for n in used}, units=units, metadata={}, filters={}, findings=()
     )
-    noise = np.full([len(part.outputs)] * 2, np.nan)
+    count = len(part.outputs)
+    noise = np.full((count, count), np.nan)
     gain = gain_slope = None
     nodes = np.full((part.data.segments, part.states), np.nan)
 
@@ -173,10 +176,9 @@ def _simulated(part: RecordPart, trajectory: Trajectory | None) -> dict[str, Arr
     signals = {name: np.full(len(data), np.nan) for name in part.outputs}
     if trajectory is None:
         return signals
+    outputs = part.data.unpadded(part.simulated_outputs(trajectory))
     # An output that was measured, but whose past the delay hides, was not compared.
-    for stretch, values in zip(
-        part.data.stretches, part.data.unpadded(part.simulated_outputs(trajectory)), strict=True
-    ):
+    for stretch, values in zip(part.data.stretches, outputs, strict=True):
         for name, row, measured in zip(part.outputs, values, stretch.outputs, strict=True):
             left_out = np.isfinite(data[name][stretch.rows]) & ~np.isfinite(measured)
             signals[name][stretch.rows] = np.where(left_out, np.nan, row)

@@ -581,10 +581,10 @@ def _offsets(
     """Yield the constants that residuals follow, judged by their slow errors.
 
     These look like a constant, too, but then pieces of the record differ as much. A random walk
-    from zero has an offset of p < 0.001 in one of 2000 simulated records, and each
-    of `count` records may have one. The first of the columns (N, 1 + c) has the residuals, and the
-    others the effects of the terms. Both lose what the parameters take: a gain that makes up for a
-    constant leaves residuals unlike one.
+    from zero has an offset of p < 0.001 in one of 2000 simulated records, and each of `count`
+    records may have one. The first of the columns (N, 1 + c) has the residuals, and the others the
+    effects of the terms. Both lose what the parameters take: a gain that makes up for a constant
+    leaves residuals unlike one.
     """
     tests = score_tests(columns[:, 0], fitted, columns[:, 1:]).T.tolist()
     columns = beside(columns, fitted)

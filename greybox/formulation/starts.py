@@ -139,9 +139,13 @@ class Chained(Starts):
 
     rules: tuple[Starts, ...]
 
+    @property
+    def number(self) -> int:
+        """Number of starts; a rule without a number counts one."""
+        return sum(getattr(rule, "number", 1) for rule in self.rules)
+
     def __post_init__(self) -> None:
-        """Take over the seed, and add up the numbers."""
-        vars(self)["number"] = sum(getattr(rule, "number", 1) for rule in self.rules)
+        """Take over the seed."""
         vars(self)["seed"] = next((rule.seed for rule in self.rules if rule.seed is not None), None)
 
     def __repr__(self) -> str:

@@ -18,7 +18,7 @@ RIVAL_LIKELIHOOD = 3.0
 def few_agreeing_starts(search: Multistart, agreeing: int) -> Iterator[str]:
     """Warn where fewer than a tenth of the starts reached the best minimum, or most runs failed."""
     count = len(search.brought)
-    if not agreeing:
+    if not agreeing:  # as `agreeing_runs` counts where the best is a response of zero
         yield (
             f"the model explains nothing: the cost {search.minima[0].cost:.6g} is that of a "
             "response of zero; narrow the start boxes or the bounds, or use more starts."
