@@ -37,6 +37,7 @@ def test_slow_samples_in_seconds_are_said():
     times, findings = times_in_seconds("t", "", 20 * np.arange(5.0))
     assert times[1] == 20
     assert "taken for s, 0.05 Hz" in findings[0]
+    assert times_in_seconds("t", "", 0.8 * np.arange(5.0))[1] == ()
 
 
 @pytest.mark.parametrize("step", [1e5, 1e-6])

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from stiff_lag import StiffLag
 
 import greybox as gb
 from greybox.simulation.model_at_estimate import model_at
@@ -52,6 +53,14 @@ def test_substeps_are_refined_to_the_tolerance(integrator, rate):
     record = gb.Record(time, {"u": np.zeros(50)})
     found = gb.simulate(Kinked(), {"rate": rate}, record, initial={"x": 1.0}, integrator=integrator)
     assert_allclose(found["x"], 1 / (1 + rate * time), atol=2e-6)
+
+
+def test_a_stiff_model_is_integrated_implicitly():
+    """Behind a pole that 64 explicit substeps cannot follow, a step gives 1 - exp(-t)."""
+    time = 0.1 * np.arange(30)
+    record = gb.Record(time, {"u": np.ones(30)})
+    found = gb.simulate(StiffLag(), {"k": 1e5}, record, initial={"x": 0.0, "f": 0.0})
+    assert_allclose(found["y"], 1 - np.exp(-time), atol=2e-5)
 
 
 def test_chosen_substeps_are_kept():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from greybox.statistics.autoregressive_test import autoregressive_p_values
+from greybox.statistics.autoregressive_test import autoregressive_p_values, whitened
 
 N = 300
 OUTPUTS = [[np.arange(N)]]
@@ -15,6 +15,13 @@ TERM = np.sin(11 * T)[:, None]
 
 def errors(rng, pole):
     return lfilter([1.0], [1.0, -pole], rng.standard_normal(N + 500))[500:]
+
+
+def test_whitened_rows_are_what_the_samples_before_them_do_not_predict():
+    shocks = np.random.default_rng(2).standard_normal((N, 1))
+    denominator = np.array([1.0, -1.2, 0.5])
+    values = lfilter([1.0], denominator, shocks, axis=0)
+    np.testing.assert_allclose(whitened(values, [denominator], OUTPUTS), shocks[2:], atol=1e-12)
 
 
 @pytest.mark.parametrize("pole", [0.0, 0.9, 0.99, 1.0])
