@@ -61,6 +61,10 @@ TEXTS = {
         "a gain of {a} that is smaller beyond {level}, as with a saturation of one side",
         "gb.minimum(u.{a}, p.limit) or gb.maximum",
     ),
+    "between": (
+        "{a} runs in curves between its samples, not in straight lines",
+        "{a} at a higher rate, as by scipy.signal.resample, with outputs NaN in between",
+    ),
     "gain": (
         "an effect of {a}, whose gain is nearly zero",
         "other starts or wider bounds of the parameters that multiply u.{a}",
@@ -348,6 +352,9 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
         poles = [4 + w * (4 * DAMPING + w), 2 * w**2 - 8, 4 + w * (w - 4 * DAMPING)]
         mode = record.by_stretch(_filtered, u, [4.0, -8.0, 4.0], poles)
         yield term("flexible", mode, w / step)
+    if not model.between[j].held:
+        # Lines through the samples of a sine are smaller by (ωh)²/12, for steps h.
+        yield term("between", record.by_stretch(_filtered, u, np.array([-1.0, 2, -1]) / 12, [1.0]))
     about = u - (middle := float(np.median(u)))
     for level in float(np.abs(about).max()) * np.array(LEVELS):
         yield term("curve", np.clip(about, -level, level), level)

@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 from scipy.linalg import expm
-from scipy.signal import lfilter
+from scipy.signal import lfilter, lsim
 
 import greybox as gb
 from greybox.estimate.misfit import Cause, Misfit
@@ -782,3 +782,20 @@ def test_a_response_of_zero_is_not_tested_and_that_is_said():
     fit = gb.fit(gb.Problem(Lag(), data, fixed={"K": 0.0}), starts=2, progress=False)
     assert fit.misfit is None
     assert "not tested for missing terms in " in str(fit)
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+def test_an_input_that_is_no_line_between_its_samples_is_named(smooth):
+    random, time = np.random.default_rng(3), STEP * np.arange(SAMPLES)
+    rates = 1j * np.arange(1.0, 14, 0.5)  # up to a twelfth of the sampling rate
+    tones = np.exp(rates[:, None] * time + 1j * random.uniform(0, 6, (len(rates), 1)))
+    u = tones.real.sum(axis=0)
+    x = (25 / (rates**2 + 2 * rates + 25) @ tones).real
+    if not smooth:
+        _, x, _ = lsim(([25], [1, 2, 25]), u, time, interp=True)
+    record = gb.Record(time, {"u": u, "x": x + 0.003 * random.normal(size=SAMPLES)})
+    misfit = gb.fit(gb.Problem(Spring(), record), starts=1, progress=False).misfit
+    assert misfit.explains != smooth
+    if smooth:
+        assert misfit.likely[0].text.startswith("u runs in curves between its samples")
+        assert misfit.likely[0].value == pytest.approx(1, abs=0.3)
