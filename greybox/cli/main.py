@@ -50,9 +50,7 @@ GROUPS = {
 }
 COMMANDS = {name: about for group in GROUPS.values() for name, about in group.items()}
 
-# MB of address space: enough for any number of threads in OpenBLAS, and for one, with which fits
-# take 570 to 610.
-ADDRESSES = (1024, 600)
+ADDRESSES = 600  # MB of address space: fits take 570 to 610
 
 # argparse has no groups of commands.
 ABOUT = "Grey-box estimation of models from flight data." + "".join(
@@ -97,6 +95,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if arguments is None else arguments)
     # Mistakes in the arguments are answered as JSON too, before anything is parsed.
     as_json = "--json" in arguments
+    # Before numpy is imported: each thread of OpenBLAS has a buffer of 128 MB.
+    os.environ["OPENBLAS_NUM_THREADS"] = "1"
     try:
         _require_memory()
         parsed = _parse(arguments)
@@ -115,15 +115,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _require_memory() -> None:
     """Raise UsageError where OpenBLAS would ask for memory forever."""
-    for size in ADDRESSES:
-        with contextlib.suppress(OSError):
-            mmap.mmap(-1, size << 20).close()
-            return
-        os.environ["OPENBLAS_NUM_THREADS"] = "1"  # each has a buffer of 128 MB
-    raise UsageError(
-        f"greybox needs {ADDRESSES[-1]} MB of address space: raise the limit (ulimit -v, or that "
-        "of the container)."
-    )
+    try:
+        mmap.mmap(-1, ADDRESSES << 20).close()
+    except OSError as error:
+        raise UsageError(
+            f"greybox needs {ADDRESSES} MB of address space: raise the limit (ulimit -v, or that "
+            "of the container)."
+        ) from error
 
 
 def parser_of(commands: Collection[str] = tuple(COMMANDS)) -> argparse.ArgumentParser:

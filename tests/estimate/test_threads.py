@@ -7,6 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
 from sampled_lag import lag_problem
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import greybox as gb
 
@@ -68,3 +69,17 @@ def test_fits_in_threads_leave_the_process_alive():
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout == "1\n"
+
+
+def test_matrix_products_have_one_thread_while_a_problem_is_fitted():
+    seen = []
+
+    def threads(*_):
+        return [library["num_threads"] for library in threadpool_info()]
+
+    with threadpool_limits(2, "blas"):
+        before = threads()
+        gb.fit(RECORDS[0], starts=2, progress=lambda *_: seen.append(threads()))
+        assert max(before) == 2
+        assert threads()[: len(before)] == before
+    assert all(max(numbers) == 1 for numbers in seen)
