@@ -14,7 +14,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from threadpoolctl import ThreadpoolController
 
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
 from greybox.compiled.transcription.method import Transcription
@@ -42,6 +41,7 @@ from greybox.formulation.starts import Listed, Starts, as_starts
 from greybox.formulation.sum import Sum
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import LOCK, one_thread_at_a_time, traced_once
+from greybox.solve.blas_threads import one_blas_thread
 from greybox.solve.discretization_error import DiscretizationError, refine_discretization
 from greybox.solve.executors import require_executor
 from greybox.solve.interruption import (
@@ -64,7 +64,6 @@ from greybox.solve.robust_errors import with_robust_errors
 from greybox.solve.runs import SEARCH_OVER
 
 _version = cache(version)  # reading it takes 2 ms
-_libraries = cache(ThreadpoolController)  # finding them takes 1 ms
 
 
 def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
@@ -226,17 +225,8 @@ def _interruptible() -> Iterator[None]:
         raise Interrupted("interrupted before the first start") from pressed
 
 
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Leave matrix products to one thread: more wait for each other, and gain nothing here."""
-    # With two, a record of 6000 samples takes 1.8 times the processor time on an idle machine, and
-    # six times on a busy one.
-    with _libraries().limit(limits=1, user_api="blas"):
-        yield
-
-
 @_interruptible()
-@_one_thread()
+@one_blas_thread()
 @traced_once()
 def fit_keeping(
     kept: KeptRuns | None,

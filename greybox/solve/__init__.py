@@ -19,6 +19,7 @@ Begin with `multistart`.
 | `runs`, `minima` | the results of runs; distinct minima |
 | `executors`, `worker_pool`, `kept_runs` | runs in other processes; processes here; stored runs |
 | `interruption` | Ctrl-C, and how long a search may take |
+| `blas_threads` | one thread for matrix products |
 | `constraints`, `quadratic_program` | bounds and constraints of a Gauss-Newton step |
 | `cost` | the cost at given parameters |
 """

@@ -28,6 +28,7 @@ import numpy as np
 
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import PerThread
+from greybox.solve.blas_threads import one_blas_thread
 from greybox.solve.interruption import interrupt_noted, limited, search_end, stop_requested
 from greybox.solve.kept_runs import Memory
 from greybox.solve.local_solver import Runner
@@ -275,7 +276,7 @@ def run_starts(payload: bytes, starts: Array, coordinator: int, end: float) -> l
     if os.getpid() != coordinator and threading.current_thread() is threading.main_thread():
         # A terminal sends Ctrl-C to the workers as well.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    with limited(end):
+    with limited(end), one_blas_thread():
         solver = _solvers.result(payload)
         size = solver.together
         batches = (starts[k : k + size] for k in range(0, len(starts), size))

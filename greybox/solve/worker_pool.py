@@ -4,9 +4,9 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future, ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from typing import Any
 
 from greybox.modeling.parameter import require_whole
@@ -14,9 +14,6 @@ from greybox.solve.interruption import ENDING
 
 # How often a task is tried that ends its worker, since another program may have used up the memory.
 TRIALS = 2
-
-# A process each; the libraries' own threads would compete with them.
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class WorkerLostError(RuntimeError):
@@ -29,8 +26,6 @@ class ExecutorLostError(RuntimeError):
 
 class WorkerPool(Executor):
     """Worker processes on this machine as an executor for `fit`; killed ones are replaced.
-
-    Each has one thread.
 
     ``with gb.solve.WorkerPool(4) as workers: gb.fit(problem, executor=workers)``. In a script, put
     these lines under ``if __name__ == "__main__":``, since the workers import the script.
@@ -90,8 +85,7 @@ class WorkerPool(Executor):
             if thread not in self._processes:
                 self._processes[thread] = _new_process()
             with suppress(BrokenExecutor):  # the process was killed between two calls
-                with _single_threads():
-                    call = self._processes[thread].submit(function, *arguments, **options)
+                call = self._processes[thread].submit(function, *arguments, **options)
                 if not isinstance(call.exception(), BrokenExecutor):
                     self._has_worked = True
                     return call.result()
@@ -130,19 +124,3 @@ def _end_with_parent() -> None:
     if parent is not None:
         parent.join()
         os._exit(1)
-
-
-_environment = threading.Lock()
-
-
-@contextmanager
-def _single_threads() -> Iterator[None]:
-    """Let new processes use one thread in libraries, unless the environment says otherwise."""
-    with _environment:
-        added = [name for name in THREADS if name not in os.environ]
-        os.environ.update(dict.fromkeys(added, "1"))
-        try:
-            yield
-        finally:
-            for name in added:
-                del os.environ[name]

@@ -27,6 +27,7 @@ import pytest
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
 from numpy.testing import assert_array_equal
 from sampled_lag import lag_problem
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import greybox as gb
 from greybox.problems import pitch_hover
@@ -514,3 +515,18 @@ def test_a_worker_keeps_the_last_four_solvers():
     assert serve("abab") == "abcd"
     assert serve("ecd") == "abcdecd"  # c and d were the longest unused, one after the other
     assert serve("b") == "abcdecd"
+
+
+class Threads:
+    """A solver whose outcomes are the numbers of threads for matrix products."""
+
+    together = 1
+
+    def run_together(self, starts):
+        return [max(library["num_threads"] for library in threadpool_info()) for _ in starts]
+
+
+def test_a_worker_leaves_matrix_products_to_one_thread():
+    with threadpool_limits(2, "blas"):
+        outcomes = run_starts(pickle.dumps(Threads()), np.zeros((3, 1)), os.getpid(), math.inf)
+    assert outcomes == [1, 1, 1]

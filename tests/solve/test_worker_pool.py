@@ -80,14 +80,3 @@ def test_its_size_is_that_of_the_machine_unless_stated(monkeypatch):
     assert repr(WorkerPool(2)) == "WorkerPool(2)"
     monkeypatch.setattr("greybox.solve.worker_pool.os.cpu_count", lambda: 7)
     assert WorkerPool().num_workers == 7
-
-
-def test_workers_use_one_thread_unless_the_environment_says_more(monkeypatch):
-    monkeypatch.setenv("OMP_NUM_THREADS", "3")
-    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
-    with WorkerPool(1) as pool:
-        threads = [
-            pool.submit(os.getenv, name).result() for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS")
-        ]
-    assert threads == ["3", "1"]
-    assert "MKL_NUM_THREADS" not in os.environ
