@@ -5,6 +5,10 @@ python benchmarks/profile_coverage.py [--repeats 1000] [--output FILE]
 A model whose pole lies far above the band, so that the data bound it on one side alone, and the
 tilt model of the paper; isotropic errors of one relative size, independent or an autoregression
 from point to point. Standard errors of the first are of no use, which its column shows.
+
+A second table has the intervals that a fit prints: profiles where it computed one unasked, those of
+the standard errors elsewhere. A ladder of two resistors has the same response for R2/2 and 2 R1,
+two lags for each other's time constant, and constraints choose one; a delay is near its bound.
 """
 
 import argparse
@@ -15,7 +19,33 @@ from pathlib import Path
 import numpy as np
 
 import greybox as gb
+from greybox.models.rotor import Rotor
 from greybox.models.tilt import Tilt
+
+
+class Ladder(gb.TransferFunction):
+    """Two stages of a resistor and a capacitor of one farad."""
+
+    input, output = "u", "y"
+    R1 = gb.Parameter(1.0, bounds=(0.01, 100), starts=(0.3, 5))
+    R2 = gb.Parameter(1.0, bounds=(0.01, 100), starts=(0.3, 5))
+
+    def response(self, s, p):
+        """Return the response."""
+        return 1 / (p.R1 * p.R2 * s**2 + (2 * p.R1 + p.R2) * s + 1)
+
+
+class TwoLags(gb.TransferFunction):
+    """A gain and two lags."""
+
+    input, output = "u", "y"
+    K = gb.Parameter(2.0, bounds=(0.01, 100))
+    T1 = gb.Parameter(0.4, bounds=(0.001, 10))
+    T2 = gb.Parameter(0.05, bounds=(0.001, 10))
+
+    def response(self, s, p):
+        """Return the response."""
+        return p.K / ((p.T1 * s + 1) * (p.T2 * s + 1))
 
 
 class OneSided(gb.TransferFunction):
@@ -41,6 +71,18 @@ CELLS = (
     ),
 )
 
+LADDER, LAGS = np.geomspace(0.05, 5, 20), np.geomspace(0.5, 60, 20)
+TABLE_4_2 = np.array([30.28, 20.11, 16.01, 12.03, 8.00, 5.34, 4.00, 3.50, 3.00])
+PRINTED = (
+    ("ladder", Ladder(), {"R1": 1.0, "R2": 2.05}, LADDER, 0.05, ()),
+    ("ladder", Ladder(), {"R1": 1.0, "R2": 2.05}, LADDER, 0.05, (lambda p: p.R2 - 2 * p.R1,)),
+    ("ladder", Ladder(), {"R1": 1.0, "R2": 4.0}, LADDER, 0.05, (lambda p: p.R2 - 2 * p.R1,)),
+    ("lags", TwoLags(), {"K": 2.0, "T1": 0.13, "T2": 0.1}, LAGS, 0.05, ()),
+    ("lags", TwoLags(), {"K": 2.0, "T1": 0.13, "T2": 0.1}, LAGS, 0.05, (lambda p: p.T1 - p.T2,)),
+    ("rotor", Rotor(), {}, TABLE_4_2, 0.05, ()),
+    ("rotor", Rotor(), {}, TABLE_4_2, 0.2, ()),
+)
+
 
 def main() -> None:
     """Print the table, and write it."""
@@ -62,6 +104,13 @@ def main() -> None:
                 name, model, truth, omega, names, errors, options.repeats, seed=options.seed
             )
             print("\n".join(lines[-len(names) :]), flush=True)
+    lines += [
+        "",
+        "intervals that a fit prints, %: held by them / by the standard errors (profiled)",
+    ]
+    for case in PRINTED:
+        lines.append(_printed(*case, options.repeats, seed=options.seed))
+        print(lines[-1], flush=True)
     if options.output:
         options.output.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
@@ -99,6 +148,35 @@ def _cell(name, model, truth, omega, names, size_and_correlation, repeats, *, se
         f"  {refused:7}  {seconds:.3f}"
         for key in names
     ]
+
+
+def _printed(name, model, truth, omega, sigma, constraints, repeats, *, seed) -> str:
+    values = {key: p.start for key, p in model.parameters.items()} | truth
+    clean = gb.frequency_response(model, values, omega)
+    counts, warned, began = {}, 0, time.process_time()
+    for repeat in range(repeats):
+        rng = np.random.default_rng([seed, repeat])
+        errors = sigma * (rng.normal(size=omega.size) + 1j * rng.normal(size=omega.size))
+        data = gb.FrequencyResponse(
+            omega, clean.response * (1 + errors), input=clean.input, output=clean.output
+        )
+        problem = gb.Problem(model, data, gb.RelativeLikelihood(), constraints=constraints)
+        fit = gb.fit(problem, starts=20, seed=0, progress=False)
+        wald, profiles = fit.interval(), fit.profiles.intervals if fit.profiles else {}
+        warned += bool(fit.warnings)
+        for key in fit.free:
+            held = [
+                low <= values[key] <= high
+                for low, high in (profiles.get(key, wald[key]), wald[key])
+            ]
+            counts[key] = counts.get(key, 0) + np.array([*held, key in profiles])
+    shares = (
+        f"{key} {100 * a / repeats:.0f} / {100 * b / repeats:.0f} ({100 * c / repeats:.0f})"
+        for key, (a, b, c) in counts.items()
+    )
+    what = name + (" with a constraint" if constraints else "")
+    seconds = (time.process_time() - began) / repeats
+    return f"{what:<25} {sigma:5.2f}  {', '.join(shares)}; warned {warned}; {seconds:.2f} s a fit"
 
 
 if __name__ == "__main__":

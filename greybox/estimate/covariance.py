@@ -333,7 +333,7 @@ def directions_beside(
     beside = np.where(np.isin(nlp.free, at_bound), x, np.clip(moved, nlp.lower, nlp.upper))
 
     trajectories = trajectories_at(beside)
-    if len(trajectories) and any(trajectory is None for trajectory in trajectories):
+    if any(trajectory is None for trajectory in trajectories):
         return None
     accuracy = assess(nlp, beside, trajectories)
     return known_directions(nlp, accuracy, beside, np.eye(len(x), len(nlp.names)))

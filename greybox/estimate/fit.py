@@ -115,10 +115,11 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
         Time limit of the whole search, in s. The best runs until then are judged; the answer
         depends on the speed of the machine, and says so.
     profiles : bool
-        Profile the likelihood of responses, as `greybox.profile` does, along parameters whose
-        interval by the standard error leaves the bounds, or whose error exceeds half the value:
-        `Fit.profiles`. Slow problems (trims inside the optimization, finite amplitudes) and those
-        with constraints are not profiled unless you name the parameters in `greybox.profile`.
+        Profile the likelihood of responses, as `greybox.profile` does, along parameters without
+        an interval by the standard error, or whose interval leaves the bounds, whose error exceeds
+        half the value, or changes by 30 % within one error: `Fit.profiles`. Slow problems (trims
+        inside the optimization, finite amplitudes, many parameters with constraints) are not
+        profiled unless you name the parameters in `greybox.profile`.
     progress : bool or function
         A bar on a terminal for fits longer than two seconds; or a function of the numbers of
         finished and of all runs.
@@ -296,7 +297,7 @@ def fit_keeping(
         # A search that was cut short has no time for profiles.
         if profiles and answer.converged and not messages:
             profiled = profiled_where_misleading(nlp, answer)
-            if profiled is not None:
+            if profiled:
                 messages = profiled.warnings
                 answer = replace(answer, profiles=profiled)
         seconds = time.perf_counter() - began

@@ -5,7 +5,6 @@ from typing import Any
 
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem, compile_problem
 from greybox.compiled.transcription.method import Transcription
-from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.result import Fit
 from greybox.formulation.included_criteria import CRITERIA, SPECTRUM_CRITERIA, TIME_CRITERIA
 from greybox.formulation.problem import Problem
@@ -53,8 +52,11 @@ def problem_of(fit: Fit) -> AnyProblem:
     """
     free = [q for q in fit.quantities if q.kind == "free"]
     held = {q.name: q.value for q in fit.quantities if q.kind == "fixed"}
-    bounds = {q.name: q.bounds for q in free}
-    boxes = {q.name: q.box for q in free if q.box != q.bounds}
+    stated = {
+        "fixed": held,
+        "bounds": {q.name: q.bounds for q in free},
+        "starts": {q.name: q.box for q in free if q.box != q.bounds},
+    }
     # The fit has no covariance of values from an earlier fit, so the new one would ignore them.
     uncertain = [name for name in held if fit.by_name[name].standard_error != 0]
     problems = []
@@ -77,7 +79,7 @@ def problem_of(fit: Fit) -> AnyProblem:
                 )
         model = fit.model_of(k)
         criterion = KINDS[part.criterion_class](**part.settings)
-        # A record has no operating point, and only a response an amplitude.
+        # A record has no operating point, and only a response has an amplitude.
         problem = Problem(
             model,
             part.data,
@@ -88,25 +90,19 @@ def problem_of(fit: Fit) -> AnyProblem:
             name=part.name,
             at=getattr(part, "at", {}),
         )
-        if isinstance(part, FittedResponse):
-            problem = problem.with_(amplitude=part.sine)
         declared = problem.declared
         outside = {name: part.outside(name) for name in declared}
-
-        def inside(
-            values: Mapping[str, Any], outside: Mapping[str, str] = outside
-        ) -> dict[str, Any]:
-            return {name: values[o] for name, o in outside.items() if o in values}
-
         problems.append(
             problem.with_(
-                fixed=inside(held),
+                amplitude=getattr(part, "sine", None),
                 # What the model declares fixed and the fit estimated was freed by its problem.
                 free=[
                     name for name, p in declared.items() if p.fixed and outside[name] not in held
                 ],
-                bounds=inside(bounds),
-                starts=inside(boxes),
+                **{
+                    what: {name: values[o] for name, o in outside.items() if o in values}
+                    for what, values in stated.items()
+                },
             )
         )
 

@@ -64,7 +64,7 @@ class KnownDirections:
             self.unseen[places],
             self.size[places],
             self.at[places],
-            None if self.elsewhere is None else self.elsewhere.of(places),
+            self.elsewhere and self.elsewhere.of(places),
         )
 
     @property
@@ -94,12 +94,6 @@ class KnownDirections:
     def gradients(self, rows: Array, is_product: BoolArray) -> Array:
         """Return gradients (m, p) of logarithms of products of powers `rows` (m, p), or of sums."""
         return rows / np.where(is_product[:, None] & (self.at != 0), self.at, 1.0)
-
-    def hold_elsewhere(self, rows: Array, is_product: BoolArray) -> BoolArray:
-        """Tell which combinations are determined near the estimate too, (m,)."""
-        if self.elsewhere is None:
-            return np.ones(len(rows), dtype=bool)
-        return ~np.isnan(self.elsewhere.errors(self.elsewhere.gradients(rows, is_product)))
 
 
 @dataclass(frozen=True)
@@ -256,14 +250,15 @@ def _combinations(
     gradients = directions.gradients(rows, is_product)
     error = directions.errors(gradients)
     # The contribution of each member alone. One that is not determined at all, NaN, is infinite.
-    single = np.where(np.isnan(errors), np.inf, np.abs(gradients) * errors)
+    single = np.nan_to_num(np.abs(gradients) * errors, nan=np.inf)
     smallest = np.where(rows != 0, single, np.inf).min(axis=1, initial=np.inf)
     # A sum of values of opposite sign may be nearly zero: measure its error by the larger of the
     # members then.
     largest = np.abs(rows * value).max(axis=1, initial=0.0)
     size = np.where(is_product, 1.0, np.maximum(np.abs(rows @ value), largest))
     good = (error * GAIN < smallest) & (error < ERROR_GUIDELINE * size)
-    good &= directions.hold_elsewhere(rows, is_product)
+    if beside := directions.elsewhere:  # they must be determined there too
+        good &= ~np.isnan(beside.errors(beside.gradients(rows, is_product)))
 
     # The simplest first: fewest factors, products before sums, few divisors, smallest error. Others
     # follow from the chosen ones.
@@ -361,6 +356,4 @@ def _text(of: Identifiability) -> Iterator[str]:
 
 
 def _percent(share: float) -> str:
-    return (
-        "-" if math.isnan(share) else "no effect" if math.isinf(share) else number(100 * share, 3)
-    )
+    return "no effect" if math.isinf(share) else number(100 * share, 3)

@@ -211,13 +211,13 @@ def _bias_text(fit: Any) -> str:
 
 
 def _profile_lines(fit: Any) -> list[str]:
-    if fit.profiles is None:
+    if not fit.profiles:
         return []
     profiles = fit.profiles.profiles
     width = max(len(profile.name) for profile in profiles)
     return [
         f"  {100 * fit.profiles.level:g} % intervals by profile likelihood, where the standard "
-        "error misleads:",
+        "error is missing or misleads:",
         *(f"    {profile.name:<{width}}  {profile}" for profile in profiles),
     ]
 

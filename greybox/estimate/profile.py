@@ -12,7 +12,6 @@ One solver is used for all parameters, and one program for each other quantity.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -21,7 +20,7 @@ from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
-from greybox.estimate.covariance import Accuracy, assess
+from greybox.estimate.covariance import Accuracy, assess, informations
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.profiles import End, ProfileOf, Profiles
 from greybox.estimate.quantities import quantity_function
@@ -39,11 +38,14 @@ from greybox.solve.ipopt import WARM
 from greybox.solve.response_solver import TOLERANCE, ResponseSolver
 from greybox.solve.runs import Outcome
 
-STEP = (
-    0.35  # share of the limit of |r| from point to point: three points to a crossing show a curve
-)
+# Share of the limit of |r| from point to point: three points to a crossing show a curve.
+STEP = 0.35
 BEYOND = 1.2  # multiple of the limit up to which a profile is computed: it encloses the crossing
 GROWTH = 3.0  # largest change of a step
+# Factor by which a standard error changes within one error of the estimate, from which it misleads.
+# At 1.25 to 1.4, the same profiles are computed in ladders and lags; tilt and distinct lags at 2 to
+# 10 % noise have less than 1.2.
+CHANGED = 1.3
 FAR = 1e6  # multiple of a quantity's size up to which a cost that does not change is followed
 
 
@@ -94,13 +96,24 @@ def profile(
     >>> low < fit.estimate["a1"] < high
     True
     """
-    nlp = _compiled(fit, problem, level)
+    fit.require_estimate()
+    require_level(level)
+    if fit.priors:
+        raise ValueError(
+            f"the fit {fit.name!r} has priors, so its cost is not a likelihood: use the "
+            "standard errors."
+        )
+    if len(fit.responses) + len(fit.records) < len(fit.parts):
+        raise ValueError(
+            f"the fit {fit.name!r} has manoeuvres, which cannot be profiled: use the "
+            "standard errors; if there are none, its warnings say what to do."
+        )
+
+    nlp = compiled_again(fit, problem)
     # A quantity that follows from constants alone has the standard error zero and no profile.
     lines = {q.name: q for q in fit.quantities if q.kind != "fixed" and q.standard_error != 0}
-    if fit.records:
-        lines = {name: q for name, q in lines.items() if not q.at_bound}
 
-    chosen = list(lines) if names is None else [names] if isinstance(names, str) else list(names)
+    chosen = [names] if isinstance(names, str) else list(lines if names is None else names)
     require_known(chosen, lines, "quantity to profile", f"the fit {fit.name!r}")
 
     # Two fresh starts for every point of a response: another minimum may become the lowest away
@@ -110,56 +123,54 @@ def profile(
     return _profiles(nlp, fit, [lines[name] for name in chosen], level, fresh)
 
 
-def _compiled(fit: Fit, problem: AnyProblem | None, level: float) -> CompiledProblem:
-    """Compile the fitted problem, if a likelihood can be profiled."""
-    fit.require_estimate()
-    require_level(level)
-    if fit.priors:
-        raise ValueError(
-            f"the fit {fit.name!r} has priors, so its cost is not a likelihood: use the "
-            "standard errors."
-        )
-
-    if len(fit.responses) + len(fit.records) < len(fit.parts):
-        raise ValueError(
-            f"the fit {fit.name!r} has manoeuvres, which cannot be profiled: use the "
-            "standard errors; if there are none, its warnings say what to do."
-        )
-    return compiled_again(fit, problem)
-
-
 def profiled_where_misleading(nlp: CompiledProblem, fit: Fit) -> Profiles | None:
     """Profile the parameters whose standard error misleads; None if there are none."""
-    # A profile takes some forty solves. Problems too large for the batched search, records with
-    # states and long tables would take minutes: only the user can ask for these.
-    if fit.white is None or nlp.limits or any(p.roots for p in nlp.programs) or fit.priors:
+    # Records with states and responses to finite amplitudes would take minutes: only the user can
+    # ask for these.
+    is_batched = ResponseSolver.serves(nlp)
+    are_quick = len(fit.responses) == len(fit.parts) and (is_batched or nlp.limits)
+    if not (are_quick or all(part.is_static for part in nlp.parts)):
         return None
-    static = all(part.is_static for part in nlp.parts)
-    if not (static or (len(fit.responses) == len(fit.parts) and ResponseSolver.serves(nlp))):
+    # Without the batched search, profiles beyond these sizes take more than a second.
+    if not is_batched and sum(part.numbers for part in nlp.parts) > 1000:
         return None
-
-    intervals = fit.interval(0.95)
-    lines = []
-    for q in fit.quantities:
-        if q.kind == "free" and not q.at_bound:
-            low, high = intervals[q.name]
-            leaves_bounds = low < q.bounds[0] or high > q.bounds[1]
-            # With an error of half the value, the interval contains zero. The likelihood of a pole
-            # or a lag is then far from symmetric.
-            if leaves_bounds or q.standard_error > 0.5 * abs(q.value):
-                lines.append(q)
-
-    if not lines:
-        return None
-    # Beyond these sizes the profiles of a table take more than a second.
-    rows = sum(part.samples for part in nlp.parts)
-    if static and (len(lines) * len(nlp.free) > 12 or rows > 1000):
+    if fit.directions is None or any(p.roots for p in nlp.programs):
         return None
 
-    try:
-        return _profiles(nlp, fit, lines, 0.95, fresh=0)
-    except NoProfileError:
-        return None
+    lines = [*_misleading(nlp, fit)]
+    if lines and (is_batched or len(lines) * len(nlp.free) <= 12):
+        try:
+            return _profiles(nlp, fit, lines, 0.95, fresh=0)
+        except NoProfileError:
+            pass
+    return None
+
+
+def _misleading(nlp: CompiledProblem, fit: Fit) -> Iterator[Quantity]:
+    """Yield parameters without an interval inside the bounds, and those whose error changes.
+
+    A standard error is that of a linear response. Where it changes, as near a fold of the response,
+    beyond which other values have nearly the same one, the likelihood is far from normal.
+    Source: Bates and Watts (1988), chapter 7 (parameter-effects curvature).
+    """
+    free = [fit.by_name[name] for name in nlp.free]
+    x, size = np.nan_to_num([(q.value, q.standard_error) for q in free]).T
+    intervals = fit.interval()
+
+    def errors(at: Array) -> Array:
+        at = np.clip(at, nlp.lower, nlp.upper)
+        z = nlp.scaling.to_solver(at)
+        parts = informations(nlp, at, [part.trajectory(z) for part in nlp.parts])
+        jacobian = np.vstack([part.jacobian[:, : len(x)] for part in parts])
+        return np.linalg.norm(np.linalg.pinv(np.nan_to_num(jacobian * size)), axis=1)
+
+    for k, (q, row) in enumerate(zip(free, np.nan_to_num(fit.correlation), strict=True)):
+        low, high = intervals[q.name]
+        ends = [errors(x + end * row * size)[k] for end in (-1, 0, 1)]
+        is_inside = q.bounds[0] <= low <= high <= q.bounds[1]
+        # With an error of half the value, the interval contains zero.
+        if not is_inside or size[k] > 0.5 * abs(x[k]) or max(ends) > CHANGED * min(ends):
+            yield q
 
 
 # --- minima with parameters, or another quantity, held at values
@@ -253,9 +264,8 @@ class HeldMinima:
     @cached_property
     def _newton(self) -> BatchedNewton | None:
         """Newton's method for responses with bounds alone; it takes a tenth of the time."""
-        if not ResponseSolver.serves(self.nlp):
-            return None
-        return BatchedNewton.of(self.nlp, self.nlp.programs[-1])
+        serves = ResponseSolver.serves(self.nlp)
+        return BatchedNewton.of(self.nlp, self.nlp.programs[-1]) if serves else None
 
     def lowest(self, held: Held, starts: Sequence[Point], value: float) -> Point:
         """Return the lowest minimum from these starts with a quantity held at a value."""
@@ -267,9 +277,7 @@ class HeldMinima:
         if self._newton is None or not isinstance(held, int):
             minima = []
             for start in starts:
-                equation = None
-                if not isinstance(held, int):
-                    equation = steep_equation(held, start.z, value)
+                equation = None if isinstance(held, int) else steep_equation(held, start.z, value)
                 minima.append(self._solved(self._solver.within(lower, upper, equation), start))
         else:
             low, high = (np.tile(bound[:, None], len(starts)) for bound in (lower, upper))
@@ -331,12 +339,12 @@ def slope_of(quantity: ca.Function, z: Array) -> Array:
 # --- the cost as a likelihood
 
 
-def _refusals(nlp: CompiledProblem, x: Array) -> Iterator[str]:
-    """Yield why the costs at the estimate x (p,) admit no likelihood ratio."""
+def _refusals(minima: HeldMinima) -> Iterator[str]:
+    """Yield why the costs at the minimum admit no likelihood ratio."""
     # The costs of records are log-likelihoods. The cost of a response is one, up to a factor, if
     # every point has the same weight in units of its error: then the curvature gives the factor.
-    values = nlp.all_values(x)
-    for part in nlp.parts_of(ResponsePart):
+    values = minima.nlp.all_values(minima.x)
+    for part in minima.nlp.parts_of(ResponsePart):
         bread, meat = part.criterion.spread(part.response(values), part.data, 1.0)
         if not np.isfinite(bread) or not meat.size or not np.all(meat > 0):
             yield f"{part.problem.name!r} is fitted exactly, so the size of its errors is unknown"
@@ -346,6 +354,8 @@ def _refusals(nlp: CompiledProblem, x: Array) -> Iterator[str]:
                 f"{part.problem.name!r} by their errors, so its cost is not a log-likelihood: use "
                 "RelativeError, SquaredRelativeError or MaximumLikelihood, or a bootstrap"
             )
+    if not np.nan_to_num(minima.accuracy.covariance).any():
+        yield "its errors are not known"
 
 
 def likelihood_factor(accuracy: Accuracy, gradient: Array) -> float:
@@ -361,7 +371,7 @@ def likelihood_factor(accuracy: Accuracy, gradient: Array) -> float:
 
     # If the data have no information along the gradient: the average over the directions that they
     # determine.
-    if not (np.isfinite(variance) and variance > 0 and by_curvature > 0):
+    if not (variance > 0 and by_curvature > 0):
         scale = np.outer(accuracy.size[:p], accuracy.size[:p])
         by_curvature = np.trace(accuracy.white / scale)
         variance = np.trace(covariance / scale)
@@ -455,7 +465,8 @@ class _Search:
 
     def crossing(self, inner: Point, outer: Point, root: float) -> float:
         """Return where the root has a value between two points."""
-        from scipy.optimize import brentq  # noqa: PLC0415  (takes a tenth of a second to import)
+        # It takes a tenth of a second to import.
+        from scipy.optimize import root_scalar  # noqa: PLC0415
 
         ends = {point.value: point for point in (inner, outer)}
 
@@ -463,8 +474,7 @@ class _Search:
             return self.root(ends.get(value) or self.point(value, inner, outer)) - root
 
         tolerance = max(1e-3 * abs(outer.value - inner.value), 1e-12 * self.size)
-        root_value: Any = brentq(height, inner.value, outer.value, xtol=tolerance)
-        return float(root_value)
+        return root_scalar(height, bracket=(inner.value, outer.value), xtol=tolerance).root
 
 
 @one_thread_at_a_time
@@ -475,28 +485,17 @@ def _value_of(nlp: CompiledProblem, name: str) -> ca.Function:
     return ca.Function("value", [z], [quantity_function(nlp, [name])(x)])
 
 
-def _minima(nlp: CompiledProblem, fit: Fit) -> HeldMinima:
-    """Return the minima of a fitted problem, if its costs are ratios of likelihoods."""
-    minima = HeldMinima(nlp, np.array([fit.estimate[name] for name in nlp.free]))
-    refusals = [*_refusals(nlp, minima.x)]
-    if minima.accuracy.white is None:
-        refusals.append("its errors are not known")
-    for refusal in refusals:
-        raise NoProfileError(f"no profile of {fit.name!r}: {refusal}.")
-    return minima
-
-
 # --- profiles
 
 
 def _profiles(
     nlp: CompiledProblem, fit: Fit, lines: Sequence[Quantity], level: float, fresh: int
 ) -> Profiles:
-    minima = _minima(nlp, fit)
-    starts = []
-    if fresh:
-        boxes = {name: nlp.problem.parameters[name] for name in nlp.free}
-        starts = [Point(z) for z in nlp.scaling.to_solver(Sobol(fresh, 0).draw(boxes))]
+    minima = HeldMinima(nlp, np.array([fit.estimate[name] for name in nlp.free]))
+    for refusal in _refusals(minima):
+        raise NoProfileError(f"no profile of {fit.name!r}: {refusal}.")
+    boxes = {name: nlp.problem.parameters[name] for name in nlp.free}
+    starts = [Point(z) for z in nlp.scaling.to_solver(Sobol(2, 0).draw(boxes))[:fresh]]
 
     profiles = []
     limits = {}
@@ -505,7 +504,7 @@ def _profiles(
         limits[line.name] = limit = t_quantile(level, dof)
         profiles.append(_profile_of(_search(minima, line, limit, starts), line, limit))
 
-    lowest = min((float(profile.costs.min()) for profile in profiles), default=math.inf)
+    lowest = min((profile.costs.min() for profile in profiles), default=math.inf)
     warnings = ()
     # The smoothing moves costs by up to 6e-5.
     best = minima.best.cost
@@ -533,9 +532,11 @@ def _search(minima: HeldMinima, line: Quantity, limit: float, starts: Sequence[P
         value = line.value
         starts = ()  # a quantity is held by an equation: runs from far away take long
 
-    size = float(np.max(np.abs([line.value, *(slope / slope_of_x)])))
+    size = float(np.abs([line.value, *(slope / slope_of_x)]).max())
     error = line.standard_error
-    first = STEP * limit * error if math.isfinite(error) and error > 0 else 0.02 * size
+    first = STEP * limit * error if error > 0 else 0.02 * size
+    # The bound that the estimate has reached, but for rounding, does not shorten the first step.
+    bounds = () if line.at_bound else line.bounds
     return _Search(
         minima=minima,
         held=held,
@@ -543,7 +544,7 @@ def _search(minima: HeldMinima, line: Quantity, limit: float, starts: Sequence[P
         factor=likelihood_factor(minima.accuracy, slope),
         bounds=line.bounds,
         size=size,
-        first=min(first, *(STEP * abs(bound - line.value) or math.inf for bound in line.bounds)),
+        first=min([first, *(STEP * abs(bound - line.value) or math.inf for bound in bounds)]),
         starts=starts,
     )
 
@@ -564,16 +565,18 @@ def _profile_of(search: _Search, line: Quantity, limit: float) -> ProfileOf:
     if not inside.size:  # beyond the bound at which the walk ended
         inside = np.array([np.argmin(np.abs(roots + bias))])
 
-    interval = [-math.inf, math.inf]
-    ends: list[End] = [low_end, high_end]
-    at_bound: list[tuple[str, ...]] = [(), ()]
-    at_best = search.minima.at_bounds(search.best) | {line.name}
     first, last = int(inside[0]), int(inside[-1])
-    for side, k, outside, root in ((0, first, first - 1, lowest), (1, last, last + 1, highest)):
-        if 0 <= outside < len(points):
-            interval[side] = search.crossing(points[k], points[outside], root)
-            ends[side] = "crossed"
-            at_bound[side] = tuple(sorted(search.minima.at_bounds(points[outside]) - at_best))
+    at_best = search.minima.at_bounds(search.best) | {line.name}
+
+    def end_of(k: int, side: int, root: float, end: End) -> tuple[float, End, tuple[str, ...]]:
+        if not 0 <= k + side < len(points):
+            return side * math.inf, end, ()
+        inner, outer = points[k], points[k + side]
+        at_bound = search.minima.at_bounds(outer) - at_best
+        return search.crossing(inner, outer, root), "crossed", tuple(sorted(at_bound))
+
+    low = end_of(first, -1, lowest, low_end)
+    high = end_of(last, 1, highest, high_end)
 
     scaling = search.minima.nlp.scaling
     return ProfileOf(
@@ -585,10 +588,10 @@ def _profile_of(search: _Search, line: Quantity, limit: float) -> ProfileOf:
         costs=np.array([point.cost for point in points]),
         roots=roots,
         others=scaling.to_parameters(np.array([point.z for point in points])),
-        interval=(interval[0], interval[1]),
-        ends=(ends[0], ends[1]),
+        interval=(low[0], high[0]),
+        ends=(low[1], high[1]),
         bounds=line.bounds,
         bias=bias,
-        at_bound=(at_bound[0], at_bound[1]),
+        at_bound=(low[2], high[2]),
         connected=len(inside) == last - first + 1,
     )

@@ -33,6 +33,20 @@ class OneSided(gb.TransferFunction):
         return p.b / (s + p.a)
 
 
+class Ladder(gb.TransferFunction):
+    """Two stages of a resistor and a capacitor of one farad.
+
+    The values R2/2 and 2 R1 have the response of R1 and R2; at R2 = 2 R1 both are the same.
+    """
+
+    input, output = "u", "y"
+    R1 = gb.Parameter(1.0, bounds=(0.01, 100), starts=(0.3, 5), unit="Ω")
+    R2 = gb.Parameter(1.0, bounds=(0.01, 100), starts=(0.3, 5), unit="Ω")
+
+    def response(self, s, p):
+        return 1 / (p.R1 * p.R2 * s**2 + (2 * p.R1 + p.R2) * s + 1)
+
+
 def noisy(model, values, sigma, seed, omega=OMEGA):
     return measured(model, omega, values, noise=sigma, seed=seed)
 
@@ -180,6 +194,42 @@ def test_nothing_is_profiled_where_standard_errors_serve_or_it_is_not_asked_for(
     assert gb.fit(yaw_hover.problem(), starts=2, profiles=False, progress=False).profiles is None
     data = noisy(OneSided(), {"b": 10000.0, "a": 5000.0}, 0.05, 1)
     assert fitted(OneSided(), data, gb.MagnitudePhase()).profiles is None
+
+
+def test_near_a_fold_an_interval_reaches_the_values_beyond_it():
+    omega = np.geomspace(0.05, 5, 20)
+    near = noisy(Ladder(), {"R1": 1.0, "R2": 2.6}, 0.05, 0, omega)
+    fit = fitted(Ladder(), near, gb.RelativeLikelihood())
+    low, high = fit.interval()["R1"]
+    low_twin, high_twin = (end / 2 for end in fit.interval()["R2"])
+    assert high < low_twin or high_twin < low  # as if the estimate were the only minimum
+    # Both minima have one cost, so each resistor has the interval of the other one.
+    twin = np.array(fit.profiles["R2"].interval) / 2
+    assert_allclose(fit.profiles["R1"].interval, twin, rtol=0.005)
+    apart = noisy(Ladder(), {"R1": 1.0, "R2": 20.0}, 0.05, 0, omega)
+    assert fitted(Ladder(), apart, gb.RelativeLikelihood()).profiles is None
+
+
+def test_problems_with_constraints_are_profiled_up_to_them():
+    data = noisy(Ladder(), {"R1": 1.0, "R2": 2.05}, 0.05, 2, np.geomspace(0.05, 5, 20))
+    problem = gb.Problem(
+        Ladder(), data, gb.RelativeLikelihood(), constraints=[lambda p: p.R2 - 2 * p.R1]
+    )
+    fit = gb.fit(problem, starts=3, progress=False)
+    assert fit.interval()["R1"][0] < 0  # the errors of both are several hundred times the values
+    low, high = fit.profiles["R1"].interval
+    assert 0.7 < low < 1.0 < high < 1.1
+    # Near its upper end R1 takes R2 with it.
+    assert_allclose(fit.profiles["R1"].others[-1] @ [2, -1], 0, atol=1e-5)
+
+
+def test_a_parameter_at_its_bound_has_an_interval():
+    data = noisy(Lag(), {"K": 2.0, "T": 0.3}, 0.05, 0)
+    for bound in (0.35, 0.35 * (1 + 1e-15)):  # a solver may stop short of it by rounding
+        problem = gb.Problem(Lag(), data, gb.RelativeLikelihood(), bounds={"T": (bound, 5)})
+        profile = gb.fit(problem, starts=3, progress=False).profiles["T"]
+        assert profile.ends == ("bound", "crossed")
+        assert bound < profile.interval[1] < 0.5
 
 
 def test_what_has_no_likelihood_ratio_is_refused():

@@ -73,7 +73,8 @@ def test_a_table_whose_standard_errors_mislead_is_profiled_unasked():
     known = certified("Nelson")
     found = fit(known.problem, [known.starts[1]], profiles=True)
     assert found.interval()["b2"][0] < 0
-    assert [profile.name for profile in found.profiles.profiles] == ["b2"]
+    # Where b2 is zero, b3 has no effect: its interval is not symmetric, either.
+    assert [profile.name for profile in found.profiles.profiles] == ["b2", "b3"]
     assert found.profiles["b2"].interval[0] > 0
 
 
