@@ -141,6 +141,19 @@ def test_the_cost_is_that_of_normal_errors(made, equation_error):
     )
 
 
+def test_what_all_variances_have_in_common_is_no_information(made):
+    _, part, _, trajectory = made
+    at, k = trajectory.detail, len(part.outputs)
+    lines = np.arange(at.errors.shape[1] // 2)
+    mean = np.zeros((k, 2 * len(lines), 2))
+    # The first value changes the variances of all lines alike, the second that of the first half.
+    share = np.array([np.ones(len(lines)), lines < len(lines) / 2])
+    change = np.einsum("xl,ab->labx", share, np.eye(k))
+    _, variance, _ = part.fisher_root(at, mean, change)
+    assert_allclose(variance[:, 0], 0, atol=1e-12)
+    assert np.abs(variance[:, 1]).max() == pytest.approx(1, rel=0.1)
+
+
 def test_the_information_of_the_values_is_that_of_the_search(made):
     nlp, part, z, trajectory = made
     x = nlp.scaling.to_parameters(z)

@@ -80,6 +80,7 @@ def test_the_chain_says_what_it_chose(flown):
         "closed loop (ATT.DesPitch is in the log)",
         "free) is supported",
         "times the noise",
+        str(flown.fit),
     ):
         assert words in text
     assert repr(flown).startswith("<Identification sitl_pitch.BIN, n = 3, m = 0, 1 integrator")

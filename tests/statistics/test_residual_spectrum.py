@@ -830,6 +830,18 @@ def test_spectra_are_corrected_for_what_a_fit_took_once_more_where_that_changes_
     assert again == [False, True]
 
 
+def test_spectra_are_corrected_where_the_fit_took_more_than_it_left():
+    n, p = 40, 28
+    random = np.random.default_rng(5)
+    J = np.linalg.qr(random.normal(size=(n, p)))[0].T[None]
+    e = random.normal(size=n)
+    found = by_parameters(
+        colored_information, [J], [(e - e @ J[0].T @ J[0])[None]], np.eye(p), np.eye(1)
+    )
+    assert found.corrected
+    assert found.taken == pytest.approx(p, rel=0.5)
+
+
 def test_frequencies_without_power_do_not_make_a_spectrum_infinitely_unlikely():
     J, e = slow_and_its_parameter(0)
     silent = np.fft.irfft(np.fft.rfft(J[0]) * (np.arange(76) < 9), 150)

@@ -25,8 +25,8 @@ from greybox.solve.gauss_newton.stability import are_stable
 # third only.
 MOST_STEPS = 50
 
-# Decrease and half squared length of an undamped step above which damped steps come first: it is
-# in a narrow curved valley. Runs that end with more to gain than settled ones had only noise left.
+# Squared length of an undamped step above which damped steps come first: it is in a narrow curved
+# valley. Runs that end with more to gain than settled ones had only noise left.
 LONG_STEP = 1e-7
 
 
@@ -35,8 +35,9 @@ def polished(parts: AllParts, start: Iterate) -> Iterate:
 
     They are judged by their length in standard errors, since the cost no longer shows them.
     """
-    end, remaining = _undamped(parts, start)
-    if LONG_STEP < remaining < EXACT.undamped_decrease:
+    end, distance = _undamped(parts, start)
+    # Initial states that the data hardly determine may creep on, which moves no parameter.
+    if LONG_STEP < distance < EXACT.undamped_decrease:
         progress = replace(EXACT, undamped_decrease=LONG_STEP)
         damped = descend(parts, end, progress, MOST_STEPS, restarts=False)
         end, _ = _undamped(parts, damped.iterate)
@@ -50,11 +51,11 @@ def exact_step(parts: AllParts, iterate: Iterate, progress: Progress) -> Step:
 
 
 def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
-    """Return the end of undamped steps, and decrease plus half squared length of the next one."""
+    """Return the end of undamped steps, and the squared length of the next one."""
     progress = EXACT
     cost = parts.cost(iterate)
     highest = cost + COST_ROUNDING * max(1.0, abs(cost))
-    end, shortest = iterate, math.inf
+    end, shortest, distance = iterate, math.inf, math.inf
     for _ in range(MOST_STEPS):
         step = exact_step(parts, iterate, progress)
         progress = progress.with_penalties(step)
@@ -63,7 +64,7 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
         remaining = abs(step.decrease) + step.distance
         if not remaining < shortest:
             break
-        end, shortest = iterate, remaining
+        end, shortest, distance = iterate, remaining, 2 * step.distance
         if remaining < 1e-18:  # changes none of the first nine digits of a parameter
             break
 
@@ -72,7 +73,7 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
             break
         if not parts.is_continuous(iterate) or not are_stable(parts, iterate):
             break
-    return end, shortest
+    return end, distance
 
 
 def is_blurred(hessian: Array | None) -> bool:
