@@ -160,16 +160,25 @@ def _misleading(nlp: CompiledProblem, fit: Fit) -> Iterator[Quantity]:
     def errors(at: Array) -> Array:
         at = np.clip(at, nlp.lower, nlp.upper)
         z = nlp.scaling.to_solver(at)
-        parts = informations(nlp, at, [part.trajectory(z) for part in nlp.parts])
+        # Responses need none, and their costs would take a third of the time.
+        trajectories = [
+            None if isinstance(part, ResponsePart) else part.trajectory(z) for part in nlp.parts
+        ]
+        parts = informations(nlp, at, trajectories)
         jacobian = np.vstack([part.jacobian[:, : len(x)] for part in parts])
         return np.linalg.norm(np.linalg.pinv(np.nan_to_num(jacobian * size)), axis=1)
 
+    middle = errors(x)
+
+    def change(k: int, step: Array) -> float:
+        ends = middle[k], errors(x - step)[k], errors(x + step)[k]
+        return max(ends) / min(ends)
+
     for k, (q, row) in enumerate(zip(free, np.nan_to_num(fit.correlation), strict=True)):
         low, high = intervals[q.name]
-        ends = [errors(x + end * row * size)[k] for end in (-1, 0, 1)]
         is_inside = q.bounds[0] <= low <= high <= q.bounds[1]
         # With an error of half the value, the interval contains zero.
-        if not is_inside or size[k] > 0.5 * abs(x[k]) or max(ends) > CHANGED * min(ends):
+        if not is_inside or size[k] > 0.5 * abs(x[k]) or change(k, row * size) > CHANGED:
             yield q
 
 
