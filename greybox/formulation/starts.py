@@ -59,7 +59,7 @@ class Sobol(Starts):
         """Return the points, spread over the boxes."""
         # Not before: in a study, too large a number is the failure of this member alone.
         if self.number > MOST:
-            raise ValueError(f"number of starts is {self.number}: give at most {MOST}.")
+            raise ValueError(f"{self.number} Sobol points are too many: give at most {MOST}.")
         for name, parameter in parameters.items():
             low, high = parameter.box
             if not (math.isfinite(low) and math.isfinite(high)):
