@@ -65,7 +65,7 @@ class CompiledProblem(Portable):
     data : (g,) array
         The constants and the data of all frequency responses, an input of their functions.
     response_cost : Columns
-        (all values, data) -> the cost without smoothing of every frequency response, unweighted,
+        (responses, data) -> the cost without smoothing of every frequency response, unweighted,
         stacked.
     responses : Columns
         (all values) -> real and imaginary parts of all frequency responses, stacked: (2 N,).
@@ -122,27 +122,28 @@ class CompiledProblem(Portable):
 
     def cost(self, values: Array) -> float:
         """Return the cost without smoothing of the frequency responses at all values (k,)."""
-        return float(self._costs(values[:, None])[0])
+        return self._costs(*self.responses(values[:, None])).item()
 
     def costs(self, x: Array) -> Array:
         """Return the costs (r,) of the frequency responses without smoothing, for x (r, p)."""
-        return self._costs(self.all_values(x).T)
+        return self.judged(x)[0]
 
-    def _costs(self, values: Array) -> Array:
-        weights = np.array([part.weight for part in self.parts if not part.has_states])
-        return weights @ self.response_cost(values, self.data)[0]
+    def _costs(self, responses: Array) -> Array:
+        weights = [part.weight for part in self.parts if not part.has_states]
+        return np.array(weights) @ self.response_cost(responses, self.data)[0]
 
     def data_of(self, constants: Array, responses: Iterable[ComplexArray]) -> Array:
         """Return the data (g,) for other constants (c,) and other measured responses."""
         pairs = zip(self.parts_of(ResponsePart), responses, strict=True)
         return np.concatenate([constants, *(part.numbers_of(each) for part, each in pairs)])
 
-    def signatures(self, x: Array) -> Array:
-        """Return the signatures (r, 2 N) of the responses for x (r, p), see `Part.signature`."""
+    def judged(self, x: Array) -> tuple[Array, Array]:
+        """Return costs (r,) and signatures (r, 2 N) for x (r, p), see `Part.signature`."""
         sizes = [part.magnitude for part in self.parts_of(ResponsePart)]
-        # Over the measured magnitudes, so that responses of unlike units can be compared.
         [responses] = self.responses(self.all_values(x).T)
-        return (responses / np.concatenate([np.zeros(0), *sizes, *sizes])[:, None]).T
+        # Over the measured magnitudes, so that responses of unlike units can be compared.
+        relative = responses / np.hstack([(), *sizes, *sizes])[:, None]
+        return self._costs(responses), relative.T
 
 
 @one_thread_at_a_time

@@ -176,13 +176,13 @@ class ResponsePart(Part):
     ) -> Trajectory:
         """Return the point z, without nodes; its cost may not be finite."""
         # Smoothed already, because every iteration asks for this cost and rarely for another.
-        cost = np.array([[float(self.objective(z, SMOOTHING))]])
+        cost = self.objective(z, SMOOTHING).full()
         return Trajectory(z, NO_NODES, NO_NODES, NO_NODES, cost, simulated=True)
 
     def cost(self, trajectory: Trajectory, smoothing: float) -> float:
         """Return the cost."""
         if smoothing == SMOOTHING:
-            return float(trajectory.products[0, 0])
+            return trajectory.products.item()
         return float(self.objective(trajectory.z, smoothing))
 
     def linearize(self, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:

@@ -28,6 +28,7 @@ from greybox.compiled.shared_response import (
     SharedResponses,
     SharedSystem,
     SineTest,
+    response_symbols,
     shared_responses,
     shared_systems,
 )
@@ -224,7 +225,7 @@ class ResponseCompiler:
     def stacked(self) -> Any:
         """Real parts of all responses, then imaginary parts."""
         rows = [r.re for r in self.responses] + [r.im for r in self.responses]
-        return ca.vertcat(self.kind(0, 1), *rows)
+        return ca.vertcat(*rows)
 
     def structure(self) -> ca.Function:
         """Return a function of all that `built` depends on, except the weights."""
@@ -264,12 +265,13 @@ class ResponseCompiler:
                 zip(costs[-1], self.responses, scaled, strict=True)
             )
         ]
-        costs = self.costs(self.responses, self.measured, 0.0, _own_criterion)
+        stacked, responses = response_symbols(kind, self.parts)
+        costs = self.costs(responses, self.measured, 0.0, _own_criterion)
         return functions, {
             "programs": programs,
             # CasADi evaluates any number of columns, so that one has the same digits as many.
             "response_cost": Columns(
-                ca.Function("cost", [x, data], [ca.vertcat(kind(0, 1), *costs)]),
+                ca.Function("cost", [stacked, data], [ca.vertcat(*costs)]),
                 shared=(1,),
                 fewest=CHUNK + 1,
             ),
@@ -367,18 +369,18 @@ def _formulas(parts: Sequence[Problem], *, is_large: bool) -> Iterator[Trimmed |
     """
 
     def place(part: Problem) -> tuple[Any, ...]:
-        is_sine_test = part.amplitude is not None
-        return id(part.model), part.at, part.delay, is_sine_test, part.response.omega.tobytes()
+        omega = part.response.omega.tobytes()
+        return id(part.model), part.at, part.delay, part.amplitude is None, omega
 
     for _, alike in groupby(parts, place):
-        first, *others = alike
-        omega, signals = first.response.omega, [part.signals for part in (first, *others)]
+        members = [*alike]
+        first, omega = members[0], members[0].response.omega
         if first.amplitude is not None:
-            for part, names in zip((first, *others), signals, strict=True):
-                balance = compiled_balance(part.model, omega, part.amplitude, **names)
+            for part in members:
+                balance = compiled_balance(part.model, omega, part.amplitude, **part.signals)
                 yield balance.function()
             continue
-        pairs = [(names["input"], names["output"]) for names in signals]
+        pairs = [(part.signals["input"], part.signals["output"]) for part in members]
         symbol = ca.SX.sym("omega") if is_large else None
         for formula in response_formulas(
             first.model, omega, pairs, symbol, at=first.at, pade=delay_order(first.delay)

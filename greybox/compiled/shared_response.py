@@ -275,12 +275,17 @@ def shared_responses(
     systems = shared_systems(parts, point, values)
     if systems is None:
         return None
-    ends = np.cumsum([0, *(len(part.response) for part in parts)]).tolist()
-    re, im = (ca.SX.sym(name, ends[-1]) for name in ("re", "im"))
+    stacked, responses = response_symbols(ca.SX, parts)
     smoothing = ca.SX.sym("smoothing")
-    responses = [*map(Complex, ca.vertsplit(re, ends), ca.vertsplit(im, ends))]
-    symbols = ca.vertcat(re, im), smoothing, data
-    return SharedResponses(parts, systems, cost(responses, smoothing), symbols)
+    costs = cost(responses, smoothing)
+    return SharedResponses(parts, systems, costs, (stacked, smoothing, data))
+
+
+def response_symbols(kind: Any, parts: Sequence[Problem]) -> tuple[Any, list[Complex]]:
+    """Return symbols of all responses, real parts before imaginary parts, and each response."""
+    ends = np.cumsum([0, *(len(part.response) for part in parts)]).tolist()
+    re, im = (kind.sym(name, ends[-1]) for name in ("re", "im"))
+    return ca.vertcat(re, im), [*map(Complex, ca.vertsplit(re, ends), ca.vertsplit(im, ends))]
 
 
 def shared_systems(
@@ -303,8 +308,8 @@ def shared_systems(
         return None
     for k, part in enumerate(parts):
         if part.amplitude is not None:
-            omega, sine = part.response.omega, part.amplitude
-            balance = compiled_balance(part.model, omega, sine, **part.signals)
+            omega = part.response.omega
+            balance = compiled_balance(part.model, omega, part.amplitude, **part.signals)
             systems.append(SineTest(k, balance, local[k]))
     return systems
 

@@ -325,7 +325,7 @@ class HeldMinima:
 
     def _response_minimum(self, z: Array) -> Point:
         """Return the point z (p,) with the cost of responses, without the smoothing of solvers."""
-        cost = self.nlp.cost(self.nlp.all_values(self.nlp.scaling.to_parameters(z)))
+        cost = self.nlp.costs(self.nlp.scaling.to_parameters(z)[None]).item()
         return Point(z, cost if math.isfinite(cost) else math.inf)
 
 

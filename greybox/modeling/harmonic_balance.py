@@ -18,6 +18,7 @@ by half a per cent of its compliance.
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any
 
 import casadi as ca
@@ -78,7 +79,7 @@ def directly_found(
     """
     vector = [*model.values(values).values()]
     numbers = [sine.harmonics] if sine.harmonics else [n for n in HARMONICS if least <= n <= most]
-    response = np.zeros(0, dtype=complex)
+    response = np.zeros(0, complex)
     previous = 0
     for number in numbers:
         few = response
@@ -363,8 +364,7 @@ def _harmonics(
     # counts as if sampled twice as often. With 129, a relay and a saturation are exact to 1.5e-4,
     # and dry friction to 7e-4, which its truncation exceeds.
     points = max(129, 10 * harmonics + 1) if switches else max(33, 4 * harmonics + 1)
-    to_samples, to_series = transforms(harmonics, points)
-    waves = to_samples, phase_derivative(harmonics).full() @ to_samples
+    waves, products, to_series = transforms(harmonics, points)
     slope, size = (ca.SX.sym(name, z.numel()) for name in ("slope", "size"))
     if switches:
         formulas = interval_means(formulas, z, slope, size, 2 * np.pi / points)
@@ -372,8 +372,8 @@ def _harmonics(
     inputs = [z, slope, size, parameters]
     partials = ca.jacobian(formulas, ca.vertcat(*inputs))
     entries = ca.vec(partials.nz[:])
-    terms = ca.vertcat(formulas, entries)
-    program = ca.Function("terms", inputs, [ca.densify(terms)], {"cse": True})
+    terms = [ca.densify(ca.vertcat(formulas, entries))]
+    program = ca.Function("terms", inputs, terms, {"cse": True})
     # One operation on all samples at a time takes a quarter of the time of one sample after the
     # other. Samples are columns: CasADi multiplies a long column by a matrix from the left several
     # times as fast as a long row from the right.
@@ -384,39 +384,39 @@ def _harmonics(
 
     # The slopes of coefficients by those of the signals, which are few, come first.
     count, width = z.numel(), series.size2()
-    # A product of two waves has one or two of twice as many harmonics.
-    double, to_double = transforms(2 * harmonics, points)
-    products = []
-    for wave in waves:
-        pairs = wave[:, None] * to_series.T
-        products.append(ca.sparsify(pairs.reshape(-1, points) @ double.T, 1e-9))
     widths = [width] * count + [1] * (count + p.numel())
     blocks = [[ca.MX(width, each) for each in widths] for _ in range(formulas.numel())]
     sampled = ca.vertcat(z, slope, size)
-    places = zip(*partials.sparsity().get_triplet(), strict=True)
-    for part, entry, (row, column) in zip(parts, ca.vertsplit(entries), places, strict=True):
+    places = partials.sparsity().get_triplet()
+    for part, entry, row, column in zip(parts, ca.vertsplit(entries), *places, strict=True):
         kind, k = divmod(column, count)
         if kind >= len(waves):
-            blocks[row][column - count] = to_series.T @ part
+            blocks[row][column - count] = to_series[:width] @ part
         elif kind or ca.depends_on(entry, sampled):
-            blocks[row][k] += ca.reshape(products[kind] @ (to_double.T @ part), width, width)
+            blocks[row][k] += ca.reshape(products[kind] @ (to_series @ part), width, width)
         else:  # the harmonics of a linear term are those of its signal
             blocks[row][k] += part[0] * ca.MX.eye(width)
-    return to_series.T @ values, ca.blockcat(blocks) @ by_every
+    return to_series[:width] @ values, ca.blockcat(blocks) @ by_every
 
 
-def transforms(harmonics: int, points: int) -> tuple[Array, Array]:
-    """Return the matrices, from the right, from coefficients to samples over one period and back.
+@cache
+def transforms(harmonics: int, points: int) -> tuple[tuple[Array, Array], list[ca.DM], Array]:
+    """Return samples of waves and of their slopes, their products with waves, and `to_series`.
 
-    Four samples a harmonic allow products of three signals without aliasing.
+    The matrix `to_series` gives twice as many harmonics from samples over one period: a product of
+    two waves has one or two of these. Four samples a harmonic allow products of three signals
+    without aliasing.
     """
     # The samples cover one period evenly, so that the waves are orthogonal and need no inverse.
     phase = 2 * np.pi * np.arange(points) / points
-    waves = [wave(k * phase) for k in range(1, harmonics + 1) for wave in (np.cos, np.sin)]
-    to_samples = np.array([np.ones(points), *waves])
-    to_series = to_samples.T * 2 / points
-    to_series[:, 0] /= 2
-    return to_samples, to_series
+    waves = [wave(k * phase) for k in range(1, 2 * harmonics + 1) for wave in (np.cos, np.sin)]
+    double = np.array([np.ones(points), *waves])
+    to_series = double * 2 / points
+    to_series[0] /= 2
+    few = slice(2 * harmonics + 1)
+    waves = double[few], phase_derivative(harmonics).full() @ double[few]
+    pairs = [(wave[:, None] * to_series[few]).reshape(-1, points) for wave in waves]
+    return waves, [ca.sparsify(pair @ double.T, 1e-9) for pair in pairs], to_series
 
 
 def _mean_conditions(*slopes: Array) -> list[int] | None:

@@ -132,7 +132,7 @@ class ResponseSolver(LocalSolver):
         """Return the point x (p,): there are no hidden unknowns."""
         z = self.problem.scaling.to_solver(x)
         trajectories = tuple(part.trajectory(z) for part in self.problem.parts)
-        return Profile(z, trajectories, float(self.problem.costs(x[None])[0]), converged=True)
+        return Profile(z, trajectories, self.problem.costs(x[None]).item(), converged=True)
 
     def cost(self, values: Array) -> float:
         """Return the cost without smoothing at all values (k,)."""
@@ -140,13 +140,12 @@ class ResponseSolver(LocalSolver):
 
     def judged(self, estimates: Array) -> tuple[Array, Any]:
         """Return the costs, without smoothing, and signatures."""
-        if not len(estimates):
-            return np.zeros(0), np.zeros((0, 0), np.float32)
-        batches = [estimates[k : k + AT_ONCE] for k in range(0, len(estimates), AT_ONCE)]
-        costs = np.concatenate([self.problem.costs(batch) for batch in batches])
+        firsts = range(0, max(len(estimates), 1), AT_ONCE)
+        batches = (self.problem.judged(estimates[k : k + AT_ONCE]) for k in firsts)
         # In single precision: they are stored for every run, and compared to a percent.
-        signatures = [self.problem.signatures(batch).astype(np.float32) for batch in batches]
-        return costs, np.concatenate(signatures)
+        pairs = ((costs, signatures.astype(np.float32)) for costs, signatures in batches)
+        costs, signatures = zip(*pairs, strict=True)
+        return np.concatenate(costs), np.concatenate(signatures)
 
     # --- many starts
 
@@ -297,7 +296,7 @@ class ResponseSolver(LocalSolver):
             y = x.copy()
             y[[i, j]] = x[[j, i]]
             if x[i] > x[j] and np.all(y == np.clip(y, problem.lower, problem.upper)):
-                change = np.ptp(problem.signatures(np.array([x, y])), axis=0)
+                change = np.ptp(problem.judged(np.array([x, y]))[1], axis=0)
                 x = y if change.max() < SAME_BUT_ROUNDING else x
         return x
 
@@ -335,7 +334,7 @@ class ResponseSolver(LocalSolver):
 
     def _unless_dearer(self, best: Minimum, estimate: Array) -> Minimum | None:
         """Return the minimum with this estimate; None if its cost is higher."""
-        cost = float(self.problem.costs(estimate[None])[0])
+        cost = self.problem.costs(estimate[None]).item()
         # Rounding of the cost must not decide whether digits are refined.
         if not cost <= best.cost + 1e-13 * abs(best.cost):
             return None

@@ -149,7 +149,7 @@ def test_a_problem_without_newton_stays_sx():
 def test_rows_of_unknowns_are_evaluated_like_single_ones():
     nlp = compile_problem(gb.Problem(LagLagDelay(), NOISY, fixed={"K": 4.0}))
     rows = np.random.default_rng(1).uniform(0.01, 0.4, (5, 3))
-    for row, cost, signature in zip(rows, nlp.costs(rows), nlp.signatures(rows), strict=True):
+    for row, cost, signature in zip(rows, nlp.costs(rows), nlp.judged(rows)[1], strict=True):
         values = dict(zip(nlp.free, row, strict=True)) | {"K": 4.0}
         assert cost == pytest.approx(relative(LagLagDelay(), NOISY, values), rel=1e-12)
         alone = nlp.parts[0].signature(nlp.parts[0].trajectory(nlp.scaling.to_solver(row)))

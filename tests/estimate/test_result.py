@@ -64,7 +64,7 @@ def test_runs_that_did_not_converge_are_in_no_minimum():
         run(2, 0.9, 0.2),
         run(3, 0.9, 0.2),
     ]
-    signatures = nlp.signatures(np.array([run.estimate for run in runs]))
+    signatures = nlp.judged(np.array([run.estimate for run in runs]))[1]
     minima = find_minima(nlp, runs, signatures)
     assert [m.runs for m in minima] == [(2, 3), (1,)]
     assert [m.cost for m in minima] == [0.2, 0.31]

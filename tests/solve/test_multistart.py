@@ -100,7 +100,7 @@ def test_a_run_that_did_not_converge_never_wins_however_cheap_it_is():
     assert stopped.minima == ()
     worse = replace(stopped.runs[0], index=1, cost=9.0, converged=True, estimate=truth * 1.5)
     runs = [replace(stopped.runs[0], cost=0.0), worse]
-    (only,) = find_minima(nlp, runs, nlp.signatures(np.array([run.estimate for run in runs])))
+    (only,) = find_minima(nlp, runs, nlp.judged(np.array([run.estimate for run in runs]))[1])
     assert (only.cost, only.runs) == (9.0, (1,))
 
 
