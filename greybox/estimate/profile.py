@@ -170,15 +170,15 @@ def _misleading(nlp: CompiledProblem, fit: Fit) -> Iterator[Quantity]:
 
     middle = errors(x)
 
-    def change(k: int, step: Array) -> float:
+    def changes(k: int, step: Array) -> bool:
         ends = middle[k], errors(x - step)[k], errors(x + step)[k]
-        return max(ends) / min(ends)
+        return max(ends) > CHANGED * min(ends)
 
     for k, (q, row) in enumerate(zip(free, np.nan_to_num(fit.correlation), strict=True)):
         low, high = intervals[q.name]
         is_inside = q.bounds[0] <= low <= high <= q.bounds[1]
         # With an error of half the value, the interval contains zero.
-        if not is_inside or size[k] > 0.5 * abs(x[k]) or change(k, row * size) > CHANGED:
+        if not is_inside or size[k] > 0.5 * abs(x[k]) or changes(k, row * size):
             yield q
 
 
