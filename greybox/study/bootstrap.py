@@ -134,8 +134,9 @@ class Bootstrap(Printed):
             low, high = _percentiles(self._successful[:, k], tail(level, float(self.dof[k])))
             lower, upper = self.bounds[k]
             intervals[name] = (
-                -math.inf if _is_at(low, lower) else low,
-                math.inf if _is_at(high, upper) else high,
+                # IPOPT's barrier keeps an estimate this far from its bound.
+                -math.inf if math.isclose(low, lower, rel_tol=1e-4) else low,
+                math.inf if math.isclose(high, upper, rel_tol=1e-4) else high,
             )
         return intervals
 
@@ -238,11 +239,6 @@ def _percentiles(values: Array, share: float) -> tuple[float, float]:
         return math.nan, math.nan
     low, high = np.quantile(values, [share, 1 - share])
     return float(low), float(high)
-
-
-def _is_at(value: float, bound: float) -> bool:
-    # IPOPT's barrier keeps an estimate this far from its bound.
-    return math.isfinite(bound) and abs(value - bound) <= 1e-4 * max(abs(bound), abs(value))
 
 
 def _ends(interval: tuple[float, float]) -> list[float | None] | None:
