@@ -124,8 +124,7 @@ def _histories(fit: Fit) -> Iterator[Element]:
     chosen = sorted(sorted(range(count), key=fit_percent)[:MOST])
     if count > MOST:
         yield tag("p", f"Of {count} records, the {MOST} with the worst fit are drawn.")
-    labels = [f"fit of {part.label}" for part in fit.records]
-    yield figure_grid([history_figure([fit], k, labels[k : k + 1], COLUMNS) for k in chosen])
+    yield figure_grid([history_figure([fit], k, columns=COLUMNS) for k in chosen])
     if fit.converged:
         figures = [figure for k in chosen for figure in residual_figures(fit.records[k])]
         yield figure_grid([*shape_figures(fit), *figures])
