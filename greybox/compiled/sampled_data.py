@@ -9,7 +9,7 @@ output directly, the sampled output jumps at whole samples, and so does the cost
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -106,14 +106,15 @@ class SampledData:
         """Which segments (s,) are followed by another of the same stretch."""
         return np.append(~self.begins_stretch[1:], False)
 
-    def excerpts(self, samples: int, pieces: int = 5) -> "SampledData":
+    def excerpts(self, samples: int) -> "SampledData":
         """Return evenly spaced excerpts with this total number of samples; short data whole."""
         total = sum(len(stretch) for stretch in self.stretches)
         if total <= samples:
             return self
-        pieces_of_all = []
+        pieces = []
         for stretch in self.stretches:
-            count = math.ceil(pieces * len(stretch) / total)
+            # Five in all, or one of every stretch if there are more.
+            count = math.ceil(5 * len(stretch) / total)
             # Two segments at least: within one, the node alone explains the outputs.
             length = max(samples // (count * len(self.stretches)), 2 * self.segment_length)
             length = min(length, len(stretch) // count)
@@ -121,10 +122,10 @@ class SampledData:
                 rows = slice(start, start + length)
                 inputs, outputs = stretch.inputs[:, rows], stretch.outputs[:, rows]
                 times = None if stretch.times is None else stretch.times[rows]
-                piece = replace(stretch, inputs=inputs, outputs=outputs, times=times, masked=0)
-                pieces_of_all.append(replace(piece, rows=stretch.rows[rows]))
+                piece = Stretch(inputs, outputs, stretch.rows[rows], stretch.step, times=times)
+                pieces.append(piece)
 
-        return SampledData(tuple(pieces_of_all), self.segment_length)
+        return SampledData(tuple(pieces), self.segment_length)
 
     def padded(self, values: Sequence[Array], fill: float | None) -> Array:
         """Join one array (r, n) per stretch, each filled up to whole segments: (r, samples).
