@@ -47,8 +47,7 @@ def drawn_loops(
         return sampled_loop(plant, np.array([[*plant.values(values).values()]]), controller, at=at)
     if values is not None:
         raise TypeError("values were given with a Fit, which has its own: leave them out.")
-    if not plant.converged:
-        raise ValueError(f"the fit {plant.name!r} has no estimate: {plant.status}.")
+    plant.require_estimate()
 
     model, fitted = plant.model_of(part), plant.parts[part]
     has_hold = isinstance(fitted, FittedResponse) and NO_HOLD not in fitted.data.about

@@ -52,8 +52,7 @@ def residuals(
     if not isinstance(fit, Fit):
         raise TypeError(f"cannot draw {fit!r:.80}: give a Fit.")
     part = chosen(fit.records, record, "record")
-    if not fit.converged:
-        raise ValueError(f"the fit {fit.name!r} has no estimate: {fit.status}.")
+    fit.require_estimate()
 
     # One row for each output, so that its panels stand side by side.
     figures = residual_figures(part)
