@@ -8,6 +8,7 @@ import casadi as ca
 
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
+from greybox.modeling.symbolic_reading import entries_by_name
 
 
 def limits_of(
@@ -22,7 +23,7 @@ def limits_of(
     for part in problem.parts:
         if not (part.constraints or part.tied):
             continue
-        local = part.local_values(dict(zip(names, ca.vertsplit(x), strict=True)))
+        local = part.local_values(entries_by_name(names, x))
         for k, constraint in enumerate(part.constraints):
             # Formulas are compared as compiled: equal lambdas are different objects in Python.
             label, value = f"constraints[{k}] of {part.name!r}", ca.SX(constraint(local))

@@ -44,7 +44,7 @@ from greybox.modeling.harmonic_balance import compiled_balance
 from greybox.modeling.linear_response import response_formulas
 from greybox.modeling.one_thread import Stored, cached_property, unchanged_in
 from greybox.modeling.pade_delay import delay_order
-from greybox.modeling.symbolic_reading import traced
+from greybox.modeling.symbolic_reading import entries_by_name, traced
 from greybox.modeling.trim import Trimmed
 
 Named = Mapping[str, Any]
@@ -182,8 +182,7 @@ class ResponseCompiler:
         self.kind: Any = ca.SX if all(m.is_a("SXFunction") for m in self.models) else ca.MX
 
         self.x = self.kind.sym("x", len(self.names))
-        by_name = dict(zip(self.names, ca.vertsplit(self.x), strict=True))
-        self.responses = self.responses_at(by_name)
+        self.responses = self.responses_at(entries_by_name(self.names, self.x))
         self.z = self.kind.sym("z", self.point.numel())
         self.smoothing = self.kind.sym("smoothing")
         self.data = self.kind.sym("data", len(self.source.numbers))
@@ -333,7 +332,7 @@ class ResponseCompiler:
     def systems(self) -> dict[int, SharedSystem | SineTest]:
         """Return the systems of the parts that are in numpy, at all values x."""
         x = ca.SX.sym("x", len(self.names))
-        named = dict(zip(self.names, ca.vertsplit(x), strict=True))
+        named = entries_by_name(self.names, x)
         shared = shared_systems(self.parts, x, lambda part: ca.SX(_values(part, named))) or []
         return dict(pair for system in shared for pair in system.of_pairs())
 

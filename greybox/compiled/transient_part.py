@@ -35,6 +35,7 @@ from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.state_space import StateSpace
+from greybox.modeling.symbolic_reading import entries_by_name
 from greybox.modeling.trim import trim_of
 from greybox.statistics.column_space import beside
 from greybox.statistics.neighbor_correlation import UNLIKELY, neighbor_correlation
@@ -368,7 +369,7 @@ class TransientPart(Part):
     ) -> Information:
         """Return the information on the values (k,) for white errors, the end term fitted too."""
         point = ca.SX.sym("x", len(values))
-        named = dict(zip(names, ca.vertsplit(point), strict=True))
+        named = entries_by_name(names, point)
         place = _locate(self.problem, named, point)
         located, slope = (value.full() for value in place(values))
         at = self.along(located.ravel())

@@ -13,6 +13,7 @@ from greybox.estimate.result import Quantity
 from greybox.files.arrays import Array
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.symbolic_reading import entries_by_name
 
 
 class Formula(NamedTuple):
@@ -73,7 +74,7 @@ def quantities(
 def quantity_function(nlp: CompiledProblem, names: Sequence[str]) -> ca.Function:
     """Return the named parameters and formulas as a function of all values (k,)."""
     x = ca.SX.sym("x", len(nlp.names))
-    named = dict(zip(nlp.names, ca.vertsplit(x), strict=True))
+    named = entries_by_name(nlp.names, x)
     every = named | {
         f.name: ca.SX(f.function(f.part.local_values(named))) for f in formulas(nlp.problem)
     }

@@ -11,6 +11,7 @@ import numpy as np
 from greybox.data.record import Record
 from greybox.experiment.controller import Controller, updated
 from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.symbolic_reading import entries_by_name
 
 LATEST = 3  # samples by which a logged setpoint may precede the control that it belongs to
 SETTLED = 1.0  # s, until filters have forgotten that they began at zero
@@ -114,5 +115,5 @@ def check_controller(controller: Controller, record: Record) -> ControlCheck:
 def _compiled(controller: Controller) -> ca.Function:
     names = (*controller.inputs, *controller.setpoints)
     x, u = ca.SX.sym("x", len(controller.states)), ca.SX.sym("u", len(names))
-    following, outputs = updated(controller, x, dict(zip(names, ca.vertsplit(u), strict=True)))
+    following, outputs = updated(controller, x, entries_by_name(names, u))
     return ca.Function("law", [x, u], [following, outputs[0]])

@@ -21,6 +21,7 @@ from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.state_space import StateSpace
+from greybox.modeling.symbolic_reading import entries_by_name
 from greybox.modeling.transfer_function import require_no_operating_point
 from greybox.modeling.trim import trim_of
 
@@ -347,11 +348,11 @@ def linear_controller(
     commands = tuple(dict.fromkeys((*outside, *inputs)))
     y = ca.SX.sym("y", len(sensors))
     e = ca.SX.sym("e", len(commands))
-    added = dict(zip(commands, ca.vertsplit(e), strict=True))
+    added = entries_by_name(commands, e)
     memory = [ca.SX.sym("x", len(c.states)) for c in controllers]
 
     signals = dict(added)
-    measured = dict(zip(sensors, ca.vertsplit(y), strict=True))
+    measured = entries_by_name(sensors, y)
     following = run_controllers(controllers, memory, measured, signals, added)
     x = ca.SX(ca.vertcat(*memory))
     total = ca.vertcat(*[signals[name] for name in commands])

@@ -3,7 +3,7 @@
 import re
 import threading
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import casadi as ca
@@ -26,6 +26,11 @@ _FILTERS = threading.RLock()
 def parameter_names(model: Model, p: Any) -> Names:
     """Name the entries of a parameter vector."""
     return Names({name: p[k] for k, name in enumerate(model.parameters)}, model.label)
+
+
+def entries_by_name(names: Iterable[str], column: Any) -> dict[str, Any]:
+    """Return the entries (n,) of a column of CasADi by these names."""
+    return dict(zip(names, ca.vertsplit(column), strict=True))
 
 
 def symbols(model: Model) -> tuple[ca.SX, ca.SX]:

@@ -9,6 +9,7 @@ import casadi as ca
 from greybox.modeling.formula_structure import has_switches
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
+from greybox.modeling.symbolic_reading import entries_by_name
 
 Kind = Literal["derivative", "output"]
 Source = tuple[str, ca.SX, Literal["signal", "derivative"]]
@@ -120,14 +121,12 @@ class _Analysis:
         self.free = tuple(name for name in model.parameters if name not in fixed)
         self.p = ca.SX.sym("p", len(self.free))
         # The symbols by name, to see what a row needs.
-        self.state = dict(zip(model.states, ca.vertsplit(self.x), strict=True))
-        self.input = dict(zip(model.inputs, ca.vertsplit(self.u), strict=True))
-        self.parameter = dict(zip(self.free, ca.vertsplit(self.p), strict=True))
+        self.state = entries_by_name(model.states, self.x)
+        self.input = entries_by_name(model.inputs, self.u)
+        self.parameter = entries_by_name(self.free, self.p)
         p = _column([{**fixed, **self.parameter}[name] for name in model.parameters])
-        f = ca.vertsplit(ca.SX(model.derivative(self.x, self.u, p)))
-        h = ca.vertsplit(ca.SX(model.output(self.x, self.u, p)))
-        self.f = dict(zip(model.states, f, strict=True))
-        self.h = dict(zip(model.outputs, h, strict=True))
+        self.f = entries_by_name(model.states, ca.SX(model.derivative(self.x, self.u, p)))
+        self.h = entries_by_name(model.outputs, ca.SX(model.output(self.x, self.u, p)))
         self.delays = ca.SX(model.delay(p))
         self.states: dict[str, KnownState] = {}
         # The signal behind each state that is a signal or a derivative.
