@@ -6,7 +6,6 @@ import io
 import sys
 import traceback
 import warnings
-from collections.abc import Sequence
 from typing import Any
 
 from greybox.cli.options import UsageError, as_options
@@ -18,14 +17,14 @@ from greybox.solve.interruption import Response, ended_status, listening, respon
 from greybox.solve.worker_pool import ExecutorLostError
 
 
-def execute(options: argparse.Namespace, arguments: Sequence[str]) -> int:
+def execute(options: argparse.Namespace) -> int:
     """Run the command of the parsed `options`, write its answer, and return the exit status."""
     # Ctrl-C during the output must not leave half a JSON object.
     with listening(), warnings.catch_warnings():
         warnings.simplefilter("always", UserWarning)
         warnings.showwarning = lambda message, *_: write(f"greybox: {message}", sys.stderr)
         try:
-            result, text, status = _answer(options, arguments)
+            result, text, status = _answer(options)
         except KeyboardInterrupt:
             result, text, status = {"error": "interrupted."}, "", INTERRUPTED
         with responding(Response.FINISH):
@@ -33,9 +32,7 @@ def execute(options: argparse.Namespace, arguments: Sequence[str]) -> int:
         return ended_status() if take_interrupt() or status == INTERRUPTED else status
 
 
-def _answer(
-    options: argparse.Namespace, arguments: Sequence[str]
-) -> tuple[dict[str, Any], str, int]:
+def _answer(options: argparse.Namespace) -> tuple[dict[str, Any], str, int]:
     """Run the command; an error is an answer too, with its exit status."""
     with contextlib.ExitStack() as streams:
         if options.quiet:  # no progress bars, no warnings

@@ -106,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # Importing the solvers takes half a second, which help and mistakes need not wait for.
         from greybox.cli.execution import execute  # noqa: PLC0415
 
-        return execute(parsed, arguments)
+        return execute(parsed)
     except KeyboardInterrupt:
         return write_answer({"error": "interrupted."}, "", as_json)
     except UsageError as error:

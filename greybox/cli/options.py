@@ -58,11 +58,8 @@ class UsageError(Exception):
     """A mistake on the command line, in one sentence."""
 
 
-class HelpFormatter(argparse.RawDescriptionHelpFormatter):
-    """Help with the meaning beside most options, and examples as they are written."""
-
-    def __init__(self, prog: str) -> None:
-        super().__init__(prog, max_help_position=26)
+# Help has the meaning beside most options, and examples as they are written.
+HelpFormatter = partial(argparse.RawDescriptionHelpFormatter, max_help_position=26)
 
 
 # --- how options are stated
