@@ -66,30 +66,26 @@ def fit_within_far_bounds(
     responses: Sequence[FrequencyResponse],
     points: Sequence[Mapping[str, float]],
     *,
-    bounds: Mapping[str, tuple[float, float]] | None = None,
-    stated: Mapping[str, Any] | None = None,
-    **options: Any,
+    bounds: Mapping[str, tuple[float, float]],
+    stated: Mapping[str, Any],
 ) -> Fit:
     """Fit a structure, and widen a bound that holds a parameter, unless it is zero or `stated`.
 
-    A delay or a time constant of zero is where its term is absent. `options` are those of
+    A delay or a time constant of zero is where its term is absent. `stated` are options of
     `Problem`.
     """
-    stated = stated or {}
-    bounds = {**(bounds or {}), **stated.get("bounds", {})}
-    options |= {name: value for name, value in stated.items() if name != "bounds"}
+    of_user = stated.get("bounds", {})
+    options = {**stated, "bounds": {**bounds, **of_user}}
     widenings = 0
     # One widening is not enough for gains in µs or degrees, which are decades off.
     while True:
-        problem = problem_of_structure(model, responses, bounds=bounds, **options)
+        problem = problem_of_structure(model, responses, **options)
         result = fit(problem, points, solver_options=NEAR_MINIMUM, profiles=False, progress=False)
-        held = [
-            q for q in result.quantities if q.at_bound and q.name not in stated.get("bounds", {})
-        ]
+        held = [q for q in result.quantities if q.at_bound and q.name not in of_user]
         wider = {q.name: moved for q in held if (moved := _wider(q)) != q.bounds}
         if not wider or widenings == WIDENINGS:
             return result
-        bounds |= wider
+        options["bounds"] |= wider
         widenings += 1
 
 
