@@ -212,11 +212,11 @@ class Measurement:
     record: Record
     response: FrequencyResponse | None
     quality: Quality
-    choices: tuple[str, ...] = ()
-    filters: Mapping[str, tuple[KnownFilter, ...]] = field(default_factory=dict, repr=False)
-    controller: str = ""
-    detail: str = field(default="", repr=False)
-    linear: Mapping[Orders, LinearFit] = field(default_factory=dict, repr=False)
+    choices: tuple[str, ...]
+    filters: Mapping[str, tuple[KnownFilter, ...]] = field(repr=False)
+    controller: str
+    detail: str = field(repr=False)
+    linear: Mapping[Orders, LinearFit] = field(repr=False)
 
     def __repr__(self) -> str:
         return one_line(self, repr(self.response), repr(self.quality))

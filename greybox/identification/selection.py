@@ -99,7 +99,7 @@ class Selection:
     chosen: Candidate | None
     bic: tuple[float, ...]
     reason: str
-    note: str = ""
+    note: str
 
     @property
     def fit(self) -> Fit | None:
