@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
+from greybox.data.response_columns import EXTRAS
 from greybox.files.arrays import Array, ComplexArray
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA
@@ -38,8 +39,7 @@ INCLUDED = {type(criterion) for criterion in CRITERIA}
 
 def columns_of(data: FrequencyResponse) -> dict[str, Array]:
     """Return the columns, besides the response, on which a cost may depend."""
-    columns = {name: getattr(data, name) for name in ("variance", "coherence", "dof")}
-    return {name: column for name, column in columns.items() if column is not None}
+    return {name: column for name, column in data.columns.items() if name in EXTRAS}
 
 
 def data_numbers(data: FrequencyResponse, response: ComplexArray) -> Array:
