@@ -38,17 +38,22 @@ def variances(information: Array) -> Array:
     return variance
 
 
-def require_determined(information: Array, names: Sequence[str], test: str, cure: str) -> None:
-    """Raise a ValueError with the `test` and the `cure` if a parameter is not determined."""
+def require_determined(information: Array, names: Sequence[str]) -> None:
+    """Raise a ValueError if no sine determines a parameter, or separates it from others."""
     size = np.sqrt(np.diag(information))
     for name, s in zip(names, size, strict=True):
         if not s > 0:
-            raise ValueError(f"{test} has information on {name}: fix it, or {cure}.")
+            raise ValueError(
+                f"no sine in this band has information on {name}: fix it, or choose another band."
+            )
     # With unit diagonal, the result does not depend on the units of the parameters.
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
     if values[0] < 1e-10:  # rounding of the sensitivities
         combined = [name for name, v in zip(names, vectors[:, 0], strict=True) if abs(v) > 0.1]
-        raise ValueError(f"{test} separates {', '.join(combined)}: fix one of them, or {cure}.")
+        raise ValueError(
+            f"no sine in this band separates {', '.join(combined)}: fix one of them, or choose "
+            "another band."
+        )
 
 
 def shares(informations: Array, wanted: Array) -> Array:

@@ -221,9 +221,7 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     scaled = sensitivity * scale
     information = weight[:, None, None] * np.real(np.conj(scaled)[:, :, None] * scaled[:, None, :])
     target = np.array([1.0 if name in wanted else np.inf for name in nlp.free])
-    require_determined(
-        information.mean(axis=0), nlp.free, "no sine in this band", "choose another band"
-    )
+    require_determined(information.mean(axis=0), nlp.free)
 
     card = _Card(periods, lead_in, pause)
     chosen, duration = _fewest(omega, information, target, card)

@@ -52,14 +52,18 @@ def test_parameters_that_differ_by_rounding_are_not_told_apart(apart, told):
     size = np.outer([1e4, 1e-3, 7.0], [1e4, 1e-3, 7.0])
     information = np.array([[1.0, 1 - apart, 0.0], [1 - apart, 1.0, 0.0], [0.0, 0.0, 1.0]]) * size
     if told:
-        require_determined(information, ["a", "b", "c"], "no test", "add one")
+        require_determined(information, ["a", "b", "c"])
     else:
         with pytest.raises(
-            ValueError, match=r"^no test separates a, b: fix one of them, or add one\.$"
+            ValueError,
+            match=r"^no sine in this band separates a, b: fix one of them, or choose another band\.$",
         ):
-            require_determined(information, ["a", "b", "c"], "no test", "add one")
+            require_determined(information, ["a", "b", "c"])
 
 
 def test_a_silent_parameter_is_named():
-    with pytest.raises(ValueError, match=r"^no test has information on b: fix it, or add one\.$"):
-        require_determined(np.diag([1.0, 0.0]), ["a", "b"], "no test", "add one")
+    with pytest.raises(
+        ValueError,
+        match=r"^no sine in this band has information on b: fix it, or choose another band\.$",
+    ):
+        require_determined(np.diag([1.0, 0.0]), ["a", "b"])
