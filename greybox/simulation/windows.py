@@ -88,7 +88,6 @@ def cut(
     # Each row without a time is a window, and has no lead-in.
     lead_samples, horizon_samples = 0, 1
     if record.has_time:
-        require_lengths(**{"lead": lead, called: horizon})
         for name, length in (("lead", lead), (called, horizon)):
             if length < (1 - ROUNDING) * record.step:
                 raise ValueError(
