@@ -41,7 +41,7 @@ def loop(margins: Margins, axes: GivenAxes | None = None, *, hz: bool = False) -
     """
     figures = loop_figures(margins)
     size = (4.2, 3.6)
-    return draw(figures, axes, legend=True, columns=3, size=size, title=margins.plant, hz=hz)
+    return draw(figures, axes, columns=3, size=size, title=margins.plant, hz=hz)
 
 
 def loop_figures(margins: Margins) -> list[Figure]:

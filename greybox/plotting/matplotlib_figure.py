@@ -108,10 +108,10 @@ def draw(
 def draw_into(
     place: MatplotlibFigure | SubFigure,
     figures: Sequence[Figure],
-    columns: int = 1,
+    columns: int,
     legend: bool = True,
     *,
-    hz: bool = False,
+    hz: bool,
 ) -> AxesArray:
     """Draw figures into an empty matplotlib figure or a part of one, with their legend below."""
     panels = _panels(figures)
