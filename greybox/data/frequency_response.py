@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from greybox.data.checked_array import checked_array, finite_array, require, require_size
 from greybox.data.intersample import HOLD, NO_HOLD
@@ -112,7 +112,7 @@ class FrequencyResponse:
         write_out(self, "input", "output", "name", "source", "units", "about")
         self._check_columns()
         # The variance includes them, so it is checked first.
-        errors = None if self.common_errors is None else self._checked_errors(self.common_errors)
+        errors = self._checked_errors()
         vars(self).update(common_errors=errors, stretches=tuple(self.stretches))
 
     def _check_columns(self) -> None:
@@ -142,12 +142,14 @@ class FrequencyResponse:
                 "frequency, or add two problems, one for each experiment."
             )
 
-    def _checked_errors(self, value: ArrayLike) -> ComplexArray | None:
-        errors = np.atleast_2d(np.array(value, dtype=np.complex128))
+    def _checked_errors(self) -> ComplexArray | None:
+        if self.common_errors is None:
+            return None
+        errors = np.atleast_2d(np.array(self.common_errors, dtype=np.complex128))
         if errors.ndim != 2 or errors.shape[1] != self.omega.size or not all_finite(errors):
             raise ValueError(
-                f"common_errors has shape {np.shape(value)}: give finite numbers, a row of "
-                f"{self.omega.size} for each."
+                f"common_errors has shape {np.shape(self.common_errors)}: give finite numbers, a "
+                f"row of {self.omega.size} for each."
             )
         if self.variance is not None:
             # 1e-9 allows for the rounding of sums of squares that were written out in decimals.
