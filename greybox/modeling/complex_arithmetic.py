@@ -59,7 +59,7 @@ class Complex(FunctionOfS):
         """Exponential, or its Padé approximation where that was asked for."""
         if self.pade is None:
             return self.exp_exact()
-        return pade_exponential(self, self.pade)
+        return pade_exponential(self)
 
     def exp_exact(self) -> "Complex":
         """Exponential."""

@@ -45,9 +45,9 @@ def pade_coefficients(order: int) -> list[float]:
     return [math.comb(order, k) / math.perm(2 * order, k) for k in range(order + 1)]
 
 
-def pade_exponential(z: Any, order: int) -> Any:
+def pade_exponential(z: Any) -> Any:
     """Return the approximation of exp(z) in the arithmetic of `z`; z = -s T is a delay by T."""
-    coefficients = pade_coefficients(order)[::-1]
+    coefficients = pade_coefficients(z.pade)[::-1]
     return polynomial_value(coefficients, z) / polynomial_value(coefficients, -z)
 
 

@@ -106,7 +106,7 @@ class Rational(FunctionOfS):
         """exp(-s T) as a delay, or as a rational function where a Padé order is set."""
         # Every result of a formula in s has the order of s, so that a model need not know of it.
         if self.pade is not None:
-            return pade_exponential(self, self.pade)
+            return pade_exponential(self)
         is_constant = len(self.denominator) == 1 and _is_zero(self.delay)
         if not is_constant or len(self.numerator) > 2 or not _is_zero(self.numerator[-1]):
             raise ValueError(

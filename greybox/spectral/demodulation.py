@@ -81,9 +81,12 @@ def least_squares(
     return (c[2::2] + 1j * c[3::2]).T, c[1], x - c.T @ columns
 
 
-def spectral_line(t: Array, x: Array, omega: float, origin: float) -> ComplexArray:
-    """Return the complex amplitudes (rows,) at one frequency, fitted with a constant alone."""
-    columns = np.vstack([np.ones_like(t), sine_and_cosine(t, omega, origin)])
+def spectral_line(t: Array, x: Array, omega: float) -> ComplexArray:
+    """Return the complex amplitudes (rows,) at one frequency, fitted with a constant alone.
+
+    Phases count from the first time.
+    """
+    columns = np.vstack([np.ones_like(t), sine_and_cosine(t, omega, float(t[0]))])
     c = _coefficients(columns, x)
     return c[1] + 1j * c[2]
 

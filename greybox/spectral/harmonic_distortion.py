@@ -55,8 +55,7 @@ def harmonics_of(
     reach = min(LINES, (periods - 1) // 2)
     places = [sign * m / periods for m in range(1, reach + 1) for sign in (1, -1)]
     lines = [
-        [spectral_line(t, residual[:2], omega * (k + place), float(t[0])) for place in places]
-        for k in orders
+        [spectral_line(t, residual[:2], omega * (k + place)) for place in places] for k in orders
     ]
     beside = np.array(lines, dtype=complex).reshape(len(orders), len(places), 2).swapaxes(1, 2)
     return Harmonics(omega, complex(amplitudes[1, 0]), amplitudes[0, 1:], amplitudes[1, 1:], beside)

@@ -246,9 +246,7 @@ def estimate_by_lines(
     # Up to a quarter of ω on either side, where noise and leakage are still the same as at ω.
     count = 1 if q == 2 else min(max(2, int(q / 4 + 0.5)), LINES)
     m = np.array([sign * k for k in range(1, count + 1) for sign in (1, -1)])
-    lines = np.stack(
-        [spectral_line(t, residual[:2], omega * (1 + k / q), float(t[0])) for k in m], axis=-1
-    )
+    lines = np.stack([spectral_line(t, residual[:2], omega * (1 + k / q)) for k in m], axis=-1)
 
     # The leakage of y - P u is a polynomial in m; `at_omega` @ lines is its value at m = 0.
     smooth = m[:, None] ** np.arange(1 if count == 1 else 2)

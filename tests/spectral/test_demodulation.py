@@ -44,7 +44,7 @@ def test_a_spectral_line_is_that_of_the_discrete_fourier_transform():
     t = np.arange(500) * STEP
     for k in (3, 10):
         expected = 2j / 500 * np.fft.fft(x)[:, k]
-        got = spectral_line(t, x, 2 * math.pi * k / (500 * STEP), 0.0)
+        got = spectral_line(t, x, 2 * math.pi * k / (500 * STEP))
         np.testing.assert_allclose(got, expected.real + 1j * expected.imag, atol=1e-12)
 
 

@@ -85,7 +85,7 @@ def test_harmonics_have_the_lines_beside_them():
         assert found.beside.shape == (2, 2, len(expected))
         for i, k in enumerate((2, 3)):
             for j, m in enumerate(expected):
-                line = spectral_line(t, x, omega * (k + m / periods), t[0])
+                line = spectral_line(t, x, omega * (k + m / periods))
                 np.testing.assert_allclose(found.beside[i, :, j], line)
 
 

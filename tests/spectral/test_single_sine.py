@@ -389,9 +389,7 @@ def test_the_lines_beside_a_sine_tell_leakage_and_noise(q, count):
     amplitudes, _, residual = single_sine.least_squares(t, x, omega, origin, 3)
     found = single_sine.estimate_by_lines(t, amplitudes[:, 0], residual, omega, origin, q)
     m = np.array([k for k in range(-count, count + 1) if k])
-    lines = np.array(
-        [single_sine.spectral_line(t, residual, omega * (1 + k / q), t[0]) for k in m]
-    ).T
+    lines = np.array([single_sine.spectral_line(t, residual, omega * (1 + k / q)) for k in m]).T
     at = amplitudes[:, 0] * np.exp(1j * omega * (t[0] - origin))
     left = lines[1] - found.response * lines[0]
     degree = 0 if count == 1 else 1
