@@ -46,9 +46,9 @@ def one_clock(stamps: Array) -> tuple[Array, tuple[str, ...]]:
     findings = []
     end = 0.0
     for boot, (start, stop) in enumerate(pairwise([0, *restarts(ticks), ticks.size])):
-        piece = _plausible(ticks[start:stop])
-        if not piece.size:
+        if start == stop:
             continue
+        piece = _plausible(ticks[start:stop])
         # The first boot keeps its clock, to which the texts of the log refer.
         shift = end + PAUSE - float(np.nanmin(piece)) if boot else 0.0
         shifted[finite[start:stop]] = piece + shift
@@ -64,8 +64,6 @@ def one_clock(stamps: Array) -> tuple[Array, tuple[str, ...]]:
 
 def _plausible(stamps: Array) -> Array:
     """Return the stamps of one boot, NaN if far outside those at its start and its end."""
-    if not stamps.size:
-        return stamps
     # A damaged stamp would stretch the record over years.
     first, last = _edge(stamps[:WINDOW], -1), _edge(stamps[-WINDOW:], 1)
     plausible = (stamps >= first - SLACK) & (stamps <= last + SLACK)
