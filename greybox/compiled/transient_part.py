@@ -456,8 +456,7 @@ def _without_ends(
     for _ in range(REWEIGHTINGS):
         weight = covariance.weight(remaining @ remaining.T)
         rows = np.einsum("ka,aln->kln", weight, basis).reshape(-1, len(ends))
-        size = np.linalg.norm(rows, axis=0)
-        size[size == 0] = 1.0
+        size = positive_or_one(np.linalg.norm(rows, axis=0))
         ends = np.linalg.lstsq(rows / size, (weight @ errors).ravel(), rcond=UNSEEN)[0] / size
         remaining = errors - basis @ ends
         cost = covariance.cost(remaining @ remaining.T)

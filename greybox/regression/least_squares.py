@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, positive_or_one
 
 # Singular value of the matrix with unit columns, below which a combination is undetermined: about
 # the root of the rounding error, where normal equations would lose it.
@@ -80,9 +80,8 @@ def solve(slopes: Array, right: Array, low: Array, high: Array) -> Array:
         return np.zeros(0)
     triangle = np.asarray(np.linalg.qr(np.column_stack([right, slopes]), mode="r"))
     right, matrix = triangle[:, 0], triangle[:, 1:]
-    sizes = np.linalg.norm(matrix, axis=0)
     # The least-norm solution of columns of length one does not depend on units.
-    sizes[sizes == 0] = 1.0
+    sizes = positive_or_one(np.linalg.norm(matrix, axis=0))
     bounded = lsq_linear(
         matrix / sizes, right, (low * sizes, high * sizes), method="bvls", max_iter=1000
     )
