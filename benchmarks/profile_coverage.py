@@ -74,9 +74,9 @@ CELLS = (
 LADDER, LAGS = np.geomspace(0.05, 5, 20), np.geomspace(0.5, 60, 20)
 TABLE_4_2 = np.array([30.28, 20.11, 16.01, 12.03, 8.00, 5.34, 4.00, 3.50, 3.00])
 PRINTED = (
-    ("ladder", Ladder(), {"R1": 1.0, "R2": 2.05}, LADDER, 0.05, ()),
-    ("ladder", Ladder(), {"R1": 1.0, "R2": 2.05}, LADDER, 0.05, (lambda p: p.R2 - 2 * p.R1,)),
-    ("ladder", Ladder(), {"R1": 1.0, "R2": 4.0}, LADDER, 0.05, (lambda p: p.R2 - 2 * p.R1,)),
+    ("ladder, 2.05", Ladder(), {"R1": 1.0, "R2": 2.05}, LADDER, 0.05, ()),
+    ("ladder, 2.05", Ladder(), {"R1": 1.0, "R2": 2.05}, LADDER, 0.05, (lambda p: p.R2 - 2 * p.R1,)),
+    ("ladder, 4", Ladder(), {"R1": 1.0, "R2": 4.0}, LADDER, 0.05, (lambda p: p.R2 - 2 * p.R1,)),
     ("lags", TwoLags(), {"K": 2.0, "T1": 0.13, "T2": 0.1}, LAGS, 0.05, ()),
     ("lags", TwoLags(), {"K": 2.0, "T1": 0.13, "T2": 0.1}, LAGS, 0.05, (lambda p: p.T1 - p.T2,)),
     ("rotor", Rotor(), {}, TABLE_4_2, 0.05, ()),
@@ -176,7 +176,7 @@ def _printed(name, model, truth, omega, sigma, constraints, repeats, *, seed) ->
     )
     what = name + (" with a constraint" if constraints else "")
     seconds = (time.process_time() - began) / repeats
-    return f"{what:<25} {sigma:5.2f}  {', '.join(shares)}; warned {warned}; {seconds:.2f} s a fit"
+    return f"{what:<32} {sigma:5.2f}  {', '.join(shares)}; warned {warned}; {seconds:.2f} s a fit"
 
 
 if __name__ == "__main__":
