@@ -3,7 +3,9 @@
 A stalled run begins once more, with its parameters and with nodes from the data.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -83,23 +85,21 @@ def _iterated(
     parts: AllParts, iterate: Iterate, progress: Progress, iterations: int, *, states_only: bool
 ) -> End:
     settings = parts.settings
-    hessian = None
+    hessian, weights, linearizations = None, list[Array](), list[Any]()
     for count in range(iterations):
         if interruption := reason_to_end():
             return End(iterate, interruption, count, hessian)
 
-        # Linearize and step.
-        weights = (
-            parts.residual_weights(iterate)
-            if progress.is_exact
-            # As long as continuity is a penalty, errors have an assumed size.
-            else [part.initial_weight() for part in parts.parts]
-        )
-        linearizations = parts.linearize(iterate, weights)
-        if not progress.gap_variance:
-            pairs = zip(parts.parts, linearizations, strict=True)
-            variances = [part.continuity_variance(linear) for part, linear in pairs]
-            progress = replace(progress, gap_variance=variances)
+        # Linearize, unless the last step failed, and step.
+        if not linearizations:
+            weights = (
+                parts.residual_weights(iterate)
+                if progress.is_exact
+                # As long as continuity is a penalty, errors have an assumed size.
+                else [part.initial_weight() for part in parts.parts]
+            )
+            linearizations = parts.linearize(iterate, weights)
+            progress = _with_gap_variance(parts, linearizations, progress)
         nodes_alone = states_only or progress.state_iterations > 0
         step = gauss_newton_step(parts, iterate, linearizations, progress, states_only=nodes_alone)
         hessian = step.hessian
@@ -139,7 +139,21 @@ def _iterated(
         progress = following
         iterate = trial or iterate
         iterate = _predicting(parts, iterate, progress, becomes_exact=becomes_exact)
+        # Of a long record, they are a tenth of what fits into memory.
+        del step, trial, closed
+        linearizations = []
     return End(iterate, "iterations exceeded", iterations, hessian)
+
+
+def _with_gap_variance(
+    parts: AllParts, linearizations: Sequence[Any], progress: Progress
+) -> Progress:
+    """Return the progress with the variances of the gaps, which the first linearization gives."""
+    if progress.gap_variance:
+        return progress
+    pairs = zip(parts.parts, linearizations, strict=True)
+    variances = [part.continuity_variance(linear) for part, linear in pairs]
+    return replace(progress, gap_variance=variances)
 
 
 def _is_settled(

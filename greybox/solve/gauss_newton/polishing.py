@@ -69,6 +69,7 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
             break
 
         iterate = parts.made_continuous(parts.moved(iterate, step, 1.0), step)
+        del step  # of a long record, a tenth of what fits into memory
         if not iterate.finite or parts.cost(iterate) > highest:
             break
         if not parts.is_continuous(iterate) or not are_stable(parts, iterate):
