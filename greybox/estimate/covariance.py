@@ -335,7 +335,10 @@ def directions_beside(
     trajectories = trajectories_at(beside)
     if any(trajectory is None for trajectory in trajectories):
         return None
-    accuracy = assess(nlp, beside, trajectories)
+    try:
+        accuracy = assess(nlp, beside, trajectories)
+    except np.linalg.LinAlgError:  # the model may diverge there
+        return None
     return known_directions(nlp, accuracy, beside, np.eye(len(x), len(nlp.names)))
 
 

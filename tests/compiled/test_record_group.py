@@ -85,7 +85,7 @@ def test_a_group_has_the_condensed_system_of_its_records(case):
     z = z + 0.05 * random.standard_normal(z.size)
     each = [part.trajectory(z) for part in nlp.parts]
     each = [
-        part.trajectory(z, t.nodes + 0.1 * random.standard_normal(t.nodes.shape))
+        part.trajectory(z, 0.1 * random.standard_normal(t.nodes.shape))
         for part, t in zip(nlp.parts, each, strict=True)
     ]
     joined = groups.joined([t.nodes for t in each])

@@ -18,6 +18,7 @@ from hard_models import (
     too_simple,
     unseen,
 )
+from scipy.integrate import solve_ivp
 
 import greybox as gb
 
@@ -88,3 +89,30 @@ def test_an_estimated_covariance_that_follows_the_parameters_does_not_slow_the_e
                 name: found.estimate[name] + sign * 0.3 * found.standard_error[name]
             }
             assert gb.cost(problem, moved) >= found.cost - 1e-6
+
+
+class Relaxation(gb.StateSpace):
+    """Van der Pol's oscillator, whose second state no output shows."""
+
+    states, inputs, outputs = ("x", "v"), (), ("x",)
+    mu = gb.Parameter(4.0, bounds=(0.5, 100), starts=(3, 8), scale="log")
+    w = gb.Parameter(1.1, bounds=(0.2, 5), starts=(0.8, 1.3))
+
+    def derivative(self, x, u, p):
+        return (x.v, p.mu * (1 - x.x**2) * x.v - p.w**2 * x.x)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+def test_a_relaxation_oscillation_is_found_though_its_mean_is_zero():
+    # At rest, where the states once began, this oscillator is unstable: no start arrived.
+    def rates(_, z):
+        return z[1], 5 * (1 - z[0] ** 2) * z[1] - z[0]
+
+    t = np.arange(0, 60, 0.5)
+    exact = solve_ivp(rates, (0, 60), (2, 0), "LSODA", t, rtol=1e-9, atol=1e-11).y[0]
+    x = exact + 0.04 * np.random.default_rng(0).normal(size=t.size)
+    found = fit(gb.Problem(Relaxation(), gb.Record(t, {"x": x})), 4)
+    assert found.agreeing == 4
+    near(found, {"mu": 5.0, "w": 1.0})

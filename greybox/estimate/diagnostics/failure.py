@@ -5,10 +5,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.estimate.covariance import assess
+from greybox.estimate.covariance import Accuracy, assess
 from greybox.estimate.diagnostics.identifiability import not_determined
 from greybox.files.text_table import counted
-from greybox.solve.local_solver import LocalSolver, Profile
+from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart, best_unfinished
 from greybox.solve.runs import CUT_SHORT, Run
 
@@ -27,12 +27,10 @@ def failure_warnings(
         f"estimate: {_cure(run)}."
     )
     # A run that was cut short says nothing about what blocks it.
-    profile = None if run.status in CUT_SHORT else _end(search, solver, run)
-
-    if profile is None:
+    accuracy = None if run.status in CUT_SHORT else _accuracy_at_end(nlp, search, solver, run)
+    if accuracy is None:
         return
 
-    accuracy = assess(nlp, run.estimate, profile.trajectories)
     for name in accuracy.at_bound:
         yield f"{name} ended at a bound in that run: widen it if the physics allow, or fix it."
     yield from not_determined(nlp, accuracy)
@@ -49,12 +47,16 @@ def _cure(run: Run) -> str:
     )
 
 
-def _end(search: Multistart, solver: LocalSolver, run: Run) -> Profile | None:
-    """Return the best trajectories at the end of a run; None if unknown or not finite."""
+def _accuracy_at_end(
+    nlp: CompiledProblem, search: Multistart, solver: LocalSolver, run: Run
+) -> Accuracy | None:
+    """Return the accuracy that the end of a run would have; None if it is unknown or diverges."""
     nodes = search.ends[run.index] if search.ends else None
     try:
         profile = solver.profile(run.estimate, nodes)
+        is_known = nodes is not None or profile.converged
+        if is_known and all(t.finite for t in profile.trajectories):
+            return assess(nlp, run.estimate, profile.trajectories)
     except np.linalg.LinAlgError:
-        return None
-    is_known = nodes is not None or profile.converged
-    return profile if is_known and all(t.finite for t in profile.trajectories) else None
+        pass
+    return None
