@@ -351,7 +351,8 @@ class Fit(Printed):
             return 1.0
         alone = self.independent[0].diagonal()
         variances = self.covariance.diagonal()[: len(alone)]
-        return float(np.median(variances[alone > 0] / alone[alone > 0]))
+        known = (alone > 0) & (variances > 0)
+        return float(np.median(variances[known] / alone[known])) if known.any() else math.nan
 
     @property
     def checksum(self) -> str:

@@ -190,3 +190,28 @@ def test_each_of_many_responses_has_a_share_of_the_parameters_only(seed):
     assert not said(fit)
     # With the directions of all parameters taken from each response, 5.6 and 8.9.
     assert fit.dof == min(q.dof for q in fit.quantities) > 30
+
+
+class Product(gb.TransferFunction):
+    """A lag whose gain is a product, of which the data determine no factor."""
+
+    input, output = "u", "y"
+    a = gb.Parameter(1.0, bounds=(0, 10))
+    b = gb.Parameter(1.0, bounds=(0, 10))
+    T = gb.Parameter(0.5, bounds=(0.01, 5))
+
+    def response(self, s, p):
+        return p.a * p.b / (p.T * s + 1)
+
+
+def test_the_widening_is_that_of_the_parameters_with_a_standard_error():
+    random, s = np.random.default_rng(0), 1j * np.geomspace(0.3, 30, 25)
+    errors = np.convolve(random.normal(size=(40, 2)) @ [1, 1j], np.ones(8) / 3, "valid")[:25]
+    data = gb.FrequencyResponse(s.imag, 2 / (0.4 * s + 1) * (1 + 0.05 * errors), "u", "y")
+    fit = gb.fit(gb.Problem(Product(), data), starts=3, progress=False, profiles=False)
+    errors_of = fit.standard_error
+    assert np.isnan(errors_of["a"])
+    place = fit.free.index("T")
+    alone = np.sqrt(fit.independent[0][place, place])
+    assert fit.inflation == pytest.approx((errors_of["T"] / alone) ** 2)
+    assert "nan" not in str(fit)
