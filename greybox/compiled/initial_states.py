@@ -1,9 +1,9 @@
 """Initial states at the nodes: as the outputs show them, or else where the model is finite.
 
 A state begins as measured where an output shows it, or at the mean of an output that is mostly
-noise, and else at zero. A root, a logarithm or a division may exclude zero (the
-level of a tank, an airspeed, a temperature). Then sizes over many decades are tried for the states
-that no output shows; the model must come closest to the measured outputs.
+noise, and else at zero. A root, a logarithm or a division may exclude zero (the level of a tank, an
+airspeed, a temperature). Then sizes over many decades are tried for the states that no output
+shows; the model must come closest to the measured outputs.
 """
 
 import casadi as ca
@@ -162,8 +162,8 @@ def at_samples(data: SampledData, every: int, *, spread: bool = False) -> tuple[
         )
         rows = []
         for row, mean, is_noise in zip(stretch.outputs, means, are_noise, strict=True):
-            has_values = np.isfinite(row).any() and not is_noise
-            values = row if has_values else np.full(len(row), mean)
+            is_used = np.isfinite(row).any() and not is_noise
+            values = row if is_used else np.full(len(row), mean)
             present = np.flatnonzero(np.isfinite(values))
             rows.append(np.interp(at, present, values[present]))
         outputs.append(np.array(rows).reshape(len(rows), at.size))

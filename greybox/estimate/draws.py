@@ -210,7 +210,7 @@ def _lengths(fit: Fit, steps: Array, drawn: Callable[[Array], Array]) -> Array:
     predicted = np.sum(coordinates**2, axis=1) / 2
 
     has_records = len(fit.responses) < len(fit.parts)
-    simulated = solver_for(problem).cost
+    simulated = solver_for(problem).cost if has_records else problem.cost
 
     def costs(steps: Array) -> Array:
         x = drawn(steps)[:, :p]

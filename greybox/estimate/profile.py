@@ -503,8 +503,11 @@ def _profiles(
     minima = HeldMinima(nlp, np.array([fit.estimate[name] for name in nlp.free]))
     for refusal in _refusals(minima):
         raise NoProfileError(f"no profile of {fit.name!r}: {refusal}.")
-    boxes = {name: nlp.problem.parameters[name] for name in nlp.free}
-    starts = [Point(z) for z in nlp.scaling.to_solver(Sobol(2, 0).draw(boxes))[:fresh]]
+    starts = []
+    if fresh:
+        # Points need finite boxes, and SciPy, which imports slowly.
+        boxes = {name: nlp.problem.parameters[name] for name in nlp.free}
+        starts = [Point(z) for z in nlp.scaling.to_solver(Sobol(fresh, 0).draw(boxes))]
 
     profiles = []
     limits = {}

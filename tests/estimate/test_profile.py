@@ -401,3 +401,24 @@ def test_a_lower_cost_than_the_fits_is_told(lag):
         said
         == f"a profile found the cost {lowest} below the fit's {number(cost)}: fit from more starts."
     )
+
+
+class Unbounded(gb.TransferFunction):
+    """A lead whose numbers have no bounds."""
+
+    input, output = "u", "y"
+    a = gb.Parameter(1.0)
+    b = gb.Parameter(0.1)
+    T = gb.Parameter(0.5, bounds=(0.01, 5))
+
+    def response(self, s, p):
+        return p.a * (1 + p.b * s) / (p.T * s + 1)
+
+
+def test_a_fit_profiles_parameters_without_bounds():
+    random, s = np.random.default_rng(0), 1j * np.geomspace(0.3, 3, 12)
+    noise = 0.05 * random.normal(size=(12, 2)) @ [1, 1j]
+    data = gb.FrequencyResponse(s.imag, 2 / (0.4 * s + 1) * (1 + noise), "u", "y")
+    fit = gb.fit(gb.Problem(Unbounded(), data), starts=1, progress=False)
+    low, high = fit.profiles["b"].interval
+    assert low < 0 < high
