@@ -51,6 +51,10 @@ def module_from_file(path: Path) -> ModuleType:
         del sys.modules[path.stem]
         raise
 
+    for value in vars(module).values():
+        # A class that a call of `type` made has the module of its metaclass.
+        if isinstance(value, type) and issubclass(value, Model) and value.__module__ == "abc":
+            value.__module__ = module.__name__
     return module
 
 

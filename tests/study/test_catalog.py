@@ -1,5 +1,8 @@
 """Models and problems by their names, included ones and those in a user's own file."""
 
+import pickle
+import sys
+
 import pytest
 
 from greybox.modeling.model import Model
@@ -41,6 +44,30 @@ def test_the_nearest_name_is_suggested():
         ValueError, match="there is no model 'tilt:Tilted'; tilt has Tilt, TiltRate, LinearTilt"
     ):
         find_model("tilt:Tilted")
+
+
+def test_models_that_a_loop_makes_are_found(tmp_path):
+    path = tmp_path / "lags_by_loop.py"
+    path.write_text(
+        """
+import greybox as gb
+
+for order in (1, 2):
+    kind = type(
+        f"Lag{order}",
+        (gb.TransferFunction,),
+        {
+            "T": gb.Parameter(1.0, bounds=(0.1, 10)),
+            "response": lambda self, s, p, order=order: 1 / (p.T * s + 1) ** order,
+        },
+    )
+    globals()[kind.__name__] = kind
+"""
+    )
+    model = find_model(f"{path}:Lag2")
+    assert model.label == "Lag2"
+    assert type(pickle.loads(pickle.dumps(model))) is type(model)  # workers get it
+    sys.modules.pop("lags_by_loop")
 
 
 def test_a_file_that_is_named_like_a_module_is_refused(tmp_path):
