@@ -29,12 +29,13 @@ class DisturbedRecord:
     """A record along its best trajectory, with its signals (·, samples) in order."""
 
     def __init__(self, part: RecordPart, trajectory: Trajectory) -> None:
-        self.part, self._trajectory, self._placed = part, trajectory, trajectory.detail
+        self.part, self.trajectory, self._placed = part, trajectory, trajectory.detail
         segments, q, data = part.segments, self._placed.q, self._placed.data
         m, k = len(part.system.inputs), len(part.outputs)
         self._slopes = segments.sample_derivatives(trajectory.states, q, data)
         self.states = segments.in_order(trajectory.states)
         self.outputs = part.simulated_outputs(trajectory)
+        self.residuals = part.residuals(trajectory)
         # The future of a predictor contains its errors of today.
         self.is_predicted = bool(part.gains)
         self.inputs = segments.in_order(data[m : 4 * m])[1::3]
@@ -59,7 +60,7 @@ class DisturbedRecord:
         """Return the effect of values (samples,) that add to an output."""
         outputs = np.zeros_like(self.present, dtype=float)
         outputs[place] = values
-        return np.zeros_like(self._trajectory.states), self.part.segments.columns(outputs)
+        return np.zeros_like(self.trajectory.states), self.part.segments.columns(outputs)
 
     def by_parameter(self, place: int, values: Array) -> Effect:
         """Return the effect of an active parameter that changes by values (samples,)."""
@@ -116,8 +117,8 @@ class DisturbedRecord:
 
     @cached_property
     def _linearized(self) -> tuple[Array, Linearization]:
-        weight = self.part.residual_weight(self._trajectory)
-        return weight, self.part.linearize(self._trajectory, weight)
+        weight = self.part.residual_weight(self.trajectory)
+        return weight, self.part.linearize(self.trajectory, weight)
 
     def followed_by(self, effects: Iterable[Effect]) -> Array:
         """Return how outputs (k, c, samples) follow effects, with initial states fitted too."""

@@ -20,6 +20,7 @@ Begin with `fit`.
 | `misfit` | whether the model explains the data, and what it may lack |
 | `misfit_test` | the same of a fit that is at hand, with terms of your own |
 | `missing_terms` | the terms that are tried for that |
+| `repeated_inputs` | what repeats in the residuals with the inputs |
 | `draws` | parameter sets from the distribution of an estimate, and files of them for simulators |
 | `profile`, `profiles` | likelihood profiles, by minima with a quantity held; and their values |
 | `diagnostics` | the folder of warnings |

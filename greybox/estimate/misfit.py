@@ -21,6 +21,7 @@ from greybox.estimate.missing_terms import (
     terms_of_record,
     terms_of_response,
 )
+from greybox.estimate.repeated_inputs import repeated_residuals
 from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.files.html_text import Printed
 from greybox.files.text_table import number, percent, some, text_table, with_error
@@ -121,7 +122,7 @@ class Cause:
     def remedy(self) -> str:
         """The term, how the model gets it, and what it cannot be told apart from."""
         also = f"; hardly distinct from {some(self.alike)}" if self.alike else ""
-        return f"to add: {self.explained}: {self.code}{also}"
+        return f"to add: {self.explained}{': ' * bool(self.code)}{self.code}{also}"
 
 
 @dataclass(frozen=True)
@@ -302,8 +303,14 @@ def assessed_misfit(
         elif isinstance(part, RecordPart) and part.model.has_time and not part.model.is_prior:
             records.append((part, trajectory))
 
+    # Each record has its part of the samples.
+    most = max(MOST // max(len(records), 1), FEWEST)
+    disturbed = [
+        DisturbedRecord(*_on_excerpts(part, trajectory, most)) for part, trajectory in records
+    ]
     regressions = [
-        _of_record(part, trajectory, candidates, len(records)) for part, trajectory in records
+        _of_record(record, [*terms_of_record(record, candidates), *terms], len(records))
+        for record, terms in zip(disturbed, repeated_residuals(disturbed), strict=True)
     ]
     groups = [
         _of_group(parts) for parts in (responses, regressions) if any(part.terms for part in parts)
@@ -311,9 +318,10 @@ def assessed_misfit(
     if not groups:
         return None
 
-    # What explains most comes first, among what is significant; the best stands for equal texts.
+    # What explains most comes first, among what is significant, and what has no known form last.
+    # The best stands for equal texts.
     best = {cause.text: cause for group in groups for cause in reversed(group.causes)}
-    causes = sorted(best.values(), key=lambda cause: (cause.p_value >= FALSE_ALARMS, -cause.share))
+    causes = sorted(best.values(), key=_rank)
     return replace(
         max(groups, key=lambda group: group.left - group.noise),
         tried=sum(group.tried for group in groups),
@@ -321,6 +329,10 @@ def assessed_misfit(
         p_common=min(group.p_common for group in groups),
         shape=groups[-1].shape,
     )
+
+
+def _rank(cause: Cause) -> tuple[bool, bool, float]:
+    return cause.p_value >= FALSE_ALARMS, not cause.code, -cause.share
 
 
 def _of_group(parts: Sequence[_Regression]) -> Misfit:
@@ -511,18 +523,9 @@ def _numbered(terms: Iterable[Term]) -> dict[Key, Term]:
     return numbered
 
 
-def _of_record(
-    part: RecordPart,
-    trajectory: Trajectory,
-    candidates: Mapping[str, Formula],
-    count: int,
-) -> _Regression:
-    # Each of `count` records has its part of the samples.
-    most = max(MOST // count, FEWEST)
-    if part.samples > most:
-        part, trajectory = _on_excerpts(part, trajectory, most)
-    residuals = part.residuals(trajectory)
-    record = DisturbedRecord(part, trajectory)
+def _of_record(record: DisturbedRecord, terms: Iterable[Term], count: int) -> _Regression:
+    """Return the regression of one of `count` records."""
+    part, trajectory = record.part, record.trajectory
     weight, data = part.residual_weight(trajectory), part.data
     slopes = sensitivity(part, trajectory, weight)
     noise = np.linalg.inv(weight.T @ weight)
@@ -548,7 +551,7 @@ def _of_record(
     by_parameters = np.einsum("ab,bpn->apn", noise, slopes.weighted)
     constants = [*constants_of_record(record)]
     effects = record.followed_by(term.place(term.values) for term in constants if term.place)
-    with_effects = np.concatenate([residuals[:, None], effects], axis=1)
+    with_effects = np.concatenate([record.residuals[:, None], effects], axis=1)
     firsts = np.cumsum([0, *(row.size for row in present[:-1])])
     outputs = [
         [
@@ -562,9 +565,9 @@ def _of_record(
     )
     return _Regression(
         rows(np.nan_to_num(data.measured)[:, None]),
-        rows(residuals[:, None]),
+        rows(record.residuals[:, None]),
         rows(by_parameters),
-        _numbered(terms_of_record(record, candidates)),
+        _numbered(terms),
         lambda terms: rows(record.followed_by(t.place(t.values) for t in terms if t.place)),
         outputs=outputs,
         causes=tuple(offsets),
@@ -613,7 +616,9 @@ def _lines(measured: BoolArray) -> Array:
 def _on_excerpts(
     part: RecordPart, trajectory: Trajectory, samples: int
 ) -> tuple[RecordPart, Trajectory]:
-    """Return the part on excerpts of this many samples, with its trajectory there."""
+    """Return a longer part on excerpts of this many samples, with its trajectory there."""
+    if part.samples <= samples:
+        return part, trajectory
     excerpt = part.excerpt(samples)
     states = np.zeros((part.states, len(part.model.record)))
     in_order = part.data.unpadded(part.segments.in_order(trajectory.states))

@@ -96,6 +96,10 @@ TEXTS = {
         "a stop or an overflow of {a} near {level} in the equation of {b}",
         "the derivative of {b} gets + p.c * gb.maximum(x.{a} - p.limit, 0), or gb.minimum",
     ),
+    "repeated": (
+        "an effect on {b} of unknown form, which repeats with the inputs",
+        "",
+    ),
     "initial": (
         "an initial {b} that is larger by {size} ± {error}",
         "an initial {b} that is smaller by {size} ± {error}",

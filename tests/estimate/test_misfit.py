@@ -104,6 +104,36 @@ def test_a_record_that_needs_a_value_of_its_own_is_named(k):
         assert "a value of k that is" in misfit.likely[0].text
 
 
+class Wavy(Spring):
+    """A sensor whose scale has waves, as an encoder: no term of the test has this form."""
+
+    def output(self, x, u, p):
+        return (x.x + 0.05 * gb.sin(9 * x.x),)
+
+
+def repeated(plant, flights, periods, seed=0):
+    """Return the spring with flights of the same periodic inputs, and drifting errors."""
+    random = np.random.default_rng(seed)
+    time = STEP * np.arange(300 * periods)
+    base = 2 * np.pi / (300 * STEP)
+    u = sum(np.cos(n * base * time + random.uniform(0, 6)) for n in range(1, 12)) / 3.5
+    parts = []
+    for k in range(flights):
+        flight = gb.Record(time, {"u": u}, hold={"u": np.inf}, name=f"flight {k}")
+        x = gb.simulate(plant(), {"k": 9.0, "d": 0.8, "b": 10.0}, flight)["x"]
+        slow = lfilter([1], [1, -0.95], random.normal(size=len(time)))
+        parts.append(gb.Problem(Spring(), flight.with_signals(x=x + 0.03 * slow)))
+    return sum(parts[1:], parts[0])
+
+
+@pytest.mark.parametrize(("flights", "periods"), [(3, 1), (1, 4)])
+@pytest.mark.parametrize("plant", [Spring, Wavy])
+def test_what_repeats_with_the_inputs_is_no_noise(plant, flights, periods):
+    fit = gb.fit(repeated(plant, flights, periods), starts=1, progress=False)
+    assert fit.misfit.explains == (plant is Spring)
+    assert ("of unknown form, which repeats with the inputs" in str(fit)) == (plant is Wavy)
+
+
 def test_a_parameter_that_follows_an_operating_signal_is_named():
     # k rises by 0.25 per m/s of an airspeed that the model does not know.
     parts = [problem(seed=n, k=24.0 + n, airspeed=10.0 + 4 * n) for n in range(4)]

@@ -1,0 +1,54 @@
+"""Tests that are repeated with the same inputs: noise does not repeat with these, a misfit does.
+
+Source: Pintelon and Schoukens (2012), System Identification: A Frequency Domain Approach, 2nd ed.,
+section 4.3 (periodic inputs separate noise from nonlinear distortions).
+"""
+
+from collections.abc import Iterator, Sequence
+from functools import partial
+
+import numpy as np
+
+from greybox.compiled.disturbances import DisturbedRecord
+from greybox.estimate.missing_terms import Term
+from greybox.files.arrays import Array
+from greybox.statistics.autoregressive_test import ORDER
+
+ROUNDING = 1e-6  # of the range of an input, within which it is the same
+
+
+def repeated_residuals(records: Sequence[DisturbedRecord]) -> Iterator[list[Term]]:
+    """Yield terms for every record: its residuals in the last test before with the same inputs.
+
+    That is the period before, or an earlier stretch, also of another record.
+    """
+    earlier: list[tuple[tuple[str, ...], Array, Array]] = []
+    for record in records:
+        data, outputs, rows = record.part.data, record.part.outputs, []
+        stretches = zip(*map(data.unpadded, (record.inputs, record.residuals)), strict=True)
+        for u, e in stretches:
+            n = _period(u)
+            before = np.hstack([0 * e[:, :n], e[:, : e.shape[1] - n]])
+            for names, inputs, residuals in earlier:
+                if names == outputs and inputs.shape == u.shape and _are_same(inputs, u):
+                    before = residuals
+            rows.append(before)
+            earlier.append((outputs, u, e))
+        pairs = enumerate(zip(data.padded(rows, 0.0), outputs, strict=True))
+        yield [Term("repeated", row, partial(record.by_output, k), b=b) for k, (row, b) in pairs]
+
+
+def _period(inputs: Array) -> int:
+    """Return the samples after which inputs (m, n) repeat to the end, and n if they do not."""
+    n = inputs.shape[1]
+    # Errors may be correlated over as many samples as they are predicted from.
+    lags = range(ORDER + 1, n // 2 + 1) if np.ptp(inputs, axis=1).any() else ()
+    for lag in lags:
+        # Two samples exclude most lags.
+        if all(_are_same(inputs[:, lag::step], inputs[:, :-lag:step]) for step in (n // 3, 1)):
+            return lag
+    return n
+
+
+def _are_same(a: Array, b: Array) -> bool:
+    return bool(np.all(np.abs(a - b) <= ROUNDING * np.ptp(b, axis=1, keepdims=True)))
