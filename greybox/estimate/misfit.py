@@ -40,9 +40,9 @@ from greybox.statistics.score_test import (
     score_tests,
 )
 
-# Largest probability at which a model is called wrong. Of simulated right fits, 0.6 % of 959 records
-# and 2 % of 800 responses, whose errors may be correlated along frequency, are below it; below 0.01
-# would be 2 and 5 %. Above it, but below 0.01, are only 1 and 3 % of wrong models.
+# Largest probability at which a model is called wrong. Of simulated right fits, 0.6 % of 959
+# records and 2 % of 800 responses, whose errors may be correlated along frequency, are below it;
+# below 0.01 would be 2 and 5 %. Above it, but below 0.01, are only 1 and 3 % of wrong models.
 FALSE_ALARMS = 0.003
 CONDITIONAL = 0.001  # the same where correlated errors of a response would excuse the model
 POSSIBLE = 0.05  # and where drift alone would
