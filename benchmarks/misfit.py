@@ -1,7 +1,7 @@
 """Whether a fit says when its model is wrong, and what it lacks.
 
 ``python benchmarks/misfit.py [draws] [seed]``: six plants (the last one unstable, in a closed
-loop) are simulated by a Runge-Kutta loop of their own, with a dozen defects, and fitted by models
+loop) are simulated by a Runge-Kutta loop of their own, with fourteen defects, and fitted by models
 without them; and three responses with six defects. The table counts the wrong models that are
 recognized, among those whose misfit exceeds the noise, how often the right cause is among the
 first two, the right models that are called wrong in white, colored and drifting noise, and the
@@ -107,6 +107,8 @@ DEFECTS = {
     "zero": ("lead of u", "direct effect"),
     "saturation": ("saturation",),
     "dead zone": ("dead zone",),
+    "rate limit": ("rate limit",),
+    "backlash": ("backlash",),
     "cubic": ("**3",),
     "friction": ("sign(",),
     "drag": ("abs(",),
@@ -139,7 +141,7 @@ def flown(plant, defect, kind, e, random):
     names = gb.modeling.model.Names
     command, past = excitation(kind, samples, random), [0.0] * 8
     x = np.zeros(len(model.states))
-    u, y, lagged = np.zeros(samples), [], 0.0
+    u, y, lagged, moved = np.zeros(samples), [], 0.0, 0.0
     main = model.states[-2] if len(model.states) > 1 else "v"
 
     def derivative(state, acting, share):
@@ -166,12 +168,18 @@ def flown(plant, defect, kind, e, random):
             x if len(model.outputs) == len(x) else x[model.states.index(model.outputs[0]), None]
         )
         level = 0.4 * np.abs(command).max()
+        if defect == "rate limit":
+            moved += np.clip(u[i] - moved, -4 * level * STEP, 4 * level * STEP)
+        elif defect == "backlash":
+            moved = np.clip(moved, u[i] - level / 3, u[i] + level / 3)
         late = past[-1 - (3 if plant is Pendulum else 5)]
         acting = {
             "delay": late,
             "saturation": np.clip(u[i], -level, level),
             "dead zone": u[i] - np.clip(u[i], -level / 2, level / 2),
             "lag": lagged,
+            "rate limit": moved,
+            "backlash": moved,
             "zero": u[i] + (0.1 * (u[i] - past[-2]) / STEP),
         }.get(defect, u[i])
         lagged += (u[i] - lagged) * (1 - np.exp(-STEP / 0.12))

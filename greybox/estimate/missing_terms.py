@@ -1,8 +1,8 @@
 """Terms that a model may lack.
 
-Records are tried with delays, lags, saturations, nonlinear terms in the equations of the
-states, late sensors, and parameters that change; responses with poles, zeros, delays, modes and
-steps of the gain.
+Records are tried with delays, lags, saturations, rate limits, backlash, nonlinear terms in the
+equations of the states, late sensors, and parameters that change; responses with poles, zeros,
+delays, modes and steps of the gain.
 """
 
 import itertools
@@ -55,6 +55,16 @@ TEXTS = {
         "a saturation of {a} near ±{level}",
         "a dead zone of {a} near ±{level}",
         "gb.minimum(gb.maximum(u.{a}, -p.limit), p.limit), or u.{a} less that",
+    ),
+    "rate": (
+        "a rate limit of {a} near ±{level} per second",
+        "a state {a}_moved in place of u.{a}, with the derivative "
+        "gb.minimum(gb.maximum((u.{a} - x.{a}_moved) / T_short, -p.limit), p.limit)",
+    ),
+    "play": (
+        "a backlash of {a} of about {level}",
+        "a state {a}_moved in place of u.{a}, with the derivative (gb.maximum(u.{a} - x.{a}_moved "
+        "- p.play / 2, 0) + gb.minimum(u.{a} - x.{a}_moved + p.play / 2, 0)) / T_short",
     ),
     "side": (
         "a gain of {a} that is larger beyond {level}",
@@ -168,7 +178,9 @@ TEXTS = {
 
 # Time constants of lags and delays, over the rms of an input over that of its rate.
 TIMES = (0.3, 1.0, 3.0)
-LEVELS = (0.2, 0.4, 0.7)  # of saturations and dead zones, over the largest input
+# Of saturations, dead zones and backlash, over the largest input; and of rate limits, over the rate
+# that is as many times the rms of the rates.
+LEVELS = (0.2, 0.4, 0.7)
 # Share of half a step by which a delay that is due to a hold may differ from it. Its size is that
 # of first order: 3 to 9 % too large with square waves, steps and sweeps, and half as much again
 # where a fitted lag of few steps has taken a part of the delay. Both cures are named.
@@ -354,13 +366,17 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
     for w in np.geomspace(2 * np.pi * PERIODS / len(u), 0.3, MODES).tolist():
         # The poles of s² / (s² + 2 ζ ω s + ω²) by Tustin's rule, where ω times the step is w.
         poles = [4 + w * (4 * DAMPING + w), 2 * w**2 - 8, 4 + w * (w - 4 * DAMPING)]
-        mode = record.by_stretch(_filtered, u, [4.0, -8.0, 4.0], poles)
-        yield term("flexible", mode, w / step)
+        yield term("flexible", record.by_stretch(_filtered, u, [4.0, -8.0, 4.0], poles), w / step)
     if not model.between[j].held:
         # Lines through the samples of a sine are smaller by (ωh)²/12, for steps h.
         yield term("between", record.by_stretch(_filtered, u, np.array([-1.0, 2, -1]) / 12, [1.0]))
     about = u - (middle := float(np.median(u)))
-    for level in float(np.abs(about).max()) * np.array(LEVELS):
+    speed = np.std(record.by_stretch(_backward, u)) / np.std(u)
+    for level in np.abs(about).max() * np.array(LEVELS):
+        yield term(
+            "rate", record.by_stretch(_followed, u, level * speed * step, True), level * speed
+        )
+        yield term("play", record.by_stretch(_followed, u, level / 2, False), level)
         yield term("curve", np.clip(about, -level, level), level)
         yield term("side", np.maximum(about, level), middle + level)
         yield term("side", np.minimum(about, -level), middle - level)
@@ -369,7 +385,14 @@ def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Ter
 def _of_feedback(record: DisturbedRecord) -> Iterator[Term]:
     by_input, name = partial(record.by_input, 0), record.part.system.inputs[0]
     for y, b in zip(record.outputs, record.part.outputs, strict=True):
-        for signal, row in ((b, y), (f"{b}'", _rate(record, y))):
+        # A stretch may have one sample.
+        rate = record.by_stretch(
+            _backward
+            if record.is_predicted
+            else lambda row, step: np.gradient(np.append(row, row[-1]), step)[:-1],
+            y,
+        )
+        for signal, row in ((b, y), (f"{b}'", rate)):
             for a, form in _forms(signal, row).items():
                 yield Term("feedback", form(row), by_input, a, name)
 
@@ -463,13 +486,6 @@ def dynamic_equations(part: RecordPart) -> dict[int, tuple[frozenset[str], set[s
     }
 
 
-def _rate(record: DisturbedRecord, row: Array) -> Array:
-    if record.is_predicted:
-        return record.by_stretch(_backward, row)
-    # A stretch may have one sample.
-    return record.by_stretch(lambda y, step: np.gradient(np.append(y, y[-1]), step)[:-1], row)
-
-
 def _backward(piece: Array, step: float) -> Array:
     """Return the rate without later values, which may respond to the present noise."""
     return np.diff(piece, prepend=piece[0]) / step
@@ -478,6 +494,16 @@ def _backward(piece: Array, step: float) -> Array:
 def _delayed(piece: Array, step: float, T: float) -> Array:
     samples = np.arange(len(piece))
     return np.interp(samples - T / step, samples, piece)
+
+
+def _followed(piece: Array, step: float, reach: float, is_slow: bool) -> Array:
+    """Return the lag of what follows a signal by `reach` a sample, or with such a play."""
+
+    def moved(y: float, u: float) -> float:
+        way = min(max(u - y, -reach), reach)
+        return y + way if is_slow else u - way
+
+    return np.array([*itertools.accumulate(piece.tolist(), moved)]) - piece
 
 
 def _filtered(piece: Array, step: float, b: Any, a: Any) -> Array:

@@ -35,8 +35,6 @@ TINY = 1e-300
 
 # For every output: the rows of its measured samples, for each stretch in order of time.
 Outputs = Sequence[Sequence[IntArray]]
-# Number of windows of samples, and the sums of their products (h, q + 1, q + 1, k, k).
-Products = tuple[int, Array]
 
 
 def whitened(values: Array, filters: Sequence[Array], outputs: Outputs) -> Array:
@@ -72,27 +70,33 @@ def autoregressive_p_values(
     # The last term is of zeros: what the residuals are without any.
     values = np.column_stack([residuals, basis, outside(terms, basis), np.zeros(len(residuals))])
     values /= np.linalg.norm(values, axis=0) + TINY
-    pieces = [[values[rows] for rows in stretches] for stretches in outputs]
-    differences = [[np.diff(piece, axis=0) for piece in stretches] for stretches in pieces]
     # Each term is fitted beside the parameters, by columns of its own.
     first = 1 + basis.shape[1]
     fits = np.array([[*range(first), k] for k in range(first, values.shape[1])])
+    of_fits = fits[:, :, None], fits[:, None]
     squares = values.T @ values + TINY * np.eye(values.shape[1])
-    p_values, factors = list[Array](), _least(_of_fits(squares, fits))
-    for samples in (pieces, differences):
-        products = [_products(stretches, fits) for stretches in samples]
+    p_values, factors = list[Array](), _least(squares[of_fits])
+    samples = [_products([values[rows] for rows in stretches]) for stretches in outputs]
+    for times in (0, 1):
+        # Differences of the samples in a window are a window of one order less.
+        products = [
+            (n, np.diff(np.diff(sums, times), times, axis=2)[of_fits]) for n, sums in samples
+        ]
         # The errors are those beside the columns: what follows a missing term is an autoregression,
         # too, and would leave nothing of the term if the filters came from it. The likelihood has
         # several maxima: differences begin at the factors of the samples.
         filters = [_filters(factors, *pair) for pair in products]
         for _ in range(ROUNDS):
-            pairs = zip(filters, products, strict=True)
-            added = [np.einsum("hlm,hlmij->hij", _squares(w), sums) for w, (_, sums) in pairs]
+            added = [
+                np.einsum("hlm,hijlm->hij", w[:, :, None] * w[:, None], sums)
+                for w, (_, sums) in zip(filters, products, strict=True)
+            ]
             factors = _least(np.sum(added, axis=0))
             filters = [_filters(factors, *pair) for pair in products]
         counts = [count for count, _ in products]
-        pairs = zip(counts, filters, strict=True)
-        *beside, without = np.sum([-2 * n * np.log(w[:, 0]) for n, w in pairs], axis=0)
+        *beside, without = np.sum(
+            [-2 * n * np.log(w[:, 0]) for n, w in zip(counts, filters, strict=True)], axis=0
+        )
         # A probability near one depends on the root of the decrease, which may be all rounding.
         decrease = np.maximum(without - beside - UNCHANGED, 0.0)
         remaining = sum(counts) - first - sum(w.shape[1] for w in filters)
@@ -102,40 +106,34 @@ def autoregressive_p_values(
 
 def whitening_filters(residuals: Array, outputs: Outputs) -> list[Array]:
     """Return the filters (q + 1,) that make residuals (N,) white, of unit variance, by output."""
-    pieces = [[residuals[rows, None] for rows in stretches] for stretches in outputs]
-    alone = np.zeros((1, 1), int)
-    return [_filters(np.ones((1, 1)), *_products(stretches, alone))[0] for stretches in pieces]
+    products = [_products([residuals[rows, None] for rows in stretches]) for stretches in outputs]
+    return [_filters(np.ones((1, 1)), n, sums[None])[0] for n, sums in products]
 
 
-def _products(pieces: Sequence[Array], fits: IntArray) -> Products:
-    """Return the number of windows of pieces (n, c), and the sums of products of their samples.
+def _products(pieces: Sequence[Array]) -> tuple[int, Array]:
+    """Return the number of windows of pieces (n, c), and the sums (c, c, q + 1, q + 1) of products.
 
     Windows are of q + 1 samples, the last one first. Sums are the Toeplitz ones of pieces between
-    zeros, less the products of windows that have such zeros, of the columns of `fits` (h, k).
+    zeros, less the products of windows that have such zeros.
     """
     total, columns = sum(map(len, pieces)), pieces[0].shape[1]
     # Short stretches would lose all of their samples.
-    order = min(ORDER, total // SAMPLES, total // (2 * max(len(pieces), 1)))
+    order = max(min(ORDER, total // SAMPLES, total // (2 * max(len(pieces), 1))), 1)
     lags = np.arange(order + 1)
-    count, sums = 0, np.zeros((order + 1, order + 1, columns, columns))
+    count, sums = 0, np.zeros((columns, columns, order + 1, order + 1))
     for piece in filter(len, pieces):
         n = len(piece)
         padded = np.pad(piece, ((order, order), (0, 0)))
-        by_lag = sliding_window_view(padded, n, axis=0) @ piece
+        by_lag = (sliding_window_view(padded[:-order], n, axis=0) @ piece).T
+        by_lag = np.concatenate([by_lag.swapaxes(0, 1), by_lag[..., -2::-1]], axis=2)
         windows = sliding_window_view(padded, order + 1, axis=0)[..., ::-1]
         ends = np.delete(windows, slice(order, n), axis=0)
-        sums += by_lag[order + lags - lags[:, None]]
-        sums -= np.tensordot(ends, ends, (0, 0)).transpose(1, 3, 0, 2)
+        sums += by_lag[..., order + lags - lags[:, None]]
+        sums -= np.tensordot(ends, ends, (0, 0)).swapaxes(1, 2)
         count += max(n - order, 0)
     # What is predicted exactly would have no filter, and leave rounding errors alone.
-    sums[lags, lags] += np.diag(ROUNDING * np.diag(sums[0, 0]) + TINY)
-    return count, _of_fits(sums, fits)
-
-
-def _of_fits(products: Array, fits: IntArray) -> Array:
-    """Return products (h, ..., k, k) of the columns of each fit from those (..., c, c) of all."""
-    chosen = products[..., fits[:, :, None], fits[:, None]]
-    return np.ascontiguousarray(np.moveaxis(chosen, -3, 0))
+    errors = ROUNDING * np.diag(sums[..., 0, 0]) + TINY
+    return count, sums + np.diag(errors)[..., None, None] * np.eye(order + 1)
 
 
 def _filters(factors: Array, count: int, sums: Array) -> Array:
@@ -143,13 +141,10 @@ def _filters(factors: Array, count: int, sums: Array) -> Array:
 
     They follow by least squares, which the ends of a record do not disturb.
     """
-    moments = np.einsum("hij,hlmij->hlm", _squares(factors), sums) / max(count, 1)
+    moments = np.einsum("hij,hijlm->hlm", factors[:, :, None] * factors[:, None], sums)
     weights = _least(moments)
-    return weights / np.sqrt(np.einsum("hl,hlm,hm->h", weights, moments, weights))[:, None]
-
-
-def _squares(factors: Array) -> Array:
-    return factors[:, :, None] * factors[:, None]
+    squares = np.einsum("hl,hlm,hm->h", weights, moments, weights)[:, None]
+    return weights / np.sqrt(squares / max(count, 1))
 
 
 def _least(squares: Array) -> Array:

@@ -1,6 +1,7 @@
 """A term that a model with many states lacks is found in its equation, among terms of its kind."""
 
 import numpy as np
+import pytest
 
 import greybox as gb
 
@@ -46,3 +47,45 @@ def test_the_missing_term_is_named_with_its_equation():
     assert not fit.misfit.explains
     named = [cause.text for cause in fit.misfit.causes[:2]]
     assert any("T0**3 in the equation of T0" in text for text in named)
+
+
+class Lag(gb.StateSpace):
+    """v' = b u - d v."""
+
+    states, inputs, outputs = ("v",), ("u",), ("v",)
+    d = gb.Parameter(2.0, bounds=(0.1, 20))
+    b = gb.Parameter(3.0, bounds=(0.1, 20))
+
+    def derivative(self, x, u, p):
+        return (p.b * u.u - p.d * x.v,)
+
+    def output(self, x, u, p):
+        return (x.v,)
+
+
+def behind_a_rate_limit(position, command):
+    return position + np.clip(command - position, -0.08, 0.08)
+
+
+def behind_a_play(position, command):
+    return np.clip(position, command - 0.15, command + 0.15)
+
+
+@pytest.mark.parametrize(
+    ("actuator", "text"),
+    [(behind_a_rate_limit, "a rate limit of u near"), (behind_a_play, "a backlash of u of about")],
+)
+def test_an_actuator_that_follows_late_is_named(actuator, text):
+    step = 0.05
+    t = step * np.arange(480)
+    u = np.sin(1.3 * t) + 0.5 * np.sin(3.1 * t)
+    position, v, measured = 0.0, 0.0, []
+    for command in u:
+        measured.append(v)
+        position = actuator(position, command)
+        v = np.exp(-2 * step) * v + 1.5 * (1 - np.exp(-2 * step)) * position
+    measured += 0.01 * np.random.default_rng(5).normal(size=t.size)
+    record = gb.Record(t, {"u": u, "v": measured}, hold={"u": np.inf})
+    fit = gb.fit(gb.Problem(Lag(), record), starts=1, profiles=False)
+    assert not fit.misfit.explains
+    assert fit.misfit.causes[0].text.startswith(text)
