@@ -12,7 +12,7 @@ import numpy as np
 
 from greybox.compiled.part import ColoredErrors
 from greybox.files.arrays import Array
-from greybox.statistics.residual_spectrum import colored_information, product_over_time
+from greybox.statistics.residual_spectrum import colored_information
 
 # Degrees of freedom that correlation leaves, at least: twice as many as Student's t needs for a
 # finite variance.
@@ -35,6 +35,7 @@ TIMES_PER_DOF = 2.0
 
 def colored_errors(
     weighted: Sequence[Array],
+    directions: Array,
     residuals: Sequence[Array],
     weight: Array,
     initial_states: int,
@@ -48,8 +49,10 @@ def colored_errors(
     Parameters
     ----------
     weighted : sequence of (k, p, n) arrays
-        WᵀW dy/dθ, one for every stretch, initial states fitted too, by directions of unit variance
-        for white errors of covariance (WᵀW)⁻¹, other data included.
+        WᵀW dy/dθ, one for every stretch, initial states fitted too.
+    directions : (p, r) array
+        Directions of θ of unit variance for white errors of covariance (WᵀW)⁻¹, other data
+        included.
     residuals : sequence of (k, n) arrays
     weight : (k, k) array
         W.
@@ -77,12 +80,11 @@ def colored_errors(
         weight = np.eye(len(weight))
 
     noise = np.asarray(np.linalg.inv(weight.T @ weight), dtype=float)
-    effect = colored_information(weighted, residuals, noise, initial, shocks)
+    effect = colored_information(weighted, directions, residuals, noise, initial, shocks)
     numbers = sum(int(np.count_nonzero(e)) for e in residuals)
 
     # What the parameters absorb of these residuals, and of white ones of the same variance.
-    bread = sum(product_over_time(J, noise) for J in weighted)
-    paid = float(np.trace(bread))
+    paid = effect.taken_of_white
     squares = sum(float(np.sum((weight @ e) ** 2)) for e in residuals) / max(numbers, 1)
     factor = max(effect.taken / max(paid * squares, 1e-300), 1.0)
 

@@ -121,7 +121,9 @@ def _products(pieces: Sequence[Array], fits: IntArray) -> Products:
     for piece in filter(len, pieces):
         n = len(piece)
         padded = np.pad(piece, ((order, order), (0, 0)))
-        by_lag = sliding_window_view(padded, n, axis=0) @ piece
+        # Products with earlier samples are those with later ones, transposed.
+        by_lag = sliding_window_view(padded[order:], n, axis=0) @ piece
+        by_lag = np.concatenate([by_lag[:0:-1].swapaxes(1, 2), by_lag])
         windows = sliding_window_view(padded, order + 1, axis=0)[..., ::-1]
         ends = np.delete(windows, slice(order, n), axis=0)
         sums += by_lag[order + lags - lags[:, None]]

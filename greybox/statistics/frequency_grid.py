@@ -77,12 +77,18 @@ class FrequencyGrid:
         """Return the mean over all frequencies of values (..., b) of the bands."""
         return values @ self.band_weight
 
-    def transform(self, weighted: Array, deviation: Array) -> ComplexArray:
-        """Return the transforms (k, p, f) of sensitivities (k, p, n) times deviations (k,)."""
-        result = np.empty((*weighted.shape[:2], len(self.weight)), dtype=complex)
-        # Row by row: they fill the memory of long records, and padded rows would do so again.
-        for place in np.ndindex(weighted.shape[:2]):
-            result[place] = np.fft.rfft(weighted[place], self.size) * deviation[place[0]]
+    def transform(self, weighted: Array, directions: Array, deviation: Array) -> ComplexArray:
+        """Return the transforms (k, r, f) of sensitivities times deviations (k,).
+
+        The sensitivities (k, p, n) are turned into the columns of `directions` (p, r).
+        """
+        shape = len(weighted), directions.shape[1]
+        result = np.empty((*shape, len(self.weight)), dtype=complex)
+        # Row by row: they fill the memory of long records, and turned or padded rows would do so
+        # again.
+        for i, q in np.ndindex(shape):
+            row = deviation[i] * directions[:, q] @ weighted[i]
+            result[i, q] = np.fft.rfft(row, self.size)
         return result
 
     def covariances(

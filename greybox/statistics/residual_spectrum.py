@@ -71,6 +71,8 @@ class ColoredInformation:
     taken : float
         Its trace: the sum of squares, in units of the given noise, that the parameters take from
         the errors.
+    taken_of_white : float
+        The same of errors with this noise.
     uncertainty : float
         Variance of the logarithm of `taken`, over the spectra that the residuals may have.
     correlation_times : (k,) array
@@ -87,6 +89,7 @@ class ColoredInformation:
 
     meat: Array
     taken: float
+    taken_of_white: float
     uncertainty: float
     correlation_times: Array
     corrected: bool
@@ -96,19 +99,21 @@ class ColoredInformation:
 
 def colored_information(
     weighted: Sequence[Array],
+    directions: Array,
     residuals: Sequence[Array],
     noise: Array,
     initial: Sequence[Array] | None = None,
     shocks: Callable[[], Array] | None = None,
 ) -> ColoredInformation:
-    """Return Σ J' Σ_e J (p, p), the middle of the sandwich, for the spectrum of the residuals.
+    """Return Σ J' Σ_e J (r, r), the middle of the sandwich, for the spectrum of the residuals.
 
     Parameters
     ----------
     weighted : sequence of (k, p, n) arrays
-        R⁻¹ dy/dθ by directions θ of the parameters, one for every stretch, zero where a sample is
-        missing. The directions have unit variance for white errors of covariance R, other data
-        included.
+        R⁻¹ dy/dθ by the parameters θ, one for every stretch, zero where a sample is missing.
+    directions : (p, r) array
+        Directions J of the parameters, of unit variance for white errors of covariance R, other
+        data included.
     residuals : sequence of (k, n) arrays
         Zero where a sample is missing.
     noise : (k, k) array
@@ -126,14 +131,15 @@ def colored_information(
     compared = np.any([e.any(axis=1) for e in residuals], axis=0)
     k = compared.size
     if not compared.any():
-        nothing = np.zeros((weighted[0].shape[1],) * 2)
-        return ColoredInformation(nothing, 0.0, 0.0, np.zeros(k), corrected=True, spectrum=None)
+        nothing = np.zeros((directions.shape[1],) * 2)
+        return ColoredInformation(nothing, 0, 0, 0, np.zeros(k), corrected=True, spectrum=None)
 
     # An output without residuals has no spectrum, and would make matrices singular. A slice makes
     # no copy, which would fill the memory of long records.
     rows = slice(None) if compared.all() else compared
     spectra = ResidualSpectra(
         [J[rows] for J in weighted],
+        directions,
         [e[rows] for e in residuals],
         noise[np.ix_(compared, compared)],
         None if initial is None else [X[rows] for X in initial],
@@ -148,9 +154,11 @@ def colored_information(
     deviation = np.ones(k)
     deviation[compared] = spectra.deviation
 
+    scale = np.outer(spectra.deviation, spectra.deviation)
     return ColoredInformation(
         meat=meat,
         taken=float(np.trace(meat)),
+        taken_of_white=spectra.taken_by((spectra.noise / scale)[..., None]),
         uncertainty=mixture.uncertainty,
         correlation_times=times,
         corrected=corrected,
@@ -240,6 +248,7 @@ class ResidualSpectra:
     """
 
     weighted: Sequence[Array]
+    directions: Array
     residuals: Sequence[Array]
     noise: Array
     initial: Sequence[Array] | None = None
@@ -316,11 +325,11 @@ class ResidualSpectra:
             yield self._only_transform
             return
         for J in self.weighted:
-            yield self.grid.transform(J, self.deviation)
+            yield self.grid.transform(J, self.directions, self.deviation)
 
     @cached_property
     def _only_transform(self) -> ComplexArray:
-        return self.grid.transform(self.weighted[0], self.deviation)
+        return self.grid.transform(self.weighted[0], self.directions, self.deviation)
 
     def mixture(self, lags: Array, banded: ComplexArray) -> AveragedSpectrum:
         """Return the average of the spectra that may have caused a periodogram."""
@@ -576,7 +585,10 @@ class ResidualSpectra:
 
     @cached_property
     def _bread(self) -> Array:
-        return sum((product_over_time(J, self.noise) for J in self.weighted), np.zeros(()))
+        """Products Jᵀ R J over all samples."""
+        p = self.directions.shape[1]
+        rows = (A[:, :p] for A, *_ in self._stretches)
+        return sum(np.einsum("ipn,ij,jqn->pq", J, self.noise, J, optimize=True) for J in rows)
 
     @cached_property
     def _stretches(self) -> list[tuple[Array, ComplexArray, ComplexArray, Array]]:
@@ -588,8 +600,10 @@ class ResidualSpectra:
         scaled = sizes / self.deviation / np.sqrt(self.counts)[:, None]
         stretches = []
         for s, J in enumerate(self.weighted):
-            A = J if self.initial is None else np.concatenate([J, self.initial[s]], axis=1)
-            transform = self.grid.transform(A, self.deviation)
+            A = self.directions.T @ J
+            if self.initial is not None:
+                A = np.concatenate([A, self.initial[s]], axis=1)
+            transform = self.grid.transform(A, np.eye(A.shape[1]), self.deviation)
             first, taken = np.tensordot(scaled, transform, 1), np.tensordot(sizes, A, 1)
             stretches.append((A, transform, first, taken))
         return stretches
@@ -599,11 +613,6 @@ def _positive(matrices: ComplexArray) -> ComplexArray:
     """Return Hermitian matrices (b, k, k) without the negative parts that approximations leave."""
     values, vectors = np.linalg.eigh(matrices)
     return (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.conj().transpose(0, 2, 1)
-
-
-def product_over_time(weighted: Array, noise: Array) -> Array:
-    """Return Σ Jᵀ R J (p, p) over samples of weighted sensitivities J (k, p, n), for R (k, k)."""
-    return np.einsum("ipn,ij,jqn->pq", weighted, noise, weighted, optimize=True)
 
 
 def unmasked(density: ComplexArray, shares: Array, grid: FrequencyGrid) -> ComplexArray:

@@ -30,7 +30,8 @@ AR2 = np.array([1.0, -1.5, 0.7])
 
 
 def spectra_of(weighted, residuals, inverse, *more):
-    return ResidualSpectra(of_unit_variance(weighted, inverse), residuals, *more)
+    turned = of_unit_variance(weighted, inverse)
+    return ResidualSpectra(turned, np.eye(len(inverse)), residuals, *more)
 
 
 def colored(coefficients, n, seed=0, sigma=1.0):
@@ -661,7 +662,7 @@ def test_long_records_need_few_zeros_against_products_of_their_ends():
     assert 1.25 * n <= grid.size < 1.6 * n
     J = np.array([np.ones(n), np.linspace(-1, 1, n)])
     density = (1 - phi**2) / np.abs(1 - phi * np.exp(-1j * grid.omega)) ** 2
-    transforms = grid.transform(J[None], np.ones(1))
+    transforms = grid.transform(J[None], np.eye(2), np.ones(1))
     found = grid.score_covariance([transforms], density[None, None].astype(complex))
     past = lfilter([1.0], [1.0, -phi], J, axis=1) @ J.T  # of sums over earlier samples and this one
     assert_allclose(np.diag(found), np.diag(past + past.T - J @ J.T), rtol=0.01)
@@ -713,7 +714,7 @@ def slow_and_its_parameter(seed, n=150):
 
 def test_where_a_fit_took_nothing_residuals_say_what_a_periodogram_of_errors_says():
     made = small()
-    nothing = ResidualSpectra([0 * W for W in made.weighted], made.residuals, NOISE)
+    nothing = ResidualSpectra(made.weighted, 0 * made.directions, made.residuals, NOISE)
     density = some_density(made)
     one = AveragedSpectrum(density, np.zeros((2, len(made.grid.omega))), 3.0, 0.2, 7.5)
     judged = nothing.judged_on_residuals(one, made.periodogram[1])

@@ -13,6 +13,7 @@ def of_unit_variance(weighted, inverse):
 
 def by_parameters(function, weighted, residuals, inverse, *more, **options):
     """What a function finds of the errors, with its meat by the parameters of this covariance."""
-    found = function(of_unit_variance(weighted, inverse), residuals, *more, **options)
-    back = np.linalg.inv(np.linalg.cholesky(inverse))
+    root = np.linalg.cholesky(inverse)
+    found = function(weighted, root, residuals, *more, **options)
+    back = np.linalg.inv(root)
     return replace(found, meat=back.T @ found.meat @ back)
