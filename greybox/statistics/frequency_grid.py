@@ -13,7 +13,7 @@ from greybox.statistics.residual_autocorrelation import HIGHEST_ORDER
 
 LOWEST = 256  # lowest frequencies; each one is a band
 MOST_PADDING = 50_000  # zeros after records of up to 200 000 samples; after longer ones a quarter
-COLUMNS = 65536  # frequencies at once in memory: 25 MB for three outputs and eight parameters
+COLUMNS = 16384  # frequencies at once in memory: 6 MB for three outputs and eight parameters
 
 
 @dataclass(frozen=True, eq=False)

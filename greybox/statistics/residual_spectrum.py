@@ -147,6 +147,8 @@ def colored_information(
     )
     mixture, corrected = _corrected_mixture(spectra)
     meat = spectra.grid.score_covariance(spectra.transforms(), mixture.density)
+    # Of a long record, a fifth of all memory: what is still asked for needs its power alone.
+    vars(spectra).pop("_only_transform", None)
     times = np.zeros(k)
     times[compared] = spectra.grid.correlation_times(mixture.typical)
     density = np.zeros((k, k, len(spectra.grid.omega)), dtype=complex)
@@ -297,8 +299,9 @@ class ResidualSpectra:
         """Power (k, k, b) of the sensitivities; its mean product with a spectrum is `taken_by`."""
 
         def banded(H: ComplexArray, rows: ComplexArray) -> list[ComplexArray]:
-            G = H.conj()
-            return [self.grid.banded(np.einsum("pf,pf->f", G, row)) for row in rows]
+            # One by one: together they take as much memory as an output's transforms.
+            pairs = (zip(H, row, strict=True) for row in rows)
+            return [self.grid.banded(sum(h.conj() * g for h, g in pair)) for pair in pairs]
 
         return np.sum([[banded(H, rows) for H in rows] for rows in self.transforms()], axis=0)
 
