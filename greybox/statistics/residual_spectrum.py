@@ -156,11 +156,10 @@ def colored_information(
     deviation = np.ones(k)
     deviation[compared] = spectra.deviation
 
-    scale = np.outer(spectra.deviation, spectra.deviation)
     return ColoredInformation(
         meat=meat,
         taken=float(np.trace(meat)),
-        taken_of_white=spectra.taken_by((spectra.noise / scale)[..., None]),
+        taken_of_white=spectra.taken_by(spectra.white),
         uncertainty=mixture.uncertainty,
         correlation_times=times,
         corrected=corrected,
@@ -271,6 +270,12 @@ class ResidualSpectra:
     def deviation(self) -> Array:
         """Standard deviations (k,) of the residuals."""
         return np.sqrt(sum((e**2).sum(axis=1) for e in self.residuals) / self.counts)
+
+    @cached_property
+    def white(self) -> Array:
+        """The density (k, k, b) of the given noise."""
+        size = self.deviation[:, None]
+        return np.repeat((self.noise / size / size.T)[..., None], len(self.grid.omega), axis=2)
 
     @cached_property
     def periodogram(self) -> tuple[Array, ComplexArray]:
@@ -588,10 +593,7 @@ class ResidualSpectra:
 
     @cached_property
     def _bread(self) -> Array:
-        """Products Jᵀ R J over all samples."""
-        p = self.directions.shape[1]
-        rows = (A[:, :p] for A, *_ in self._stretches)
-        return sum(np.einsum("ipn,ij,jqn->pq", J, self.noise, J, optimize=True) for J in rows)
+        return self.grid.score_covariance(self.transforms(), self.white)
 
     @cached_property
     def _stretches(self) -> list[tuple[Array, ComplexArray, ComplexArray, Array]]:
