@@ -459,7 +459,9 @@ class ResidualSpectra:
             spectrum = np.einsum("if,jf->ijf", H, H.conj())
             power = float(np.einsum("iif->f", spectrum).real @ self.grid.weight) / len(H)
             if power > TINY:
-                parts.append(self._noise_part(spectrum / power))
+                pairs = np.fft.irfft(spectrum / power, self.grid.size) * self._measured_pairs
+                expected = self.grid.banded(np.fft.rfft(pairs, self.grid.size))
+                parts.append(self._noise_part(self.grid.banded(spectrum / power), expected))
 
         if len(parts) == len(self._sensor_parts):
             return None
@@ -473,17 +475,16 @@ class ResidualSpectra:
 
     @cached_property
     def _sensor_parts(self) -> list[tuple[ComplexArray, ComplexArray]]:
-        flat = np.ones(len(self.grid.weight), dtype=complex)
-        return [
-            self._noise_part(np.diag(row)[:, :, None] * flat) for row in np.eye(len(self.counts))
-        ]
+        # White noise is white whatever samples are missing.
+        flat = np.ones(len(self.grid.omega), dtype=complex)
+        white = [np.diag(row)[:, :, None] * flat for row in np.eye(len(self.counts))]
+        return [self._noise_part(density, density) for density in white]
 
-    def _noise_part(self, spectrum: NDArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return the density (k, k, b) of a part, and its expected periodogram (b, k, k)."""
-        size = self.grid.size
-        expected = np.fft.rfft(np.fft.irfft(spectrum, size) * self._measured_pairs, size)
-        density = self.grid.banded(spectrum)
-        left = self.grid.banded(expected) - self.taken_power(density)[1]
+    def _noise_part(
+        self, density: ComplexArray, expected: ComplexArray
+    ) -> tuple[ComplexArray, ComplexArray]:
+        """Return the density (k, k, b), and the periodogram (b, k, k) of what the fit leaves."""
+        left = expected - self.taken_power(density)[1]
         return density, _positive(left.transpose(2, 0, 1))
 
     @cached_property
