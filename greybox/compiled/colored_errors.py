@@ -41,8 +41,8 @@ def colored_errors(
     initial_states: int,
     step: float,
     *,
-    initial: Sequence[Array] | None = None,
-    shocks: Callable[[], Array] | None = None,
+    initial: Sequence[Array],
+    shocks: Callable[[], Array],
 ) -> ColoredErrors:
     """Return the effect of correlated residuals on the accuracy of an estimate.
 
@@ -60,9 +60,9 @@ def colored_errors(
         Fitted along.
     step : float
         From sample to sample, s.
-    initial : sequence of (k, m, n) arrays, optional
+    initial : sequence of (k, m, n) arrays
         WᵀW dy/dx by directions x of the initial states, of unit variance for white errors.
-    shocks : function, optional
+    shocks : function
         Returns (k, s, n), dy of the longest stretch after unit jumps of s states.
     """
     # If the noise of outputs is almost dependent, as predicted from measured accelerations, a small
@@ -74,9 +74,9 @@ def colored_errors(
         whitening, mixing = weight, np.linalg.inv(weight).astype(float)
         weighted = [np.tensordot(mixing.T, J, 1) for J in weighted]
         residuals = [whitening @ e for e in residuals]
-        initial = initial and [np.tensordot(mixing.T, X, 1) for X in initial]
+        initial = [np.tensordot(mixing.T, X, 1) for X in initial]
         jumps = shocks
-        shocks = jumps and (lambda: np.tensordot(whitening, jumps(), 1))
+        shocks = lambda: np.tensordot(whitening, jumps(), 1)  # noqa: E731
         weight = np.eye(len(weight))
 
     noise = np.asarray(np.linalg.inv(weight.T @ weight), dtype=float)

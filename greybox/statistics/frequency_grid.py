@@ -110,7 +110,7 @@ class FrequencyGrid:
 
         return lags, banded
 
-    def score_covariance(self, transforms: Iterable[ComplexArray], density: ComplexArray) -> Array:
+    def score_covariance(self, transforms: Iterable[ComplexArray], density: NDArray) -> Array:
         """Return Σ J' Σ_e J (p, p) by the transforms (k, p, frequencies) of all stretches."""
         parts = []
         for transform in transforms:

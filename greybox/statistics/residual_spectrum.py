@@ -102,8 +102,8 @@ def colored_information(
     directions: Array,
     residuals: Sequence[Array],
     noise: Array,
-    initial: Sequence[Array] | None = None,
-    shocks: Callable[[], Array] | None = None,
+    initial: Sequence[Array],
+    shocks: Callable[[], Array],
 ) -> ColoredInformation:
     """Return Σ J' Σ_e J (r, r), the middle of the sandwich, for the spectrum of the residuals.
 
@@ -118,10 +118,10 @@ def colored_information(
         Zero where a sample is missing.
     noise : (k, k) array
         R.
-    initial : sequence of (k, m, n) arrays, optional
+    initial : sequence of (k, m, n) arrays
         R⁻¹ dy/dx by directions x of the fitted initial states, of unit variance for white errors of
         covariance R.
-    shocks : function, optional
+    shocks : function
         Returns (k, s, n), the outputs of the longest stretch after unit jumps of s states: process
         noise reaches the outputs in this way. It is not called for long records.
 
@@ -142,8 +142,8 @@ def colored_information(
         directions,
         [e[rows] for e in residuals],
         noise[np.ix_(compared, compared)],
-        None if initial is None else [X[rows] for X in initial],
-        None if shocks is None else lambda: shocks()[rows],
+        [X[rows] for X in initial],
+        lambda: shocks()[rows],
     )
     mixture, corrected = _corrected_mixture(spectra)
     meat = spectra.grid.score_covariance(spectra.transforms(), mixture.density)
@@ -252,8 +252,8 @@ class ResidualSpectra:
     directions: Array
     residuals: Sequence[Array]
     noise: Array
-    initial: Sequence[Array] | None = None
-    shocks: Callable[[], Array] | None = None
+    initial: Sequence[Array]
+    shocks: Callable[[], Array]
 
     @cached_property
     def grid(self) -> FrequencyGrid:
@@ -305,8 +305,8 @@ class ResidualSpectra:
 
         def banded(H: ComplexArray, rows: ComplexArray) -> list[ComplexArray]:
             # One by one: together they take as much memory as an output's transforms.
-            pairs = (zip(H, row, strict=True) for row in rows)
-            return [self.grid.banded(sum(h.conj() * g for h, g in pair)) for pair in pairs]
+            products = (map(np.multiply, map(np.conj, H), row) for row in rows)
+            return [self.grid.banded(sum(terms, np.zeros(()))) for terms in products]
 
         return np.sum([[banded(H, rows) for H in rows] for rows in self.transforms()], axis=0)
 
@@ -448,12 +448,11 @@ class ResidualSpectra:
         residuals that they lead to, after the fit and with the missing samples.
         """
         # A longer record shows the spectrum of process noise without the model's dynamics.
-        if self.shocks is None or self.counts.max() > 10_000:
+        if self.counts.max() > 10_000:
             return None
 
         filtered = self._shock_transforms / np.fft.rfft([1.0, -correlation], self.grid.size)
-        parts = list(self._sensor_parts)
-
+        parts = []
         # A state that no output shows has no process noise that could be estimated.
         for H in filtered.transpose(1, 0, 2):
             spectrum = np.einsum("if,jf->ijf", H, H.conj())
@@ -463,14 +462,13 @@ class ResidualSpectra:
                 expected = self.grid.banded(np.fft.rfft(pairs, self.grid.size))
                 parts.append(self._noise_part(self.grid.banded(spectrum / power), expected))
 
-        if len(parts) == len(self._sensor_parts):
+        if not parts:
             return None
-        density, of_residuals = zip(*parts, strict=True)
+        density, of_residuals = zip(*self._sensor_parts, *parts, strict=True)
         return np.array(density), np.array(of_residuals)
 
     @cached_property
     def _shock_transforms(self) -> ComplexArray:
-        assert self.shocks is not None
         return np.fft.rfft(self.shocks() / self.deviation[:, None, None], self.grid.size)
 
     @cached_property
@@ -480,9 +478,7 @@ class ResidualSpectra:
         white = [np.diag(row)[:, :, None] * flat for row in np.eye(len(self.counts))]
         return [self._noise_part(density, density) for density in white]
 
-    def _noise_part(
-        self, density: ComplexArray, expected: ComplexArray
-    ) -> tuple[ComplexArray, ComplexArray]:
+    def _noise_part(self, density: NDArray, expected: NDArray) -> tuple[ComplexArray, ComplexArray]:
         """Return the density (k, k, b), and the periodogram (b, k, k) of what the fit leaves."""
         left = expected - self.taken_power(density)[1]
         return density, _positive(left.transpose(2, 0, 1))
@@ -554,7 +550,7 @@ class ResidualSpectra:
             score=apart.score + gain + aicc_penalty(k * (k - 1) * blocks, numbers * k),
         )
 
-    def taken_by(self, density: ComplexArray) -> float:
+    def taken_by(self, density: NDArray) -> float:
         """Return what the estimate takes from errors of a spectrum."""
         return float(self.grid.mean(np.einsum("ijb,ijb->b", self.power, density).real))
 
@@ -605,10 +601,8 @@ class ResidualSpectra:
         sizes = self.noise / self.deviation[:, None]
         scaled = sizes / self.deviation / np.sqrt(self.counts)[:, None]
         stretches = []
-        for s, J in enumerate(self.weighted):
-            A = self.directions.T @ J
-            if self.initial is not None:
-                A = np.concatenate([A, self.initial[s]], axis=1)
+        for J, X in zip(self.weighted, self.initial, strict=True):
+            A = np.concatenate([self.directions.T @ J, X], axis=1)
             transform = self.grid.transform(A, np.eye(A.shape[1]), self.deviation)
             first, taken = np.tensordot(scaled, transform, 1), np.tensordot(sizes, A, 1)
             stretches.append((A, transform, first, taken))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from greybox.files.arrays import Array
-from greybox.solve.gauss_newton.all_parts import COST_ROUNDING, AllParts
+from greybox.solve.gauss_newton.all_parts import COST_ROUNDING, AllParts, with_rounding
 from greybox.solve.gauss_newton.iterate import (
     LARGEST_DAMPING,
     Iterate,
@@ -110,8 +110,8 @@ def _iterated(
         settled = _is_settled(parts, iterate, step, start, progress, states_only=nodes_alone)
         if settled and step.distance <= settings.tol:
             # The step is known already: polishing then has one less to compute.
-            end = followed(parts, iterate, step) or iterate
-            return End(end, CONVERGED, count, step.hessian)
+            end = followed(parts, iterate, step)
+            return End(end or iterate, CONVERGED, count, step.hessian)
         # With 50 iterations between two of these looks, 20 unknown initial states take a third more
         # time; on 29 hard problems neither time nor success change.
         looks = not nodes_alone and (count + 1) % 10 == 0
@@ -150,8 +150,7 @@ def _iterated(
 def followed(parts: AllParts, iterate: Iterate, step: Step) -> Iterate | None:
     """Return the continuous, stable iterate after a whole step; None if it costs more."""
     end = parts.made_continuous(parts.moved(iterate, step, 1.0), step)
-    cost = parts.cost(iterate)
-    dearer = parts.cost(end) > cost + COST_ROUNDING * max(1.0, abs(cost))
+    dearer = parts.cost(end) > with_rounding(parts.cost(iterate))
     return None if dearer or not (parts.is_continuous(end) and are_stable(parts, end)) else end
 
 
