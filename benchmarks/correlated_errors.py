@@ -184,20 +184,21 @@ def cell(plant: Plant, errors: Errors, samples: int, repeats: int, seed: int) ->
         size = np.sqrt(np.mean(residuals**2, axis=1))[:, None, None]
         profiled = _without(weighted / size, initial / size)
         inverse = np.linalg.inv(np.einsum("kpn,kqn->pq", profiled, profiled))
+        root = np.linalg.cholesky(inverse)
         unit = np.linalg.inv(
             np.linalg.cholesky(np.einsum("ksn,ktn->st", initial / size, initial / size))
         )
         found = colored_errors(
             [profiled / size],
+            root,
             [residuals],
-            inverse,
             np.diag(1 / size.ravel()),
             initial.shape[1],
             1.0,
             initial=[np.einsum("st,ktn->ksn", unit, initial / size**2)],
             shocks=partial(np.asarray, initial),
         )
-        z = error / np.sqrt(np.diag(inverse @ found.meat @ inverse))
+        z = error / np.sqrt(np.diag(root @ found.meat @ root.T))
         scaled.append(z)
         holds.append(np.abs(z) < student.ppf(0.975, found.dof))
         rough.append(not found.is_long_enough)

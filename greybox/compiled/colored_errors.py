@@ -12,7 +12,7 @@ import numpy as np
 
 from greybox.compiled.part import ColoredErrors
 from greybox.files.arrays import Array
-from greybox.statistics.residual_spectrum import colored_information, product_over_time
+from greybox.statistics.residual_spectrum import colored_information
 
 # Degrees of freedom that correlation leaves, at least: twice as many as Student's t needs for a
 # finite variance.
@@ -35,21 +35,24 @@ TIMES_PER_DOF = 2.0
 
 def colored_errors(
     weighted: Sequence[Array],
+    directions: Array,
     residuals: Sequence[Array],
     weight: Array,
     initial_states: int,
     step: float,
     *,
-    initial: Sequence[Array] | None = None,
-    shocks: Callable[[], Array] | None = None,
+    initial: Sequence[Array],
+    shocks: Callable[[], Array],
 ) -> ColoredErrors:
     """Return the effect of correlated residuals on the accuracy of an estimate.
 
     Parameters
     ----------
     weighted : sequence of (k, p, n) arrays
-        WᵀW dy/dθ, one for every stretch, initial states fitted too, by directions of unit variance
-        for white errors of covariance (WᵀW)⁻¹, other data included.
+        WᵀW dy/dθ, one for every stretch, initial states fitted too.
+    directions : (p, r) array
+        Directions of θ of unit variance for white errors of covariance (WᵀW)⁻¹, other data
+        included.
     residuals : sequence of (k, n) arrays
     weight : (k, k) array
         W.
@@ -57,9 +60,9 @@ def colored_errors(
         Fitted along.
     step : float
         From sample to sample, s.
-    initial : sequence of (k, m, n) arrays, optional
+    initial : sequence of (k, m, n) arrays
         WᵀW dy/dx by directions x of the initial states, of unit variance for white errors.
-    shocks : function, optional
+    shocks : function
         Returns (k, s, n), dy of the longest stretch after unit jumps of s states.
     """
     # If the noise of outputs is almost dependent, as predicted from measured accelerations, a small
@@ -71,18 +74,17 @@ def colored_errors(
         whitening, mixing = weight, np.linalg.inv(weight).astype(float)
         weighted = [np.tensordot(mixing.T, J, 1) for J in weighted]
         residuals = [whitening @ e for e in residuals]
-        initial = initial and [np.tensordot(mixing.T, X, 1) for X in initial]
+        initial = [np.tensordot(mixing.T, X, 1) for X in initial]
         jumps = shocks
-        shocks = jumps and (lambda: np.tensordot(whitening, jumps(), 1))
+        shocks = lambda: np.tensordot(whitening, jumps(), 1)  # noqa: E731
         weight = np.eye(len(weight))
 
     noise = np.asarray(np.linalg.inv(weight.T @ weight), dtype=float)
-    effect = colored_information(weighted, residuals, noise, initial, shocks)
+    effect = colored_information(weighted, directions, residuals, noise, initial, shocks)
     numbers = sum(int(np.count_nonzero(e)) for e in residuals)
 
     # What the parameters absorb of these residuals, and of white ones of the same variance.
-    bread = sum(product_over_time(J, noise) for J in weighted)
-    paid = float(np.trace(bread))
+    paid = effect.taken_of_white
     squares = sum(float(np.sum((weight @ e) ** 2)) for e in residuals) / max(numbers, 1)
     factor = max(effect.taken / max(paid * squares, 1e-300), 1.0)
 

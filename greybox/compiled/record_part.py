@@ -238,7 +238,8 @@ def _information(part: RecordPart, trajectory: Trajectory, by_values: Array) -> 
     def colored(root: Array) -> ColoredErrors:
         directions = by_values[:, : len(root)] @ root
         errors = colored_errors(
-            [directions.T @ J for J in data.unpadded(weighted)],
+            data.unpadded(weighted),
+            directions,
             data.unpadded(part.residuals(trajectory)),
             weight,
             initial,

@@ -105,8 +105,8 @@ def response_formulas(
     frequencies = ca.SX(ca.DM(omega)) if symbol is None else symbol
     s = Complex(ca.SX.zeros(frequencies.numel()), frequencies, pade)
     pairs = [pick_signals(model, *pair) for pair in pairs]
-    z, p = symbols(model)
     if isinstance(model, TransferFunction):
+        _, p = symbols(model)
         require_no_operating_point(model, at)
         result = traced(f"{model.label}.response", model.response, s, parameter_names(model, p))
         parts = _columns(result, s, model.label)
@@ -117,45 +117,41 @@ def response_formulas(
     assert isinstance(model, StateSpace)
     n = len(model.states)
     inputs, outputs = (sorted(set(names)) for names in zip(*pairs, strict=True))
-    x, u = z[:n], z[n:]
     i = [model.input_names.index(name) for name in inputs]
     k = [model.output_names.index(name) for name in outputs]
     trim = trim_of(model, at or {})
 
     # C (s I - A)⁻¹ B + D, then the delay
-    A, B, C, D = jacobians(model)(p, x, u)
+    p, w = trim.function.sx_in()
+    blocks: Any = jacobians(model)(p, *trim.function(p, w))
+    A, B, C, D = blocks
     system = ca.blockcat([[-A, B[:, i]], [-C[k, :], D[k, i]]])
     entries = [
         [None if system[r, c].is_zero() else system[r, c] for c in range(n + len(i))]
         for r in range(n + len(k))
     ]
-    order = _elimination_order(
-        model, ca.Function("system", [p, x, u], [system]), trim, omega, len(k)
-    )
-    results = eliminated(entries, s, order)
-    _, w = trim.function.sx_in()
-    point: Any = trim.function(p, w)
+    at_point = Trimmed(trim.root, ca.Function("system", [p, w], [system]))
+    results = eliminated(entries, s, _elimination_order(model, at_point, omega, len(k)))
     formulas = []
     for input, output in pairs:
         result = results[outputs.index(output)][inputs.index(input)]
         if input in model.delays:
             result = result * exp(-s * p[list(model.parameters).index(model.delays[input])])
-        at_point = ca.Function("response", [p, x, u, *frequency], _columns(result, s, model.label))
-        parts: Any = at_point(p, *point, *frequency)
+        parts = _columns(result, s, model.label)
         formulas.append(Trimmed(trim.root, ca.Function("response", [p, w, *frequency], parts)))
     return formulas
 
 
 def _elimination_order(
-    model: StateSpace, system: ca.Function, trim: Trimmed, omega: Array, outputs: int
+    model: StateSpace, system: Trimmed, omega: Array, outputs: int
 ) -> tuple[int, ...]:
     """Choose the order of elimination from matrices at the start values and at random starts."""
     # A pivot that vanishes for all parameters does so at any few values, and at any frequencies.
     random = np.random.default_rng(0)
     points: list[Any] = [start_values(model.parameters)]
     points += [[q.draw(random) for q in model.parameters.values()] for _ in range(3)]
-    closed = trim.closed()
-    samples = [np.asarray(ca.DM(system(point, *closed(point)))) for point in points]
+    closed: Any = system.closed()
+    samples = [np.asarray(ca.DM(closed(point))) for point in points]
     # A draw may have no operating point.
     samples = [sample for sample in samples if all_finite(sample)]
     if not samples:

@@ -48,7 +48,8 @@ class Trimmed:
         symbols: Any = self.function.mx_in() if self.root else input_symbols(self.function)
         p, w, *arguments = symbols
         w = w if self.root is None else self.root(p)
-        return ca.Function(self.function.name(), [p, *arguments], self.function(p, w, *arguments))
+        results = self.function.call([p, w, *arguments])
+        return ca.Function(self.function.name(), [p, *arguments], results)
 
 
 @once

@@ -13,7 +13,7 @@ from greybox.statistics.residual_autocorrelation import HIGHEST_ORDER
 
 LOWEST = 256  # lowest frequencies; each one is a band
 MOST_PADDING = 50_000  # zeros after records of up to 200 000 samples; after longer ones a quarter
-COLUMNS = 65536  # frequencies at once in memory: 25 MB for three outputs and eight parameters
+COLUMNS = 16384  # frequencies at once in memory: 6 MB for three outputs and eight parameters
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,12 +77,18 @@ class FrequencyGrid:
         """Return the mean over all frequencies of values (..., b) of the bands."""
         return values @ self.band_weight
 
-    def transform(self, weighted: Array, deviation: Array) -> ComplexArray:
-        """Return the transforms (k, p, f) of sensitivities (k, p, n) times deviations (k,)."""
-        result = np.empty((*weighted.shape[:2], len(self.weight)), dtype=complex)
-        # Row by row: they fill the memory of long records, and padded rows would do so again.
-        for place in np.ndindex(weighted.shape[:2]):
-            result[place] = np.fft.rfft(weighted[place], self.size) * deviation[place[0]]
+    def transform(self, weighted: Array, directions: Array, deviation: Array) -> ComplexArray:
+        """Return the transforms (k, r, f) of sensitivities times deviations (k,).
+
+        The sensitivities (k, p, n) are turned into the columns of `directions` (p, r).
+        """
+        shape = len(weighted), directions.shape[1]
+        result = np.empty((*shape, len(self.weight)), dtype=complex)
+        # Row by row: they fill the memory of long records, and turned or padded rows would do so
+        # again.
+        for i, q in np.ndindex(shape):
+            row = deviation[i] * directions[:, q] @ weighted[i]
+            result[i, q] = np.fft.rfft(row, self.size)
         return result
 
     def covariances(
@@ -104,7 +110,7 @@ class FrequencyGrid:
 
         return lags, banded
 
-    def score_covariance(self, transforms: Iterable[ComplexArray], density: ComplexArray) -> Array:
+    def score_covariance(self, transforms: Iterable[ComplexArray], density: NDArray) -> Array:
         """Return Σ J' Σ_e J (p, p) by the transforms (k, p, frequencies) of all stretches."""
         parts = []
         for transform in transforms:

@@ -71,6 +71,8 @@ class ColoredInformation:
     taken : float
         Its trace: the sum of squares, in units of the given noise, that the parameters take from
         the errors.
+    taken_of_white : float
+        The same of errors with this noise.
     uncertainty : float
         Variance of the logarithm of `taken`, over the spectra that the residuals may have.
     correlation_times : (k,) array
@@ -87,6 +89,7 @@ class ColoredInformation:
 
     meat: Array
     taken: float
+    taken_of_white: float
     uncertainty: float
     correlation_times: Array
     corrected: bool
@@ -96,27 +99,29 @@ class ColoredInformation:
 
 def colored_information(
     weighted: Sequence[Array],
+    directions: Array,
     residuals: Sequence[Array],
     noise: Array,
-    initial: Sequence[Array] | None = None,
-    shocks: Callable[[], Array] | None = None,
+    initial: Sequence[Array],
+    shocks: Callable[[], Array],
 ) -> ColoredInformation:
-    """Return Σ J' Σ_e J (p, p), the middle of the sandwich, for the spectrum of the residuals.
+    """Return Σ J' Σ_e J (r, r), the middle of the sandwich, for the spectrum of the residuals.
 
     Parameters
     ----------
     weighted : sequence of (k, p, n) arrays
-        R⁻¹ dy/dθ by directions θ of the parameters, one for every stretch, zero where a sample is
-        missing. The directions have unit variance for white errors of covariance R, other data
-        included.
+        R⁻¹ dy/dθ by the parameters θ, one for every stretch, zero where a sample is missing.
+    directions : (p, r) array
+        Directions J of the parameters, of unit variance for white errors of covariance R, other
+        data included.
     residuals : sequence of (k, n) arrays
         Zero where a sample is missing.
     noise : (k, k) array
         R.
-    initial : sequence of (k, m, n) arrays, optional
+    initial : sequence of (k, m, n) arrays
         R⁻¹ dy/dx by directions x of the fitted initial states, of unit variance for white errors of
         covariance R.
-    shocks : function, optional
+    shocks : function
         Returns (k, s, n), the outputs of the longest stretch after unit jumps of s states: process
         noise reaches the outputs in this way. It is not called for long records.
 
@@ -126,21 +131,24 @@ def colored_information(
     compared = np.any([e.any(axis=1) for e in residuals], axis=0)
     k = compared.size
     if not compared.any():
-        nothing = np.zeros((weighted[0].shape[1],) * 2)
-        return ColoredInformation(nothing, 0.0, 0.0, np.zeros(k), corrected=True, spectrum=None)
+        nothing = np.zeros((directions.shape[1],) * 2)
+        return ColoredInformation(nothing, 0, 0, 0, np.zeros(k), corrected=True, spectrum=None)
 
     # An output without residuals has no spectrum, and would make matrices singular. A slice makes
     # no copy, which would fill the memory of long records.
     rows = slice(None) if compared.all() else compared
     spectra = ResidualSpectra(
         [J[rows] for J in weighted],
+        directions,
         [e[rows] for e in residuals],
         noise[np.ix_(compared, compared)],
-        None if initial is None else [X[rows] for X in initial],
-        None if shocks is None else lambda: shocks()[rows],
+        [X[rows] for X in initial],
+        lambda: shocks()[rows],
     )
     mixture, corrected = _corrected_mixture(spectra)
     meat = spectra.grid.score_covariance(spectra.transforms(), mixture.density)
+    # Of a long record, a fifth of all memory: what is still asked for needs its power alone.
+    vars(spectra).pop("_only_transform", None)
     times = np.zeros(k)
     times[compared] = spectra.grid.correlation_times(mixture.typical)
     density = np.zeros((k, k, len(spectra.grid.omega)), dtype=complex)
@@ -151,6 +159,7 @@ def colored_information(
     return ColoredInformation(
         meat=meat,
         taken=float(np.trace(meat)),
+        taken_of_white=spectra.taken_by(spectra.white),
         uncertainty=mixture.uncertainty,
         correlation_times=times,
         corrected=corrected,
@@ -240,10 +249,11 @@ class ResidualSpectra:
     """
 
     weighted: Sequence[Array]
+    directions: Array
     residuals: Sequence[Array]
     noise: Array
-    initial: Sequence[Array] | None = None
-    shocks: Callable[[], Array] | None = None
+    initial: Sequence[Array]
+    shocks: Callable[[], Array]
 
     @cached_property
     def grid(self) -> FrequencyGrid:
@@ -260,6 +270,12 @@ class ResidualSpectra:
     def deviation(self) -> Array:
         """Standard deviations (k,) of the residuals."""
         return np.sqrt(sum((e**2).sum(axis=1) for e in self.residuals) / self.counts)
+
+    @cached_property
+    def white(self) -> Array:
+        """The density (k, k, b) of the given noise."""
+        size = self.deviation[:, None]
+        return np.repeat((self.noise / size / size.T)[..., None], len(self.grid.omega), axis=2)
 
     @cached_property
     def periodogram(self) -> tuple[Array, ComplexArray]:
@@ -288,8 +304,9 @@ class ResidualSpectra:
         """Power (k, k, b) of the sensitivities; its mean product with a spectrum is `taken_by`."""
 
         def banded(H: ComplexArray, rows: ComplexArray) -> list[ComplexArray]:
-            G = H.conj()
-            return [self.grid.banded(np.einsum("pf,pf->f", G, row)) for row in rows]
+            # One by one: together they take as much memory as an output's transforms.
+            products = (map(np.multiply, map(np.conj, H), row) for row in rows)
+            return [self.grid.banded(sum(terms, np.zeros(()))) for terms in products]
 
         return np.sum([[banded(H, rows) for H in rows] for rows in self.transforms()], axis=0)
 
@@ -316,11 +333,11 @@ class ResidualSpectra:
             yield self._only_transform
             return
         for J in self.weighted:
-            yield self.grid.transform(J, self.deviation)
+            yield self.grid.transform(J, self.directions, self.deviation)
 
     @cached_property
     def _only_transform(self) -> ComplexArray:
-        return self.grid.transform(self.weighted[0], self.deviation)
+        return self.grid.transform(self.weighted[0], self.directions, self.deviation)
 
     def mixture(self, lags: Array, banded: ComplexArray) -> AveragedSpectrum:
         """Return the average of the spectra that may have caused a periodogram."""
@@ -431,42 +448,39 @@ class ResidualSpectra:
         residuals that they lead to, after the fit and with the missing samples.
         """
         # A longer record shows the spectrum of process noise without the model's dynamics.
-        if self.shocks is None or self.counts.max() > 10_000:
+        if self.counts.max() > 10_000:
             return None
 
         filtered = self._shock_transforms / np.fft.rfft([1.0, -correlation], self.grid.size)
-        parts = list(self._sensor_parts)
-
+        parts = []
         # A state that no output shows has no process noise that could be estimated.
         for H in filtered.transpose(1, 0, 2):
             spectrum = np.einsum("if,jf->ijf", H, H.conj())
             power = float(np.einsum("iif->f", spectrum).real @ self.grid.weight) / len(H)
             if power > TINY:
-                parts.append(self._noise_part(spectrum / power))
+                pairs = np.fft.irfft(spectrum / power, self.grid.size) * self._measured_pairs
+                expected = self.grid.banded(np.fft.rfft(pairs, self.grid.size))
+                parts.append(self._noise_part(self.grid.banded(spectrum / power), expected))
 
-        if len(parts) == len(self._sensor_parts):
+        if not parts:
             return None
-        density, of_residuals = zip(*parts, strict=True)
+        density, of_residuals = zip(*self._sensor_parts, *parts, strict=True)
         return np.array(density), np.array(of_residuals)
 
     @cached_property
     def _shock_transforms(self) -> ComplexArray:
-        assert self.shocks is not None
         return np.fft.rfft(self.shocks() / self.deviation[:, None, None], self.grid.size)
 
     @cached_property
     def _sensor_parts(self) -> list[tuple[ComplexArray, ComplexArray]]:
-        flat = np.ones(len(self.grid.weight), dtype=complex)
-        return [
-            self._noise_part(np.diag(row)[:, :, None] * flat) for row in np.eye(len(self.counts))
-        ]
+        # White noise is white whatever samples are missing.
+        flat = np.ones(len(self.grid.omega), dtype=complex)
+        white = [np.diag(row)[:, :, None] * flat for row in np.eye(len(self.counts))]
+        return [self._noise_part(density, density) for density in white]
 
-    def _noise_part(self, spectrum: NDArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return the density (k, k, b) of a part, and its expected periodogram (b, k, k)."""
-        size = self.grid.size
-        expected = np.fft.rfft(np.fft.irfft(spectrum, size) * self._measured_pairs, size)
-        density = self.grid.banded(spectrum)
-        left = self.grid.banded(expected) - self.taken_power(density)[1]
+    def _noise_part(self, density: NDArray, expected: NDArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return the density (k, k, b), and the periodogram (b, k, k) of what the fit leaves."""
+        left = expected - self.taken_power(density)[1]
         return density, _positive(left.transpose(2, 0, 1))
 
     @cached_property
@@ -536,7 +550,7 @@ class ResidualSpectra:
             score=apart.score + gain + aicc_penalty(k * (k - 1) * blocks, numbers * k),
         )
 
-    def taken_by(self, density: ComplexArray) -> float:
+    def taken_by(self, density: NDArray) -> float:
         """Return what the estimate takes from errors of a spectrum."""
         return float(self.grid.mean(np.einsum("ijb,ijb->b", self.power, density).real))
 
@@ -576,7 +590,7 @@ class ResidualSpectra:
 
     @cached_property
     def _bread(self) -> Array:
-        return sum((product_over_time(J, self.noise) for J in self.weighted), np.zeros(()))
+        return self.grid.score_covariance(self.transforms(), self.white)
 
     @cached_property
     def _stretches(self) -> list[tuple[Array, ComplexArray, ComplexArray, Array]]:
@@ -587,9 +601,9 @@ class ResidualSpectra:
         sizes = self.noise / self.deviation[:, None]
         scaled = sizes / self.deviation / np.sqrt(self.counts)[:, None]
         stretches = []
-        for s, J in enumerate(self.weighted):
-            A = J if self.initial is None else np.concatenate([J, self.initial[s]], axis=1)
-            transform = self.grid.transform(A, self.deviation)
+        for J, X in zip(self.weighted, self.initial, strict=True):
+            A = np.concatenate([self.directions.T @ J, X], axis=1)
+            transform = self.grid.transform(A, np.eye(A.shape[1]), self.deviation)
             first, taken = np.tensordot(scaled, transform, 1), np.tensordot(sizes, A, 1)
             stretches.append((A, transform, first, taken))
         return stretches
@@ -599,11 +613,6 @@ def _positive(matrices: ComplexArray) -> ComplexArray:
     """Return Hermitian matrices (b, k, k) without the negative parts that approximations leave."""
     values, vectors = np.linalg.eigh(matrices)
     return (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.conj().transpose(0, 2, 1)
-
-
-def product_over_time(weighted: Array, noise: Array) -> Array:
-    """Return Σ Jᵀ R J (p, p) over samples of weighted sensitivities J (k, p, n), for R (k, k)."""
-    return np.einsum("ipn,ij,jqn->pq", weighted, noise, weighted, optimize=True)
 
 
 def unmasked(density: ComplexArray, shares: Array, grid: FrequencyGrid) -> ComplexArray:

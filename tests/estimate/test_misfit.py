@@ -516,8 +516,10 @@ def test_an_offset_is_named_and_drift_is_none():
     flown = shifted.with_(data=record.with_signals(x=record["x"] + 0.5))
     offset = gb.fit(flown, starts=1, progress=False).misfit
     assert not offset.explains
-    assert "an offset of x" in offset.likely[0].text
-    assert offset.likely[0].value == pytest.approx(0.5, rel=0.1)
+    # From an unknown initial state, a constant force is the same: rounding decides which is first.
+    cause = next(cause for cause in offset.likely[:2] if "an offset of x" in cause.text)
+    assert cause.share == pytest.approx(offset.likely[0].share, rel=1e-9)
+    assert cause.value == pytest.approx(0.5, rel=0.1)
     assert not any("offset" in cause.text for cause in fitted(color="drift").misfit.likely)
 
 

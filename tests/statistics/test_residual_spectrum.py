@@ -12,7 +12,7 @@ from scipy.linalg import (
     toeplitz,
 )
 from scipy.signal import lfilter
-from unit_directions import by_parameters, of_unit_variance
+from unit_directions import by_parameters, of_unit_variance, with_states
 
 from greybox.statistics.frequency_grid import FrequencyGrid, fast_length
 from greybox.statistics.residual_spectrum import (
@@ -29,8 +29,10 @@ from greybox.statistics.variance_components import variance_components
 AR2 = np.array([1.0, -1.5, 0.7])
 
 
-def spectra_of(weighted, residuals, inverse, *more):
-    return ResidualSpectra(of_unit_variance(weighted, inverse), residuals, *more)
+def spectra_of(weighted, residuals, inverse, noise, *states):
+    turned = of_unit_variance(weighted, inverse)
+    states = with_states(weighted, *states)
+    return ResidualSpectra(turned, np.eye(len(inverse)), residuals, noise, *states)
 
 
 def colored(coefficients, n, seed=0, sigma=1.0):
@@ -302,9 +304,10 @@ def test_process_noise_is_found_through_the_dynamics_in_a_record_of_three_time_c
         weighted, moved = (
             c.reshape(2, 100, -1).transpose(0, 2, 1) / [[[1.0]], [[5.0]]] for c in (columns, X)
         )
-        for found, more in ((alone, ()), (known, ([moved], lambda jumps=jumps: jumps))):
+        states = {"initial": [moved], "shocks": lambda jumps=jumps: jumps}
+        for found, more in ((alone, {}), (known, states)):
             meat = by_parameters(
-                colored_information, [weighted], [residuals], inverse, noise, *more
+                colored_information, [weighted], [residuals], inverse, noise, **more
             ).meat
             found.append(estimate / np.sqrt(np.diag(inverse @ meat @ inverse)))
     assert np.sqrt(np.mean(np.square(known))) == pytest.approx(1.0, abs=0.25)
@@ -391,7 +394,7 @@ def left_by_a_fit(made, density):
     W = np.vstack([rows_of(W) for W in made.weighted])
     R = block_diag(*(np.kron(made.noise, np.eye(e.shape[1])) for e in made.residuals))
     P = R @ W @ W.T
-    if made.initial is not None:
+    if made.initial[0].size:
         X = block_diag(*(rows_of(X) for X in made.initial))
         P = P + R @ X @ X.T
     there = np.diag(np.concatenate([(e != 0).ravel() for e in made.residuals]).astype(float))
@@ -661,7 +664,7 @@ def test_long_records_need_few_zeros_against_products_of_their_ends():
     assert 1.25 * n <= grid.size < 1.6 * n
     J = np.array([np.ones(n), np.linspace(-1, 1, n)])
     density = (1 - phi**2) / np.abs(1 - phi * np.exp(-1j * grid.omega)) ** 2
-    transforms = grid.transform(J[None], np.ones(1))
+    transforms = grid.transform(J[None], np.eye(2), np.ones(1))
     found = grid.score_covariance([transforms], density[None, None].astype(complex))
     past = lfilter([1.0], [1.0, -phi], J, axis=1) @ J.T  # of sums over earlier samples and this one
     assert_allclose(np.diag(found), np.diag(past + past.T - J @ J.T), rtol=0.01)
@@ -713,7 +716,8 @@ def slow_and_its_parameter(seed, n=150):
 
 def test_where_a_fit_took_nothing_residuals_say_what_a_periodogram_of_errors_says():
     made = small()
-    nothing = ResidualSpectra([0 * W for W in made.weighted], made.residuals, NOISE)
+    states = made.initial, made.shocks
+    nothing = ResidualSpectra(made.weighted, 0 * made.directions, made.residuals, NOISE, *states)
     density = some_density(made)
     one = AveragedSpectrum(density, np.zeros((2, len(made.grid.omega))), 3.0, 0.2, 7.5)
     judged = nothing.judged_on_residuals(one, made.periodogram[1])

@@ -20,6 +20,11 @@ COST_ROUNDING = 1e-9  # relative change of the cost that counts as rounding
 GAP_CLOSINGS = 5  # iterations of the second-order correction
 
 
+def with_rounding(cost: float) -> float:
+    """Return the largest cost that may differ from this one by rounding alone."""
+    return cost + COST_ROUNDING * max(1.0, abs(cost))
+
+
 class AllParts:
     """The parts of one problem, whose costs add, with Kalman gains, limits and settings.
 

@@ -15,7 +15,7 @@ from greybox.compiled.part import Trajectory
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.constraints import Limits
-from greybox.solve.gauss_newton.all_parts import COST_ROUNDING, AllParts
+from greybox.solve.gauss_newton.all_parts import AllParts, with_rounding
 from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Nodes, Progress, relaxed
 from greybox.solve.gauss_newton.iteration import CONVERGED, SINGULAR, descend
 from greybox.solve.gauss_newton.polishing import is_blurred, polished, sharpened
@@ -144,7 +144,7 @@ class GaussNewton(LocalSolver):
         cost = self._parts.cost(end, 0.0)
         # Steps to another cost have left the minimum, for example if a predictor ends at its
         # stability limit.
-        highest = best.cost + COST_ROUNDING * max(1.0, abs(best.cost))
+        highest = with_rounding(best.cost)
         if not best.cost - same_cost(self.nlp, best.cost) <= cost <= highest:
             return search
         minimum = replace(best, cost=min(cost, best.cost), estimate=self.nlp.estimate_at(end.z))

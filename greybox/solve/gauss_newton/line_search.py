@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable, Sequence
 
 from greybox.files.arrays import Array
-from greybox.solve.gauss_newton.all_parts import COST_ROUNDING, AllParts
+from greybox.solve.gauss_newton.all_parts import AllParts, with_rounding
 from greybox.solve.gauss_newton.iterate import Iterate, Progress, Step
 from greybox.solve.gauss_newton.stability import are_stable
 
@@ -46,7 +46,7 @@ def line_search(
     `start` is the merit of the iterate. Where continuity is exact, a trial that fails is tried once
     more with its gaps closed.
     """
-    limit = start + COST_ROUNDING * max(1.0, abs(start))
+    limit = with_rounding(start)
     length = 1.0
     while length > SHORTEST_STEP:
         trial = parts.moved(iterate, step, length)

@@ -14,9 +14,9 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.files.arrays import Array, positive_or_one
-from greybox.solve.gauss_newton.all_parts import COST_ROUNDING, AllParts
+from greybox.solve.gauss_newton.all_parts import AllParts
 from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Progress, Step
-from greybox.solve.gauss_newton.iteration import descend
+from greybox.solve.gauss_newton.iteration import descend, followed
 from greybox.solve.gauss_newton.line_search import line_search, merit_function
 from greybox.solve.gauss_newton.normal_equations import gauss_newton_step
 from greybox.solve.gauss_newton.stability import are_stable
@@ -53,8 +53,6 @@ def exact_step(parts: AllParts, iterate: Iterate, progress: Progress) -> Step:
 def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
     """Return the end of undamped steps, and the squared length of the next one."""
     progress = EXACT
-    cost = parts.cost(iterate)
-    highest = cost + COST_ROUNDING * max(1.0, abs(cost))
     end, shortest, distance = iterate, math.inf, math.inf
     for _ in range(MOST_STEPS):
         step = exact_step(parts, iterate, progress)
@@ -68,12 +66,11 @@ def _undamped(parts: AllParts, iterate: Iterate) -> tuple[Iterate, float]:
         if remaining < 1e-18:  # changes none of the first nine digits of a parameter
             break
 
-        iterate = parts.made_continuous(parts.moved(iterate, step, 1.0), step)
+        following = followed(parts, iterate, step)
         del step  # of a long record, a tenth of what fits into memory
-        if not iterate.finite or parts.cost(iterate) > highest:
+        if following is None:
             break
-        if not parts.is_continuous(iterate) or not are_stable(parts, iterate):
-            break
+        iterate = following
     return end, distance
 
 
