@@ -21,6 +21,7 @@ AT_ONCE = 4096  # runs that are processed together: as many as fit into the cach
 SAME_COST = 1e-4  # relative; the smoothing moves costs by up to 6e-5
 SAME_LIKELIHOOD = 1e-2  # of negative log-likelihoods: a tenth of a standard error is 5e-3
 TOLD_APART = 0.1  # of a unit of log-likelihood
+RIVAL = 3.0  # units up to which another minimum is a rival: it is twenty times less likely
 # Root mean square of the difference of two signatures, relative to the data or the response.
 SAME_RESPONSE = 1e-2
 
@@ -103,6 +104,7 @@ class Multistart:
 
 def best_unfinished(runs: Sequence[Run]) -> Run | None:
     """Return the run with the lowest finite cost of those that did not converge, if any."""
+    # A run on too coarse an integration has a cost that no finer one would have.
     ended = [
         run
         for run in runs
@@ -122,9 +124,7 @@ def agreeing_runs(
     None agree if the lowest is nearly that of a response of zero: such a model explains nothing,
     wherever the runs began.
 
-    The costs differ by at most a tenth of a unit of log-likelihood. With unknown noise the cost of
-    n real numbers is proportional to the noise or its square, and the log-likelihood to
-    n log(cost): a unit of it is cost / n.
+    The costs differ by at most a tenth of a unit of log-likelihood.
     """
     if not minima:
         return ()
@@ -132,13 +132,21 @@ def agreeing_runs(
     zero = sum(part.weight * cost_of_zero(part.criterion, part.data) for part in responses)
     if len(responses) == len(nlp.parts) and explains_nothing(best, zero):
         return ()
-    numbers = max(sum(part.numbers for part in nlp.parts), 1)
-    is_likelihood = any(part.is_likelihood for part in nlp.parts)
-    limit = best + TOLD_APART * (1.0 if is_likelihood else abs(best) / numbers)
+    limit = best + TOLD_APART * likelihood_unit(nlp, best)
     # By cost alone: the data cannot distinguish these ends, whatever their responses.
     columns = Runs.of(runs)
     close = columns.indices[columns.converged & (columns.cost <= limit)]
     return tuple(sorted({*close.tolist(), *minima[0].runs}))
+
+
+def likelihood_unit(nlp: CompiledProblem, best: float) -> float:
+    """Return the difference of costs near the lowest that is a unit of log-likelihood.
+
+    With unknown noise the cost of n real numbers is proportional to the noise or its square, and
+    the log-likelihood to n log(cost): a unit of it is cost / n.
+    """
+    is_likelihood = any(part.is_likelihood for part in nlp.parts)
+    return 1.0 if is_likelihood else abs(best) / max(sum(part.numbers for part in nlp.parts), 1)
 
 
 def explains_nothing(cost: Any, zero: float) -> Any:

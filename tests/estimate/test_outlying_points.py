@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from declared_models import Lag, measured
+from scipy.signal import lfilter
 from scipy.stats import f as fisher
 from scipy.stats import spearmanr
 
@@ -286,3 +287,19 @@ def test_unequal_errors_of_a_response_are_judged_by_the_number_of_responses():
     assert 0.01 / 30 < p_values[by_chance] < 0.01
     assert named(by_chance)
     assert not named(by_chance, *white)
+
+
+@pytest.mark.parametrize(
+    ("share", "slow", "is_named"), [(1, 0, True), (0, 0, False), (0, 0.9, False)]
+)
+def test_errors_in_proportion_to_an_output_of_a_record_are_named(share, slow, is_named):
+    """Slow errors of one size are as often large for long where a slow output is large."""
+    random = np.random.default_rng(2)
+    u = np.repeat(random.choice([0.1, 1.0], 12), 25)
+    record = gb.Record(0.05 * np.arange(300), {"u": u}, name="steps")
+    truth = gb.simulate(Lag(), {"K": 2.0, "T": 0.4}, record)["y"]
+    errors = lfilter([1], [1, -slow], random.normal(size=300))
+    y = truth + 0.05 * errors * np.where(share, truth, 1.0)
+    problem = gb.Problem(Lag(), record.with_signals(y=y), gb.OutputError(inputs="held"))
+    fit = gb.fit(problem, starts=1, progress=False)
+    assert any("follows that of y" in text for text in fit.warnings) == is_named

@@ -6,13 +6,9 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.estimate.covariance import Accuracy
-from greybox.files.text_table import listed
-from greybox.solve.minima import Multistart
-from greybox.solve.runs import TOO_COARSE
-
-# Difference of negative log-likelihoods up to which another minimum is a rival: at 3 it is twenty
-# times less likely.
-RIVAL_LIKELIHOOD = 3.0
+from greybox.files.arrays import Array
+from greybox.files.text_table import listed, number
+from greybox.solve.minima import RIVAL, Multistart, best_unfinished, likelihood_unit
 
 
 def few_agreeing_starts(search: Multistart, agreeing: int) -> Iterator[str]:
@@ -39,15 +35,8 @@ def few_agreeing_starts(search: Multistart, agreeing: int) -> Iterator[str]:
 def unfinished_runs(search: Multistart) -> Iterator[str]:
     """Name the run that ended at the lowest cost below the answer, but did not converge."""
     best = search.minima[0].cost
-    # A run on too coarse an integration has a cost that no finer one would have.
-    unfinished = [
-        run
-        for run in search.brought
-        if not run.converged and run.status != TOO_COARSE and run.cost < best
-    ]
-
-    if unfinished:
-        lowest = min(unfinished, key=lambda run: run.cost)
+    lowest = best_unfinished(search.brought)
+    if lowest and lowest.cost < best:
         yield (
             f"run {lowest.index} ended at a lower cost, {lowest.cost:.6g} instead of {best:.6g}, "
             f"but did not converge ({lowest.status}): give it more iterations "
@@ -56,22 +45,16 @@ def unfinished_runs(search: Multistart) -> Iterator[str]:
 
 
 def rival_minima(nlp: CompiledProblem, search: Multistart) -> Iterator[str]:
-    """Warn of another minimum with a different response and nearly the same cost."""
-    if len(search.minima) < 2:
-        return
-    best, rival = search.minima[:2]
-    excess = rival.cost - best.cost
-    if any(part.is_likelihood for part in nlp.parts):
-        if excess <= RIVAL_LIKELIHOOD:
+    """Warn of another minimum with a different response and nearly the same likelihood."""
+    best, *others = search.minima
+    unit = likelihood_unit(nlp, best.cost)
+    for rival in others[:1]:
+        excess = rival.cost - best.cost
+        if excess < RIVAL * unit:
             yield (
-                f"another minimum with a different response is only exp({excess:.2g}) times less "
-                "likely."
+                f"another minimum with a different response is only exp({excess / unit:.2g}) times "
+                f"less likely: {_values(nlp, rival.estimate)}."
             )
-    # A sum of n relative errors is itself uncertain by 0.52 / √n of its size (they are Rayleigh
-    # distributed), which is 10 % for 24 points: a tenth of that ranks nothing.
-    elif 0 < rival.cost <= best.cost * 1.01:
-        percent = 100 * excess / best.cost
-        yield f"another minimum costs only {percent:.2g} % more and has a different response."
 
 
 def several_estimates_of_one_response(
@@ -82,15 +65,18 @@ def several_estimates_of_one_response(
     if best.variants < 2 or accuracy.combinations:
         return
 
-    ends = nlp.scaling.to_solver(search.runs.estimate[list(best.runs)])
-    # Zero and 4e-9 s of a delay up to 0.05 s are one value.
-    differs = np.ptp(ends, axis=0) > 0.05 * np.abs(ends).max(axis=0) + 1e-6
-    names = listed([name for name, is_other in zip(nlp.free, differs, strict=True) if is_other])
+    ends = search.runs.estimate[list(best.runs)]
+    away = np.abs(nlp.scaling.to_solver(ends) - nlp.scaling.to_solver(best.estimate))
     yield (
-        f"at least {best.variants} clearly different parameter vectors give this same response: "
-        f"{names} differ. Add an ordering constraint, such as constraints=[lambda p: p.T1 - p.T2], "
-        "or fix a parameter to choose one of them."
+        f"at least {best.variants} clearly different parameter vectors give this same response, "
+        f"also {_values(nlp, ends[away.max(axis=1).argmax()])}. Add an ordering constraint, "
+        "such as constraints=[lambda p: p.T1 - p.T2], or fix a parameter to choose one of them."
     )
+
+
+def _values(nlp: CompiledProblem, x: Array) -> str:
+    """Return parameters x (p,) in words."""
+    return listed([f"{name} = {number(value)}" for name, value in zip(nlp.free, x, strict=True)])
 
 
 def discontinuous_costs(nlp: CompiledProblem) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""Outliers among the points of a response, and among the samples of a record.
+"""Outliers among the points of a response, among the samples of a record, and unequal errors.
 
 Let z be the residuals of a response over the expected sizes of its errors (real parts, then
 imaginary parts), M = I - H the projection that removes the parameters, and k the two rows of a
@@ -11,7 +11,7 @@ are projected like those of least squares.
 
 Samples of a record are judged by their residuals over a robust standard deviation, since records
 have many more samples than parameters. They matter where bounding them reduces the variance of the
-estimate.
+estimate. Errors whose size follows that of the output are named in their place.
 """
 
 import math
@@ -89,8 +89,7 @@ def _unequal_sizes(part: ResponsePart, values: Array, level: float) -> Iterator[
     size = np.maximum(criterion.error_size(model, part.data), TINY)
     ratio = (np.abs(part.data.response - model) / size)[np.argsort(part.data.omega)]
     n = len(ratio)
-    apart = np.sum((np.arange(n) - np.argsort(np.argsort(ratio))) ** 2)
-    r = 1 - 6 * apart / (n**3 - n) if n > 1 else 0.0  # Spearman's
+    r, _ = _rank_correlation(np.arange(n), ratio)
     cure = "give variances and MaximumLikelihood()"
     if criterion.known_noise:
         louder = np.array_split(ratio, 2)[int(r > 0)]
@@ -117,6 +116,20 @@ def outlying_samples(parts: Sequence[FittedPart]) -> Iterator[Finding]:
             if not np.isfinite(residual).any():
                 continue
             size = np.nan_to_num(np.abs(residual) / robust_deviation(residual))[0]
+            shown = np.isfinite(residual[0])
+            fitted = np.abs(part.simulated[output])[shown]
+            r, chance = _rank_correlation(size[shown], fitted)
+            # Rounding errors grow with what is rounded.
+            is_noise = np.nanmax(residual) > ROUNDING * fitted.max()
+            if is_noise and chance < SIZE / len(part.outputs):
+                yield (
+                    f"{output} sizes",
+                    part.name,
+                    f"the size of the errors of {output} in {part.name!r} follows that of {output} "
+                    f"(rank correlation {r:.2f}), so that intervals may be wrong: where errors are "
+                    "in proportion to an output, give its logarithm to model and record.",
+                )
+                continue
             # The largest of many normal residuals is judged by their number.
             count = int(np.sum(erfc(size / 2**0.5) * np.count_nonzero(size) < SIZE))
             # Exact fits have no scale.
@@ -133,6 +146,20 @@ def outlying_samples(parts: Sequence[FittedPart]) -> Iterator[Finding]:
                     f"largest at {listed(largest)} s: OutputError(errors='huber') bounds their "
                     f"effect, with standard errors about {100 * (1 - gain**-0.5):.0f} % smaller.",
                 )
+
+
+def _rank_correlation(a: Array, b: Array) -> tuple[float, float]:
+    """Return Spearman's rank correlation of two series (n,), and its chance if independent.
+
+    Slow series have fewer independent values: n (1 - c) / (1 + c), with c the product of their
+    correlations from one sample to the next (Bartlett, J. R. Stat. Soc. 98, 1935).
+    """
+    if len(a) < 4:
+        return 0.0, 1.0
+    ranks = np.argsort(np.argsort([a, b]))
+    r = np.corrcoef(ranks)[0, 1]
+    c = max(np.prod([np.corrcoef(row[1:], row[:-1])[0, 1] for row in ranks]), 0)
+    return r, math.erfc(abs(r) * math.sqrt(len(a) * (1 - c) / (1 + c) / 2))
 
 
 def largest_deviation(part: ResponsePart, values: Array, free: int) -> Deviation | None:
