@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -21,12 +21,10 @@ Knowledge = tuple[float, float] | HeldEstimate
 class Prior(TimeCriterion):
     """The negative logarithm of a normal density: it makes a likelihood a posterior."""
 
-    rule: ClassVar[str] = "a-priori knowledge"
-    condition: ClassVar[str] = (
-        "a-priori knowledge that is normal and independent of the errors of the data"
-    )
-    known_noise: ClassVar[bool] = True
-    is_prior: ClassVar[bool] = True
+    rule = "a-priori knowledge"
+    condition = "a-priori knowledge that is normal and independent of the errors of the data"
+    known_noise = True
+    is_prior = True
 
     @property
     def description(self) -> str:
