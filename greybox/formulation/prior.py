@@ -85,9 +85,7 @@ def normal_priors(
         name for name, parameter in declared.items() if not parameter.fixed and name not in tied
     ]
     if isinstance(prior, HeldEstimate):
-        knowledge: dict[str, Any] = {
-            **shared_parameters(prior, {name: outside[name] for name in free}, "prior")
-        }
+        knowledge = shared_parameters(prior, {name: outside[name] for name in free}, "prior")
     elif isinstance(prior, Mapping):
         knowledge = dict(prior)
     else:
