@@ -45,7 +45,7 @@ def __getattr__(name: str) -> object:
 
     module = _MODULES[name]
     if module == __name__:
-        value: object = _import_module(f"{module}.{name}")
+        value = _import_module(f"{module}.{name}")
     else:
         value = getattr(_import_module(module), name)
     globals()[name] = value

@@ -1,8 +1,6 @@
 """The command `greybox compare`: saved fits side by side, or the members of a study."""
 
 import argparse
-from collections.abc import Sequence
-from pathlib import Path
 
 from greybox.cli.batch_command import as_json
 from greybox.cli.options import UsageError
@@ -64,7 +62,7 @@ def run(options: argparse.Namespace) -> Answer:
 
 
 def _comparison(options: argparse.Namespace) -> Comparison:
-    paths: Sequence[Path] = [*dict.fromkeys(options.results)]
+    paths = [*dict.fromkeys(options.results)]
     # Stems are short; files with the same name in several folders need their paths.
     names = [path.stem for path in paths]
     labels = names if len(set(names)) == len(names) else list(map(str, paths))

@@ -96,7 +96,7 @@ def _settings(words: Sequence[str], about: str) -> dict[str, Any]:
         return {"action": "store_true"}
     word = words[0].removesuffix("...")
     if word.startswith("{"):
-        settings: dict[str, Any] = {"choices": word[1:-1].split(","), "default": ""}
+        settings = {"choices": word[1:-1].split(","), "default": ""}
     elif len(words) > 1:
         settings = {"nargs": len(words), "metavar": tuple(words), "type": KINDS.get(word, str)}
     else:

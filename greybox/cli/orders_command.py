@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> Answer:
     require_fit_file(options.out, options.force)
     data = [read_response(path, columns=options.columns or None) for path in options.responses]
     # The filters are those of the log; all responses of one plant have passed the same ones.
-    filters: list[Any] = [f for word in options.through for f in filters_of(word, data[0])]
+    filters = [f for word in options.through for f in filters_of(word, data[0])]
     selection = select_orders(
         data,
         delay=not options.no_delay,

@@ -120,7 +120,7 @@ def response_json(recording: Recording, measured: Measurement) -> dict[str, Any]
     """Return the JSON of a measurement; without a response its columns are None."""
     # The same keys in every answer: a script need not ask which ones there are.
     response, quality = measured.response, measured.quality
-    facts: dict[str, Any] = {"input": None, "output": None, "units": {}, "about": {}}
+    facts = {"input": None, "output": None, "units": {}, "about": {}}
     if response is not None:
         facts = {"coherence": None, "variance": None, "dof": None, **response.columns}
         facts |= attributes(response, "omega", "input", "output", "units", "about")

@@ -4,7 +4,6 @@ import importlib
 import tomllib
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from greybox.cli.options import UsageError
 from greybox.files.safe_files import require_file
@@ -54,7 +53,7 @@ def read_study_file(path: Path, starts: int | None = None) -> list[Member]:
 
 
 def _stated_in_python(path: Path) -> list[Member]:
-    module: Any = module_from_file(path)
+    module = module_from_file(path)
     members = module.members() if hasattr(module, "members") else None
     if not isinstance(members, list | tuple) or not all(isinstance(m, Member) for m in members):
         raise UsageError(

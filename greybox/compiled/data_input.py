@@ -107,7 +107,7 @@ def _takes_symbols(part: Problem) -> bool:
             traced("cost", criterion.cost, Complex(re, im), each)
             for each in (_with_symbols(data, symbols), data)
         ]
-        function: Any = ca.Function("costs", [r, symbols], [*map(ca.SX, costs)])
+        function = ca.Function("costs", [r, symbols], [*map(ca.SX, costs)])
         opened, plain = function(np.concatenate([elsewhere.real, elsewhere.imag]), numbers)
         return bool(np.isclose(float(opened), float(plain), rtol=1e-9))
     except (ValueError, AttributeError):

@@ -187,7 +187,7 @@ class ResponsePart(Part):
 
     def linearize(self, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:
         """Return gradient (p,) and Hessian (p, p) with positive eigenvalues."""
-        derivatives: Any = self.functions.derivatives(trajectory.z, SMOOTHING, self.inputs)
+        derivatives = self.functions.derivatives(trajectory.z, SMOOTHING, self.inputs)
         gradient, hessian = (value.full() for value in derivatives)
         # Away from a minimum the Hessian may be indefinite; a descent needs positive curvature.
         values, vectors = np.linalg.eigh((hessian + hessian.T) / 2)

@@ -390,7 +390,7 @@ def _formulas(parts: Sequence[Problem], *, is_large: bool) -> Iterator[Trimmed |
 def _mapped(function: ca.Function, omega: Array) -> ca.Function:
     """Return a response (p, w, omega) at all frequencies, as a function (p, w)."""
     p, w, _ = function.mx_in()
-    rows: Any = function.map("rows", "serial", omega.size, [0, 1], [])(p, w, omega[None])
+    rows = function.map("rows", "serial", omega.size, [0, 1], [])(p, w, omega[None])
     return ca.Function("response", [p, w], [row.T for row in rows])
 
 

@@ -71,7 +71,7 @@ class SampleStep:
     def folded(self, samples: int) -> ca.Function:
         """Return (x, q, D) -> states (n, samples) after each sample, residuals (k, samples)."""
         if samples not in self.built:
-            one: Any = self.function
+            one = self.function
             if one.is_a("SXFunction"):  # without the outputs, and what they alone need
                 symbols = self.symbols()
                 one = ca.Function("one", symbols, list(self.function(*symbols)[:2]), {"cse": True})

@@ -321,7 +321,7 @@ def _system(
     trim = trim_of(model, parts[members[0]].at)
     if trim.root is not None:
         return None
-    blocks: Any = jacobians(model)(p, *trim.function(p, ca.SX(0, 1)))
+    blocks = jacobians(model)(p, *trim.function(p, ca.SX(0, 1)))
     A, B, C, D = blocks
     system = ca.sparsify(ca.blockcat([[A, B], [C, D]]))
     names = list(model.parameters)

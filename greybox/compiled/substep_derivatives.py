@@ -6,7 +6,6 @@ columns; products with block-diagonal sparse matrices carry the derivatives from
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -86,7 +85,7 @@ def _with_slopes(
     """
     by_state = ca.jacobian(value, x).T
     by_parameters = ca.densify(ca.jacobian(value, parameters))
-    values: Any = ca.vec(by_state.nz[:])
+    values = ca.vec(by_state.nz[:])
     return (value, values, by_parameters), by_state.sparsity()
 
 

@@ -162,10 +162,10 @@ class TransientPart(Part):
         A, B, C, D = matrix[:n, :n], matrix[:n, n:], matrix[n:, :n], matrix[n:, n:]
         late = zip(self.inputs, delays.ravel().tolist(), strict=True)
         inputs = np.array([self.data.delayed_input(name, delay) for name, delay in late])
-        pencil: Any = 1j * self.data.omega[:, None, None] * np.eye(n) - A
+        pencil = 1j * self.data.omega[:, None, None] * np.eye(n) - A
 
         try:
-            inverse: Any = np.linalg.inv(pencil)
+            inverse = np.linalg.inv(pencil)
             by_ends = C @ inverse
             transform = self._transform(by_ends, pencil)
         except np.linalg.LinAlgError:
@@ -417,7 +417,7 @@ def _matrices(
 ) -> ca.Function:
     """Return (all parameters) -> [A, B; C, D], the delays, and the derivatives of the entries."""
     model = problem.model
-    declared: Any = ca.MX.sym("p", len(problem.declared))
+    declared = ca.MX.sym("p", len(problem.declared))
     p, times = ca.vertsplit(declared, [0, len(model.parameters), declared.numel()])
     x, u, q = system.symbols
     h = system.output(x, u, q)[[system.outputs.index(name) for name in outputs]]
@@ -432,7 +432,7 @@ def _matrices(
     equations = ca.vertcat(rates, -g / time, h)
     matrix = ca.densify(ca.jacobian(equations, ca.vertcat(x, g, u)))
     linear = ca.Function("linear", [q, time, x, u], [matrix, ca.densify(system.delay(q))])
-    point: Any = ca.DM.zeros(x.numel()), ca.DM.zeros(u.numel())
+    point = ca.DM.zeros(x.numel()), ca.DM.zeros(u.numel())
 
     if isinstance(model, StateSpace):
         states, inputs = trim_of(model, problem.at).closed()(p)
@@ -440,7 +440,7 @@ def _matrices(
         # operating point.
         point = ca.vertcat(states, ca.DM.zeros(x.numel() - len(model.states))), inputs
 
-    results: Any = linear(p, times, *point)
+    results = linear(p, times, *point)
     slopes = [ca.densify(ca.jacobian(ca.vec(result), declared)) for result in results]
     return ca.Function("matrices", [declared], [*results, *slopes])
 

@@ -258,7 +258,7 @@ class Record:
         if others.pop("has_time", True):
             moments, column, findings = times_of(frame, time)
         columns = columns_of(frame, without=column)
-        described: dict[str, Any] = {
+        described = {
             name: frame.attrs[name]
             for name in ("units", "hold", "name", "source")
             if name in frame.attrs

@@ -124,7 +124,7 @@ def extras(values: Mapping[str, Array]) -> dict[str, Any]:
     ValueError
         If one part of a common error is missing.
     """
-    optional: dict[str, Any] = {name: values[name] for name in EXTRAS if name in values}
+    optional = {name: values[name] for name in EXTRAS if name in values}
     # In the order of their numbers, whatever the order of the columns.
     numbers = sorted({int(match[2]) for name in values if (match := COMMON.fullmatch(name))})
     errors = []

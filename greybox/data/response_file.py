@@ -138,7 +138,7 @@ def write_responses(responses: Sequence[FrequencyResponse], path: str | Path) ->
     require_csv(path)
     # Pairs may have been measured at different frequencies: cells of the others remain blank.
     omega = sorted({w for response in responses for w in response.omega.tolist()})
-    columns: dict[str, list[object]] = {OMEGA: [*omega]}
+    columns = {OMEGA: [*omega]}
     pairs = " ".join(f"{response.output}/{response.input}" for response in responses)
     for response in responses:
         prefix = f"{response.output}_{response.input}_"

@@ -180,7 +180,7 @@ def response_and_slope(
     The arguments are those of `greybox.modeling.periodic_motions.response_of_test`.
     """
     input, output = pick_signals(model, signals["input"], signals["output"])
-    options: dict[str, Any] = {"at": signals["at"], "pade": delay_order(signals["delay"])}
+    options = {"at": signals["at"], "pade": delay_order(signals["delay"])}
     p = [values[name] for name in model.parameters]
     if sine is None:
         # One small function mapped over the frequencies compiles several times faster than one

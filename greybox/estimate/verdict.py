@@ -57,7 +57,7 @@ def verdict(fit: Any) -> Verdict:
             0, (misfit.explains and not misfit.is_drifting, f"The model {misfit.verdict}.")
         )
     is_good = all(is_good for is_good, _ in sentences) and not fit.warnings
-    grade: Grade = "good" if is_good else "doubt"
+    grade = "good" if is_good else "doubt"
     # No start agrees on the minimum of a model that explains nothing, wherever they end.
     if fit.agreeing == 0 or (misfit is not None and misfit.is_large):
         grade = "poor"

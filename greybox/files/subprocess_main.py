@@ -96,7 +96,7 @@ def hdf5(path: str, collector: Collector, _: list[str]) -> None:
     with h5py.File(path, "r") as file:
         # Hard links may lead back to a group above: each address is visited once.
         addresses: set[int] = set()
-        waiting: list[tuple[str, Any]] = [("", file["/"])]
+        waiting = [("", file["/"])]
         while waiting:
             name, item = waiting.pop()
             if isinstance(item, h5py.Group):

@@ -42,7 +42,7 @@ class Criterion(AnyCriterion):
         Criterion to minimize first, if this one has local minima.
     """
 
-    condition: ClassVar[str] = "errors isotropic in the complex plane and of one relative size"
+    condition = "errors isotropic in the complex plane and of one relative size"
     uses: ClassVar[tuple[str, ...] | None] = None
     weighs_alike: ClassVar[bool] = False
     locator: "ClassVar[Criterion | None]" = None
@@ -140,8 +140,8 @@ class _Relative(Criterion):
 
     normalized: Literal["measured", "model"] = "measured"
     power: ClassVar[int]
-    uses: ClassVar[tuple[str, ...] | None] = ()
-    weighs_alike: ClassVar[bool] = True
+    uses = ()
+    weighs_alike = True
 
     @property
     def variant(self) -> str:
@@ -200,9 +200,9 @@ class RelativeError(_Relative):
     cost at the truth by p s √(π/2) / π, so that the mean |e| is too small; s is corrected for this.
     """
 
-    rule: ClassVar[str] = "sum of relative errors"
-    power: ClassVar[int] = 1
-    smoothed: ClassVar[bool] = True
+    rule = "sum of relative errors"
+    power = 1
+    smoothed = True
 
     def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
         """Return Σ sqrt(|e|² + smoothing)."""
@@ -241,8 +241,8 @@ class SquaredRelativeError(_Relative):
     which has no such bias.
     """
 
-    rule: ClassVar[str] = "sum of squared relative errors"
-    power: ClassVar[int] = 2
+    rule = "sum of squared relative errors"
+    power = 2
 
     def cost(self, model: Complex, data: FrequencyResponse, smoothing: Any = 0.0) -> Any:
         """Return Σ |e|²."""
@@ -268,10 +268,10 @@ class RelativeLikelihood(Criterion):
     eliminated.
     """
 
-    rule: ClassVar[str] = "maximum likelihood, one unknown relative variance"
-    is_likelihood: ClassVar[bool] = True
-    nuisances: ClassVar[int] = 1
-    uses: ClassVar[tuple[str, ...] | None] = ()
+    rule = "maximum likelihood, one unknown relative variance"
+    is_likelihood = True
+    nuisances = 1
+    uses = ()
     # It has nearly the same minimum, without a logarithm.
     locator = SquaredRelativeError()
 
@@ -311,12 +311,12 @@ class MagnitudePhase(Criterion):
     Piersol, Random Data, 4th ed., section 9.2), or one relative size, both scaled by the residuals.
     """
 
-    rule: ClassVar[str] = "coherence-weighted magnitude (dB) and phase (deg), CIFER"
-    condition: ClassVar[str] = (
+    rule = "coherence-weighted magnitude (dB) and phase (deg), CIFER"
+    condition = (
         "errors isotropic in the complex plane, of the given variances, else of relative sizes by "
         "the coherence, else of one relative size"
     )
-    uses: ClassVar[tuple[str, ...] | None] = ("coherence", "variance")
+    uses = ("coherence", "variance")
     # It has no phase that wraps.
     locator = SquaredRelativeError()
 
@@ -405,13 +405,11 @@ class MaximumLikelihood(Criterion):
     'maximum-likelihood'
     """
 
-    rule: ClassVar[str] = "maximum likelihood, given variances"
-    known_noise: ClassVar[bool] = True
-    is_likelihood: ClassVar[bool] = True
-    uses: ClassVar[tuple[str, ...] | None] = ("variance",)
-    condition: ClassVar[str] = (
-        "circular errors of the given variances, scaled up if the residuals are larger"
-    )
+    rule = "maximum likelihood, given variances"
+    known_noise = True
+    is_likelihood = True
+    uses = ("variance",)
+    condition = "circular errors of the given variances, scaled up if the residuals are larger"
 
     def check(self, data: FrequencyResponse) -> None:
         """Raise ValueError without variances."""

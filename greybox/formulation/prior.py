@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -21,12 +21,10 @@ Knowledge = tuple[float, float] | HeldEstimate
 class Prior(TimeCriterion):
     """The negative logarithm of a normal density: it makes a likelihood a posterior."""
 
-    rule: ClassVar[str] = "a-priori knowledge"
-    condition: ClassVar[str] = (
-        "a-priori knowledge that is normal and independent of the errors of the data"
-    )
-    known_noise: ClassVar[bool] = True
-    is_prior: ClassVar[bool] = True
+    rule = "a-priori knowledge"
+    condition = "a-priori knowledge that is normal and independent of the errors of the data"
+    known_noise = True
+    is_prior = True
 
     @property
     def description(self) -> str:
@@ -87,9 +85,7 @@ def normal_priors(
         name for name, parameter in declared.items() if not parameter.fixed and name not in tied
     ]
     if isinstance(prior, HeldEstimate):
-        knowledge: dict[str, Any] = {
-            **shared_parameters(prior, {name: outside[name] for name in free}, "prior")
-        }
+        knowledge = shared_parameters(prior, {name: outside[name] for name in free}, "prior")
     elif isinstance(prior, Mapping):
         knowledge = dict(prior)
     else:

@@ -1,7 +1,7 @@
 """A problem: a model, data and a criterion, with fixed, tied and renamed parameters."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from inspect import Signature, signature
@@ -258,7 +258,7 @@ class Problem(Addable, metaclass=_OneOrSeveral):
 
     def _check_names(self) -> None:
         """Require that options name parameters, and that none is two of fixed, free and tied."""
-        kinds: dict[str, Iterable[str]] = {
+        kinds = {
             "fixed": self.fixed_values,
             "free": self.free,
             "tied": self.tied,

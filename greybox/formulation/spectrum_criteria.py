@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
 
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
@@ -37,8 +36,8 @@ class EquationError(TimeCriterion):
     """
 
     gusts: bool = False
-    rule: ClassVar[str] = "equation error"
-    condition: ClassVar[str] = (
+    rule = "equation error"
+    condition = (
         "errors of the differential equation whose size changes slowly over the band, as in light "
         "turbulence, and known inputs"
     )

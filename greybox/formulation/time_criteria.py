@@ -65,8 +65,8 @@ class TimeCriterion(AnyCriterion):
     biases: Sequence[str] = ()
     initial: Mapping[str, float | Callable[[Any], Any]] = field(default_factory=dict)
 
-    condition: ClassVar[str] = "stationary output errors with the autocorrelation of the residuals"
-    is_likelihood: ClassVar[bool] = True
+    condition = "stationary output errors with the autocorrelation of the residuals"
+    is_likelihood = True
     corrects_states: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
@@ -207,7 +207,7 @@ class OutputError(TimeCriterion):
     """
 
     errors: Literal["normal", "huber"] = "normal"
-    rule: ClassVar[str] = "output error"
+    rule = "output error"
 
     def __post_init__(self) -> None:
         """Check the options."""
@@ -272,9 +272,9 @@ class PredictionError(TimeCriterion):
     corrected: Sequence[str] = ()
     process_noise: Sequence[str] = ()
     disturbance: Mapping[str, str] = field(default_factory=dict)
-    rule: ClassVar[str] = "prediction error, one sample ahead"
-    condition: ClassVar[str] = "stationary innovations that no past input or output predicts"
-    corrects_states: ClassVar[bool] = True
+    rule = "prediction error, one sample ahead"
+    condition = "stationary innovations that no past input or output predicts"
+    corrects_states = True
 
     def __post_init__(self) -> None:
         """Check the options."""

@@ -242,7 +242,7 @@ def _linear_fit(data: FrequencyResponse, orders: Orders) -> tuple[float, list[di
         longest *= 2
 
     around = slice(max(best - 1, 0), best + 2)
-    refined: Any = minimize_scalar(
+    refined = minimize_scalar(
         lambda delay: _at_delays(data, orders, np.array([delay]))[0][0],
         bounds=(grid[around][0], grid[around][-1]),
         method="bounded",

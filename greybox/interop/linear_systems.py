@@ -13,7 +13,7 @@ from greybox.modeling.linearization import LinearSystem, linearize
 from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import pade_steady
-from greybox.modeling.rational import Rational, rational
+from greybox.modeling.rational import rational
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.state_space import StateSpace
 
@@ -55,9 +55,7 @@ class GivenModel:
         at = self.at if isinstance(self.model, StateSpace) else None
         # Order 0 leaves the delay out: the ratio is then exact for the model without delay.
         order = pade or None
-        ratio: Rational = rational(
-            self.model, self.values, input=input, output=output, at=at, pade=order
-        )
+        ratio = rational(self.model, self.values, input=input, output=output, at=at, pade=order)
         if pade != 0:
             self._require_no_delay({input: float(ratio.delay)})
 

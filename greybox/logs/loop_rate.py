@@ -21,7 +21,6 @@ SDLOG_PROFILE at https://docs.px4.io/main/en/advanced_config/parameter_reference
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -156,7 +155,7 @@ def low_pass(order: int, cutoff: float, omega: Array) -> ComplexArray:
 
     if cutoff <= 0:
         return np.ones(omega.size, dtype=complex)
-    polynomials: Any = butter(order, 2 * math.pi * cutoff, analog=True)
+    polynomials = butter(order, 2 * math.pi * cutoff, analog=True)
     return freqs(*polynomials, omega)[1]  # type: ignore[arg-type]
 
 

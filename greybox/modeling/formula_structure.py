@@ -46,7 +46,7 @@ def walk(
     `constant` is applied to its numbers, in their order.
     """
     registers: dict[int, Any] = {}
-    results: list[Any] = [ca.SX(0)] * program.numel_out(0)
+    results = [ca.SX(0)] * program.numel_out(0)
     for k in range(program.n_instructions()):
         operation = program.instruction_id(k)
         sources, targets = program.instruction_input(k), program.instruction_output(k)
@@ -107,7 +107,7 @@ def interval_means(formula: ca.SX, z: ca.SX, slopes: ca.SX, sizes: ca.SX, interv
             values, gradients = ca.vertcat(values, mean), ca.vertcat(gradients, slope * gradient)
 
         terms = ca.SX.sym("terms", values.numel())
-        plain: Any = MEANS.get(operation) if is_moving else None
+        plain = MEANS.get(operation) if is_moving else None
         parts = ca.vertsplit(terms)
         result = plain(*parts) if plain else applied(operation, parts)
         result, slope = ca.substitute([result, ca.jacobian(result, terms)], [terms], [values])

@@ -69,7 +69,7 @@ def whole_power(base: Any, power: int, one: Any) -> Any:
 
 def polynomial_value(coefficients: Sequence[Any], s: Any) -> Any:
     """Evaluate a polynomial, highest power first, by Horner's scheme in the arithmetic of `s`."""
-    result: Any = 0.0
+    result = 0.0
     for c in coefficients:
         result = result * s + c
     return result

@@ -449,7 +449,7 @@ def _guess(
     newton: ca.Function, careful: ca.Function, finish: ca.Function, *, switches: bool
 ) -> ca.Function:
     """Return the function from settings to harmonics: at once, or in steps."""
-    settings: Any = ca.MX.sym("settings", newton.numel_in("p"))
+    settings = ca.MX.sym("settings", newton.numel_in("p"))
     # So small that the first step leads to the linear response, but not zero, where a kink has no
     # slope.
     small = ca.DM(np.full(newton.numel_in("x0"), 1e-6))
@@ -470,7 +470,7 @@ def _guess(
     by_steps = ca.Function("by_steps", [settings], [followed], {"never_inline": True})
 
     # The branches are functions of their inputs: Newton's method must not run again in the first.
-    direct: Any = ca.MX.sym("direct", small.numel())
+    direct = ca.MX.sym("direct", small.numel())
     inputs = [settings, direct]
     at_once, stepped = (ca.Function("branch", inputs, [x]) for x in (direct, by_steps(settings)))
     choose = ca.Function.if_else("choose", at_once, stepped)

@@ -6,7 +6,7 @@ both have the same solution. So these steps evaluate problems that were solved b
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import casadi as ca
 
@@ -22,8 +22,8 @@ class ImplicitIntegrator(Integrator):
     A subclass defines the equations and the end of a step.
     """
 
-    implicit: ClassVar[bool] = True
-    reach: ClassVar[float] = float("inf")
+    implicit = True
+    reach = float("inf")
 
     @property
     @abstractmethod
@@ -94,7 +94,7 @@ class Radau(ImplicitIntegrator):
 
     degree: int = 3
     # Fast poles that die away need no steps, however they turn; the data decide about the others.
-    wave: ClassVar[float] = float("inf")
+    wave = float("inf")
 
     @property
     def order(self) -> int:  # type: ignore[override]

@@ -67,9 +67,9 @@ class Integrator(ABC):
 class RungeKutta(Integrator):
     """The classical explicit method of order four (Hairer, Nørsett, Wanner, volume I, II.1)."""
 
-    order: ClassVar[int] = 4
+    order = 4
     # The stability region ends at -2.785 on the real and 2.828 j on the imaginary axis.
-    reach: ClassVar[float] = 2.7
+    reach = 2.7
     name: ClassVar[str] = "RK4"  # type: ignore[misc]
 
     def advance(self, system: Dynamics, x: Any, u: Any, slope: Any, p: Any, h: Any) -> Any:

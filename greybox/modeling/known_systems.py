@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.files.arrays import Array, all_finite
+from greybox.files.arrays import all_finite
 from greybox.modeling.function_of_s import polynomial_value
 from greybox.modeling.parameter import Parameter
 from greybox.modeling.state_space import StateSpace
@@ -131,7 +131,7 @@ class KnownStateSpace(StateSpace):
 
 def _coefficients(values: Sequence[float], what: str) -> list[float]:
     """Return the coefficients without leading zeros."""
-    numbers: Array = np.atleast_1d(np.array(values, dtype=float))
+    numbers = np.atleast_1d(np.array(values, dtype=float))
     if numbers.ndim != 1 or not numbers.size or not all_finite(numbers):
         raise ValueError(
             f"the {what} is {values!r:.60}: give finite coefficients, highest power of s first."

@@ -148,7 +148,7 @@ def _elimination_order(
     """Choose the order of elimination from matrices at the start values and at random starts."""
     # A pivot that vanishes for all parameters does so at any few values, and at any frequencies.
     random = np.random.default_rng(0)
-    points: list[Any] = [start_values(model.parameters)]
+    points = [start_values(model.parameters)]
     points += [[q.draw(random) for q in model.parameters.values()] for _ in range(3)]
     closed: Any = system.closed()
     samples = [np.asarray(ca.DM(closed(point))) for point in points]

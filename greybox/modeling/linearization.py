@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -62,7 +61,7 @@ def jacobians(model: StateSpace) -> ca.Function:
     n = len(model.states)
     z, p = symbols(model)
     x, u = z[:n], z[n:]
-    f: Any = derivative_function(model)(z, p)
+    f = derivative_function(model)(z, p)
     h = traced_output(model, z, p)
     blocks = [ca.jacobian(f, x), ca.jacobian(f, u), ca.jacobian(h, x), ca.jacobian(h, u)]
 

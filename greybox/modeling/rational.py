@@ -226,7 +226,7 @@ def _sum(a: list[Any], b: list[Any]) -> list[Any]:
 
 def _convolve(a: list[Any], b: list[Any]) -> list[Any]:
     # `np.convolve` does not take CasADi expressions.
-    result: list[Any] = [0.0] * (len(a) + len(b) - 1)
+    result = [0.0] * (len(a) + len(b) - 1)
     for i, x in enumerate(a):
         for k, y in enumerate(b):
             result[i + k] = result[i + k] + x * y

@@ -204,7 +204,7 @@ def _with_pade_states(exact: Dynamics, pade: int | None) -> Dynamics:
         return exact
     x, u, p = exact.symbols
     slope, h = ca.SX.sym("slope", u.numel()), ca.SX.sym("step")
-    delays: Any = ca.vertsplit(exact.delay(p))
+    delays = ca.vertsplit(exact.delay(p))
     names = list(exact.states)
     states, rests, rows, delayed_inputs = [], [], [], []
     steps: list[tuple[Any, Any, Any]] = []

@@ -125,7 +125,7 @@ def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> Trimmed:
 def _implicit_trim(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
     names = (*model.states, *model.inputs)
     z, p = symbols(model)
-    derivative: Any = derivative_function(model)(z, p)
+    derivative = derivative_function(model)(z, p)
     # A signal on which no derivative depends cannot be solved for; it rests at zero.
     unknown = [
         k for k, name in enumerate(names) if name not in at and ca.depends_on(derivative, z[k])
@@ -162,7 +162,7 @@ def _presolve(
     guesses = [np.full(size, c) for c in (0.1, 1.0, -0.1, -1.0, 10.0)]
     guesses += list(random.normal(0, 3, (15, size)))
     for guess in guesses:
-        root: Array = guess
+        root = guess
         # At a double root a Newton step only halves the distance: 60 steps reach rounding. Longer
         # steps than the size of the point would leave the nearest root.
         for _ in range(60):

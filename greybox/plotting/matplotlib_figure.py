@@ -117,7 +117,7 @@ def draw_into(
     panels = _panels(figures)
     if len(figures) == 1:
         # One horizontal axis: zooming one panel zooms all.
-        shared: dict[str, Any] = {"sharex": True, "height_ratios": [p.height for p in panels]}
+        shared = {"sharex": True, "height_ratios": [p.height for p in panels]}
         axes = place.subplots(len(panels), 1, squeeze=False, **shared).ravel()
     else:
         axes = place.subplots(-(-len(panels) // columns), columns, squeeze=False).ravel()
@@ -134,7 +134,7 @@ def draw_into(
 
 def height_of(figures: Sequence[Figure], inches: float, columns: int = 1) -> float:
     """Return the height in inches that figures with panels of this height need."""
-    rows: float = -(-len(_panels(figures)) // columns)
+    rows = -(-len(_panels(figures)) // columns)
     if len(figures) == 1:
         rows = sum(panel.height for panel in figures[0].panels)
     # Names below the axis stand upright, a letter takes 0.08 inch.
@@ -248,7 +248,7 @@ def _draw_rule(ax: Axes, series: Series) -> None:
 
 def _draw_regions(ax: Axes, series: Series) -> None:
     color = color_of(series.color)
-    look: dict[str, Any] = {"facecolors": "none", "edgecolors": color, "linewidths": 0.8}
+    look = {"facecolors": "none", "edgecolors": color, "linewidths": 0.8}
     look |= {"linestyles": _dash(series), "alpha": 0.6, "zorder": 2}
     if not series.is_hollow:
         # A pale opaque color: transparent ellipses would become dark where they overlap.

@@ -125,7 +125,7 @@ def in_plane(response: FrequencyResponse, level: float | None) -> dict[str, Any]
     response = response.by_frequency
     x, y = response.alpha, response.beta
     values = zip(response.response, response.omega, strict=True)
-    look: dict[str, Any] = {
+    look = {
         "x": x,
         "y": y,
         "notes": [f"{value:.4g} at {omega:.4g} rad/s" for value, omega in values],

@@ -83,23 +83,24 @@ def with_own_values(
 
     covariance = _covariance(simulator, estimate)
     errors = np.sqrt(np.diag(covariance)[estimate.places]).tolist()
-    values = dict(
-        zip(estimate.names, zip(estimate.values.tolist(), errors, strict=True), strict=True)
-    )
-    units = [parameters[name].unit for name in estimate.names]
+    pairs = zip(estimate.values.tolist(), errors, strict=True)
+    values = dict(zip(estimate.names, pairs, strict=True))
     rows = np.unique(estimate.windows.rows)
     numbers = sum(int(np.isfinite(record[name][rows]).sum()) for name in outputs)
-    note = _note(values, units, numbers, title)
+    note = _note(values, parameters, numbers, title)
     return replace(estimate.model, covariance=covariance), values, (note, *notes)
 
 
 def _note(
-    values: Mapping[str, tuple[float, float]], units: Sequence[str], numbers: int, record: str
+    values: Mapping[str, tuple[float, float]],
+    parameters: Mapping[str, Parameter],
+    numbers: int,
+    record: str,
 ) -> str:
     texts = []
-    for (name, pair), unit in zip(values.items(), units, strict=True):
-        number, deviation = with_error(*pair)
-        texts.append(f"{name} = {number} ± {deviation} {'' if unit == '1' else unit}".rstrip())
+    for name, pair in values.items():
+        unit, number = parameters[name].unit, " ± ".join(with_error(*pair))
+        texts.append(f"{name} = {number} {'' if unit == '1' else unit}".rstrip())
     return (
         f"{listed(texts)} {'was' if len(texts) == 1 else 'were'} estimated from {record} "
         f"itself: {counted(len(texts), 'value')} from {counted(numbers, 'number')}, "

@@ -225,7 +225,7 @@ def predict(  # noqa: PLR0913  (as many questions as a prediction answers)
     >>> prediction.rms("y") < 1e-6
     True
     """
-    require_lengths(**{n: v for n, v in (("horizon", horizon), ("lead", lead)) if v is not None})
+    require_lengths(horizon=horizon, lead=lead)
     estimated, record = _model_and_record(model, values, record, inputs, part)
     horizon = default_length([record], SHORTEST) if horizon is None else horizon
 

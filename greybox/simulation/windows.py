@@ -42,8 +42,10 @@ class Windows:
 
 
 def require_lengths(**lengths: Any) -> None:
-    """Raise ValueError for anything but a length in s."""
+    """Raise ValueError for anything but a length in s, or None."""
     for name, value in lengths.items():
+        if value is None:
+            continue
         if isinstance(value, bool) or not is_finite_number(value) or value <= 0:
             raise ValueError(f"{name} is {value!r}: give a length above 0, in s.")
 

@@ -181,7 +181,7 @@ class Ipopt:
         The end of a run that was stopped is its lowest point.
         """
         self._check.begin()
-        end: Any = self.solver(x0=x, p=p, **bounds)["x"]
+        end = self.solver(x0=x, p=p, **bounds)["x"]
         stats = self.solver.stats()
         status = stats["return_status"]
 

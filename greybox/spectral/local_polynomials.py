@@ -319,8 +319,7 @@ def fit_band(
 
 def _without(basis: Array, columns: ComplexArray) -> ComplexArray:
     """Return the part of columns (n, ...) that is orthogonal to an orthonormal basis (n, t)."""
-    orthogonal: ComplexArray = columns - basis @ (basis.T @ columns)
-    return orthogonal
+    return columns - basis @ (basis.T @ columns)
 
 
 def _in_band(

@@ -150,7 +150,7 @@ def graded(about: str, value: float, limits: tuple[float, float], text: str) -> 
     warning, refusal = limits
     sign = 1 if refusal > warning else -1  # too much, or too little
     if sign * value > sign * warning:
-        severity: Severity = "refusal" if sign * value > sign * refusal else "warning"
+        severity = "refusal" if sign * value > sign * refusal else "warning"
         yield Finding(about, severity, value, text)
 
 
@@ -172,7 +172,7 @@ def _gaps(record: Record, segments: Sequence[Segment]) -> Iterator[Finding]:
     wide = steps[steps > GAP * record.step]
     if wide.size:
         share = wide.sum() / steps.sum()
-        severity: Severity = "warning" if share > GAPS else "note"
+        severity = "warning" if share > GAPS else "note"
         text = f"{counted(wide.size, 'gap')}, the longest {wide.max():.2g} s, take "
         text += f"{100 * share:.2g} % of the time: nothing is interpolated across them."
         yield Finding("gaps", severity, float(share), text)

@@ -189,7 +189,7 @@ class Study(Printed):
     @property
     def state(self) -> str:
         """How many members are done, failed and unfinished."""
-        statuses: tuple[Status, ...] = ("done", "failed", "unfinished")
+        statuses = ("done", "failed", "unfinished")
         counts = [f"{self.count(status)} {status}" for status in statuses if self.count(status)]
         return f"{counted(len(self.members), 'member')}: {', '.join(counts) or 'none'}"
 

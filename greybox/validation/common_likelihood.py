@@ -64,7 +64,7 @@ def common_likelihood(fits: Sequence[Fit]) -> Likelihoods | None:
     # Measured variances, where all data have them, say more than the assumption that errors are
     # proportional to the response.
     has_variances = all(part.data.variance is not None for part in fits[0].responses)
-    criterion: Criterion = MaximumLikelihood() if has_variances else RelativeLikelihood()
+    criterion = MaximumLikelihood() if has_variances else RelativeLikelihood()
     least = (_least_cost(fit, criterion) for fit in fits)
     return Likelihoods(criterion, tuple(fits), tuple(least))
 

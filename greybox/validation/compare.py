@@ -96,8 +96,7 @@ def compare(
             f"labels is {labels!r:.80}: give a list of {len(fits)} different texts, one for each "
             "fit."
         )
-    lengths = {"window": window, "lead": lead}
-    require_lengths(**{name: value for name, value in lengths.items() if value is not None})
+    require_lengths(window=window, lead=lead)
     names = tuple(map(str, labels)) or labels_of(fits)
     held_out = _as_records(records)
 

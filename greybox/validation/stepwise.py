@@ -250,16 +250,29 @@ class _Fits:
         p_value, why_not = math.nan, "no fit converged"
         if changed.converged:
             pair = (fit, changed) if change == "add" else (changed, fit)
-            test = _tested({term: self.absent[term]}, *pair)
+            test = self._tested(term, *pair)
             p_value, why_not = (math.nan, test) if isinstance(test, str) else (test.p_value, "")
         return Trial(step, change, term, changed.cost, p_value, limit, why_not=why_not)
+
+    def _tested(self, term: str, small: Fit, large: Fit) -> NestedTest | str:
+        """Return the test of a term, or why there is none."""
+        # A missing term leaves residuals that look like errors correlated along frequency. With
+        # such errors allowed, no test would find the term: here errors count as independent.
+        removed = {term: self.absent[term]}
+        try:
+            return nested_test_at(removed, small, large, ("without", "with"), independent=True)
+        except ValueError:
+            quantity = large.by_name[term]
+            if quantity.at_bound:
+                return "at its bound"
+            return "no test" if math.isfinite(quantity.standard_error) else "not determined"
 
     def doubtful(self, terms: Terms) -> dict[str, float]:
         """Return the p-values of terms that only a test for independent errors finds."""
         fit, p_values = self.cache[terms], {}
         for term in (name for name in self.absent if name in terms):
             small = self.fitted(terms - {term}, fit)
-            test = _tested({term: self.absent[term]}, small, fit)
+            test = self._tested(term, small, fit)
             # The term may have taken up the correlated errors: those of the fit without it count.
             if isinstance(test, NestedTest):
                 p_values[term] = f_tail(test.statistic / small.inflation, 1, small.dof)
@@ -285,19 +298,6 @@ def _best(trials: Sequence[Trial]) -> Trial | None:
     # Costs of equivalent terms differ by rounding: 1e-6 is far above it, and far below what any
     # test sees.
     return next((t for t in trials if math.isclose(t.cost, cost, rel_tol=1e-6)), None)
-
-
-def _tested(removed: Mapping[str, float], small: Fit, large: Fit) -> NestedTest | str:
-    """Return the test of a term, or why there is none."""
-    # A missing term leaves residuals that look like errors correlated along frequency. With such
-    # errors allowed, no test would find the term: here errors count as independent.
-    try:
-        return nested_test_at(removed, small, large, ("without", "with"), independent=True)
-    except ValueError:
-        [quantity] = [large.by_name[term] for term in removed]
-        if quantity.at_bound:
-            return "at its bound"
-        return "no test" if math.isfinite(quantity.standard_error) else "not determined"
 
 
 def with_terms(problem: AnyProblem, terms: Terms, absent: Mapping[str, float]) -> AnyProblem:

@@ -1,7 +1,7 @@
 """Direct collocation: stages of an implicit integrator are unknowns, its equations constraints."""
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -31,7 +31,7 @@ class Collocation(Transcription):
     """
 
     degree: int = 3
-    label: ClassVar[str] = "direct collocation"
+    label = "direct collocation"
 
     def __post_init__(self) -> None:
         """Check the options."""

@@ -1,7 +1,7 @@
 """Multiple shooting: states at the nodes of short segments are unknowns, gaps are constraints."""
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -39,7 +39,7 @@ class MultipleShooting(Shooting):
     """
 
     ipopt: bool = False
-    label: ClassVar[str] = "multiple shooting"
+    label = "multiple shooting"
 
     @property
     def by_ipopt(self) -> bool:

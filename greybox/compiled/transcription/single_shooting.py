@@ -1,7 +1,7 @@
 """Single shooting: only the initial states are unknown, everything else is simulated from them."""
 
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -26,7 +26,7 @@ class SingleShooting(Shooting):
         need.
     """
 
-    label: ClassVar[str] = "single shooting"
+    label = "single shooting"
 
     def transcribe(self, step: SampleStep, data: SampledData, q: ca.MX, rows: Any) -> Transcribed:
         """Return the initial states; there are no equations."""

@@ -53,7 +53,7 @@ def metadata(groups: Iterable[Messages]) -> dict[str, Any]:
     # Older firmware has no VER message.
     firmware = next(filter(vehicle_in, (*column(by_name.get("VER"), "FWS"), *texts)), "")
     vehicle = vehicle_in(firmware)
-    about: dict[str, Any] = {
+    about = {
         "vehicle": vehicle,
         "firmware": firmware,
         "parameters": dict(zip(names, values, strict=False)),

@@ -142,7 +142,7 @@ def _clocks(kinds: Mapping[str, Kind]) -> tuple[Array, dict[int, list[float]]]:
 
 def _messages(kind: Kind, time: Array) -> Messages:
     """Return the packets of one kind, in the order of their times: a link may deliver them late."""
-    texts: dict[str, Sequence[str]] = {**kind.texts}
+    texts = {**kind.texts}
     columns = {label: x for label, x in kind.columns.items() if label not in TICKS}
     units = kind.definition.fieldunits_by_name
     instance = kind.definition.instance_field
