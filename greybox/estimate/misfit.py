@@ -282,11 +282,12 @@ class _Regression:
 
     def columns(self, keys: Sequence[Key]) -> Array:
         """Return the columns (N, c) of terms, zero for those that this part does not have."""
-        values = np.zeros((len(self.residuals), len(keys)))
+        values = np.zeros((len(keys), len(self.residuals)))
         present = [k for k, key in enumerate(keys) if key in self.terms]
         if present:
-            values[:, present] = self.changes([self.terms[keys[k]] for k in present])
-        return values
+            values[present] = self.changes([self.terms[keys[k]] for k in present]).T
+        # Samples of a column are neighbors in memory, as filters need them.
+        return values.T
 
 
 def assessed_misfit(

@@ -77,7 +77,7 @@ def autoregressive_p_values(
     squares = values.T @ values + TINY * np.eye(values.shape[1])
     p_values, factors = list[Array](), _least(squares[of_fits])
     samples = [_products([values[rows] for rows in stretches]) for stretches in outputs]
-    for times in (0, 1):
+    for times in range(2):
         # Differences of the samples in a window are a window of one order less.
         products = [
             (n, np.diff(np.diff(sums, times), times, axis=2)[of_fits]) for n, sums in samples
@@ -118,7 +118,7 @@ def _products(pieces: Sequence[Array]) -> tuple[int, Array]:
     """
     total, columns = sum(map(len, pieces)), pieces[0].shape[1]
     # Short stretches would lose all of their samples.
-    order = max(min(ORDER, total // SAMPLES, total // (2 * max(len(pieces), 1))), 1)
+    order = max(min(ORDER, total // SAMPLES, total // (2 * len(pieces))), 1)
     lags = np.arange(order + 1)
     count, sums = 0, np.zeros((columns, columns, order + 1, order + 1))
     for piece in filter(len, pieces):
