@@ -70,10 +70,12 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     for batch in segments.batches():
         _, J, _ = segments.sensitivities(trajectory.states, placed.q, placed.data, batch)
         J = (weight @ J.reshape(length, k, -1)).reshape(J.shape)
-        by_states = np.einsum("lknc,cnp->lkpc", J[:, :, :n], by_nodes[batch])
+        # In the order of J, a sum takes an eighth of its time.
+        nodes = by_nodes[batch].transpose(1, 2, 0).copy()
+        by_states = np.einsum("lknc,npc->lkpc", J[:, :, :n], nodes)
         by_parameters = placed.slope.T @ J[:, :, n:]
-        squares += np.einsum("lkpc,lkpc->p", by_states, by_states)
-        squares += np.einsum("lkpc,lkpc->p", by_parameters, by_parameters)
+        for each in (by_states, by_parameters):
+            squares += np.einsum("lkpc,lkpc->p", each, each)
         root = by_states + by_parameters
         rows = np.moveaxis(root, 2, 0).reshape(p, -1)
         # The Jacobian of a long record does not fit into memory, and JᵀJ alone has half of the
