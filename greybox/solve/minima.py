@@ -145,8 +145,9 @@ def likelihood_unit(nlp: CompiledProblem, best: float) -> float:
     With unknown noise the cost of n real numbers is proportional to the noise or its square, and
     the log-likelihood to n log(cost): a unit of it is cost / n.
     """
-    is_likelihood = any(part.is_likelihood for part in nlp.parts)
-    return 1.0 if is_likelihood else abs(best) / max(sum(part.numbers for part in nlp.parts), 1)
+    if any(part.is_likelihood for part in nlp.parts):
+        return 1.0
+    return abs(best) / max(sum(part.numbers for part in nlp.parts), 1)
 
 
 def explains_nothing(cost: Any, zero: float) -> Any:

@@ -88,15 +88,14 @@ def _unequal_sizes(part: ResponsePart, values: Array, level: float) -> Iterator[
     model, criterion = part.response(values), part.criterion
     size = np.maximum(criterion.error_size(model, part.data), TINY)
     ratio = (np.abs(part.data.response - model) / size)[np.argsort(part.data.omega)]
-    n = len(ratio)
-    r, _ = _rank_correlation(np.arange(n), ratio)
+    r, _ = _rank_correlation(np.sort(part.data.omega), ratio)
     cure = "give variances and MaximumLikelihood()"
     if criterion.known_noise:
         louder = np.array_split(ratio, 2)[int(r > 0)]
         if np.mean(louder**2) < LARGER * max(np.mean(ratio**2), 1.0):
             return
         cure = f"give larger variances at {'high' if r > 0 else 'low'} frequencies"
-    if math.erfc(abs(r) * math.sqrt((n - 1) / 2)) < level:
+    if math.erfc(abs(r) * math.sqrt((len(ratio) - 1) / 2)) < level:
         yield (
             f"the size of the errors of {part.problem.name!r} changes with frequency beyond what "
             f"the criterion assumes (rank correlation {r:.2f}), so that intervals may be wrong: "
@@ -120,8 +119,7 @@ def outlying_samples(parts: Sequence[FittedPart]) -> Iterator[Finding]:
             fitted = np.abs(part.simulated[output])[shown]
             r, chance = _rank_correlation(size[shown], fitted)
             # Rounding errors grow with what is rounded.
-            is_noise = np.nanmax(residual) > ROUNDING * fitted.max()
-            if is_noise and chance < SIZE / len(part.outputs):
+            if np.nanmax(residual) > ROUNDING * fitted.max() and chance < SIZE / len(part.outputs):
                 yield (
                     f"{output} sizes",
                     part.name,
@@ -157,8 +155,8 @@ def _rank_correlation(a: Array, b: Array) -> tuple[float, float]:
     if len(a) < 4:
         return 0.0, 1.0
     ranks = np.argsort(np.argsort([a, b]))
-    r = np.corrcoef(ranks)[0, 1]
-    c = max(np.prod([np.corrcoef(row[1:], row[:-1])[0, 1] for row in ranks]), 0)
+    r = np.corrcoef(ranks[0], ranks[1])[0, 1]
+    c = np.prod([np.corrcoef(row[1:], row[:-1])[0, 1] for row in ranks])
     return r, math.erfc(abs(r) * math.sqrt(len(a) * (1 - c) / (1 + c) / 2))
 
 
