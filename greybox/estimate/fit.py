@@ -115,11 +115,13 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
         Time limit of the whole search, in s. The best runs until then are judged; the answer
         depends on the speed of the machine, and says so.
     profiles : bool
-        Profile the likelihood of responses, as `greybox.profile` does, along parameters without
-        an interval by the standard error, or whose interval leaves the bounds, whose error exceeds
-        half the value, or changes by 30 % within one error: `Fit.profiles`. Slow problems (trims
-        inside the optimization, finite amplitudes, many parameters with constraints) are not
-        profiled unless you name the parameters in `greybox.profile`.
+        After default starts, look for minima beside the best one that the data hardly distinguish
+        from it; for records, if the model is linear. Profile the likelihood of responses, as
+        `greybox.profile` does, along parameters without an interval by the standard error, or whose
+        interval leaves the bounds, whose error exceeds half the value, or changes by 30 % within
+        one error: `Fit.profiles`. Slow problems (trims inside the optimization, finite amplitudes,
+        many parameters with constraints) are not profiled unless you name the parameters in
+        `greybox.profile`.
     progress : bool or function
         A bar on a terminal for fits longer than two seconds; or a function of the numbers of
         finished and of all runs.
@@ -264,6 +266,7 @@ def fit_keeping(
             executor=executor,
             kept=kept,
             promising=solver.promising if starts is None else (),
+            beside=profiles,
         )
         # A bar would be in the way of a function that reports progress in another form.
         if callable(progress) or not progress:

@@ -17,6 +17,7 @@ Begin with `multistart`.
 | `discretization_error` | finer integration steps |
 | `robust_errors` | fits in which large errors are bounded |
 | `runs`, `minima` | the results of runs; distinct minima |
+| `other_minima` | minima beside one that all runs reach |
 | `executors`, `worker_pool`, `kept_runs` | runs in other processes; processes here; stored runs |
 | `interruption` | Ctrl-C, and how long a search may take |
 | `blas_threads` | one thread for matrix products |

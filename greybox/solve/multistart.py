@@ -20,6 +20,7 @@ from greybox.solve.interruption import stop_requested
 from greybox.solve.kept_runs import KeptRuns, Memory
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Minimum, Multistart, agreeing_runs, find_minima
+from greybox.solve.other_minima import points_beside
 from greybox.solve.response_solver import ResponseSolver
 from greybox.solve.runs import CUT_SHORT, NOT_FINITE, SCREENED, Outcome, Run, Runs
 from greybox.solve.shared_solver import SharedSolver
@@ -56,7 +57,7 @@ def solver_for(
     return GaussNewton(nlp, settings=settings(options))
 
 
-def multistart(
+def multistart(  # noqa: PLR0913  (what to run, from where, how, and how long)
     nlp: CompiledProblem,
     solver: LocalSolver,
     starts: Array,
@@ -66,6 +67,7 @@ def multistart(
     executor: Executor | None = None,
     kept: KeptRuns | None = None,
     promising: tuple[int, ...] = (),
+    beside: bool = False,
 ) -> Multistart:
     """Run the solver from all `starts` (r, p) and group the runs into minima.
 
@@ -74,6 +76,8 @@ def multistart(
     On the fits of the paper each of eight nearly always reaches the best minimum. With four of
     eight, as with three of four, the chance of an error is below 2 % if less than one start in six
     leads there.
+
+    Then, with `beside`, other minima are looked for from the best one, see `other_minima`.
 
     A `movable` start moves to where the model is finite. An unfinished run at a lower cost than all
     before it is continued. All runs are stored. A run that fails is a result with its status, and
@@ -104,7 +108,16 @@ def multistart(
             if progress is not None:
                 progress(len(results), len(starts))
         results, runs, minima = _certified(nlp, solver, results)
-        if stop_requested() or 0 < enough <= len(agreeing_runs(nlp, runs, minima)):
+        if stop_requested():
+            break
+        if 0 < enough <= len(agreeing_runs(nlp, runs, minima)):
+            # Minima that these runs have missed are listed with starts that were not tried.
+            untried = {*range(len(starts))} - {*results}
+            others = points_beside(nlp, minima[0].estimate) if beside else ()
+            results |= {
+                k: (starts[k], solver.near(x)) for k, x in zip(untried, others, strict=False)
+            }
+            results, runs, minima = _certified(nlp, solver, results)
             break
 
     # Where nothing converged, a diagnosis needs the last states of every run.
