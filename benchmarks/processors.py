@@ -34,8 +34,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, LagLagDelay, measured
 from hardening_spring import Spring, driven
 from lateral_aircraft import disturbed, doublets
-from spring_lag_tilt import SPRING
-from spring_lag_tilt import Spring as TwoOutputs
+from spring_lag_tilt import SPRING, Spring as TwoOutputs
 
 KERNELS = ("Haswell", "SkylakeX", "Prescott")
 LARGEST_MOVE = 1e-6  # standard errors

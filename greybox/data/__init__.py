@@ -18,14 +18,16 @@ Begin with `record` and `frequency_response`.
 | `pandas_frames` | pandas data frames from and to records and responses |
 """
 
-from greybox.data.frequency_response import FrequencyResponse as FrequencyResponse
-from greybox.data.frequency_response import Stretch as Stretch
-from greybox.data.record import Record as Record
-from greybox.data.record import Recording as Recording
-from greybox.data.response_file import read_response as read_response
-from greybox.data.response_file import read_responses as read_responses
-from greybox.data.response_file import write_response as write_response
-from greybox.data.response_file import write_responses as write_responses
-from greybox.data.test_segment import Segment as Segment
-from greybox.data.test_segment import segment_table as segment_table
+from greybox.data.frequency_response import (
+    FrequencyResponse as FrequencyResponse,
+    Stretch as Stretch,
+)
+from greybox.data.record import Record as Record, Recording as Recording
+from greybox.data.response_file import (
+    read_response as read_response,
+    read_responses as read_responses,
+    write_response as write_response,
+    write_responses as write_responses,
+)
+from greybox.data.test_segment import Segment as Segment, segment_table as segment_table
 from greybox.data.transient_spectrum import TransientSpectrum as TransientSpectrum

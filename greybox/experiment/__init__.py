@@ -22,26 +22,32 @@ test).
 | `optimal_design` | shares of time for the frequencies of a plan |
 """
 
-from greybox.experiment.control_check import ControlCheck as ControlCheck
-from greybox.experiment.control_check import check_controller as check_controller
+from greybox.experiment.control_check import (
+    ControlCheck as ControlCheck,
+    check_controller as check_controller,
+)
 from greybox.experiment.controller import Controller as Controller
 from greybox.experiment.excitation import Excitation as Excitation
-from greybox.experiment.expected_errors import ExpectedErrors as ExpectedErrors
-from greybox.experiment.expected_errors import expected_errors as expected_errors
+from greybox.experiment.expected_errors import (
+    ExpectedErrors as ExpectedErrors,
+    expected_errors as expected_errors,
+)
 from greybox.experiment.gain_file import write_gains as write_gains
-from greybox.experiment.margins import Margins as Margins
-from greybox.experiment.margins import margin_table as margin_table
-from greybox.experiment.margins import margins as margins
-from greybox.experiment.margins import measured_margins as measured_margins
+from greybox.experiment.margins import (
+    Margins as Margins,
+    margin_table as margin_table,
+    margins as margins,
+    measured_margins as measured_margins,
+)
 from greybox.experiment.measured_loop import broken_loop as broken_loop
 from greybox.experiment.multisine import multisine as multisine
-from greybox.experiment.safe_gains import SafeGains as SafeGains
-from greybox.experiment.safe_gains import safe_gains as safe_gains
-from greybox.experiment.scripts import ardupilot_script as ardupilot_script
-from greybox.experiment.scripts import systemid_parameters as systemid_parameters
-from greybox.experiment.scripts import write_excitation as write_excitation
-from greybox.experiment.sine_plan import SinePlan as SinePlan
-from greybox.experiment.sine_plan import plan_sines as plan_sines
+from greybox.experiment.safe_gains import SafeGains as SafeGains, safe_gains as safe_gains
+from greybox.experiment.scripts import (
+    ardupilot_script as ardupilot_script,
+    systemid_parameters as systemid_parameters,
+    write_excitation as write_excitation,
+)
+from greybox.experiment.sine_plan import SinePlan as SinePlan, plan_sines as plan_sines
 from greybox.experiment.sines import sine_schedule as sine_schedule
 from greybox.experiment.sweep import sweep as sweep
 from greybox.experiment.virtual_flight import virtual_flight as virtual_flight

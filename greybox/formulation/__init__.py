@@ -20,17 +20,21 @@ Begin with `problem`.
 | `starts` | where the runs of a search begin |
 """
 
-from greybox.formulation.frequency_criteria import Criterion as Criterion
-from greybox.formulation.frequency_criteria import MagnitudePhase as MagnitudePhase
-from greybox.formulation.frequency_criteria import MaximumLikelihood as MaximumLikelihood
-from greybox.formulation.frequency_criteria import RelativeError as RelativeError
-from greybox.formulation.frequency_criteria import RelativeLikelihood as RelativeLikelihood
-from greybox.formulation.frequency_criteria import SquaredRelativeError as SquaredRelativeError
+from greybox.formulation.frequency_criteria import (
+    Criterion as Criterion,
+    MagnitudePhase as MagnitudePhase,
+    MaximumLikelihood as MaximumLikelihood,
+    RelativeError as RelativeError,
+    RelativeLikelihood as RelativeLikelihood,
+    SquaredRelativeError as SquaredRelativeError,
+)
 from greybox.formulation.problem import Problem as Problem
 from greybox.formulation.several import several as several
 from greybox.formulation.spectrum_criteria import EquationError as EquationError
 from greybox.formulation.starts import Starts as Starts
 from greybox.formulation.sum import Sum as Sum
-from greybox.formulation.time_criteria import OutputError as OutputError
-from greybox.formulation.time_criteria import PredictionError as PredictionError
-from greybox.formulation.time_criteria import TimeCriterion as TimeCriterion
+from greybox.formulation.time_criteria import (
+    OutputError as OutputError,
+    PredictionError as PredictionError,
+    TimeCriterion as TimeCriterion,
+)

@@ -15,12 +15,15 @@ Begin with `identify`.
 | `systematic_errors` | errors that the scatter does not show |
 """
 
-from greybox.identification.identify import Identification as Identification
-from greybox.identification.identify import identify as identify
-from greybox.identification.matrix import MatrixMeasurement as MatrixMeasurement
-from greybox.identification.matrix import measure_matrix as measure_matrix
-from greybox.identification.measurement import Measurement as Measurement
-from greybox.identification.measurement import Settings as Settings
-from greybox.identification.measurement import measure as measure
+from greybox.identification.identify import Identification as Identification, identify as identify
+from greybox.identification.matrix import (
+    MatrixMeasurement as MatrixMeasurement,
+    measure_matrix as measure_matrix,
+)
+from greybox.identification.measurement import (
+    Measurement as Measurement,
+    Settings as Settings,
+    measure as measure,
+)
 from greybox.identification.orders import select_orders as select_orders
 from greybox.identification.selection import Selection as Selection

@@ -13,5 +13,4 @@ Records and responses have `to_pandas()`, fits `Fit.to_json`.
 """
 
 from greybox.interop.casadi_function import to_casadi as to_casadi
-from greybox.interop.python_control import from_control as from_control
-from greybox.interop.python_control import to_control as to_control
+from greybox.interop.python_control import from_control as from_control, to_control as to_control

@@ -20,7 +20,6 @@ Begin with `readers`, then `prepare`.
 """
 
 from greybox.logs.manoeuvre_detection import find_manoeuvres as find_manoeuvres
-from greybox.logs.prepare import horizontal_velocity as horizontal_velocity
-from greybox.logs.prepare import prepare as prepare
+from greybox.logs.prepare import horizontal_velocity as horizontal_velocity, prepare as prepare
 from greybox.logs.readers import read as read
 from greybox.logs.segment_detection import find_segments as find_segments

@@ -6,9 +6,7 @@ from greybox.logs.ardupilot.signals import AXES as ARDUPILOT_AXES
 from greybox.logs.axis_signals import AxisSignals
 from greybox.logs.betaflight import AXES as BETAFLIGHT_AXES
 from greybox.logs.known_filters import KnownFilter
-from greybox.logs.px4 import AXES as PX4_AXES
-from greybox.logs.px4 import FILTERED
-from greybox.logs.px4 import named_filters as px4_filters
+from greybox.logs.px4 import AXES as PX4_AXES, FILTERED, named_filters as px4_filters
 
 CONTROLLERS = (ARDUPILOT_AXES, PX4_AXES, BETAFLIGHT_AXES)
 AXES = {

@@ -26,18 +26,20 @@ Begin with `model`.
 | `model_reference`, `model_file` | a model by name in a stored result, or in a file of your own |
 """
 
-from greybox.modeling.implicit_integrators import ImplicitIntegrator as ImplicitIntegrator
-from greybox.modeling.implicit_integrators import Radau as Radau
-from greybox.modeling.integrators import Integrator as Integrator
-from greybox.modeling.integrators import RungeKutta as RungeKutta
+from greybox.modeling.implicit_integrators import (
+    ImplicitIntegrator as ImplicitIntegrator,
+    Radau as Radau,
+)
+from greybox.modeling.integrators import Integrator as Integrator, RungeKutta as RungeKutta
 from greybox.modeling.linear_response import frequency_response as frequency_response
-from greybox.modeling.linearization import LinearSystem as LinearSystem
-from greybox.modeling.linearization import linearize as linearize
+from greybox.modeling.linearization import LinearSystem as LinearSystem, linearize as linearize
 from greybox.modeling.model import Model as Model
 from greybox.modeling.parameter import Parameter as Parameter
 from greybox.modeling.periodic_motions import harmonic_response as harmonic_response
 from greybox.modeling.rational import rational as rational
 from greybox.modeling.sine import Sine as Sine
 from greybox.modeling.state_space import StateSpace as StateSpace
-from greybox.modeling.transfer_function import TransferFunction as TransferFunction
-from greybox.modeling.transfer_function import feedback as feedback
+from greybox.modeling.transfer_function import (
+    TransferFunction as TransferFunction,
+    feedback as feedback,
+)

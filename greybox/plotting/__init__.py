@@ -29,10 +29,8 @@ alone, with the legend inside. `plot` composes several diagrams and returns the 
 """
 
 from greybox.plotting.bode import bode as bode
-from greybox.plotting.flight_log import recording as recording
-from greybox.plotting.flight_log import traces as traces
-from greybox.plotting.loops import gains as gains
-from greybox.plotting.loops import loop as loop
+from greybox.plotting.flight_log import recording as recording, traces as traces
+from greybox.plotting.loops import gains as gains, loop as loop
 from greybox.plotting.nyquist import nyquist as nyquist
 from greybox.plotting.overview import plot as plot
 from greybox.plotting.pairs import pairs as pairs
@@ -40,7 +38,5 @@ from greybox.plotting.profile import profiles as profiles
 from greybox.plotting.residuals import residuals as residuals
 from greybox.plotting.spectrum import spectrum as spectrum
 from greybox.plotting.starts import starts as starts
-from greybox.plotting.study import estimates as estimates
-from greybox.plotting.study import structures as structures
-from greybox.plotting.study import trend as trend
+from greybox.plotting.study import estimates as estimates, structures as structures, trend as trend
 from greybox.plotting.time_history import time_history as time_history

@@ -13,7 +13,8 @@ Begin with `equation_error` for records and `levy` for frequency responses.
 | `least_squares` | the solution with bounds, and its covariance |
 """
 
-from greybox.regression.equation_error import EquationErrorEstimate as EquationErrorEstimate
-from greybox.regression.equation_error import equation_error as equation_error
-from greybox.regression.levy import levy as levy
-from greybox.regression.levy import order_path as order_path
+from greybox.regression.equation_error import (
+    EquationErrorEstimate as EquationErrorEstimate,
+    equation_error as equation_error,
+)
+from greybox.regression.levy import levy as levy, order_path as order_path

@@ -14,5 +14,4 @@ Begin with `simulate`.
 """
 
 from greybox.simulation.prediction import Prediction as Prediction
-from greybox.simulation.simulate import predict as predict
-from greybox.simulation.simulate import simulate as simulate
+from greybox.simulation.simulate import predict as predict, simulate as simulate

@@ -25,7 +25,5 @@ Begin with `multistart`.
 | `cost` | the cost at given parameters |
 """
 
-from greybox.formulation.starts import Listed as Listed
-from greybox.formulation.starts import Sobol as Sobol
-from greybox.formulation.starts import Starts as Starts
+from greybox.formulation.starts import Listed as Listed, Sobol as Sobol, Starts as Starts
 from greybox.solve.worker_pool import WorkerPool as WorkerPool

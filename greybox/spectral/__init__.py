@@ -21,6 +21,5 @@ from greybox.spectral.multisine_lines import periodic_response as periodic_respo
 from greybox.spectral.orthogonal_multisines import response_matrix as response_matrix
 from greybox.spectral.single_sine import finite_frequency as finite_frequency
 from greybox.spectral.sweeps_and_noise import spectral_response as spectral_response
-from greybox.spectral.test_quality import Quality as Quality
-from greybox.spectral.test_quality import check as check
+from greybox.spectral.test_quality import Quality as Quality, check as check
 from greybox.spectral.transients import transient_spectrum as transient_spectrum

@@ -20,11 +20,8 @@ Begin with `batch`.
 | `record_replicates` | drawn records and their refits |
 """
 
-from greybox.study.batch import Member as Member
-from greybox.study.batch import batch as batch
-from greybox.study.bootstrap import Bootstrap as Bootstrap
-from greybox.study.bootstrap import bootstrap as bootstrap
+from greybox.study.batch import Member as Member, batch as batch
+from greybox.study.bootstrap import Bootstrap as Bootstrap, bootstrap as bootstrap
 from greybox.study.grid import grid as grid
 from greybox.study.store import StudyMember as StudyMember
-from greybox.study.study import Study as Study
-from greybox.study.study import read_study as read_study
+from greybox.study.study import Study as Study, read_study as read_study

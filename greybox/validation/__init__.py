@@ -20,9 +20,6 @@ Begin with `compare`.
 
 from greybox.validation.compare import compare as compare
 from greybox.validation.comparison import Comparison as Comparison
-from greybox.validation.differences import Differences as Differences
-from greybox.validation.differences import differences as differences
-from greybox.validation.nested_models import NestedTest as NestedTest
-from greybox.validation.nested_models import nested_test as nested_test
-from greybox.validation.stepwise import StepwiseSelection as StepwiseSelection
-from greybox.validation.stepwise import stepwise as stepwise
+from greybox.validation.differences import Differences as Differences, differences as differences
+from greybox.validation.nested_models import NestedTest as NestedTest, nested_test as nested_test
+from greybox.validation.stepwise import StepwiseSelection as StepwiseSelection, stepwise as stepwise

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.estimate.fit import SolverChoice
-from greybox.estimate.fit import fit as fit_problem
+from greybox.estimate.fit import SolverChoice, fit as fit_problem
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.fitted_problem import problem_of
 from greybox.estimate.result import Fit

@@ -7,6 +7,7 @@ import numpy as np
 
 from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
+from greybox.files.json_numbers import finite
 from greybox.simulation.prediction import Prediction
 from greybox.statistics.metrics import fit_percent, rms, whiteness
 from greybox.validation.common_likelihood import Likelihoods
@@ -91,7 +92,7 @@ def _row(measure: str, values: Sequence[float], unit: str = "") -> Row:
 
 
 def _finite(values: Sequence[float]) -> tuple[float | None, ...]:
-    return tuple(float(value) if math.isfinite(value) else None for value in values)
+    return tuple(map(finite, values))
 
 
 def prediction_rows(kind: str, predictions: Predictions, fits: Sequence[Fit]) -> list[Row]:

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from declared_models import Lag, measured
 from scipy.signal import lfilter
-from scipy.stats import f as fisher
-from scipy.stats import spearmanr
+from scipy.stats import f as fisher, spearmanr
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem

@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibration_rows import Lag, Line, Parabola, least_squares, rows
-from scipy.stats import f as f_distribution
-from scipy.stats import t as student_t
+from scipy.stats import f as f_distribution, t as student_t
 
 import greybox as gb
 

@@ -7,8 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from evaluation import evaluate
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from numpy.testing import assert_allclose
 
 import greybox as gb

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 from evaluation import response_formula
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 import greybox as gb
 from greybox.modeling.elimination import eliminated, elimination_order, solve_pencils

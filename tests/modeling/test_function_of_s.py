@@ -3,8 +3,7 @@
 import casadi as ca
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from greybox.modeling.function_of_s import is_casadi, is_whole, polynomial_value, whole_power
 

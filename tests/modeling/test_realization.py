@@ -7,8 +7,7 @@ from declared_models import LagLagDelay
 from evaluation import input_output_pairs, random_values, shipped_models
 from numpy.testing import assert_allclose
 from scipy.linalg import expm
-from scipy.signal import TransferFunction as ScipyTransferFunction
-from scipy.signal import lsim
+from scipy.signal import TransferFunction as ScipyTransferFunction, lsim
 
 import greybox as gb
 from greybox.modeling.integrators import step_function

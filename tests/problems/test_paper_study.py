@@ -5,8 +5,14 @@ from dataclasses import replace
 import pytest
 
 import greybox as gb
-from greybox.problems import _paper_study as paper
-from greybox.problems import pitch_5deg, pitch_hover, roll_hover, rotors, yaw_hover
+from greybox.problems import (
+    _paper_study as paper,
+    pitch_5deg,
+    pitch_hover,
+    roll_hover,
+    rotors,
+    yaw_hover,
+)
 
 
 def test_every_structure_is_fitted_by_every_criterion_with_both_delays():

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from declared_models import Lag as StaticLag
-from declared_models import measured
+from declared_models import Lag as StaticLag, measured
 from numpy.testing import assert_allclose
 from scipy.integrate import solve_ivp
 from scipy.optimize import curve_fit

@@ -2,8 +2,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from resonance_records import HZ, RATE, covered, flown_sweep, record, resonance
 from scipy.linalg import expm
 from scipy.signal import freqz, lfilter

@@ -13,8 +13,7 @@ from benchmark_module import benchmark
 from declared_models import TWO_LAGS, TWO_LAGS_OMEGA, Lag, LagLagDelay, measured
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import lfilter
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.stats import norm, t as student
 
 import greybox as gb
 from greybox.cli.main import main
