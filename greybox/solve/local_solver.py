@@ -98,10 +98,6 @@ class LocalSolver(Runner):
         """Compare the starts (r, p) with little work; None if that is not possible."""
         return None
 
-    def near(self, x: Array) -> Outcome:
-        """Return the run from parameters x (p,) that are near a minimum."""
-        return self.run(x)
-
     def continued(self, outcome: Outcome) -> Outcome:
         """Return a run that did not converge with more iterations, if the solver can."""
         return outcome

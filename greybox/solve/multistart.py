@@ -111,12 +111,10 @@ def multistart(  # noqa: PLR0913  (what to run, from where, how, and how long)
         if stop_requested():
             break
         if 0 < enough <= len(agreeing_runs(nlp, runs, minima)):
-            # Minima that these runs have missed are listed with starts that were not tried.
+            # Minima that these runs have missed take the places of starts that were not tried.
             untried = {*range(len(starts))} - {*results}
             others = points_beside(nlp, minima[0].estimate) if beside else ()
-            results |= {
-                k: (starts[k], solver.near(x)) for k, x in zip(untried, others, strict=False)
-            }
+            results |= {k: (x, solver.run(x)) for k, x in zip(untried, others, strict=False)}
             results, runs, minima = _certified(nlp, solver, results)
             break
 
