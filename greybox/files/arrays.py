@@ -21,6 +21,11 @@ def positive_or_one(sizes: Array) -> Array:
     return np.where(sizes > 0, sizes, 1.0)
 
 
+def real_and_imaginary(values: ComplexArray, axis: int = 0) -> Array:
+    """Return real parts, then imaginary parts, along an axis, which becomes twice as long."""
+    return np.concatenate([values.real, values.imag], axis=axis)
+
+
 def of_diagonal(matrices: Array) -> Array:
     """Return the diagonals (..., k) of matrices (..., k, k)."""
     return np.diagonal(matrices, axis1=-2, axis2=-1)
