@@ -356,7 +356,7 @@ def _initial_states(
 ) -> Array:
     """Return the first states (stretches, n) of every stretch; zero where none are given."""
     # On the record of the fit, its initial states were estimated with the parameters.
-    if fitted_initial and model.part is not None:
+    if fitted_initial:
         fitted = model.part.initial
         initial = {name: fitted[name] for name in model.system.states if name in fitted}
     initial = {} if initial is None else initial
