@@ -15,7 +15,7 @@ import numpy as np
 from greybox.compiled.part import Condensed, Trajectory
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization, Segments
-from greybox.files.arrays import Array, BoolArray, all_finite
+from greybox.files.arrays import Array, BoolArray, all_finite, of_diagonal
 
 # Curvature, relative to that of the outputs, that keeps states in place which no output shows.
 RIDGE = 1e-10
@@ -86,7 +86,7 @@ def _node_curvature(b: Linearization, variance: Array, data: SampledData) -> Arr
 
     Where continuity is exact the first nodes of every stretch are free.
     """
-    curvature = b.node_hessian.diagonal(axis1=1, axis2=2)
+    curvature = of_diagonal(b.node_hessian)
     relaxed = variance > 0
     curvature = np.where(data.begins_stretch[:, None] | relaxed, curvature, 0.0)
     stiffness = np.divide(1.0, variance, out=np.zeros_like(variance), where=relaxed)
@@ -174,7 +174,7 @@ def _state_sizes(hessian: Array, transition: Array) -> Array:
 
     A state that changes no output has size 1.
     """
-    curvature = np.abs(hessian.diagonal(axis1=1, axis2=2)).mean(axis=0)
+    curvature = np.abs(of_diagonal(hessian)).mean(axis=0)
     passed_on = (transition**2).mean(axis=0).T
     for _ in range(len(curvature)):
         curvature = np.where(curvature > 0, curvature, passed_on @ curvature)

@@ -12,7 +12,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.response_columns import EXTRAS
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, real_and_imaginary
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.included_criteria import CRITERIA
 from greybox.formulation.problem import Problem
@@ -108,7 +108,7 @@ def _takes_symbols(part: Problem) -> bool:
             for each in (_with_symbols(data, symbols), data)
         ]
         function = ca.Function("costs", [r, symbols], [*map(ca.SX, costs)])
-        opened, plain = function(np.concatenate([elsewhere.real, elsewhere.imag]), numbers)
+        opened, plain = function(real_and_imaginary(elsewhere), numbers)
         return bool(np.isclose(float(opened), float(plain), rtol=1e-9))
     except (ValueError, AttributeError):
         return False

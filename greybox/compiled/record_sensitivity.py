@@ -12,7 +12,7 @@ from greybox.compiled.record_linearization import filter_information
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Linearization
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, of_diagonal
 from greybox.statistics.residual_spectrum import LONGEST_CORRECTED
 
 
@@ -57,7 +57,7 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     linearization = part.linearize(trajectory, weight)
     by_nodes = part.condense(linearization, trajectory).node_sensitivity
     initial_directions = _initial_directions(part, linearization)
-    curvature = linearization.node_hessian.diagonal(axis1=1, axis2=2)
+    curvature = of_diagonal(linearization.node_hessian)
     noticed = np.sqrt(np.maximum(curvature, 0.0).sum(axis=0))
     del linearization, curvature  # of a long record, a tenth of what fits into memory
     known = part.known_states

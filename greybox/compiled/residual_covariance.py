@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.files.arrays import Array, IntArray, all_finite, positive_or_one
+from greybox.files.arrays import Array, IntArray, all_finite, of_diagonal, positive_or_one
 from greybox.files.text_table import listed
 from greybox.formulation.time_criteria import TimeCriterion
 
@@ -114,11 +114,6 @@ class ResidualCovariance:
 def diagonal(values: Array) -> Array:
     """Return diagonal matrices (..., k, k) of values (..., k)."""
     return values[..., None] * np.eye(values.shape[-1])
-
-
-def of_diagonal(matrices: Array) -> Array:
-    """Return the diagonals (..., k) of matrices (..., k, k)."""
-    return np.diagonal(matrices, axis1=-2, axis2=-1)
 
 
 def residual_covariance_of(

@@ -18,7 +18,7 @@ from greybox.compiled.part import (
     Trajectory,
 )
 from greybox.compiled.shared_response import SharedSystem, SineTest
-from greybox.files.arrays import Array, ComplexArray, complex_array
+from greybox.files.arrays import Array, ComplexArray, complex_array, real_and_imaginary
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
@@ -301,7 +301,7 @@ class ResponsePart(Part):
         )
         errors = turned * (data.response - response)[order]
 
-        return neighbor_correlation(errors, np.vstack([design.real, design.imag]), inflation)
+        return neighbor_correlation(errors, real_and_imaginary(design), inflation)
 
 
 class ResponseProgram(Program):

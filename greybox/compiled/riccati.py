@@ -16,7 +16,7 @@ import numpy as np
 from greybox.compiled.record_model import RecordModel
 from greybox.compiled.residual_covariance import diagonal
 from greybox.compiled.sample_step import SampleStep
-from greybox.files.arrays import Array, BoolArray, IntArray, all_finite
+from greybox.files.arrays import Array, BoolArray, IntArray, all_finite, of_diagonal
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -29,7 +29,7 @@ def steady_covariance(F: Any, C: Any, process: Any) -> Any:
     (2004), International Journal of Control 77(8).
     """
     # States in units of their noise, because intensities may be decades apart.
-    variance: Any = np.diagonal(process, axis1=-2, axis2=-1)
+    variance: Any = of_diagonal(process)
     variance = variance.real
     largest = variance.max(axis=-1, keepdims=True, initial=0.0)
     size = np.sqrt(np.where(variance > 0, variance, largest))
@@ -153,7 +153,7 @@ class NoiseModel:
         # Noise does not reach the other states, which may be integrators without a steady filter.
         r = np.flatnonzero(reached(F[0].real, self.driven))
         F, C, Q = F[:, r[:, None], r], C[:, :, r], Q[:, r[:, None], r]
-        root = np.sqrt(np.diagonal(V, axis1=1, axis2=2))[:, :, None]
+        root = np.sqrt(of_diagonal(V))[:, :, None]
         P = steady_covariance(F, C / root, Q)
         S = C @ P @ transposed(C) + V
         if not all_finite(S):

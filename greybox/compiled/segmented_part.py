@@ -17,7 +17,7 @@ from greybox.compiled.riccati import SteadyFilter
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization, Segments
-from greybox.files.arrays import Array, BoolArray
+from greybox.files.arrays import Array, BoolArray, of_diagonal
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.metrics import whiteness
@@ -253,7 +253,7 @@ class SegmentedPart(Part):
     def continuity_variance(self, linearization: Linearization) -> Array:
         """Return the variances (n,) of state jumps that move a segment's outputs by `JUMP`."""
         samples = self.data.segment_length * len(self.outputs)
-        diagonals = linearization.node_hessian.diagonal(axis1=1, axis2=2)
+        diagonals = of_diagonal(linearization.node_hessian)
         curvature = np.nan_to_num(np.mean(diagonals, axis=0))
         # A state that no output shows has no such scale: any will do.
         visible = np.maximum(curvature, 1e-200)

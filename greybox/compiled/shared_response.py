@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
+from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, real_and_imaginary
 from greybox.formulation.problem import Problem
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.harmonic_balance import HarmonicBalance, compiled_balance
@@ -249,9 +249,9 @@ class SharedResponses:
         The columns of `data` (g, k) are those of `CompiledProblem`.
         """
         values, slopes = self.stacked(z)
-        numbers = np.concatenate([values.real, values.imag], axis=1).T
+        numbers = real_and_imaginary(values, 1).T
         cost, first, second = self._criterion(numbers, smoothing, data)
-        jacobian = np.concatenate([slopes.real, slopes.imag], axis=1)
+        jacobian = real_and_imaginary(slopes, 1)
         gradient = first.T[:, None] @ jacobian
         left, right = (jacobian[:, rows] for rows in self._second)
         hessian = (left * second.T[..., None]).swapaxes(1, 2) @ right

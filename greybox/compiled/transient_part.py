@@ -27,7 +27,13 @@ import numpy as np
 from greybox.compiled.part import NO_NODES, Information, Part, Program, Trajectory
 from greybox.compiled.residual_covariance import ResidualCovariance, residual_covariance_of
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Array, ComplexArray, all_finite, positive_or_one
+from greybox.files.arrays import (
+    Array,
+    ComplexArray,
+    all_finite,
+    positive_or_one,
+    real_and_imaginary,
+)
 from greybox.formulation.problem import Problem
 from greybox.formulation.spectrum_criteria import EquationError, outputs_in_spectrum
 from greybox.formulation.time_criteria import TimeCriterion
@@ -151,7 +157,7 @@ class TransientPart(Part):
 
         In units of the standard deviation of one sample.
         """
-        return np.concatenate([values.real, values.imag], axis=1) / self._unit
+        return real_and_imaginary(values, 1) / self._unit
 
     # --- the errors at given parameters
 
@@ -308,8 +314,8 @@ class TransientPart(Part):
     def doubtful(self, z: Array) -> Iterator[str]:
         """Yield the outputs whose errors at z look like turbulence, or like a missing term."""
         for output, errors, complex_slope in self.errors_by_output(z):
-            slope = np.vstack([complex_slope.real, complex_slope.imag])
-            scores = scores_of_powers(np.hstack([errors.real, errors.imag]), slope, self.data.omega)
+            slope = real_and_imaginary(complex_slope)
+            scores = scores_of_powers(real_and_imaginary(errors), slope, self.data.omega)
             neighbors = neighbor_correlation(errors, slope)
             is_correlated = neighbors is not None and neighbors.independent < UNLIKELY
             if is_correlated or scores[0] - scores.min() > STRONG:
@@ -347,7 +353,7 @@ class TransientPart(Part):
         """Return the modeled outputs over the root mean square of the measured ones."""
         size = np.sqrt(np.mean(np.abs(self._measured) ** 2, axis=1, keepdims=True))
         values = trajectory.detail.modeled / positive_or_one(size)
-        return np.concatenate([values.real.ravel(), values.imag.ravel()])
+        return real_and_imaginary(values.ravel())
 
     # --- for IPOPT and for the covariance of the estimate
 

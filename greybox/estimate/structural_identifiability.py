@@ -16,7 +16,7 @@ from greybox.estimate.covariance import informations
 from greybox.estimate.identifiability import KnownDirections, identifiability
 from greybox.estimate.undetermined import Combination, invisible_groups
 from greybox.files.arrays import Array, BoolArray, all_finite, positive_or_one
-from greybox.files.text_table import counted, listed, one_line
+from greybox.files.text_table import as_names, counted, listed, one_line
 from greybox.formulation.frequency_criteria import SquaredRelativeError
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import OutputError
@@ -153,11 +153,7 @@ def structural_identifiability(
     """
     if not isinstance(model, Model):
         raise TypeError(f"model is {model!r:.60}: give an instance such as Tilt(), not the class.")
-    chosen = (
-        (outputs,)
-        if isinstance(outputs, str)
-        else tuple(model.output_names if outputs is None else outputs)
-    )
+    chosen = as_names(model.output_names if outputs is None else outputs)
     require_known(chosen, model.output_names, "output", model.label)
     options = {"fixed": fixed or {}, "free": free, "tied": tied or {}}
     in_frequency = isinstance(model, TransferFunction) or at is not None

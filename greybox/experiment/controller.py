@@ -16,7 +16,7 @@ from greybox.modeling.model import (
 )
 from greybox.modeling.parameter import Parameter, is_finite_number
 from greybox.modeling.realization import Dynamics
-from greybox.modeling.symbolic_reading import column, traced
+from greybox.modeling.symbolic_reading import column, entries_by_name, traced
 
 
 class Controller(ABC):
@@ -158,7 +158,7 @@ def updated(controller: Controller, x: ca.SX, u: Mapping[str, Any]) -> tuple[ca.
         With the cure, if the formula cannot be compiled or returns another number of values.
     """
     label = type(controller).__name__
-    states = Names({name: x[k] for k, name in enumerate(controller.states)}, f"{label}.states")
+    states = Names(entries_by_name(controller.states, x), f"{label}.states")
     signals = Names(u, f"{label}.inputs and setpoints")
     returned = traced(f"{label}.update", controller.update, states, signals, controller.values)
     pair = returned if isinstance(returned, tuple) and len(returned) == 2 else ((), ())

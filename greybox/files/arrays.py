@@ -1,4 +1,4 @@
-"""Types of numpy arrays for annotations, whether arrays are finite, and divisors."""
+"""Types of numpy arrays for annotations, tests and parts of arrays, and divisors."""
 
 from typing import Any
 
@@ -19,6 +19,16 @@ def all_finite(*arrays: Any) -> bool:
 def positive_or_one(sizes: Array) -> Array:
     """Return the sizes as divisors: one in place of those that are not above zero."""
     return np.where(sizes > 0, sizes, 1.0)
+
+
+def real_and_imaginary(values: ComplexArray, axis: int = 0) -> Array:
+    """Return real parts, then imaginary parts, along an axis, which becomes twice as long."""
+    return np.concatenate([values.real, values.imag], axis=axis)
+
+
+def of_diagonal(matrices: Array) -> Array:
+    """Return the diagonals (..., k) of matrices (..., k, k)."""
+    return np.diagonal(matrices, axis1=-2, axis2=-1)
 
 
 def complex_array(real: Array, imaginary: Array) -> ComplexArray:

@@ -85,6 +85,11 @@ def listed(names: Sequence[str]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
+def as_names(names: str | Iterable[str]) -> tuple[str, ...]:
+    """Return one name or several as a tuple."""
+    return (names,) if isinstance(names, str) else tuple(names)
+
+
 def some(names: Sequence[str], most: int = 4) -> str:
     """Return names as `listed` does; of many names, the first ones and the number of the others."""
     return (

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, real_and_imaginary
 from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.relative_score import ROUNDING, relative_score
 from greybox.modeling.complex_arithmetic import Complex
@@ -84,7 +84,7 @@ class Criterion(AnyCriterion):
         `sensitivity` (n, p) are the derivatives of the response `model` (n,). The first n rows are
         along the response, the others across.
         """
-        return stacked(sensitivity / self.scale(model, data)[:, None])
+        return real_and_imaginary(sensitivity / self.scale(model, data)[:, None])
 
     @abstractmethod
     def spread(
@@ -505,8 +505,3 @@ def squared_magnitude(value: Complex) -> Any:
 def total(values: Any) -> Any:
     """Return the sum of values (n,), in numbers or in CasADi expressions."""
     return np.sum(values) if isinstance(values, np.ndarray) else ca.sum1(values)
-
-
-def stacked(values: ComplexArray) -> Array:
-    """Return real parts above imaginary parts, (2n, ...)."""
-    return np.vstack([values.real, values.imag])

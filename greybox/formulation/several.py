@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from greybox.data.record import Record
+from greybox.files.text_table import as_names
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
 from greybox.modeling.model import Model, require_known
@@ -50,7 +51,7 @@ def several(
             "several() takes a list of at least two records: for one, use Problem(model, record)."
         )
 
-    own = (own,) if isinstance(own, str) else tuple(own)
+    own = as_names(own)
 
     parts = []
     for number, record in enumerate(records, start=1):

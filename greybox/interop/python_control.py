@@ -10,6 +10,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.experiment.loop_numbers import loop_frequencies
 from greybox.experiment.margins import Margins
 from greybox.files.optional_package import required
+from greybox.files.text_table import as_names
 from greybox.interop.linear_systems import given_model
 from greybox.modeling.known_systems import KnownStateSpace, KnownTransferFunction
 from greybox.modeling.model import pick_signals
@@ -173,7 +174,7 @@ def _signal_names(given: Sequence[str], labels: Sequence[str]) -> tuple[str, ...
     """Return the given names, else the labels with ``u[0]`` as ``u`` or ``u1``."""
     # Names of signals become attributes in formulas, x.u1, where brackets cannot stand.
     if given:
-        return (given,) if isinstance(given, str) else tuple(given)
+        return as_names(given)
 
     def plain(label: str) -> str:
         numbered = re.fullmatch(r"([a-z])\[(\d+)\]", label)

@@ -11,7 +11,7 @@ from greybox.data.intersample import HELD, intersample
 from greybox.data.record import GAP, Record, Recording, median_step, require_time, runs_between_gaps
 from greybox.data.units import to_si
 from greybox.files.arrays import Array
-from greybox.files.text_table import counted
+from greybox.files.text_table import as_names, counted
 from greybox.logs.ardupilot.truncated_angles import untruncated
 from greybox.logs.flight_controllers import passed_filters
 
@@ -124,7 +124,7 @@ def prepare(
     if not signals:
         raise ValueError("signals is empty: name at least one, e.g. {'u': 'RATE.POut'}.")
 
-    held = (held,) if isinstance(held, str) else held
+    held = as_names(held)
     unknown = [name for name in held if name not in signals]
     if unknown:
         raise ValueError(

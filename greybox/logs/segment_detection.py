@@ -293,11 +293,9 @@ def _in_setpoint(data: Recording | Record, name: str) -> list[Segment]:
 
 def announcing(recording: Recording) -> tuple[str, ...]:
     """Return the messages that look like announcements of tests, with the fields of `ANNOUNCED`."""
-    fields = {
-        key: name for key, name in ANNOUNCED.items() if key in ("segment", "omega", "amplitude")
-    }
+    fields = {ANNOUNCED[key] for key in ("segment", "omega", "amplitude")}
     return tuple(
         name
         for name, record in recording.items()
-        if record.has_time and set(fields.values()) <= set(record.signals)
+        if record.has_time and fields <= set(record.signals)
     )

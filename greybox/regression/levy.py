@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, ComplexArray, positive_or_one
+from greybox.files.arrays import Array, ComplexArray, positive_or_one, real_and_imaginary
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.formulation.frequency_criteria import RelativeError, evaluate
 from greybox.modeling.factored_form import factored, upper_half
@@ -279,12 +279,12 @@ def reweighted(
 
 def _least_squares(equations: ComplexArray, right: ComplexArray) -> tuple[Array, Array]:
     """Return real solutions (..., unknowns) of complex equations, and their normalized matrix."""
-    matrix = np.concatenate([equations.real, equations.imag], axis=-2)
+    matrix = real_and_imaginary(equations, -2)
     # Powers of ω differ by decades: without scaling, the rank would depend on the units.
     scale = positive_or_one(np.linalg.norm(matrix, axis=-2, keepdims=True))
     normalized = matrix / scale
     inverse = np.linalg.pinv(normalized, RANK) / np.swapaxes(scale, -1, -2)
-    solution = inverse @ np.concatenate([right.real, right.imag], axis=-2)
+    solution = inverse @ real_and_imaginary(right, -2)
     return solution[..., 0], normalized
 
 

@@ -98,7 +98,7 @@ class ModelAtEstimate:
             require_time(record, f"the dynamic model {self.label}")
 
         # Inputs run as in the fit, unless this record says otherwise.
-        assumed = self.part.data.hold if self.part is not None else {}
+        assumed = self.part.data.hold if self.part else {}
         between = between_samples(self.criterion.inputs, self.system.inputs, record, assumed)
         system = self.system.later([assumption.late for assumption in between])
         return replace(self, system=system, held=tuple(assumption.held for assumption in between))

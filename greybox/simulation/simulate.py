@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from greybox.compiled.sampled_data import gapless
 from greybox.data.record import Record, share_samples
 from greybox.files.arrays import Array, BoolArray, all_finite
-from greybox.files.text_table import counted, some
+from greybox.files.text_table import as_names, counted, some
 from greybox.formulation.input_assumptions import Inputs
 from greybox.modeling.integrators import Integrator
 from greybox.modeling.model import Model, require_known
@@ -270,8 +270,7 @@ def predict_windows(
     if own is None:
         new = model.part is not None and not share_samples(model.part.data, windows.record)
         own = model.own if new else ()
-    own = (own,) if isinstance(own, str) else own
-    model, values, notes = with_own_values(model, windows, outputs, integrator, own)
+    model, values, notes = with_own_values(model, windows, outputs, integrator, as_names(own))
     simulator = Simulator(model, outputs, integrator)
     simulated = simulator.windows(windows)
     error, unknown = simulator.standard_errors(simulated)
@@ -357,7 +356,7 @@ def _initial_states(
 ) -> Array:
     """Return the first states (stretches, n) of every stretch; zero where none are given."""
     # On the record of the fit, its initial states were estimated with the parameters.
-    if fitted_initial and model.part is not None:
+    if fitted_initial:
         fitted = model.part.initial
         initial = {name: fitted[name] for name in model.system.states if name in fitted}
     initial = {} if initial is None else initial

@@ -158,12 +158,11 @@ class Simulator:
         n = len(model.system.states)
         by_value = slopes[..., n:]
         variance = np.zeros(slopes.shape[:-1])
-        part = model.part
         # Products of three larger slopes would overflow.
         if not np.all(np.abs(slopes) < 1e100):
             by_value = np.full_like(by_value, np.nan)
-        elif fitted_initial and part is not None and n:
-            rows = stretch.rows
+        elif fitted_initial and n:
+            part, rows = model.part, stretch.rows
             compared = np.array([np.isfinite(part.residual(name)[rows]) for name in part.outputs]).T
             places = [self._outputs.index(name) for name in part.outputs]
             informing = np.where(compared[..., None], slopes[:, :, places], 0.0)

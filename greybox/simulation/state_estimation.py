@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.files.arrays import Array, BoolArray
+from greybox.files.arrays import Array, BoolArray, of_diagonal
 
 Outputs = Callable[[Array], Array]  # initial states (w, n) -> outputs (w, samples, k)
 # Initial states (w, n) -> outputs' derivatives by them (w, samples, k, n).
@@ -101,7 +101,7 @@ def estimate_states(
         step = _halved(step, x, e, lead_ins, R, mean, precision)
         x = x + step
         e, S, finite = lead_ins.linearized(x)
-        deviation = np.sqrt(np.maximum(np.diagonal(posterior, axis1=1, axis2=2), TINY))
+        deviation = np.sqrt(np.maximum(of_diagonal(posterior), TINY))
         if not adapting and np.all(np.abs(step) <= 1e-3 * deviation):
             break
 
@@ -217,7 +217,7 @@ def shared_prior(
     # So weak at first that one standard deviation of a state changes the outputs by their spread.
     counts = np.isfinite(measured).sum(axis=(0, 1)) / w
     signal = max(float(counts @ (spread**2 / np.diag(R))), TINY)
-    seen = np.mean(np.diagonal(H, axis1=1, axis2=2), axis=0)
+    seen = np.mean(of_diagonal(H), axis=0)
     precision = np.where(seen > 0, seen / signal, 1.0)
     if w < 10:
         return mean, precision
@@ -226,7 +226,7 @@ def shared_prior(
         covariance = _inverse(H, precision)
         x = np.einsum("wij,wj->wi", covariance, information + precision * mean)
         mean = x.mean(axis=0)
-        variance = np.diagonal(covariance, axis1=1, axis2=2).sum(axis=0)
+        variance = of_diagonal(covariance).sum(axis=0)
         variance = variance + ((x - mean) ** 2).sum(axis=0)
         # States that no output shows need some precision, or they would drift.
         precision = np.maximum((w - 1) / variance, 1e-12 * seen + TINY)

@@ -9,6 +9,7 @@ from greybox.data.intersample import intersample
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.files.arrays import Array, ComplexArray
+from greybox.files.text_table import as_names
 from greybox.spectral.uniform_stretches import uniform_stretches
 
 # Highest frequency over the sampling rate: signals have little power above, and aliases there are
@@ -49,8 +50,7 @@ def transient_spectrum(
     Identification, 2nd ed., section 6.3 (the grid on which transients take a simple form); Press et
     al., Numerical Recipes, section 13.9 (end corrections).
     """
-    inputs = (inputs,) if isinstance(inputs, str) else tuple(inputs)
-    outputs = (outputs,) if isinstance(outputs, str) else tuple(outputs)
+    inputs, outputs = as_names(inputs), as_names(outputs)
     names = (*inputs, *outputs)
     stretches = uniform_stretches(record, names)
     if len(stretches) > 1:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, positive_or_one
+from greybox.files.arrays import Array, of_diagonal, positive_or_one
 from greybox.statistics.column_space import column_basis, outside
 
 # Share of the length of a term that must remain beside the parameters: less is an error of the
@@ -142,7 +142,7 @@ def scores_of_powers(residuals: Array, fitted: Array, omega: Array) -> Array:
 
 def _squares_of_lengths(triangles: Array) -> Array:
     """Return the logarithms of the squares of their diagonals, lengths beside earlier columns."""
-    diagonal = np.abs(np.diagonal(triangles, axis1=1, axis2=2))
+    diagonal = np.abs(of_diagonal(triangles))
     return 2 * np.log(np.maximum(diagonal, np.finfo(float).tiny))
 
 

@@ -6,7 +6,8 @@ from typing import Any, ClassVar
 import numpy as np
 
 import greybox as gb
-from greybox.formulation.frequency_criteria import squared_magnitude, stacked, total
+from greybox.files.arrays import real_and_imaginary
+from greybox.formulation.frequency_criteria import squared_magnitude, total
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class Huber(gb.Criterion):
         return total(values)
 
     def jacobian(self, model: Any, sensitivity: Any, data: Any) -> Any:
-        return stacked(sensitivity / np.abs(data.response)[:, None])
+        return real_and_imaginary(sensitivity / np.abs(data.response)[:, None])
 
     def spread(self, model: Any, data: Any, correction: float) -> Any:
         error = np.abs((model - data.response) / data.response)

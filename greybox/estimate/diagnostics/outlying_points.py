@@ -24,7 +24,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import ResponsePart
 from greybox.estimate.diagnostics.repeated import Finding
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, real_and_imaginary
 from greybox.files.text_table import listed, number
 from greybox.statistics.bounded_errors import bounded, robust_deviation
 from greybox.statistics.column_space import column_basis
@@ -214,9 +214,9 @@ def deletion_ratios(
         Lower limit of the mean square.
     """
     n = residual.size
-    basis = column_basis(np.vstack([sensitivity.real, sensitivity.imag]))
+    basis = column_basis(real_and_imaginary(sensitivity))
     dof = 2 * n - basis.shape[1] - 2
-    z = np.concatenate([residual.real, residual.imag])
+    z = real_and_imaginary(residual)
     # Other criteria do not leave residuals orthogonal to the Jacobian; the test needs that.
     z = z - basis @ (basis.T @ z)
     total = float(z @ z)

@@ -76,20 +76,20 @@ def with_holds(groups: Iterable[Messages], parameters: Mapping[str, float]) -> l
 
 
 def _holds(group: Messages, period: float) -> dict[str, float]:
-    holds = {name: CONTINUOUS for name in group.columns if _is_among(SAMPLES, group.name, name)}
-    holds |= {name: HELD for name in group.columns if _is_among(KEPT, group.name, name)}
+    holds = dict.fromkeys(_among(SAMPLES, group), CONTINUOUS)
+    holds |= dict.fromkeys(_among(KEPT, group), HELD)
     if math.isnan(period):
         # If the loop is unknown, a log that is fast enough is assumed to have every pass.
         if group.time is None or not median_step(group.time) <= 1 / SLOWEST_LOOP:
             return holds
         period = HELD
 
-    return holds | {name: period for name in group.columns if _is_among(OUTPUTS, group.name, name)}
+    return holds | dict.fromkeys(_among(OUTPUTS, group), period)
 
 
-def _is_among(table: Mapping[str, str], message: str, field: str) -> bool:
+def _among(table: Mapping[str, str], group: Messages) -> list[str]:
+    """Return the columns that a table of fields by message has."""
     # All instances of a message, IMU[0] and IMU[1], have the same fields.
-    message = message.partition("[")[0]
-    return any(
-        re.fullmatch(key, message) and re.fullmatch(fields, field) for key, fields in table.items()
-    )
+    message = group.name.partition("[")[0]
+    fields = "|".join(names for key, names in table.items() if re.fullmatch(key, message))
+    return [name for name in group.columns if re.fullmatch(fields, name)]
