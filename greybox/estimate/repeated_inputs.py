@@ -40,12 +40,13 @@ def repeated_residuals(records: Sequence[DisturbedRecord]) -> Iterator[list[Term
 
 def _period(inputs: Array) -> int:
     """Return the samples after which inputs (m, n) repeat to the end, and n if they do not."""
-    n = inputs.shape[1]
+    n, near = inputs.shape[1], ROUNDING * np.ptp(inputs, axis=1, keepdims=True)
     # Errors may be correlated over as many samples as they are predicted from.
-    lags = range(ORDER + 1, n // 2 + 1) if np.ptp(inputs, axis=1).any() else ()
-    for lag in lags:
-        # Two samples exclude most lags.
-        if all(_are_same(inputs[:, lag::step], inputs[:, :-lag:step]) for step in (n // 3, 1)):
+    lags = np.arange(ORDER + 1, n // 2 + 1)
+    # The first sample excludes most lags.
+    possible = np.all(np.abs(inputs[:, lags] - inputs[:, :1]) <= near, axis=0) & near.any()
+    for lag in lags[possible].tolist():
+        if _are_same(inputs[:, lag:], inputs[:, :-lag]):
             return lag
     return n
 
