@@ -13,6 +13,7 @@ from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, positive_or_one
 from greybox.modeling.realization import Dynamics
+from greybox.modeling.symbolic_reading import dense_jacobian
 from greybox.statistics.noise_ratio import SMOOTH, noise_ratio
 
 # Multiples of the golden ratio modulo one are spread more evenly than those of any other number.
@@ -31,9 +32,7 @@ class InitialStates:
         x, u, p = system.symbols
         y = system.output(x, u, p)[[system.outputs.index(name) for name in outputs]]
         f = system.derivative(x, u, p) if self._n else ca.SX(0, 1)
-        slopes = ca.vertcat(
-            ca.vec(ca.densify(ca.jacobian(f, x))), ca.vec(ca.densify(ca.jacobian(y, x)))
-        )
+        slopes = ca.vertcat(ca.vec(dense_jacobian(f, x)), ca.vec(dense_jacobian(y, x)))
         self._model = Columns(
             ca.Function("first", [x, u, p], [f, y, slopes], {"cse": True}), shared=(2,)
         )

@@ -22,7 +22,7 @@ from greybox.modeling.integrators import Integrator
 from greybox.modeling.model import Names
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
-from greybox.modeling.symbolic_reading import called
+from greybox.modeling.symbolic_reading import called, dense_jacobian
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +143,7 @@ def record_model(
     delay = kin.system.delay(q[: len(kin.system.parameters)])
     symbol = ca.SX.sym("q", q.numel())
     initial = kin.initial.call([symbol])[0]
-    by_active = ca.densify(ca.jacobian(initial, symbol[active]))
+    by_active = dense_jacobian(initial, symbol[active])
     begin = problem.local_values({name: p.start for name, p in problem.parameters.items()})
 
     return replace(

@@ -17,6 +17,7 @@ from greybox.compiled.record_model import RecordModel
 from greybox.compiled.residual_covariance import diagonal
 from greybox.compiled.sample_step import SampleStep
 from greybox.files.arrays import Array, BoolArray, IntArray, all_finite, of_diagonal
+from greybox.modeling.symbolic_reading import dense_jacobian
 
 
 @np.errstate(over="ignore", invalid="ignore")
@@ -174,9 +175,7 @@ def noise_model(
     names, outputs = model.parameters, model.outputs
     x, q, d = sample.symbols()
     end, _, y = sample.function(x, q, d)
-    by_state = ca.Function(
-        "by_state", [x, q, d], [ca.densify(ca.jacobian(value, x)) for value in (end, y)]
-    )
+    by_state = ca.Function("by_state", [x, q, d], [dense_jacobian(value, x) for value in (end, y)])
     gains = [f"K_{state}_{output}" for state in sample.system.states for output in outputs]
     is_gain = np.isin(names, gains)
     without_gain = ca.vertcat(*[0 if off else q[k] for k, off in enumerate(is_gain)])

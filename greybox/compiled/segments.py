@@ -22,6 +22,7 @@ from greybox.compiled.substep_derivatives import SubstepDerivatives
 from greybox.compiled.vectorized import Columns
 from greybox.files.arrays import Array, IntArray
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
+from greybox.modeling.symbolic_reading import dense_jacobian
 
 # Samples whose derivatives are in memory at once: 20 000 with five states and ten parameters take
 # 25 MB, and a longer batch is no faster.
@@ -119,7 +120,7 @@ class Segments:
                     values[places] = free[self.n :]
                 of_free = self._step.function(free[: self.n], values, d)
                 slopes = [of_free[0], of_free[1] if name == "derivatives" else of_free[2]]
-                derivatives = [ca.densify(ca.jacobian(slope, free)) for slope in slopes]
+                derivatives = [dense_jacobian(slope, free) for slope in slopes]
                 at_free = ca.Function("at_free", [free, q, d], [*derivatives, of_free[1]])
                 results = at_free(ca.vertcat(x, *(q[i] for i in places)), q, d)
             function = ca.Function(name, [x, q, d], results, {"cse": True})

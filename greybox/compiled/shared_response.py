@@ -29,6 +29,7 @@ from greybox.modeling.linearization import jacobians
 from greybox.modeling.model import pick_signals
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.state_space import StateSpace
+from greybox.modeling.symbolic_reading import dense_jacobian
 from greybox.modeling.trim import trim_of
 
 # Points whose motions are stored: the last and the best one of two searches, and some more.
@@ -129,7 +130,7 @@ class SineTest:
         self.pairs = ((part, 0, 0, slice(None)),)
         z = ca.MX.sym("z", values.numel_in(0))
         settings = balance.settings(values(z))
-        slopes = ca.densify(ca.jacobian(settings[:, 0], z))
+        slopes = dense_jacobian(settings[:, 0], z)
         self._settings = ca.Function("settings", [z], [settings, slopes])
         self._guess = balance.guess.map(balance.omega.size)
         self._linear = Columns(balance.linear)
@@ -327,7 +328,7 @@ def _system(
     names = list(model.parameters)
     delays = [p[names.index(model.delays[i])] if i in model.delays else 0.0 for i in model.inputs]
     values = ca.vertcat(system.nz[:], *delays)
-    slopes = ca.vec(ca.densify(ca.jacobian(values, point)))
+    slopes = ca.vec(dense_jacobian(values, point))
     omega = np.unique(np.concatenate([parts[k].response.omega for k in members]))
     pairs = []
     for k in members:

@@ -14,6 +14,7 @@ from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.vectorized import CHUNK, Columns
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.symbolic_reading import dense_jacobian
 
 
 class SubstepDerivatives:
@@ -35,7 +36,7 @@ class SubstepDerivatives:
         end = step.substep(x, mean + change * place, change / d[-1], p, d[-1] / step.substeps)
 
         compared = output if simulated else residual
-        by_free = ca.densify(ca.jacobian(compared, ca.vertcat(x, parameters)))
+        by_free = dense_jacobian(compared, ca.vertcat(x, parameters))
         self._substeps, self._active = step.substeps, len(active)
         begin, self._corrected = _with_slopes(corrected, x, parameters)
         further, self._following = _with_slopes(end, x, parameters)
@@ -84,7 +85,7 @@ def _with_slopes(
     The pattern is that of the transposed derivatives by x.
     """
     by_state = ca.jacobian(value, x).T
-    by_parameters = ca.densify(ca.jacobian(value, parameters))
+    by_parameters = dense_jacobian(value, parameters)
     values = ca.vec(by_state.nz[:])
     return (value, values, by_parameters), by_state.sparsity()
 

@@ -41,7 +41,7 @@ from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.state_space import StateSpace
-from greybox.modeling.symbolic_reading import entries_by_name
+from greybox.modeling.symbolic_reading import dense_jacobian, entries_by_name
 from greybox.modeling.trim import trim_of
 from greybox.statistics.column_space import beside
 from greybox.statistics.neighbor_correlation import UNLIKELY, neighbor_correlation
@@ -415,7 +415,7 @@ class TransientPart(Part):
 def _locate(problem: Problem, expressions: Mapping[str, Any], z: ca.SX) -> ca.Function:
     """Return the function from z to the declared parameters and their derivatives."""
     q = ca.vertcat(ca.SX(0, 1), *problem.local_values(expressions).values())
-    return ca.Function("locate", [z], [q, ca.densify(ca.jacobian(q, z))])
+    return ca.Function("locate", [z], [q, dense_jacobian(q, z)])
 
 
 def _matrices(
@@ -436,7 +436,7 @@ def _matrices(
         # Each drives its equation, or the only one all states: their transform T is the same.
         rates += g
     equations = ca.vertcat(rates, -g / time, h)
-    matrix = ca.densify(ca.jacobian(equations, ca.vertcat(x, g, u)))
+    matrix = dense_jacobian(equations, ca.vertcat(x, g, u))
     linear = ca.Function("linear", [q, time, x, u], [matrix, ca.densify(system.delay(q))])
     point = ca.DM.zeros(x.numel()), ca.DM.zeros(u.numel())
 
@@ -447,7 +447,7 @@ def _matrices(
         point = ca.vertcat(states, ca.DM.zeros(x.numel() - len(model.states))), inputs
 
     results = linear(p, times, *point)
-    slopes = [ca.densify(ca.jacobian(ca.vec(result), declared)) for result in results]
+    slopes = [dense_jacobian(ca.vec(result), declared) for result in results]
     return ca.Function("matrices", [declared], [*results, *slopes])
 
 

@@ -286,8 +286,7 @@ def _of_record(
         nodes = size * random.normal(size=(part.data.segments, part.states))
         with np.errstate(all="ignore"):
             trajectory = part.trajectory(nlp.scaling.to_solver(x), nodes, simulated=True)
-            states = trajectory.states
-            if trajectory.finite and np.all(np.abs(states) < LARGEST):
+            if trajectory.finite and np.all(np.abs(trajectory.states) < LARGEST):
                 return _of_trajectory(nlp, x, part, trajectory)
 
     return None

@@ -16,6 +16,7 @@ from greybox.modeling.parameter import start_values
 from greybox.modeling.rational import Rational, as_rational
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import (
+    dense_jacobian,
     parameter_names,
     require_no_nan,
     symbols,
@@ -82,7 +83,7 @@ class Dynamics:
         symbols = self.symbols
         formulas = ca.vertcat(self.derivative(*symbols), self.output(*symbols))
         by = ca.vertcat(*symbols[:0:-1])
-        slope = ca.Function("slope", symbols, [ca.vec(ca.densify(ca.jacobian(formulas, by)))])
+        slope = ca.Function("slope", symbols, [ca.vec(dense_jacobian(formulas, by))])
         return slope(x, u, p).full().reshape(by.numel(), formulas.numel(), -1).swapaxes(0, 1)
 
     def later(self, seconds: Sequence[float]) -> "Dynamics":

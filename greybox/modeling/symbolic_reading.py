@@ -33,6 +33,11 @@ def entries_by_name(names: Iterable[str], column: Any) -> dict[str, Any]:
     return dict(zip(names, ca.vertsplit(column), strict=True))
 
 
+def dense_jacobian(values: Any, by: Any) -> Any:
+    """Return the Jacobian of expressions as a dense matrix."""
+    return ca.densify(ca.jacobian(values, by))
+
+
 def symbols(model: Model) -> tuple[ca.SX, ca.SX]:
     """Return symbols of states and inputs (n + m,), and of parameters."""
     states = model.states if isinstance(model, StateSpace) else ()

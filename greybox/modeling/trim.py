@@ -67,7 +67,8 @@ def trim_of(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
         For a name in `at` that is neither a state nor an input, or if these values do not determine
         an operating point.
     """
-    require_known(at, (*model.states, *model.inputs), "state or input", model.label)
+    names = (*model.states, *model.inputs)
+    require_known(at, names, "state or input", model.label)
     for name, value in at.items():
         if not is_finite_number(value):
             raise ValueError(f"at[{name!r}] is {value!r}: give a finite number.")
@@ -75,7 +76,7 @@ def trim_of(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
     p = ca.SX.sym("p", len(model.parameters))
     if model.trim is not None:
         return _own_trim(model, at, p)
-    point = [at.get(name, 0.0) for name in (*model.states, *model.inputs)]
+    point = [at.get(name, 0.0) for name in names]
     # Whether this is an equilibrium for all parameters, by eight random draws.
     derivative, random = derivative_function(model), np.random.default_rng(0)
     draws = ([q.draw(random) for q in model.parameters.values()] for _ in range(8))
@@ -102,11 +103,10 @@ def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> Trimmed:
             "name."
         )
 
-    values = dict(returned)
-    require_known(values, (*model.states, *model.inputs), "state or input", model.label)
-    trim = _closed_form(
-        model, p, [{**values, **at}.get(n, 0.0) for n in (*model.states, *model.inputs)]
-    )
+    names = (*model.states, *model.inputs)
+    require_known(returned, names, "state or input", model.label)
+    values = {**returned, **at}
+    trim = _closed_form(model, p, [values.get(name, 0.0) for name in names])
     start = start_values(model.parameters)
     point = ca.vertcat(*trim.function(start, []))
     derivative = np.asarray(derivative_function(model)(point, start)).ravel()

@@ -217,16 +217,17 @@ def _draw_line(ax: Axes, series: Series) -> None:
 def _draw_points(ax: Axes, series: Series) -> None:
     y = _finite(series.y)
     layer = 3.0 if len(y) <= CROWD else 1.5
-    if series.low is not None and series.high is not None and ax.get_aspect() == 1:
-        turn = np.exp(1j * np.linspace(0, 2 * np.pi, 49))
-        circles = (series.x + 1j * y)[:, None] + (series.high - series.low)[:, None] / 2 * turn
-        _draw_regions(ax, outlined(circles, series.color, is_hollow=True))
-    elif series.low is not None and series.high is not None:
-        middle = series.x if series.is_across else y
-        ends = [middle - _finite(series.low), _finite(series.high) - middle]
-        look = {"ecolor": color_of(series.color), "elinewidth": 1.0, "alpha": 0.2 * layer}
-        look["xerr" if series.is_across else "yerr"] = ends
-        ax.errorbar(series.x, y, fmt="none", zorder=layer - 0.3, **look)
+    if series.low is not None and series.high is not None:
+        if ax.get_aspect() == 1:
+            turn = np.exp(1j * np.linspace(0, 2 * np.pi, 49))
+            circles = (series.x + 1j * y)[:, None] + (series.high - series.low)[:, None] / 2 * turn
+            _draw_regions(ax, outlined(circles, series.color, is_hollow=True))
+        else:
+            middle = series.x if series.is_across else y
+            ends = [middle - _finite(series.low), _finite(series.high) - middle]
+            look = {"ecolor": color_of(series.color), "elinewidth": 1.0, "alpha": 0.2 * layer}
+            look["xerr" if series.is_across else "yerr"] = ends
+            ax.errorbar(series.x, y, fmt="none", zorder=layer - 0.3, **look)
 
     # The ink of all points together stays the same: a thousand points must not hide the curve.
     size = MARKER_SIZE * min(1.0, (CROWD / max(len(y), 1)) ** 0.5)

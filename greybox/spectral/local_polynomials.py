@@ -317,9 +317,9 @@ def fit_band(
     return Fitted(center, half, rows, x, regressors, *solved, transients, order, alone[1])
 
 
-def _without(basis: Array, columns: ComplexArray) -> ComplexArray:
+def _without(basis: NDArray[Any], columns: ComplexArray) -> ComplexArray:
     """Return the part of columns (n, ...) that is orthogonal to an orthonormal basis (n, t)."""
-    return columns - basis @ (basis.T @ columns)
+    return columns - basis @ (basis.conj().T @ columns)
 
 
 def _in_band(
@@ -572,7 +572,7 @@ def _coherence(lines: Lines, fitted: Fitted, noise: float) -> tuple[float, float
     complete = np.hstack([fitted.transients, fitted.basis])
 
     def unexplained(signal: ComplexArray, basis: NDArray[Any]) -> float:
-        residual = signal - basis @ (basis.conj().T @ signal)
+        residual = _without(basis, signal)
         return float(np.sum(np.abs(residual) ** 2)) / (n - basis.shape[1])
 
     output = max(unexplained(y, nuisance), np.finfo(float).tiny)
