@@ -325,7 +325,7 @@ def assessed_misfit(
     # What explains most comes first, among what is significant, and what has no known form last.
     # The best stands for equal texts.
     best = {cause.text: cause for group in groups for cause in reversed(group.causes)}
-    causes = sorted(best.values(), key=_rank)
+    causes = sorted([*best.values()][::-1], key=_rank)
     return replace(
         max(groups, key=lambda group: group.left - group.noise),
         tried=sum(group.tried for group in groups),
@@ -336,7 +336,8 @@ def assessed_misfit(
 
 
 def _rank(cause: Cause) -> tuple[bool, bool, float]:
-    return cause.p_value >= FALSE_ALARMS, not cause.code, -cause.share
+    # Rounding must not order what explains as much.
+    return cause.p_value >= FALSE_ALARMS, not cause.code, -round(cause.share, 9)
 
 
 def _of_group(parts: Sequence[_Regression]) -> Misfit:
@@ -514,7 +515,7 @@ def _ranked(
                 family = chosen[k][0]
                 if test > best.get(family, [[]])[0]:
                     best[family] = test, chosen[k], columns[:, [k]]
-    return tried, sorted(best.values(), key=lambda test: test[0], reverse=True)[:FAMILIES]
+    return tried, sorted(best.values(), key=lambda test: -round(test[0][0], 9))[:FAMILIES]
 
 
 def _numbered(terms: Iterable[Term]) -> dict[Key, Term]:

@@ -41,6 +41,10 @@ NOTICEABLE = 1.25
 # spectrum include more than the scatter where leakage matters.
 LARGER = 1.5
 
+# Rank correlation of the size of errors with an output above which they are called proportional:
+# errors of one relative size have 0.3 to 0.8, and below it intervals hardly change.
+FOLLOWS = 0.2
+
 # Share of a point's residual that is a rounding error.
 ROUNDING = 1e-9
 TINY = 1e-300
@@ -119,13 +123,15 @@ def outlying_samples(parts: Sequence[FittedPart]) -> Iterator[Finding]:
             fitted = np.abs(part.simulated[output])[shown]
             r, chance = _rank_correlation(size[shown], fitted)
             # Rounding errors grow with what is rounded.
-            if np.nanmax(residual) > ROUNDING * fitted.max() and chance < SIZE / len(part.outputs):
+            is_noise = np.nanmax(residual) > ROUNDING * fitted.max()
+            if is_noise and r > FOLLOWS and chance < SIZE / len(part.outputs):
                 yield (
                     f"{output} sizes",
                     part.name,
                     f"the size of the errors of {output} in {part.name!r} follows that of {output} "
-                    f"(rank correlation {r:.2f}), so that intervals may be wrong: where errors are "
-                    "in proportion to an output, give its logarithm to model and record.",
+                    f"(rank correlation {r:.2f}), so that intervals may be wrong: where an output "
+                    "is positive, with errors in proportion to it, give its logarithm to model and "
+                    "record.",
                 )
                 continue
             # The largest of many normal residuals is judged by their number.
