@@ -324,8 +324,10 @@ def assessed_misfit(
 
     # What explains most comes first, among what is significant, and what has no known form last.
     # The best stands for equal texts.
-    best = {cause.text: cause for group in groups for cause in reversed(group.causes)}
-    causes = sorted([*best.values()][::-1], key=_rank)
+    best = dict[str, Cause]()
+    for cause in (cause for group in groups for cause in group.causes):
+        best.setdefault(cause.text, cause)
+    causes = sorted(best.values(), key=_rank)
     return replace(
         max(groups, key=lambda group: group.left - group.noise),
         tried=sum(group.tried for group in groups),
