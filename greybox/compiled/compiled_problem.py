@@ -100,11 +100,6 @@ class CompiledProblem(Portable):
         return (*self.free, *self.constants)
 
     @property
-    def numbers(self) -> int:
-        """Real numbers of the data of all parts that are compared."""
-        return sum(part.numbers for part in self.parts)
-
-    @property
     def bounds(self) -> tuple[Array, Array]:
         """Lower and upper bounds (p,) of the solver's variables z."""
         return self.scaling.to_solver(self.lower), self.scaling.to_solver(self.upper)

@@ -132,7 +132,7 @@ def profiled_where_misleading(nlp: CompiledProblem, fit: Fit) -> Profiles | None
     if not (are_quick or all(part.is_static for part in nlp.parts)):
         return None
     # Without the batched search, profiles beyond these sizes take more than a second.
-    if not is_batched and nlp.numbers > 1000:
+    if not is_batched and sum(part.numbers for part in nlp.parts) > 1000:
         return None
     if fit.directions is None or any(p.roots for p in nlp.programs):
         return None
@@ -264,7 +264,7 @@ class HeldMinima:
             isinstance(part, RecordPart) and part.covariance.known is None and not part.model.driven
             for part in self.nlp.parts
         )
-        return self.nlp.numbers if are_logarithms else math.inf
+        return sum(part.numbers for part in self.nlp.parts) if are_logarithms else math.inf
 
     @cached_property
     def _solver(self) -> GaussNewton:

@@ -99,7 +99,7 @@ def held_without_error(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[str
 
 def no_degrees_of_freedom(nlp: CompiledProblem) -> Iterator[str]:
     """Warn where the data have no more numbers than the fit has unknowns."""
-    numbers = nlp.numbers
+    numbers = sum(part.numbers for part in nlp.parts)
     initial = sum(part.unknown_initial_states for part in nlp.parts)
     if numbers > len(nlp.free) + initial:
         return
