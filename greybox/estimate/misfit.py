@@ -325,8 +325,9 @@ def assessed_misfit(
     # What explains most comes first, among what is significant, and what has no known form last.
     # The best stands for equal texts.
     best = dict[str, Cause]()
-    for cause in (cause for group in groups for cause in group.causes):
-        best.setdefault(cause.text, cause)
+    for group in groups:
+        for cause in group.causes:
+            best.setdefault(cause.text, cause)
     causes = sorted(best.values(), key=_rank)
     return replace(
         max(groups, key=lambda group: group.left - group.noise),

@@ -33,9 +33,14 @@ def repeated_residuals(records: Sequence[DisturbedRecord]) -> Iterator[list[Term
                 if names == outputs and inputs.shape == u.shape and _are_same(inputs, u):
                     before = residuals
             rows.append(before)
-            earlier.append((outputs, u, e))
-        pairs = enumerate(zip(data.padded(rows, 0.0), outputs, strict=True))
-        yield [Term("repeated", row, partial(record.by_output, k), b=b) for k, (row, b) in pairs]
+            # Shorter ones are many in records with gaps, and say nothing.
+            if u.shape[1] > ORDER:
+                earlier.append((outputs, u, e))
+        values = data.padded(rows, 0.0)
+        yield [
+            Term("repeated", values[k], partial(record.by_output, k), b=b)
+            for k, b in enumerate(outputs)
+        ]
 
 
 def _period(inputs: Array) -> int:

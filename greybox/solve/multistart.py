@@ -114,8 +114,9 @@ def multistart(  # noqa: PLR0913  (what to run, from where, how, and how long)
             # Minima that these runs have missed take the places of starts that were not tried.
             untried = {*range(len(starts))} - {*results}
             others = points_beside(nlp, minima[0].estimate) if beside else ()
-            results |= {k: (x, solver.run(x)) for k, x in zip(untried, others, strict=False)}
-            results, runs, minima = _certified(nlp, solver, results)
+            added = {k: (x, solver.run(x)) for k, x in zip(untried, others, strict=False)}
+            if added:
+                results, runs, minima = _certified(nlp, solver, results | added)
             break
 
     # Where nothing converged, a diagnosis needs the last states of every run.

@@ -297,7 +297,8 @@ class ResidualSpectra:
     @property
     def highest_order(self) -> int:
         """The highest order of an autoregression: AICc needs four samples for each."""
-        return int(min(HIGHEST_ORDER, self.counts.max() // 4))
+        # Gaps may leave stretches with fewer lags.
+        return int(min(HIGHEST_ORDER, self.counts.max() // 4, self.grid.longest - 1))
 
     @cached_property
     def power(self) -> ComplexArray:

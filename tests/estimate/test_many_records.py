@@ -68,3 +68,17 @@ def test_what_holds_for_many_records_is_said_once(fit):
 def test_few_are_told_each():
     found = [("a", "1", "First."), ("a", "2", "Second."), ("b", "1", "Other.")]
     assert list(once(found)) == ["First.", "Second.", "Other."]
+
+
+def test_a_record_of_short_stretches_has_errors():
+    # A gap behind every few samples leaves fewer lags than the record has samples for.
+    random, time = np.random.default_rng(0), 0.05 * np.arange(900)
+    u, x = np.repeat(random.choice([-1.0, 1.0], 90), 10), np.zeros(900)
+    for i in range(899):
+        x[i + 1] = u[i] + (x[i] - u[i]) * math.exp(-0.05 / 0.4)
+    flight = {"u": u, "x": x + 0.02 * random.standard_normal(900)}
+    record = gb.Record(time + 0.25 * (np.arange(900) // 9), flight)
+    problem = gb.Problem(Lag(), record, gb.OutputError(inputs="held"))
+    fit = gb.fit(problem, starts=1, progress=False)
+    assert fit.estimate["T"] == pytest.approx(0.4, abs=4 * fit.standard_error["T"])
+    assert fit.standard_error["T"] < 0.05
