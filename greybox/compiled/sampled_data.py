@@ -71,14 +71,12 @@ class Stretch:
 class SampledData:
     """All stretches of a record, one after the other, in segments of `segment_length` samples.
 
-    The last segment of a stretch is filled up with samples without outputs. `masked` samples of the
-    record with a measured output are not compared, see `Stretch`; `constant_inputs` is True if no
-    input ever changes.
+    The last segment of a stretch is filled up with samples without outputs. `constant_inputs` is
+    True if no input ever changes.
     """
 
     stretches: tuple[Stretch, ...]
     segment_length: int = 1
-    masked: int = 0
     constant_inputs: bool = False
 
     @property
@@ -278,10 +276,7 @@ def sampled_data(
             "while other outputs change: if the sensor is dead, leave it out of the record."
         )
 
-    # For the warning of a fit that loses too much to the longest delay.
-    measured = np.any([np.isfinite(record[name]) for name in outputs], axis=0)
-    masked = sum(int(measured[s.rows[: s.masked]].sum()) for s in stretches)
-    return SampledData(usable, masked=masked, constant_inputs=constant)
+    return SampledData(usable, constant_inputs=constant)
 
 
 def gapless(

@@ -62,7 +62,7 @@ def record_warnings(
         for part, answer in zip(nlp.parts, fitted, strict=True)
         if isinstance(part, RecordPart) and isinstance(answer, FittedRecord)
     ]
-    alone, parts = len(pairs) == 1, [part for part, _ in pairs]
+    alone = len(pairs) == 1
 
     return (
         *once(_short(nlp, accuracy)),
@@ -70,8 +70,7 @@ def record_warnings(
         *(biased_by_feedback(pairs, unstable=unstable) if feedback else ()),
         *colored_predictions(pairs, explained=explained),
         *once(_bounded(nlp, trajectories, alone=alone)),
-        *once(_flattened_inputs(parts)),
-        *(_resting(parts) if len(parts) == len(nlp.parts) else ()),
+        *once(_flattened_inputs([part for part, _ in pairs])),
     )
 
 
@@ -292,9 +291,10 @@ def _place(record: Record, part: str, *, alone: bool) -> str:
     return "" if alone else f" in {record.name or part!r}"
 
 
-def _resting(parts: Sequence[RecordPart]) -> Iterator[str]:
-    """Warn where no input changes in any record; a static model has no free response."""
-    if any(part.is_static or not part.data.constant_inputs for part in parts):
-        return
-    inputs = dict.fromkeys(name for part in parts for name in part.system.inputs)
-    yield f"the inputs never change ({', '.join(inputs)}): only the free response is informative."
+def resting_inputs(nlp: CompiledProblem) -> Iterator[str]:
+    """Note where no input changes in any record; a static model has no free response."""
+    records = nlp.parts_of(RecordPart)
+    names = ", ".join(dict.fromkeys(name for part in records for name in part.system.inputs))
+    is_free = all(part.data.constant_inputs and not part.is_static for part in records)
+    if names and is_free and len(records) == len(nlp.parts):
+        yield f"the inputs never change ({names}): only the free response is informative."
