@@ -39,7 +39,7 @@ class CorrelationTest:
     """
 
     statistic: float
-    dof: int
+    dof: float
     p_value: float
     correlations: Array
     bound: float
@@ -87,10 +87,12 @@ def cross_correlation(
     Residuals that follow an input show that the model lacks dynamics; an input that follows
     residuals shows feedback. The same sample is not tested, since feedback may act within it. Both
     are made white first, each by an autoregression of its own, so that the color of neither looks
-    like a response.
+    like a response. No autoregression makes a sweep or a sine white: its correlations at many lags
+    are nearly one, and count as few degrees of freedom.
 
     Source: Haugh (1976), Checking the independence of two covariance-stationary time series, JASA
-    71; Ljung (1999), System Identification, 2nd ed., section 16.6.
+    71; Ljung (1999), System Identification, 2nd ed., section 16.6; Satterthwaite (1946), Biometrics
+    Bulletin 2, for a sum of squares of correlated numbers.
     """
     e, u = ([_present(s) for s in group] for group in (later, earlier))
     if sum(np.isfinite(x * y).sum() for x, y in zip(e, u, strict=True)) < 3:
@@ -104,8 +106,17 @@ def cross_correlation(
     if not (sizes[0] > 0 and sizes[1] > 0 and used.any()):
         return _unknown(lags)
     r = sums[1:] / np.maximum(pairs[1:], 1) / (sizes[0] * sizes[1])
-    statistic = float(np.sum(pairs[1:] * r**2))
-    return _tested(statistic, int(used.sum()), r, NORMAL_99 / math.sqrt(pairs[1]))
+    alike = max(_alike(group, int(used.sum())) for group in (a, b))
+    statistic = float(np.sum(pairs[1:] * r**2)) / alike
+    return _tested(statistic, used.sum() / alike, r, NORMAL_99 / math.sqrt(pairs[1]))
+
+
+def _alike(series: Sequence[Array], shifts: int) -> float:
+    """Return how many of these shifts of a series count as one: 1 for a white series."""
+    sums, pairs = _lagged(series, series, shifts - 1)
+    # By chance, a squared correlation is the inverse of the number of samples.
+    squares = (sums[1:] / sums[0]) ** 2 - 1 / pairs[0]
+    return 1 + max(2 * float((1 - np.arange(1, shifts) / shifts) @ squares), 0.0)
 
 
 def mean_test(stretches: Sequence[ArrayLike]) -> tuple[float, float]:
@@ -156,7 +167,7 @@ def _lagged(e: Sequence[Array], u: Sequence[Array], lags: int) -> tuple[Array, I
     return sums, pairs
 
 
-def _tested(statistic: float, dof: int, correlations: Array, bound: float) -> CorrelationTest:
+def _tested(statistic: float, dof: float, correlations: Array, bound: float) -> CorrelationTest:
     from scipy.special import chdtrc  # noqa: PLC0415  (takes a tenth of a second to import)
 
     return CorrelationTest(statistic, dof, float(chdtrc(dof, statistic)), correlations, bound)
