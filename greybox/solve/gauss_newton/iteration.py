@@ -85,7 +85,7 @@ def _iterated(
     parts: AllParts, iterate: Iterate, progress: Progress, iterations: int, *, states_only: bool
 ) -> End:
     settings = parts.settings
-    weights, linearizations = list[Array](), list[Any]()
+    weights, linearizations, gained = list[Array](), list[Any](), 0.0
     for count in range(iterations):
         if interruption := reason_to_end():
             return End(iterate, interruption, count)
@@ -117,7 +117,7 @@ def _iterated(
         looks = not nodes_alone and (count + 1) % 10 == 0
         # Steps along states that no output shows leave gaps beyond rounding.
         closed = parts.made_continuous(iterate, step) if looks and progress.is_exact else iterate
-        if looks and _is_within_noise(parts, closed, step, progress):
+        if looks and _is_within_noise(parts, closed, step, progress, gained):
             return End(closed, CONVERGED, count, step.hessian)
 
         # Line search.
@@ -185,8 +185,12 @@ def _is_settled(
     return undamped.decrease <= progress.undamped_decrease
 
 
-def _is_within_noise(parts: AllParts, iterate: Iterate, step: Step, progress: Progress) -> bool:
+def _is_within_noise(
+    parts: AllParts, iterate: Iterate, step: Step, progress: Progress, gained: float
+) -> bool:
     """Return whether noise hides all that is left to gain, wherever bounds let a step go.
+
+    A last step that `gained` more than is left belongs to a run that still converges.
 
     Where the data hardly determine some directions, short steps continue along them for thousands
     of iterations, for a hundredth of a unit of log-likelihood. A plateau far from the data looks
@@ -201,7 +205,8 @@ def _is_within_noise(parts: AllParts, iterate: Iterate, step: Step, progress: Pr
     # Noise moves the minimum by half a unit of log-likelihood per unknown in the mean. At a tenth
     # of a standard error, a hundredth of it is left; half of the square is used here.
     unknowns = len(iterate.z) + sum(part.unknown_initial_states for part in parts.parts)
-    return stopped and undamped.distance <= 5e-3 and undamped.decrease <= 0.01 * unknowns / 2
+    is_noise = undamped.distance <= 5e-3 and gained <= undamped.decrease <= 0.01 * unknowns / 2
+    return stopped and is_noise
 
 
 def _undamped(
