@@ -591,7 +591,8 @@ def _offsets(
 ) -> Iterator[Cause]:
     """Yield the constants that residuals follow, judged by their slow errors.
 
-    These look like a constant, too, but then pieces of the record differ as much. A random walk
+    These look like a constant, too, but then pieces of the record differ as much. A constant that
+    one piece alone determines, as one before a step does, cannot be told from them. A random walk
     from zero has an offset of p < 0.001 in one of 2000 simulated records, and each of `count`
     records may have one. The first of the columns (N, 1 + c) has the residuals, and the others the
     effects of the terms. Both lose what the parameters take: a gain that makes up for a constant
@@ -605,9 +606,12 @@ def _offsets(
     for term, (decrease, p_one, value, _), column in zip(terms, tests, columns.T[1:], strict=True):
         if np.isnan(p_one):
             continue
-        products = column * (columns[:, 0] - value * column)
-        error = PIECES * float(np.std(np.bincount(pieces, products)) / (column @ column)) + TINY
-        p_value = chance(1 / (1 + (value / error) ** 2 / PIECES), PIECES - 1)
+        squares = np.bincount(pieces, column**2)
+        spread = np.linalg.norm(np.bincount(pieces, column * (columns[:, 0] - value * column)))
+        determined = float(squares.sum() ** 2 / (squares @ squares))
+        error = determined**0.5 * float(spread / squares.sum()) + TINY
+        left = 1 / (1 + (value / error) ** 2 / determined)
+        p_value = chance(left, max(determined - 1, TINY))
         numbers = np.minimum(
             [decrease / len(columns), *2 * [count * len(terms) * p_value]], 1.0
         ).tolist()

@@ -524,6 +524,19 @@ def test_an_offset_is_named_and_drift_is_none():
     assert not any("offset" in cause.text for cause in fitted(color="drift").misfit.likely)
 
 
+@pytest.mark.parametrize("seed", range(12))
+def test_the_rest_before_a_step_shows_no_offset(seed):
+    """The gain takes an offset after a step: the 14 samples before it are one piece of noise."""
+    random = np.random.default_rng(seed)
+    time = 0.05 * np.arange(1000)
+    u = (time > 0.7).astype(float)
+    truth = {"k": 9.0, "d": 1.8, "b": 9.0}
+    record = gb.Record(time, {"u": u}, hold={"u": 0.0})
+    x = gb.simulate(Spring(), truth, record, initial={"x": 0.0, "v": 0.0})["x"]
+    measured = record.with_signals(x=x + 0.007 * random.normal(size=1000))
+    assert gb.fit(gb.Problem(Spring(), measured), starts=1, progress=False).misfit.explains
+
+
 def test_each_of_several_records_may_have_an_offset():
     one = problem()
     one = one.with_(data=one.data.with_signals(x=one.data["x"] + 0.006))
