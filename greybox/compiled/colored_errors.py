@@ -94,10 +94,11 @@ def colored_errors(
     remaining = max(independent - initial_states - paid, 0.5)
     if not effect.corrected:
         larger *= (remaining + paid) / remaining
-    dof = 1 / (1 / remaining + effect.uncertainty / 2)
     lengths = [e.shape[1] for e in residuals]
     longest, slowest = max(lengths), max(float(effect.correlation_times.max()), 1e-300)
-    dof = min(dof, max(sum(lengths) / slowest / TIMES_PER_DOF, 1.0))
+    dof = 1 / (1 / remaining + effect.uncertainty / 2)
+    # With less than one, spectra that are hardly possible would decide the interval.
+    dof = max(min(dof, sum(lengths) / slowest / TIMES_PER_DOF), 1.0)
 
     return ColoredErrors(
         meat=larger * effect.meat,

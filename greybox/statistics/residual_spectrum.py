@@ -19,9 +19,10 @@ than the errors, by what the fit took from them).
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -56,6 +57,9 @@ SHARES = np.array([0.01, 0.02, 0.04, 0.07, 0.12, 0.2, 0.35, 0.55, 0.75, 0.9, 1.0
 # Correlations of gusts from one sample to the next: time constants of 4, 16, 64 and 256 samples.
 # Between these and white noise the likelihood has no other maximum.
 GUSTS = (0.78, 0.94, 0.984, 0.996)
+
+# Difference of -2 log likelihood beyond which a spectrum does not change the mean: one to 10 000.
+UNLIKELY = 18.0
 
 TINY = 1e-300
 
@@ -172,24 +176,28 @@ def colored_information(
 def _corrected_mixture(spectra: "ResidualSpectra") -> "tuple[AveragedSpectrum, bool]":
     """Return the average of the spectra, and whether it is corrected for what the fit took."""
     lags, banded = spectra.periodogram
-    mixture = spectra.mixture(lags, banded)
+    others = spectra.others(lags, banded)
     if sum(e.shape[1] for e in spectra.residuals) > LONGEST_CORRECTED:
-        return mixture, False
+        return spectra.with_process_noise(others), False
 
     # A third correction changes standard errors by less than 2 % (records of 100 samples,
     # correlation times of 10).
     for iteration in range(2):
-        taken = mixture.taken
-        taken_lags, taken_banded = spectra.taken_power(mixture.density)
+        taken, score = others.taken, others.score
+        # What they took if these spectra hold: process noise has its own expectation, and an
+        # average of both would be the spectrum of neither.
+        taken_lags, taken_banded = spectra.taken_power(others.density)
         if not np.all((lags + taken_lags)[0] > 0):
             # A fit to such errors would bring more power into an output than its residuals have.
-            return mixture, iteration > 0
-        mixture = spectra.mixture(lags + taken_lags, banded + taken_banded)
+            return spectra.with_process_noise(others), iteration > 0
+        others = spectra.others(lags + taken_lags, banded + taken_banded)
+        # They are as likely as the best of them.
+        others = replace(others, score=min(score, others.score))
         # Another correction would change the variance by the square of this change, 1 %.
-        if abs(mixture.taken - taken) < 0.1 * taken:
+        if abs(others.taken - taken) < 0.1 * taken:
             break
 
-    return mixture, True
+    return spectra.with_process_noise(others), True
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,7 +214,7 @@ class AveragedSpectrum:
     uncertainty : float
         Variance of its logarithm.
     score : float
-        -2 log of the evidence; of the average of all, that for process noise over that for others.
+        -2 log of the evidence; of the average of all, the evidence for process noise over others.
     """
 
     density: NDArray[Any]
@@ -217,13 +225,14 @@ class AveragedSpectrum:
 
 
 def averaged(
-    score: Array, density: Array, typical: Array, taken: Array, within: Array, evidence: float
+    score: Array, density: Array, typical: Array, taken: Array, within: Array
 ) -> AveragedSpectrum:
     """Return the average of m spectra by their scores (m,), -2 log of their likelihoods.
 
     Their disagreement on what the fit took is part of the uncertainty, besides that `within` each.
     """
     weight = np.exp(-(score - score.min()) / 2)
+    evidence = float(score.min() - 2 * math.log(weight.sum()))
     weight /= weight.sum()
     logarithm = np.log(np.maximum(taken, TINY))
     between = (logarithm - weight @ logarithm) ** 2
@@ -234,6 +243,13 @@ def averaged(
         float(weight @ (between + within)),
         evidence,
     )
+
+
+def averaged_candidates(candidates: Iterable[AveragedSpectrum]) -> AveragedSpectrum:
+    """Return the average of spectra by their scores."""
+    fields = ("score", "density", "typical", "taken", "uncertainty")
+    values = zip(*map(attrgetter(*fields), candidates), strict=True)
+    return averaged(*map(np.array, values))
 
 
 def aicc_penalty(unknowns: float, n: float) -> float:
@@ -340,8 +356,8 @@ class ResidualSpectra:
     def _only_transform(self) -> ComplexArray:
         return self.grid.transform(self.weighted[0], self.directions, self.deviation)
 
-    def mixture(self, lags: Array, banded: ComplexArray) -> AveragedSpectrum:
-        """Return the average of the spectra that may have caused a periodogram."""
+    def others(self, lags: Array, banded: ComplexArray) -> AveragedSpectrum:
+        """Return the average of the spectra without process noise that may have caused it."""
         k = len(self.counts)
         alone = [self.one_output(i, lags[:, i], banded[i, i].real) for i in range(k)]
         # Independent outputs need the fewest numbers, so short records decide for them.
@@ -353,20 +369,17 @@ class ResidualSpectra:
             candidates = [self.judged_on_residuals(average, banded) for average in candidates]
 
         shares = remaining_products(self.residuals)
-        candidates = [
+        return averaged_candidates(
             replace(average, density=unmasked(average.density, shares, self.grid))
             for average in candidates
-        ]
-
-        if self.white_process_noise is not None:
-            candidates.append(self.white_process_noise)
-
-        fields = ("score", "density", "typical", "taken", "uncertainty")
-        score, density, typical, taken, within = (
-            np.array([getattr(average, name) for average in candidates]) for name in fields
         )
-        evidence = 0.0 if self.white_process_noise is None else float(score[:-1].min() - score[-1])
-        return averaged(score, density, typical, taken, within, evidence)
+
+    def with_process_noise(self, others: AveragedSpectrum) -> AveragedSpectrum:
+        """Return the average with process noise; its score is the evidence for process noise."""
+        if self.white_process_noise is None:
+            return replace(others, score=0.0)
+        average = averaged_candidates([others, self.white_process_noise])
+        return replace(average, score=others.score - self.white_process_noise.score)
 
     def independent_outputs(self, alone: Sequence[AveragedSpectrum]) -> AveragedSpectrum:
         """Return the joint spectrum of outputs whose errors are independent."""
@@ -392,9 +405,8 @@ class ResidualSpectra:
         density = average.density.transpose(2, 0, 1)
         errors = whittle_score(density, banded.transpose(2, 0, 1), self._numbers)
         penalty = average.score - errors + self._numbers.sum() * len(self.counts)
-        left = average.density - self.taken_power(average.density)[1]
-        likely = _positive(left.transpose(2, 0, 1))
         residuals = self.periodogram[1].transpose(2, 0, 1)
+        likely = self._left(average.density, self.grid.spread_out(average.density))
         score = whittle_score(likely, residuals, self._numbers)
         return replace(average, score=penalty + score)
 
@@ -459,9 +471,8 @@ class ResidualSpectra:
             spectrum = np.einsum("if,jf->ijf", H, H.conj())
             power = float(np.einsum("iif->f", spectrum).real @ self.grid.weight) / len(H)
             if power > TINY:
-                pairs = np.fft.irfft(spectrum / power, self.grid.size) * self._measured_pairs
-                expected = self.grid.banded(np.fft.rfft(pairs, self.grid.size))
-                parts.append(self._noise_part(self.grid.banded(spectrum / power), expected))
+                density = self.grid.banded(spectrum / power)
+                parts.append((density, self._left(density, spectrum / power)))
 
         if not parts:
             return None
@@ -473,16 +484,20 @@ class ResidualSpectra:
         return np.fft.rfft(self.shocks() / self.deviation[:, None, None], self.grid.size)
 
     @cached_property
-    def _sensor_parts(self) -> list[tuple[ComplexArray, ComplexArray]]:
-        # White noise is white whatever samples are missing.
+    def _sensor_parts(self) -> list[tuple[NDArray[Any], ComplexArray]]:
         flat = np.ones(len(self.grid.omega), dtype=complex)
         white = [np.diag(row)[:, :, None] * flat for row in np.eye(len(self.counts))]
-        return [self._noise_part(density, density) for density in white]
+        return [(density, self._left(density, self.grid.spread_out(density))) for density in white]
 
-    def _noise_part(self, density: NDArray, expected: NDArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return the density (k, k, b), and the periodogram (b, k, k) of what the fit leaves."""
-        left = expected - self.taken_power(density)[1]
-        return density, _positive(left.transpose(2, 0, 1))
+    def _left(self, density: NDArray, spectrum: NDArray) -> ComplexArray:
+        """Return the expected periodogram (b, k, k) of what the fit leaves of errors.
+
+        Their density (k, k, b) is given, and their `spectrum` at all frequencies. A finite record
+        smears lines, and otherwise the fit would seem to take more than there is.
+        """
+        pairs = np.fft.irfft(spectrum, self.grid.size) * self._measured_pairs
+        expected = self.grid.banded(np.fft.rfft(pairs, self.grid.size))
+        return _positive((expected - self.taken_power(density)[1]).transpose(2, 0, 1))
 
     @cached_property
     def _measured_pairs(self) -> Array:
@@ -511,17 +526,14 @@ class ResidualSpectra:
         score = np.concatenate([n * np.log(variances) + penalties, slow_score])
         within = np.concatenate([2 * orders / n, np.full(len(slow_scale), 2 / n)])
 
-        least = float(score.min())
-        weight = np.exp(-(score - least) / 2)
-        evidence = least - 2 * math.log(weight.sum())
-        likely = weight > 1e-4 * weight.sum()  # lower weights do not change the mean
+        likely = score < score.min() + UNLIKELY
         likely_steps = [a for (a, _), is_likely in zip(steps, likely, strict=False) if is_likely]
         responses = [np.abs(a @ grid.delays[: len(a)]) ** 2 for a in likely_steps]
         autoregressions = 1 / np.array(responses).reshape(-1, len(grid.omega))
         shapes = [autoregressions, self.slow[likely[len(steps) :]]]
         spectra = scale[likely, None] * np.concatenate(shapes)
         taken = grid.mean(spectra * self.power[i, i].real)
-        return averaged(score[likely], spectra, spectra, taken, within[likely], evidence)
+        return averaged(score[likely], spectra, spectra, taken, within[likely])
 
     def joint_outputs(
         self, apart: AveragedSpectrum, banded: ComplexArray, blocks: int

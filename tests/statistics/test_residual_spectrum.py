@@ -637,7 +637,7 @@ def test_autoregressions_and_slow_parts_of_one_output_are_averaged_by_their_aicc
     found = made.one_output(0, r, banded)
     assert_allclose(found.density, weight @ spectra, rtol=2e-3)
     assert_allclose(np.log(found.typical), weight @ np.log(spectra), atol=2e-3)
-    assert found.score == pytest.approx(evidence)
+    assert found.score == pytest.approx(evidence, abs=2e-3)
     taken = np.array([made.taken_by(one[None, None] + 0j) for one in spectra])
     assert found.taken == pytest.approx(weight @ taken, rel=2e-3)
     between = weight @ (np.log(taken) - weight @ np.log(taken)) ** 2
@@ -718,7 +718,9 @@ def test_where_a_fit_took_nothing_residuals_say_what_a_periodogram_of_errors_say
     made = small()
     states = made.initial, made.shocks
     nothing = ResidualSpectra(made.weighted, 0 * made.directions, made.residuals, NOISE, *states)
-    density = some_density(made)
+    # A finite record smears every other spectrum.
+    density = np.zeros((2, 2, len(made.grid.omega)), dtype=complex)
+    density[[0, 1], [0, 1]] = [[1.2], [0.8]]
     one = AveragedSpectrum(density, np.zeros((2, len(made.grid.omega))), 3.0, 0.2, 7.5)
     judged = nothing.judged_on_residuals(one, made.periodogram[1])
     assert judged.score == pytest.approx(
@@ -757,7 +759,7 @@ def test_spectra_are_averaged_by_their_evidence():
     share = np.exp(-(score - score.min()) / 2)
     share /= share.sum()
     assert np.sort(share)[-2] > 1e-6
-    found = made.mixture(lags, banded)
+    found = made.others(lags, banded)
     assert_allclose(found.density, np.tensordot(share, [s.density for s in each], 1))
     assert_allclose(found.typical, apart.typical)
     taken = np.array([spectrum.taken for spectrum in each])
@@ -823,10 +825,10 @@ def test_spectra_are_corrected_for_what_a_fit_took_once_more_where_that_changes_
         e = (e - e @ J[0].T @ inverse @ J[0])[None]
         made = spectra_of([J], [e], inverse, np.eye(1))
         lags, banded = made.periodogram
-        mixtures = [made.mixture(lags, banded)]
+        mixtures = [made.others(lags, banded)]
         for _ in range(2):
             more = made.taken_power(mixtures[-1].density)
-            mixtures.append(made.mixture(lags + more[0], banded + more[1]))
+            mixtures.append(made.others(lags + more[0], banded + more[1]))
         again.append(abs(mixtures[1].taken / mixtures[0].taken - 1) > 0.1)
         found = by_parameters(colored_information, [J], [e], inverse, np.eye(1))
         assert found.corrected
