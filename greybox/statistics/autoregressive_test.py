@@ -29,6 +29,7 @@ SAMPLES = 8  # of an output for each order
 # Share of the power of columns that may be rounding, as errors that are white and independent.
 ROUNDING = 1e-12
 UNCHANGED = 1e-9  # decrease of -2 log likelihood that is rounding alone
+SETTLED = 1e-6  # change of this decrease in a round, below which the factors have settled
 # Factors on a smooth term beside errors that drift settle in up to seven rounds.
 ROUNDS = 7
 TINY = 1e-300
@@ -70,35 +71,33 @@ def autoregressive_p_values(
     # The last term is of zeros: what the residuals are without any.
     values = np.column_stack([residuals, basis, outside(terms, basis), np.zeros(len(residuals))])
     values /= np.linalg.norm(values, axis=0) + TINY
-    # Each term is fitted beside the parameters, by columns of its own.
+    # Each term is fitted beside the parameters: the factors on all other terms are zero.
     first = 1 + basis.shape[1]
     fits = np.array([[*range(first), k] for k in range(first, values.shape[1])])
-    of_fits = fits[:, :, None], fits[:, None]
     squares = values.T @ values + TINY * np.eye(values.shape[1])
-    p_values, factors = list[Array](), _least(squares[of_fits])
+    p_values, factors = list[Array](), _factors(squares[..., None], fits)
     samples = [_products([values[rows] for rows in stretches]) for stretches in outputs]
     for times in range(2):
         # Differences of the samples in a window are a window of one order less.
-        products = [
-            (n, np.diff(np.diff(sums, times), times, axis=2)[of_fits]) for n, sums in samples
-        ]
+        products = [(n, np.diff(np.diff(sums, times), times, axis=2)) for n, sums in samples]
         # The errors are those beside the columns: what follows a missing term is an autoregression,
         # too, and would leave nothing of the term if the filters came from it. The likelihood has
         # several maxima: differences begin at the factors of the samples.
-        filters = [_filters(factors, *pair) for pair in products]
-        for _ in range(ROUNDS):
+        counts, decrease = [count for count, _ in products], np.array(np.inf)
+        for _ in range(ROUNDS + 1):
+            filters = [_filters(factors, *pair) for pair in products]
+            *beside, without = np.sum(
+                [-2 * n * np.log(w[:, 0]) for n, w in zip(counts, filters, strict=True)], axis=0
+            )
+            # A probability near one depends on the root of the decrease, which may be all rounding.
+            earlier, decrease = decrease, np.maximum(without - beside - UNCHANGED, 0.0)
+            if np.all(np.abs(decrease - earlier) < SETTLED):
+                break
             added = [
-                np.einsum("hlm,hijlm->hij", w[:, :, None] * w[:, None], sums)
+                np.tensordot(sums, w[:, :, None] * w[:, None], ((2, 3), (1, 2)))
                 for w, (_, sums) in zip(filters, products, strict=True)
             ]
-            factors = _least(np.sum(added, axis=0))
-            filters = [_filters(factors, *pair) for pair in products]
-        counts = [count for count, _ in products]
-        *beside, without = np.sum(
-            [-2 * n * np.log(w[:, 0]) for n, w in zip(counts, filters, strict=True)], axis=0
-        )
-        # A probability near one depends on the root of the decrease, which may be all rounding.
-        decrease = np.maximum(without - beside - UNCHANGED, 0.0)
+            factors = _factors(np.sum(added, axis=0), fits)
         remaining = sum(counts) - first - sum(w.shape[1] for w in filters)
         p_values.append(chance(np.exp(-decrease / sum(counts)), max(remaining, 1)))
     return np.max(p_values, axis=0)
@@ -107,7 +106,7 @@ def autoregressive_p_values(
 def whitening_filters(residuals: Array, outputs: Outputs) -> list[Array]:
     """Return the filters (q + 1,) that make residuals (N,) white, of unit variance, by output."""
     products = [_products([residuals[rows, None] for rows in stretches]) for stretches in outputs]
-    return [_filters(np.ones((1, 1)), n, sums[None])[0] for n, sums in products]
+    return [_filters(np.ones((1, 1)), n, sums)[0] for n, sums in products]
 
 
 def _products(pieces: Sequence[Array]) -> tuple[int, Array]:
@@ -120,28 +119,31 @@ def _products(pieces: Sequence[Array]) -> tuple[int, Array]:
     # Short stretches would lose all of their samples.
     order = max(min(ORDER, total // SAMPLES, total // (2 * len(pieces))), 1)
     lags = np.arange(order + 1)
-    count, sums = 0, np.zeros((columns, columns, order + 1, order + 1))
+    count, width = 0, columns * (order + 1)
+    by_lag, ends = np.zeros((order + 1, columns, columns)), [np.zeros((0, width))]
     for piece in filter(len, pieces):
         n = len(piece)
         padded = np.pad(piece, ((order, order), (0, 0)))
-        by_lag = (sliding_window_view(padded[:-order], n, axis=0) @ piece).T
-        by_lag = np.concatenate([by_lag.swapaxes(0, 1), by_lag[..., -2::-1]], axis=2)
+        by_lag += sliding_window_view(padded[:-order], n, axis=0) @ piece
         windows = sliding_window_view(padded, order + 1, axis=0)[..., ::-1]
-        ends = np.delete(windows, slice(order, n), axis=0)
-        sums += by_lag[..., order + lags - lags[:, None]]
-        sums -= np.tensordot(ends, ends, (0, 0)).swapaxes(1, 2)
+        ends.append(np.delete(windows, slice(order, n), axis=0).reshape(-1, width))
         count += max(n - order, 0)
+    both = np.concatenate([by_lag.T.swapaxes(0, 1), by_lag.T[..., -2::-1]], axis=2)
+    sums = both[..., order + lags - lags[:, None]]
+    outer = np.vstack(ends)
+    # The product of a matrix with itself takes half of the time.
+    sums -= (outer.T @ outer).reshape(columns, order + 1, columns, -1).swapaxes(1, 2)
     # What is predicted exactly would have no filter, and leave rounding errors alone.
     errors = ROUNDING * np.diag(sums[..., 0, 0]) + TINY
     return count, sums + np.diag(errors)[..., None, None] * np.eye(order + 1)
 
 
 def _filters(factors: Array, count: int, sums: Array) -> Array:
-    """Return filters (h, q + 1) of columns by factors (h, k).
+    """Return filters (h, q + 1) of columns by factors (h, k), from sums (k, k, q + 1, q + 1).
 
     They follow by least squares, which the ends of a record do not disturb.
     """
-    moments = np.einsum("hij,hijlm->hlm", factors[:, :, None] * factors[:, None], sums)
+    moments = np.tensordot(factors[:, :, None] * factors[:, None], sums, 2)
     weights = _least(moments)
     squares = np.einsum("hl,hlm,hm->h", weights, moments, weights)[:, None]
     return weights / np.sqrt(squares / max(count, 1))
@@ -151,3 +153,12 @@ def _least(squares: Array) -> Array:
     """Return factors (h, n) with the least `squares` (h, n, n), one on the first column."""
     others = -np.linalg.solve(squares[:, 1:, 1:], squares[:, 1:, :1])[..., 0]
     return np.insert(others, 0, 1.0, axis=1)
+
+
+def _factors(squares: Array, fits: IntArray) -> Array:
+    """Return the factors (h, k) of h fits, each to its own columns, from squares (k, k, h or 1)."""
+    factors = np.zeros((len(fits), len(squares)))
+    own = np.broadcast_to(squares, (*squares.shape[:2], len(fits))).transpose(2, 0, 1)
+    each = np.arange(len(fits))[:, None]
+    factors[each, fits] = _least(own[each[..., None], fits[:, :, None], fits[:, None]])
+    return factors
