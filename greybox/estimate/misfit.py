@@ -61,7 +61,7 @@ GROWN = 4.6  # growth of errors of the states over a record, a hundredfold: an u
 LARGE = 10  # times what noise leaves, beyond which a model describes nothing
 NOISY = 0.25  # of the variance: residuals of half the standard deviation of an output
 TINY = 1e-300
-COLUMNS = 2_000_000  # numbers in memory for all terms at once, 16 MB
+COLUMNS = 600_000  # numbers in memory for terms at once: new pages of memory take time, too
 # Samples of all records that are tested, in excerpts: with more, a fit would wait for the test.
 MOST = 3000
 FEWEST = 500  # of each
@@ -282,8 +282,10 @@ class _Regression:
 
     def columns(self, keys: Sequence[Key]) -> Array:
         """Return the columns (N, c) of terms, zero for those that this part does not have."""
-        values = np.zeros((len(keys), len(self.residuals)))
         present = [k for k, key in enumerate(keys) if key in self.terms]
+        if len(present) == len(keys):
+            return self.changes([self.terms[key] for key in keys])
+        values = np.zeros((len(keys), len(self.residuals)))
         if present:
             values[present] = self.changes([self.terms[keys[k]] for k in present]).T
         # Samples of a column are neighbors in memory, as filters need them.
@@ -369,10 +371,14 @@ def _of_group(parts: Sequence[_Regression]) -> Misfit:
     white_residuals, white_fitted = white(residuals), white(fitted)
     tried, ranked = _ranked(parts, [*terms], white, white_residuals[:, 0], white_fitted)
     best_columns = np.hstack([residuals[:, :0], *(column for *_, column in ranked)])
-    together = np.hstack([fitted, best_columns[:, :TOGETHER]])
+    white_best = white(best_columns)
+    together, white_together = (
+        np.hstack([columns, terms[:, :TOGETHER]])
+        for columns, terms in ((fitted, best_columns), (white_fitted, white_best))
+    )
     without, remainder = (
-        float(np.sum(beside(white_residuals, white(columns)) ** 2))
-        for columns in (fitted, together)
+        float(np.sum(beside(white_residuals, columns) ** 2))
+        for columns in (white_fitted, white_together)
     )
     explained = len(white_residuals) * (1 - remainder / (without + TINY)) + TINY
     left, noise = _shares(parts, (residuals, beside(residuals, together)), outputs)
@@ -397,7 +403,7 @@ def _of_group(parts: Sequence[_Regression]) -> Misfit:
         p_common = p_value_of_scores(score, apart, len(residuals))
 
     texts = [terms[key].described(test[2], test[3]) for test, key, _ in ranked]
-    alike = _alike(beside(white(best_columns), white_fitted), texts)
+    alike = _alike(beside(white_best, white_fitted), texts)
     causes = []
     for k, ((decrease, _, value, error), key, column) in enumerate(ranked):
         p_value = p_correlated = p_values[k]
@@ -509,7 +515,8 @@ def _ranked(
     size = COLUMNS // max(len(residuals), 1) + 1
     for first in range(0, len(keys), size):
         chosen = keys[first : first + size]
-        columns = np.vstack([part.columns(chosen) for part in parts])
+        pieces = [part.columns(chosen) for part in parts]
+        columns = np.vstack(pieces) if pieces[1:] else pieces[0]
         tests = score_tests(residuals, fitted, white(columns), remains).T.tolist()
         for k, test in enumerate(tests):
             # The probability is NaN where nothing of a term is left.

@@ -500,8 +500,9 @@ def _followed(piece: Array, step: float, reach: float, is_slow: bool) -> Array:
     """Return the lag of what follows a signal by `reach` a sample, or with such a play."""
 
     def moved(y: float, u: float) -> float:
-        way = min(max(u - y, -reach), reach)
-        return y + way if is_slow else u - way
+        a, b = (u, y) if is_slow else (y, u)
+        # The functions `min` and `max` take three times as long.
+        return b + reach if a > b + reach else b - reach if a < b - reach else a
 
     return np.array([*itertools.accumulate(piece.tolist(), moved)]) - piece
 

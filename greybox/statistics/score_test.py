@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, of_diagonal, positive_or_one
+from greybox.files.arrays import Array, of_diagonal
 from greybox.statistics.column_space import column_basis, outside
 
 # Share of the length of a term that must remain beside the parameters: less is an error of the
@@ -24,6 +24,7 @@ REMAINS = 0.01
 FEWEST = 6.0  # numbers beyond those that the parameters take
 
 ROUNDING = 1e-12  # of products of columns
+SMALL = 1e-3  # share of the square of a term below which what remains is computed by itself
 
 # Correlations of neighbors that are tried, each with equal errors.
 CORRELATIONS = np.tanh(np.linspace(0.0, 2.5, 20))
@@ -56,22 +57,23 @@ def score_tests(residuals: Array, fitted: Array, terms: Array, remains: float = 
         Share of the length of a term that must remain beside the parameters.
     """
     basis = column_basis(fitted)
-    before = np.linalg.norm(terms, axis=0)
-    terms = outside(terms / positive_or_one(before), basis)
-    length = np.linalg.norm(terms, axis=0)
-    is_new = (length > remains) & (before > 0)
-    rows = np.where(is_new, terms / np.where(is_new, length, 1.0), 0.0)
     residuals = outside(residuals, basis)
+    before = np.einsum("nc,nc->c", terms, terms)
+    left = before - np.sum((basis.T @ terms) ** 2, axis=0)
+    # Differences of squares lose digits.
+    small = left < SMALL * before
+    left[small] = np.sum(outside(terms[:, small], basis) ** 2, axis=0)
+    is_new = left > remains**2 * before
+    length = np.sqrt(np.where(is_new, left, 1.0))
 
     count = len(residuals)
     remaining = count - basis.shape[1]
     squares = float(residuals @ residuals)
-    along = rows.T @ residuals
+    along = np.where(is_new, residuals @ terms / length, 0.0)
     share = np.minimum(along**2 / max(squares, np.finfo(float).tiny), 1 - 1e-12)
     tested = is_new & (remaining > FEWEST) & (squares > 0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        error = np.sqrt(squares * (1 - share) / max(remaining, 1)) / (length * before)
-        value = along / (length * before)
+    error = np.sqrt(squares * (1 - share) / max(remaining, 1)) / length
+    value = along / length
     p_value = np.where(tested, chance(1 - share, max(remaining - 1, 1)), np.nan)
     return np.array([count * share, p_value, value, error])
 
