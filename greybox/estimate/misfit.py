@@ -283,8 +283,6 @@ class _Regression:
     def columns(self, keys: Sequence[Key]) -> Array:
         """Return the columns (N, c) of terms, zero for those that this part does not have."""
         present = [k for k, key in enumerate(keys) if key in self.terms]
-        if len(present) == len(keys):
-            return self.changes([self.terms[key] for key in keys])
         values = np.zeros((len(keys), len(self.residuals)))
         if present:
             values[present] = self.changes([self.terms[keys[k]] for k in present]).T
@@ -372,13 +370,10 @@ def _of_group(parts: Sequence[_Regression]) -> Misfit:
     tried, ranked = _ranked(parts, [*terms], white, white_residuals[:, 0], white_fitted)
     best_columns = np.hstack([residuals[:, :0], *(column for *_, column in ranked)])
     white_best = white(best_columns)
-    together, white_together = (
-        np.hstack([columns, terms[:, :TOGETHER]])
-        for columns, terms in ((fitted, best_columns), (white_fitted, white_best))
-    )
+    together = np.hstack([fitted, best_columns[:, :TOGETHER]])
     without, remainder = (
         float(np.sum(beside(white_residuals, columns) ** 2))
-        for columns in (white_fitted, white_together)
+        for columns in (white_fitted, np.hstack([white_fitted, white_best[:, :TOGETHER]]))
     )
     explained = len(white_residuals) * (1 - remainder / (without + TINY)) + TINY
     left, noise = _shares(parts, (residuals, beside(residuals, together)), outputs)
@@ -515,8 +510,7 @@ def _ranked(
     size = COLUMNS // max(len(residuals), 1) + 1
     for first in range(0, len(keys), size):
         chosen = keys[first : first + size]
-        pieces = [part.columns(chosen) for part in parts]
-        columns = np.vstack(pieces) if pieces[1:] else pieces[0]
+        columns = np.vstack([part.columns(chosen) for part in parts])
         tests = score_tests(residuals, fitted, white(columns), remains).T.tolist()
         for k, test in enumerate(tests):
             # The probability is NaN where nothing of a term is left.

@@ -500,9 +500,8 @@ def _followed(piece: Array, step: float, reach: float, is_slow: bool) -> Array:
     """Return the lag of what follows a signal by `reach` a sample, or with such a play."""
 
     def moved(y: float, u: float) -> float:
-        a, b = (u, y) if is_slow else (y, u)
-        # The functions `min` and `max` take three times as long.
-        return b + reach if a > b + reach else b - reach if a < b - reach else a
+        way = min(max(u - y, -reach), reach)
+        return y + way if is_slow else u - way
 
     return np.array([*itertools.accumulate(piece.tolist(), moved)]) - piece
 

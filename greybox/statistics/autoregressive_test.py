@@ -16,6 +16,8 @@ series, Journal of Econometrics 88.
 """
 
 from collections.abc import Sequence
+from itertools import repeat
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -72,32 +74,31 @@ def autoregressive_p_values(
     values = np.column_stack([residuals, basis, outside(terms, basis), np.zeros(len(residuals))])
     values /= np.linalg.norm(values, axis=0) + TINY
     # Each term is fitted beside the parameters: the factors on all other terms are zero.
-    first = 1 + basis.shape[1]
-    fits = np.array([[*range(first), k] for k in range(first, values.shape[1])])
-    squares = values.T @ values + TINY * np.eye(values.shape[1])
-    p_values, factors = list[Array](), _factors(squares[..., None], fits)
+    first, places = 1 + basis.shape[1], np.arange(values.shape[1])
+    used = (places < first) | (places == places[first:, None])
+    used = used[:, :, None] & used[:, None]
+    p_values, factors = list[Array](), _least(values.T @ values, used)
     samples = [_products([values[rows] for rows in stretches]) for stretches in outputs]
+    counts, whole = zip(*samples, strict=True)
     for times in range(2):
         # Differences of the samples in a window are a window of one order less.
-        products = [(n, np.diff(np.diff(sums, times), times, axis=2)) for n, sums in samples]
+        sums = [np.diff(np.diff(each, times), times, axis=2) for each in whole]
         # The errors are those beside the columns: what follows a missing term is an autoregression,
         # too, and would leave nothing of the term if the filters came from it. The likelihood has
         # several maxima: differences begin at the factors of the samples.
-        counts, decrease = [count for count, _ in products], np.array(np.inf)
+        decrease = np.array(np.inf)
         for _ in range(ROUNDS + 1):
-            filters = [_filters(factors, *pair) for pair in products]
-            *beside, without = np.sum(
-                [-2 * n * np.log(w[:, 0]) for n, w in zip(counts, filters, strict=True)], axis=0
-            )
+            filters = [*map(_filters, repeat(factors), counts, sums)]
+            scores = -2 * sum(n * np.log(w[:, 0]) for n, w in zip(counts, filters, strict=True))
             # A probability near one depends on the root of the decrease, which may be all rounding.
-            earlier, decrease = decrease, np.maximum(without - beside - UNCHANGED, 0.0)
+            earlier, decrease = decrease, np.maximum(scores[-1] - scores[:-1] - UNCHANGED, 0.0)
             if np.all(np.abs(decrease - earlier) < SETTLED):
                 break
             added = [
-                np.tensordot(sums, w[:, :, None] * w[:, None], ((2, 3), (1, 2)))
-                for w, (_, sums) in zip(filters, products, strict=True)
+                np.tensordot(each, w[:, :, None] * w[:, None], ((2, 3), (1, 2)))
+                for each, w in zip(sums, filters, strict=True)
             ]
-            factors = _factors(np.sum(added, axis=0), fits)
+            factors = _least(sum(added).T, used)
         remaining = sum(counts) - first - sum(w.shape[1] for w in filters)
         p_values.append(chance(np.exp(-decrease / sum(counts)), max(remaining, 1)))
     return np.max(p_values, axis=0)
@@ -149,16 +150,11 @@ def _filters(factors: Array, count: int, sums: Array) -> Array:
     return weights / np.sqrt(squares / max(count, 1))
 
 
-def _least(squares: Array) -> Array:
-    """Return factors (h, n) with the least `squares` (h, n, n), one on the first column."""
+def _least(squares: Array, used: Any = True) -> Array:
+    """Return factors (h, n) with the least `squares` (h, n, n), one on the first column.
+
+    Of other columns than the `used` ones (h, n, n), they are zero.
+    """
+    squares = np.where(used, squares, 0.0) + np.where(used, TINY, 1.0) * np.eye(squares.shape[-1])
     others = -np.linalg.solve(squares[:, 1:, 1:], squares[:, 1:, :1])[..., 0]
     return np.insert(others, 0, 1.0, axis=1)
-
-
-def _factors(squares: Array, fits: IntArray) -> Array:
-    """Return the factors (h, k) of h fits, each to its own columns, from squares (k, k, h or 1)."""
-    factors = np.zeros((len(fits), len(squares)))
-    own = np.broadcast_to(squares, (*squares.shape[:2], len(fits))).transpose(2, 0, 1)
-    each = np.arange(len(fits))[:, None]
-    factors[each, fits] = _least(own[each[..., None], fits[:, :, None], fits[:, None]])
-    return factors
