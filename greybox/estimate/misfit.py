@@ -382,9 +382,11 @@ def _of_group(parts: Sequence[_Regression]) -> Misfit:
         # Residuals without noise are whitened by what the misfit is like: slow parts count little.
         alone = score_tests(residuals[:, 0], fitted, best_columns)[0] / len(residuals)
         shares = np.maximum(shares, alone).tolist()
-    p_values = [p_value for (_, p_value, *_), *_ in ranked]
-    if outputs:
-        p_values = autoregressive_p_values(residuals[:, 0], fitted, best_columns, outputs).tolist()
+    p_values = (
+        autoregressive_p_values(residuals[:, 0], fitted, best_columns, outputs).tolist()
+        if outputs
+        else [test[1] for test, *_ in ranked]
+    )
 
     # Real and imaginary parts follow one another in every response.
     lengths = [n // 2 for part in parts if (n := len(part.residuals)) for _ in "ri"]
@@ -547,13 +549,13 @@ def _of_record(record: DisturbedRecord, terms: Iterable[Term], count: int) -> _R
     by_initial = data.unpadded(np.einsum("ab,bmn->amn", noise, slopes.by_initial))
     starts = [*map(rows_of_stretch, by_initial, present)]
     # An offset or a trend cannot be distinguished from a drift of the errors.
-    pairs = zip(starts, map(_lines, present), strict=True)
-    drifts = [column_basis(np.hstack(pair)) for pair in pairs]
+    drifts = [
+        column_basis(np.hstack(pair)) for pair in zip(starts, map(_lines, present), strict=True)
+    ]
     starts = [*map(column_basis, starts)]
 
     def rows(values: Array, taken: Sequence[Array] = drifts) -> Array:
-        pairs = zip(data.unpadded(values), present, strict=True)
-        stretches = [rows_of_stretch(*pair) for pair in pairs]
+        stretches = map(rows_of_stretch, data.unpadded(values), present)
         # The initial states and straight lines of every stretch are fitted first.
         return np.vstack([*map(outside, stretches, taken)])
 
@@ -696,8 +698,15 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
         for kind, b, value in orders
     ]
     # Where most of a response is left, no size or correlation of its errors excuses the model.
-    text = f"a response of {data.output or 'the output'} to {data.input or 'the input'}"
-    path = Cause(text, "a path between both, or wider bounds", 1.0, 0.0, 1.0, 0.0, 0.0)
+    path = Cause(
+        f"a response of {data.output or 'the output'} to {data.input or 'the input'}",
+        "a path between both, or wider bounds",
+        1.0,
+        0.0,
+        1.0,
+        0.0,
+        0.0,
+    )
     measured, left = rows(data.response[:, None]), residuals(at_fit)
     return _Regression(
         measured,

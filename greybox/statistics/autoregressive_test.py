@@ -31,7 +31,6 @@ SAMPLES = 8  # of an output for each order
 # Share of the power of columns that may be rounding, as errors that are white and independent.
 ROUNDING = 1e-12
 UNCHANGED = 1e-9  # decrease of -2 log likelihood that is rounding alone
-SETTLED = 1e-6  # change of this decrease in a round, below which the factors have settled
 # Factors on a smooth term beside errors that drift settle in up to seven rounds.
 ROUNDS = 7
 TINY = 1e-300
@@ -70,35 +69,37 @@ def autoregressive_p_values(
     """
     # Columns that nearly depend on each other would have large factors, and errors of rounding.
     basis = column_basis(fitted)
-    # The last term is of zeros: what the residuals are without any.
-    values = np.column_stack([residuals, basis, outside(terms, basis), np.zeros(len(residuals))])
+    values = np.column_stack([residuals, basis, outside(terms, basis)])
     values /= np.linalg.norm(values, axis=0) + TINY
-    # Each term is fitted beside the parameters: the factors on all other terms are zero.
-    first, places = 1 + basis.shape[1], np.arange(values.shape[1])
-    used = (places < first) | (places == places[first:, None])
-    used = used[:, :, None] & used[:, None]
-    p_values, factors = list[Array](), _least(values.T @ values, used)
-    samples = [_products([values[rows] for rows in stretches]) for stretches in outputs]
-    counts, whole = zip(*samples, strict=True)
+    # Each term is fitted beside the parameters, without the others; the last fit has no term.
+    first, count = 1 + basis.shape[1], terms.shape[1]
+    used = np.hstack([np.ones((count + 1, first)), np.eye(count + 1, count)])
+    used = used[:, :, None] * used[:, None]
+    squares = values.T @ values + TINY * np.eye(values.shape[1])
+    p_values, factors = list[Array](), _least(squares, used)
+    counts, whole = zip(
+        *[_products([values[rows] for rows in stretches]) for stretches in outputs], strict=True
+    )
     for times in range(2):
         # Differences of the samples in a window are a window of one order less.
         sums = [np.diff(np.diff(each, times), times, axis=2) for each in whole]
         # The errors are those beside the columns: what follows a missing term is an autoregression,
         # too, and would leave nothing of the term if the filters came from it. The likelihood has
         # several maxima: differences begin at the factors of the samples.
-        decrease = np.array(np.inf)
-        for _ in range(ROUNDS + 1):
-            filters = [*map(_filters, repeat(factors), counts, sums)]
-            scores = -2 * sum(n * np.log(w[:, 0]) for n, w in zip(counts, filters, strict=True))
-            # A probability near one depends on the root of the decrease, which may be all rounding.
-            earlier, decrease = decrease, np.maximum(scores[-1] - scores[:-1] - UNCHANGED, 0.0)
-            if np.all(np.abs(decrease - earlier) < SETTLED):
-                break
+        for _ in range(ROUNDS):
+            filters = map(_filters, repeat(factors), counts, sums)
             added = [
                 np.tensordot(each, w[:, :, None] * w[:, None], ((2, 3), (1, 2)))
                 for each, w in zip(sums, filters, strict=True)
             ]
-            factors = _least(sum(added).T, used)
+            earlier, factors = factors, _least(np.sum(added, axis=0).T, used)
+            # At a maximum, the likelihood changes with the square of a change of the factors.
+            if np.allclose(factors, earlier):
+                break
+        filters = [*map(_filters, repeat(factors), counts, sums)]
+        scores = -2 * np.array(counts) @ np.log([w[:, 0] for w in filters])
+        # A probability near one depends on the root of the decrease, which may be all rounding.
+        decrease = np.maximum(scores[-1] - scores[:-1] - UNCHANGED, 0.0)
         remaining = sum(counts) - first - sum(w.shape[1] for w in filters)
         p_values.append(chance(np.exp(-decrease / sum(counts)), max(remaining, 1)))
     return np.max(p_values, axis=0)
@@ -106,8 +107,10 @@ def autoregressive_p_values(
 
 def whitening_filters(residuals: Array, outputs: Outputs) -> list[Array]:
     """Return the filters (q + 1,) that make residuals (N,) white, of unit variance, by output."""
-    products = [_products([residuals[rows, None] for rows in stretches]) for stretches in outputs]
-    return [_filters(np.ones((1, 1)), n, sums)[0] for n, sums in products]
+    return [
+        _filters(np.ones((1, 1)), *_products([residuals[rows, None] for rows in stretches]))[0]
+        for stretches in outputs
+    ]
 
 
 def _products(pieces: Sequence[Array]) -> tuple[int, Array]:
@@ -121,8 +124,8 @@ def _products(pieces: Sequence[Array]) -> tuple[int, Array]:
     order = max(min(ORDER, total // SAMPLES, total // (2 * len(pieces))), 1)
     lags = np.arange(order + 1)
     count, width = 0, columns * (order + 1)
-    by_lag, ends = np.zeros((order + 1, columns, columns)), [np.zeros((0, width))]
-    for piece in filter(len, pieces):
+    by_lag, ends = np.zeros((order + 1, columns, columns)), list[Array]()
+    for piece in pieces:
         n = len(piece)
         padded = np.pad(piece, ((order, order), (0, 0)))
         by_lag += sliding_window_view(padded[:-order], n, axis=0) @ piece
@@ -155,6 +158,6 @@ def _least(squares: Array, used: Any = True) -> Array:
 
     Of other columns than the `used` ones (h, n, n), they are zero.
     """
-    squares = np.where(used, squares, 0.0) + np.where(used, TINY, 1.0) * np.eye(squares.shape[-1])
+    squares = np.where(used, squares, np.eye(squares.shape[-1]))
     others = -np.linalg.solve(squares[:, 1:, 1:], squares[:, 1:, :1])[..., 0]
     return np.insert(others, 0, 1.0, axis=1)

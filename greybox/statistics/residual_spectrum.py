@@ -282,10 +282,9 @@ class ResidualSpectra:
         """Autocovariances (lags, k), and band means (k, k, b) of the power, of the residuals."""
         scale = (self.deviation * np.sqrt(self.counts))[:, None]
         transforms = [np.fft.rfft(e / scale, self.grid.size) for e in self.residuals]
-        nothing = np.zeros(len(self.grid.weight), dtype=complex)
         k = len(self.counts)
         lags, banded = self.grid.covariances(
-            lambda i, j: sum((z[i] * z[j].conj() for z in transforms), nothing),
+            lambda i, j: sum((z[i] * z[j].conj() for z in transforms), np.zeros((), complex)),
             k,
             self.highest_order,
         )
@@ -349,7 +348,8 @@ class ResidualSpectra:
 
         if k > 1:
             candidates += [self.joint_outputs(candidates[0], banded, n) for n in BLOCKS]
-        if self.white_process_noise is not None:
+        process = self.white_process_noise
+        if process:
             candidates = [self.judged_on_residuals(average, banded) for average in candidates]
 
         shares = remaining_products(self.residuals)
@@ -358,14 +358,14 @@ class ResidualSpectra:
             for average in candidates
         ]
 
-        if self.white_process_noise is not None:
-            candidates.append(self.white_process_noise)
+        if process:
+            candidates.append(process)
 
         fields = ("score", "density", "typical", "taken", "uncertainty")
         score, density, typical, taken, within = (
             np.array([getattr(average, name) for average in candidates]) for name in fields
         )
-        evidence = 0.0 if self.white_process_noise is None else float(score[:-1].min() - score[-1])
+        evidence = float(score[:-1].min() - score[-1]) if process else 0.0
         return averaged(score, density, typical, taken, within, evidence)
 
     def independent_outputs(self, alone: Sequence[AveragedSpectrum]) -> AveragedSpectrum:
@@ -431,11 +431,12 @@ class ResidualSpectra:
 
     def gain_of_gusts(self) -> float:
         """Return by how much gusts of the best time constant are likelier than white ones."""
-        if self.white_process_noise is None:
+        process = self.white_process_noise
+        if process is None:
             return 0.0
         scores = [gusts.score for gusts in map(self.process_noise, GUSTS) if gusts]
         # The time constant is an unknown, which the criterion of Akaike counts as 2.
-        return max(self.white_process_noise.score - min(scores) - 2, 0.0)
+        return max(process.score - min(scores) - 2, 0.0)
 
     @cached_property
     def white_process_noise(self) -> AveragedSpectrum | None:

@@ -24,7 +24,6 @@ REMAINS = 0.01
 FEWEST = 6.0  # numbers beyond those that the parameters take
 
 ROUNDING = 1e-12  # of products of columns
-SMALL = 1e-3  # share of the square of a term below which what remains is computed by itself
 
 # Correlations of neighbors that are tried, each with equal errors.
 CORRELATIONS = np.tanh(np.linspace(0.0, 2.5, 20))
@@ -58,13 +57,10 @@ def score_tests(residuals: Array, fitted: Array, terms: Array, remains: float = 
     """
     basis = column_basis(fitted)
     residuals = outside(residuals, basis)
-    before = np.einsum("nc,nc->c", terms, terms)
-    left = before - np.sum((basis.T @ terms) ** 2, axis=0)
-    # Differences of squares lose digits.
-    small = left < SMALL * before
-    left[small] = np.sum(outside(terms[:, small], basis) ** 2, axis=0)
-    is_new = left > remains**2 * before
-    length = np.sqrt(np.where(is_new, left, 1.0))
+    before, terms = np.linalg.norm(terms, axis=0), outside(terms, basis)
+    length = np.linalg.norm(terms, axis=0)
+    is_new = length > remains * before
+    length[~is_new] = 1.0
 
     count = len(residuals)
     remaining = count - basis.shape[1]
