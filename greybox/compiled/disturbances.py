@@ -132,8 +132,8 @@ class DisturbedRecord:
         present = part.segments.columns(self.present.astype(float))
         A, C = (slope[:n] for slope in self._slopes)
         ends, J = part.segments.disturbed(
-            np.concatenate([A, [following for following, _ in effects]]),
-            np.concatenate([C, [-outputs * present for _, outputs in effects]]),
+            np.stack([*A, *(-following for following, _ in effects)]),
+            np.stack([*C, *(outputs * present for _, outputs in effects)]),
         )
         if n:
             weight, linearization = self._linearized
@@ -152,4 +152,4 @@ class DisturbedRecord:
             # Known initial states cannot compensate for a term.
             nodes[known] = 0
             J = J[..., :n] @ nodes[:, None] + J[..., n:]
-        return -J.transpose(2, 3, 0, 1).reshape(*J.shape[2:], -1)
+        return J.transpose(2, 3, 0, 1).reshape(*J.shape[2:], -1)

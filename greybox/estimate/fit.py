@@ -351,9 +351,11 @@ def assemble(
     best = search.minima[0].estimate if search.minima else np.full(len(nlp.free), np.nan)
     accuracy = Accuracy.unknown(nlp)
     trajectories: tuple[Any, ...] = (None,) * len(nlp.parts)
+    misfit = None
     if search.minima:
         trajectories = solver.profile(best, search.nodes).trajectories
         accuracy = assess(nlp, best, trajectories)
+        misfit = assessed_misfit(nlp, best, trajectories, {})
 
     values = nlp.all_values(best)
     estimate = dict(zip(nlp.names, values.tolist(), strict=True))
@@ -364,11 +366,8 @@ def assemble(
         fitted_part(part, trajectory, values, dict(part.problem.local_values(estimate)))
         for part, trajectory in zip(nlp.parts, trajectories, strict=True)
     )
-    misfit = directions = None
-    if search.minima:
-        misfit = assessed_misfit(nlp, best, trajectories, {})
-        at = np.array([line.value for line in lines[: len(slopes)]])
-        directions = known_directions(nlp, accuracy, at, slopes)
+    at = np.array([line.value for line in lines[: len(slopes)]])
+    directions = known_directions(nlp, accuracy, at, slopes)
     if directions is not None and directions.unseen.any():
         # Where two values are equal, the data seem to determine their sum and their product alike.
         # A second point shows which combination is determined everywhere.

@@ -61,7 +61,7 @@ GROWN = 4.6  # growth of errors of the states over a record, a hundredfold: an u
 LARGE = 10  # times what noise leaves, beyond which a model describes nothing
 NOISY = 0.25  # of the variance: residuals of half the standard deviation of an output
 TINY = 1e-300
-COLUMNS = 2_000_000  # numbers in memory for all terms at once, 16 MB
+COLUMNS = 600_000  # numbers in memory for terms at once: new pages of memory take time, too
 # Samples of all records that are tested, in excerpts: with more, a fit would wait for the test.
 MOST = 3000
 FEWEST = 500  # of each
@@ -282,8 +282,8 @@ class _Regression:
 
     def columns(self, keys: Sequence[Key]) -> Array:
         """Return the columns (N, c) of terms, zero for those that this part does not have."""
-        values = np.zeros((len(keys), len(self.residuals)))
         present = [k for k, key in enumerate(keys) if key in self.terms]
+        values = np.zeros((len(keys), len(self.residuals)))
         if present:
             values[present] = self.changes([self.terms[keys[k]] for k in present]).T
         # Samples of a column are neighbors in memory, as filters need them.
@@ -369,10 +369,11 @@ def _of_group(parts: Sequence[_Regression]) -> Misfit:
     white_residuals, white_fitted = white(residuals), white(fitted)
     tried, ranked = _ranked(parts, [*terms], white, white_residuals[:, 0], white_fitted)
     best_columns = np.hstack([residuals[:, :0], *(column for *_, column in ranked)])
+    white_best = white(best_columns)
     together = np.hstack([fitted, best_columns[:, :TOGETHER]])
     without, remainder = (
-        float(np.sum(beside(white_residuals, white(columns)) ** 2))
-        for columns in (fitted, together)
+        float(np.sum(beside(white_residuals, columns) ** 2))
+        for columns in (white_fitted, np.hstack([white_fitted, white_best[:, :TOGETHER]]))
     )
     explained = len(white_residuals) * (1 - remainder / (without + TINY)) + TINY
     left, noise = _shares(parts, (residuals, beside(residuals, together)), outputs)
@@ -381,9 +382,11 @@ def _of_group(parts: Sequence[_Regression]) -> Misfit:
         # Residuals without noise are whitened by what the misfit is like: slow parts count little.
         alone = score_tests(residuals[:, 0], fitted, best_columns)[0] / len(residuals)
         shares = np.maximum(shares, alone).tolist()
-    p_values = [p_value for (_, p_value, *_), *_ in ranked]
-    if outputs:
-        p_values = autoregressive_p_values(residuals[:, 0], fitted, best_columns, outputs).tolist()
+    p_values = (
+        autoregressive_p_values(residuals[:, 0], fitted, best_columns, outputs).tolist()
+        if outputs
+        else [test[1] for test, *_ in ranked]
+    )
 
     # Real and imaginary parts follow one another in every response.
     lengths = [n // 2 for part in parts if (n := len(part.residuals)) for _ in "ri"]
@@ -397,7 +400,7 @@ def _of_group(parts: Sequence[_Regression]) -> Misfit:
         p_common = p_value_of_scores(score, apart, len(residuals))
 
     texts = [terms[key].described(test[2], test[3]) for test, key, _ in ranked]
-    alike = _alike(beside(white(best_columns), white_fitted), texts)
+    alike = _alike(beside(white_best, white_fitted), texts)
     causes = []
     for k, ((decrease, _, value, error), key, column) in enumerate(ranked):
         p_value = p_correlated = p_values[k]
@@ -546,13 +549,13 @@ def _of_record(record: DisturbedRecord, terms: Iterable[Term], count: int) -> _R
     by_initial = data.unpadded(np.einsum("ab,bmn->amn", noise, slopes.by_initial))
     starts = [*map(rows_of_stretch, by_initial, present)]
     # An offset or a trend cannot be distinguished from a drift of the errors.
-    pairs = zip(starts, map(_lines, present), strict=True)
-    drifts = [column_basis(np.hstack(pair)) for pair in pairs]
+    drifts = [
+        column_basis(np.hstack(pair)) for pair in zip(starts, map(_lines, present), strict=True)
+    ]
     starts = [*map(column_basis, starts)]
 
     def rows(values: Array, taken: Sequence[Array] = drifts) -> Array:
-        pairs = zip(data.unpadded(values), present, strict=True)
-        stretches = [rows_of_stretch(*pair) for pair in pairs]
+        stretches = map(rows_of_stretch, data.unpadded(values), present)
         # The initial states and straight lines of every stretch are fitted first.
         return np.vstack([*map(outside, stretches, taken)])
 
@@ -699,8 +702,15 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
         for kind, b, value in orders
     ]
     # Where most of a response is left, no size or correlation of its errors excuses the model.
-    text = f"a response of {data.output or 'the output'} to {data.input or 'the input'}"
-    path = Cause(text, "a path between both, or wider bounds", 1.0, 0.0, 1.0, 0.0, 0.0)
+    path = Cause(
+        f"a response of {data.output or 'the output'} to {data.input or 'the input'}",
+        "a path between both, or wider bounds",
+        1.0,
+        0.0,
+        1.0,
+        0.0,
+        0.0,
+    )
     measured, left = rows(data.response[:, None]), residuals(at_fit)
     return _Regression(
         measured,

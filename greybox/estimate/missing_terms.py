@@ -329,12 +329,13 @@ def _of_parameters(record: DisturbedRecord) -> Iterator[Term]:
         if part.model.parameters[k] in gains:
             continue
         for kind, row, b in changes:
-            name = part.model.outside_names[k]
-            yield Term(kind, row, partial(record.by_parameter, place), name, b)
+            yield Term(
+                kind, row, partial(record.by_parameter, place), part.model.outside_names[k], b
+            )
     for k in range(len(part.system.parameters)):
         if k not in part.model.active:
-            name = part.model.outside_names[k]
-            yield Term("fixed", np.ones_like(samples), partial(record.by_formulas, k), name)
+            by_formulas = partial(record.by_formulas, k)
+            yield Term("fixed", np.ones_like(samples), by_formulas, part.model.outside_names[k])
 
 
 def _delays(record: DisturbedRecord, row: Array) -> Iterator[tuple[Array, float]]:
@@ -500,8 +501,9 @@ def _followed(piece: Array, step: float, reach: float, is_slow: bool) -> Array:
     """Return the lag of what follows a signal by `reach` a sample, or with such a play."""
 
     def moved(y: float, u: float) -> float:
-        way = min(max(u - y, -reach), reach)
-        return y + way if is_slow else u - way
+        a, b = (u, y) if is_slow else (y, u)
+        # The functions `min` and `max` take three times as long.
+        return b + reach if a > b + reach else b - reach if a < b - reach else a
 
     return np.array([*itertools.accumulate(piece.tolist(), moved)]) - piece
 

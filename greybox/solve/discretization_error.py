@@ -115,9 +115,7 @@ def refine_discretization(
 
     # A fixed number of substeps is the user's choice: it is judged, but not changed.
     # One of the eleven hard problems, the swing, is biased without refinement.
-    while nlp.method.scheme.substeps is None:
-        if stop_requested():
-            break
+    while nlp.method.scheme.substeps is None and not stop_requested():
         best = solver.profile(search.minima[0].estimate, search.nodes)
         error = discretization_error(nlp, best.trajectories, fine)
         if not error.matters or max(part.substeps for part in nlp.parts) >= MOST_SUBSTEPS:

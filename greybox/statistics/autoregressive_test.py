@@ -16,6 +16,8 @@ series, Journal of Econometrics 88.
 """
 
 from collections.abc import Sequence
+from itertools import repeat
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -67,38 +69,37 @@ def autoregressive_p_values(
     """
     # Columns that nearly depend on each other would have large factors, and errors of rounding.
     basis = column_basis(fitted)
-    # The last term is of zeros: what the residuals are without any.
-    values = np.column_stack([residuals, basis, outside(terms, basis), np.zeros(len(residuals))])
+    values = np.column_stack([residuals, basis, outside(terms, basis)])
     values /= np.linalg.norm(values, axis=0) + TINY
-    # Each term is fitted beside the parameters, by columns of its own.
-    first = 1 + basis.shape[1]
-    fits = np.array([[*range(first), k] for k in range(first, values.shape[1])])
-    of_fits = fits[:, :, None], fits[:, None]
+    # Each term is fitted beside the parameters, without the others; the last fit has no term.
+    first, count = 1 + basis.shape[1], terms.shape[1]
+    used = np.hstack([np.ones((count + 1, first)), np.eye(count + 1, count)])
+    used = used[:, :, None] * used[:, None]
     squares = values.T @ values + TINY * np.eye(values.shape[1])
-    p_values, factors = list[Array](), _least(squares[of_fits])
-    samples = [_products([values[rows] for rows in stretches]) for stretches in outputs]
+    p_values, factors = list[Array](), _least(squares, used)
+    counts, whole = zip(
+        *[_products([values[rows] for rows in stretches]) for stretches in outputs], strict=True
+    )
     for times in range(2):
         # Differences of the samples in a window are a window of one order less.
-        products = [
-            (n, np.diff(np.diff(sums, times), times, axis=2)[of_fits]) for n, sums in samples
-        ]
+        sums = [np.diff(np.diff(each, times), times, axis=2) for each in whole]
         # The errors are those beside the columns: what follows a missing term is an autoregression,
         # too, and would leave nothing of the term if the filters came from it. The likelihood has
         # several maxima: differences begin at the factors of the samples.
-        filters = [_filters(factors, *pair) for pair in products]
         for _ in range(ROUNDS):
+            filters = map(_filters, repeat(factors), counts, sums)
             added = [
-                np.einsum("hlm,hijlm->hij", w[:, :, None] * w[:, None], sums)
-                for w, (_, sums) in zip(filters, products, strict=True)
+                np.tensordot(each, w[:, :, None] * w[:, None], ((2, 3), (1, 2)))
+                for each, w in zip(sums, filters, strict=True)
             ]
-            factors = _least(np.sum(added, axis=0))
-            filters = [_filters(factors, *pair) for pair in products]
-        counts = [count for count, _ in products]
-        *beside, without = np.sum(
-            [-2 * n * np.log(w[:, 0]) for n, w in zip(counts, filters, strict=True)], axis=0
-        )
+            earlier, factors = factors, _least(np.sum(added, axis=0).T, used)
+            # At a maximum, the likelihood changes with the square of a change of the factors.
+            if np.allclose(factors, earlier):
+                break
+        filters = [*map(_filters, repeat(factors), counts, sums)]
+        scores = -2 * np.array(counts) @ np.log([w[:, 0] for w in filters])
         # A probability near one depends on the root of the decrease, which may be all rounding.
-        decrease = np.maximum(without - beside - UNCHANGED, 0.0)
+        decrease = np.maximum(scores[-1] - scores[:-1] - UNCHANGED, 0.0)
         remaining = sum(counts) - first - sum(w.shape[1] for w in filters)
         p_values.append(chance(np.exp(-decrease / sum(counts)), max(remaining, 1)))
     return np.max(p_values, axis=0)
@@ -106,8 +107,10 @@ def autoregressive_p_values(
 
 def whitening_filters(residuals: Array, outputs: Outputs) -> list[Array]:
     """Return the filters (q + 1,) that make residuals (N,) white, of unit variance, by output."""
-    products = [_products([residuals[rows, None] for rows in stretches]) for stretches in outputs]
-    return [_filters(np.ones((1, 1)), n, sums[None])[0] for n, sums in products]
+    return [
+        _filters(np.ones((1, 1)), *_products([residuals[rows, None] for rows in stretches]))[0]
+        for stretches in outputs
+    ]
 
 
 def _products(pieces: Sequence[Array]) -> tuple[int, Array]:
@@ -120,34 +123,41 @@ def _products(pieces: Sequence[Array]) -> tuple[int, Array]:
     # Short stretches would lose all of their samples.
     order = max(min(ORDER, total // SAMPLES, total // (2 * len(pieces))), 1)
     lags = np.arange(order + 1)
-    count, sums = 0, np.zeros((columns, columns, order + 1, order + 1))
-    for piece in filter(len, pieces):
+    count, width = 0, columns * (order + 1)
+    by_lag, ends = np.zeros((order + 1, columns, columns)), list[Array]()
+    for piece in pieces:
         n = len(piece)
         padded = np.pad(piece, ((order, order), (0, 0)))
-        by_lag = (sliding_window_view(padded[:-order], n, axis=0) @ piece).T
-        by_lag = np.concatenate([by_lag.swapaxes(0, 1), by_lag[..., -2::-1]], axis=2)
+        by_lag += sliding_window_view(padded[:-order], n, axis=0) @ piece
         windows = sliding_window_view(padded, order + 1, axis=0)[..., ::-1]
-        ends = np.delete(windows, slice(order, n), axis=0)
-        sums += by_lag[..., order + lags - lags[:, None]]
-        sums -= np.tensordot(ends, ends, (0, 0)).swapaxes(1, 2)
+        ends.append(np.delete(windows, slice(order, n), axis=0).reshape(-1, width))
         count += max(n - order, 0)
+    both = np.concatenate([by_lag.T.swapaxes(0, 1), by_lag.T[..., -2::-1]], axis=2)
+    sums = both[..., order + lags - lags[:, None]]
+    outer = np.vstack(ends)
+    # The product of a matrix with itself takes half of the time.
+    sums -= (outer.T @ outer).reshape(columns, order + 1, columns, -1).swapaxes(1, 2)
     # What is predicted exactly would have no filter, and leave rounding errors alone.
     errors = ROUNDING * np.diag(sums[..., 0, 0]) + TINY
     return count, sums + np.diag(errors)[..., None, None] * np.eye(order + 1)
 
 
 def _filters(factors: Array, count: int, sums: Array) -> Array:
-    """Return filters (h, q + 1) of columns by factors (h, k).
+    """Return filters (h, q + 1) of columns by factors (h, k), from sums (k, k, q + 1, q + 1).
 
     They follow by least squares, which the ends of a record do not disturb.
     """
-    moments = np.einsum("hij,hijlm->hlm", factors[:, :, None] * factors[:, None], sums)
+    moments = np.tensordot(factors[:, :, None] * factors[:, None], sums, 2)
     weights = _least(moments)
     squares = np.einsum("hl,hlm,hm->h", weights, moments, weights)[:, None]
     return weights / np.sqrt(squares / max(count, 1))
 
 
-def _least(squares: Array) -> Array:
-    """Return factors (h, n) with the least `squares` (h, n, n), one on the first column."""
+def _least(squares: Array, used: Any = True) -> Array:
+    """Return factors (h, n) with the least `squares` (h, n, n), one on the first column.
+
+    Of other columns than the `used` ones (h, n, n), they are zero.
+    """
+    squares = np.where(used, squares, np.eye(squares.shape[-1]))
     others = -np.linalg.solve(squares[:, 1:, 1:], squares[:, 1:, :1])[..., 0]
     return np.insert(others, 0, 1.0, axis=1)

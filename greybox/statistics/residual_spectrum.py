@@ -298,10 +298,9 @@ class ResidualSpectra:
         """Autocovariances (lags, k), and band means (k, k, b) of the power, of the residuals."""
         scale = (self.deviation * np.sqrt(self.counts))[:, None]
         transforms = [np.fft.rfft(e / scale, self.grid.size) for e in self.residuals]
-        nothing = np.zeros(len(self.grid.weight), dtype=complex)
         k = len(self.counts)
         lags, banded = self.grid.covariances(
-            lambda i, j: sum((z[i] * z[j].conj() for z in transforms), nothing),
+            lambda i, j: sum((z[i] * z[j].conj() for z in transforms), np.zeros((), complex)),
             k,
             self.highest_order,
         )
@@ -365,7 +364,7 @@ class ResidualSpectra:
 
         if k > 1:
             candidates += [self.joint_outputs(candidates[0], banded, n) for n in BLOCKS]
-        if self.white_process_noise is not None:
+        if self.white_process_noise:
             candidates = [self.judged_on_residuals(average, banded) for average in candidates]
 
         shares = remaining_products(self.residuals)
@@ -376,10 +375,11 @@ class ResidualSpectra:
 
     def with_process_noise(self, others: AveragedSpectrum) -> AveragedSpectrum:
         """Return the average with process noise; its score is the evidence for process noise."""
-        if self.white_process_noise is None:
+        process = self.white_process_noise
+        if process is None:
             return replace(others, score=0.0)
-        average = averaged_candidates([others, self.white_process_noise])
-        return replace(average, score=others.score - self.white_process_noise.score)
+        average = averaged_candidates([others, process])
+        return replace(average, score=others.score - process.score)
 
     def independent_outputs(self, alone: Sequence[AveragedSpectrum]) -> AveragedSpectrum:
         """Return the joint spectrum of outputs whose errors are independent."""
@@ -443,11 +443,12 @@ class ResidualSpectra:
 
     def gain_of_gusts(self) -> float:
         """Return by how much gusts of the best time constant are likelier than white ones."""
-        if self.white_process_noise is None:
+        process = self.white_process_noise
+        if process is None:
             return 0.0
         scores = [gusts.score for gusts in map(self.process_noise, GUSTS) if gusts]
         # The time constant is an unknown, which the criterion of Akaike counts as 2.
-        return max(self.white_process_noise.score - min(scores) - 2, 0.0)
+        return max(process.score - min(scores) - 2, 0.0)
 
     @cached_property
     def white_process_noise(self) -> AveragedSpectrum | None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, of_diagonal, positive_or_one
+from greybox.files.arrays import Array, of_diagonal
 from greybox.statistics.column_space import column_basis, outside
 
 # Share of the length of a term that must remain beside the parameters: less is an error of the
@@ -56,22 +56,20 @@ def score_tests(residuals: Array, fitted: Array, terms: Array, remains: float = 
         Share of the length of a term that must remain beside the parameters.
     """
     basis = column_basis(fitted)
-    before = np.linalg.norm(terms, axis=0)
-    terms = outside(terms / positive_or_one(before), basis)
-    length = np.linalg.norm(terms, axis=0)
-    is_new = (length > remains) & (before > 0)
-    rows = np.where(is_new, terms / np.where(is_new, length, 1.0), 0.0)
     residuals = outside(residuals, basis)
+    before, terms = np.linalg.norm(terms, axis=0), outside(terms, basis)
+    length = np.linalg.norm(terms, axis=0)
+    is_new = length > remains * before
+    length[~is_new] = 1.0
 
     count = len(residuals)
     remaining = count - basis.shape[1]
     squares = float(residuals @ residuals)
-    along = rows.T @ residuals
+    along = np.where(is_new, residuals @ terms / length, 0.0)
     share = np.minimum(along**2 / max(squares, np.finfo(float).tiny), 1 - 1e-12)
     tested = is_new & (remaining > FEWEST) & (squares > 0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        error = np.sqrt(squares * (1 - share) / max(remaining, 1)) / (length * before)
-        value = along / (length * before)
+    error = np.sqrt(squares * (1 - share) / max(remaining, 1)) / length
+    value = along / length
     p_value = np.where(tested, chance(1 - share, max(remaining - 1, 1)), np.nan)
     return np.array([count * share, p_value, value, error])
 
