@@ -48,7 +48,7 @@ def substeps_and_segment(
     method, system, initial_states = model.method, model.system, model.initial_states
     integrator = method.scheme
     # Computing the poles takes longer than everything else here.
-    if integrator.substeps is not None and method.segment is not None:
+    if integrator.substeps and method.segment:
         return integrator.substeps, method.segment
 
     # At twenty samples, the shortest time constant of an igniting reactor is missed, and two of

@@ -284,12 +284,14 @@ class Simulator:
         while True:
             result = run(self._step(self._substeps))
             finite = all_finite(result.states)
-            if self._is_automatic and self._substeps >= MOST_SUBSTEPS and not finite:
+            most = self._substeps >= MOST_SUBSTEPS
+            if self._is_automatic and most and not (finite or result.estimates):
                 # What is stiff far from rest; a jump would stop Newton's iteration, not RK4.
+                # Windows in which a formula has left its domain are left out instead.
                 self._is_automatic, self._integrator = False, Radau()
                 self._substeps, self._steps = MOST_AT_FIRST, {}
                 continue
-            if chosen or not result.states.size or self._substeps >= MOST_SUBSTEPS:
+            if chosen or not result.states.size or most:
                 return result
             # Steps that are too long may be the reason why states are not finite.
             error = self._local_error(result) if finite else np.inf
