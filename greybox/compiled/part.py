@@ -99,9 +99,9 @@ class Condensed:
     damping: Array
     decrease: float
 
-    def nodes_after(self, nodes: Array, dz: Array, length: float) -> Array:
-        """Return the nodes (s, n) after a share `length` of a step dz (p,)."""
-        return nodes + length * (self.node_step + self.node_sensitivity @ dz)
+    def change_of_nodes(self, dz: Array) -> Array:
+        """Return the change (s, n) of the nodes by a step dz (p,)."""
+        return self.node_step + self.node_sensitivity @ dz
 
     def largest_multiplier(self, dz: Array) -> Array:
         """Return the largest continuity multiplier (n,) of every state after a step dz (p,)."""
@@ -109,7 +109,7 @@ class Condensed:
 
     def damping_penalty(self, dz: Array) -> float:
         """Return the damping term in the cost at a step dz (p,), less its value at dz = 0."""
-        moved = self.node_step + self.node_sensitivity @ dz
+        moved = self.change_of_nodes(dz)
         return 0.5 * float((self.damping * (moved**2 - self.node_step**2)).sum())
 
 

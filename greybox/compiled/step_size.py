@@ -6,6 +6,7 @@ search will go. Whether that many substeps are accurate enough is judged at the 
 (`greybox.solve.discretization_error`).
 """
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -47,7 +48,7 @@ def substeps_and_segment(
     method, system, initial_states = model.method, model.system, model.initial_states
     integrator = method.scheme
     # Computing the poles takes longer than everything else here.
-    if integrator.substeps is not None and method.segment is not None:
+    if integrator.substeps and method.segment:
         return integrator.substeps, method.segment
 
     # At twenty samples, the shortest time constant of an igniting reactor is missed, and two of
@@ -65,15 +66,18 @@ def substeps_and_segment(
         states = initial_states.at(outputs, inputs, p, known)
         poles = initial_states.poles(states, inputs, p)
         if poles.size:
-            reach, wave = integrator.reach, integrator.wave
-            most = MOST_SUBSTEPS + 1
-            counts.append(stable_substeps(poles, step, reach=reach, wave=wave, most=most))
+            counts.append(
+                stable_substeps(poles, step, reach=integrator.reach, wave=integrator.wave)
+            )
             growth_rates.append(float(poles.real.max(axis=1).mean()))
 
-    longest = SEGMENT_GROWTH / max(_upper_quartile(growth_rates) * step, 1e-12)
-    segment = method.segment or int(np.clip(longest, SHORTEST_SEGMENT, LONGEST_SEGMENT))
-    # What is stiff only far from the declared parameters need not be so at the minimum.
-    substeps = max([1, *counts[:1], min(_upper_quartile(counts), MOST_SUBSTEPS)])
+    growth = max(_upper_quartile(growth_rates) * step, 1e-12)
+    segment = method.segment or int(
+        np.clip(SEGMENT_GROWTH / growth, SHORTEST_SEGMENT, LONGEST_SEGMENT)
+    )
+    # Implicit steps of any length damp what decays, but only short ones follow what grows.
+    growing = math.ceil(min(growth, MOST_SUBSTEPS)) if integrator.implicit else 1
+    substeps = max(growing, *counts[:1], _upper_quartile(counts))
     return integrator.substeps or int(substeps), segment
 
 

@@ -92,11 +92,11 @@ def seconds_from_first(values: Any) -> Any:
 
 
 def within_range(values: Array) -> Array:
-    """Return the values (n,), read-only: larger ones as infinite, smaller ones as zero."""
+    """Return the values (n,), read-only: larger ones as NaN, smaller ones as zero."""
     outside = out_of_range(values)
     if not outside.any():
         return values
-    limit = np.where(np.abs(values) > 1, np.copysign(np.inf, values), 0.0)
+    limit = np.where(np.abs(values) > 1, np.nan, 0.0)
     inside = np.where(outside, limit, values)
     inside.setflags(write=False)
     return inside

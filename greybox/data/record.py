@@ -46,8 +46,8 @@ class Record:
         of each row, `has_time` is False, and only static models can be fitted.
     signals : mapping of name to (n,) array
         Real numbers. NaN or the mask of a masked array marks a missing sample. Values beyond ±1e75
-        become infinite, which counts as missing, and values below 1e-75 become zero: their sums of
-        squares would overflow or vanish.
+        become NaN, and values below 1e-75 become zero: their sums of squares would overflow or
+        vanish.
     units : mapping of name to str
         SI units after `prepare`; before, those of the log.
     name, source : str
@@ -120,7 +120,7 @@ class Record:
         lost = [
             f"{name} has values beyond 1e75, which count as missing: check its sensor."
             for name, values in measured.items()
-            if np.isinf(signals[name][np.isfinite(values)]).any()
+            if np.isnan(signals[name][np.isfinite(values)]).any()
         ]
         for name, values in signals.items():
             require_size(name, values, "time" if self.has_time else next(iter(signals)), time.size)
@@ -130,11 +130,12 @@ class Record:
                 f"units names {unknown[0]!r}, which is not a signal; the record has "
                 f"{alternatives(unknown[0], signals)}"
             )
-        hold = {
-            all_printable(name): checked_hold(name, seconds) for name, seconds in self.hold.items()
-        }
         # The attributes of a data frame still name columns that were dropped.
-        hold = {name: seconds for name, seconds in hold.items() if name in signals}
+        hold = {
+            printed: checked_hold(name, seconds)
+            for name, seconds in self.hold.items()
+            if (printed := all_printable(name)) in signals
+        }
         # A given checksum is that of the file: excerpts of one log are recognized by it.
         checksum = self.checksum or _digest(time, signals)
         findings = (*self.findings, *lost)

@@ -328,7 +328,10 @@ def assessed_misfit(
     for group in groups:
         for cause in group.causes:
             best.setdefault(cause.text, cause)
-    causes = sorted(best.values(), key=_rank)
+    # Rounding must not order what explains as much.
+    causes = sorted(
+        best.values(), key=lambda c: (c.p_value >= FALSE_ALARMS, not c.code, -round(c.share, 9))
+    )
     return replace(
         max(groups, key=lambda group: group.left - group.noise),
         tried=sum(group.tried for group in groups),
@@ -336,11 +339,6 @@ def assessed_misfit(
         p_common=min(group.p_common for group in groups),
         shape=groups[-1].shape,
     )
-
-
-def _rank(cause: Cause) -> tuple[bool, bool, float]:
-    # Rounding must not order what explains as much.
-    return cause.p_value >= FALSE_ALARMS, not cause.code, -round(cause.share, 9)
 
 
 def _of_group(parts: Sequence[_Regression]) -> Misfit:
@@ -575,7 +573,7 @@ def _of_record(record: DisturbedRecord, terms: Iterable[Term], count: int) -> _R
         constants, rows(with_effects, starts), rows(by_parameters, starts), outputs, count
     )
     return _Regression(
-        rows(np.nan_to_num(data.measured)[:, None]),
+        rows(np.nan_to_num(data.measured)[:, None], [column_basis(_lines(row)) for row in present]),
         rows(record.residuals[:, None]),
         rows(by_parameters),
         _numbered(terms),

@@ -14,6 +14,10 @@ from greybox.modeling.integrators import Integrator
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
 
+# Size of a state over the largest one, or its change, below which its errors do not matter. From
+# zero, a state changes by up to 1e8 sizes, whose rounding is 1e-8, within what is accepted below.
+LEAST_SIZE = 1e-8
+
 
 @dataclass(frozen=True)
 class ImplicitIntegrator(Integrator):
@@ -48,11 +52,13 @@ class ImplicitIntegrator(Integrator):
         """Return x one step later, with exact derivatives; NaN where Newton's method fails."""
         # Newton's method is compiled from SX symbols and called with MX arguments.
         n, m = len(system.states), len(system.inputs)
-        sizes = (n, m, m, len(system.parameters), 1)
-        symbols = [ca.SX.sym("v", size) for size in sizes]
-        start, at, ramp, parameters, span = symbols
-        stages = ca.SX.sym("stages", n, self.stages)
-        equations = ca.vec(self.equations(system, start, stages, at, ramp, parameters, span))
+        symbols = [ca.SX.sym("v", size) for size in (n, m, m, len(system.parameters), 1, n)]
+        start, at, ramp, parameters, span, unit = symbols
+        change = ca.SX.sym("change", n, self.stages)
+        units = ca.repmat(unit, 1, self.stages)
+        stages = ca.repmat(start, 1, self.stages) + units * change
+        equations = self.equations(system, start, stages, at, ramp, parameters, span)
+        equations, unknown = ca.vec(equations / units), ca.vec(change)
         # A step that is short enough takes three or four iterations. They are plain, as usual with
         # stiff models: a search along the residuals would follow the fastest state alone.
         options = {
@@ -63,16 +69,20 @@ class ImplicitIntegrator(Integrator):
             "max_iter": 30,
         }
         arguments = ca.vertcat(*symbols)
-        statement = {"x": ca.vec(stages), "p": arguments, "g": equations}
-        newton = ca.rootfinder("stages", "newton", statement, options)
-        residual = ca.Function("residual", [ca.vec(stages), arguments], [ca.norm_inf(equations)])
+        newton = ca.rootfinder(
+            "stages", "newton", {"x": unknown, "p": arguments, "g": equations}, options
+        )
+        judged = ca.Function(
+            "end", [unknown, arguments], [self.end(start, stages), ca.norm_inf(equations)]
+        )
 
-        values = ca.vertcat(x, u, slope, p, h)
-        solution = newton(ca.repmat(x, self.stages, 1), values)
-        # Far above the rounding at which Newton's method ends, far below the error of any order.
-        is_solved = residual(solution, values) <= 1e-9 * (1 + ca.norm_inf(x))
-        end = self.end(x, ca.reshape(solution, n, self.stages))
-        return ca.if_else(is_solved, end, ca.MX.nan(n))
+        # Its tolerances are absolute, so every state is measured by its own size.
+        largest = ca.norm_inf(ca.vertcat(x, h * system.derivative(x, u + slope * h, p)))
+        unit = ca.fmax(ca.fabs(x), LEAST_SIZE * largest + (largest == 0))
+        values = ca.vertcat(x, u, slope, p, h, ca.stop_diff(unit, 1))
+        end, residual = judged(newton(ca.MX.zeros(n * self.stages), values), values)
+        # It ends before a step of 1e-12, where stiff residuals may be a million times larger.
+        return ca.if_else(residual <= 1e-6, end, ca.MX.nan(n))
 
 
 @dataclass(frozen=True)

@@ -41,15 +41,14 @@ def stable_substeps(
     *,
     reach: float,
     wave: float = math.inf,
-    most: int = MOST_SUBSTEPS,
+    most: int = MOST_SUBSTEPS + 1,
 ) -> int:
     """Return the substeps (1 to `most`) of `step` s for the fastest of the poles (...) in rad/s.
 
+    The default of `most` means that the model is too stiff for explicit steps.
     `reach` is the largest |λ| h, `wave` the largest |Im λ| h, of a substep h; see `Integrator`.
     """
-    if not poles.size:
-        return 1
-    fastest = np.maximum(np.abs(poles) / reach, np.abs(poles.imag) / wave).max()
+    fastest = np.maximum(np.abs(poles) / reach, np.abs(poles.imag) / wave).max(initial=0.0)
     # The limit comes first, since infinity has no whole number.
     return max(math.ceil(min(fastest * step, most)), 1)
 

@@ -39,7 +39,7 @@ TOLERANCE = 1e-7
 FIRST_REACH = 0.1
 # Most substeps to begin with: the fastest mode at rest may not occur in the simulation.
 MOST_AT_FIRST = 8
-DIVERGED = 1e9  # no state of a vehicle in SI units is that large
+DIVERGED = 1e20  # counts of cells and pressures exceed 1e9; an unstable model soon exceeds this
 ERROR = "_error"
 
 
@@ -277,20 +277,26 @@ class Simulator:
             states = np.full((len(model.system.states), 1), 1e-3)
             inputs = np.zeros((len(model.system.inputs), 1))
             poles = self._initial.poles(states, inputs, model.p)
-            reach, most = self._integrator.reach, MOST_SUBSTEPS + 1
-            needed = stable_substeps(poles, step, reach=reach, most=most)
+            needed = stable_substeps(poles, step, reach=self._integrator.reach)
             if self._is_automatic and needed > MOST_SUBSTEPS:
-                self._integrator = Radau()
+                self._is_automatic, self._integrator = False, Radau()
             self._substeps = stable_substeps(poles, step, reach=FIRST_REACH, most=MOST_AT_FIRST)
         while True:
             result = run(self._step(self._substeps))
-            if chosen or not result.states.size or self._substeps >= MOST_SUBSTEPS:
-                return result
-            error = self._local_error(result)
-            if error <= TOLERANCE and all_finite(result.states):
+            finite = all_finite(result.states)
+            most = self._substeps >= MOST_SUBSTEPS
+            if self._is_automatic and most and not (finite or result.estimates):
+                # What is stiff far from rest; a jump would stop Newton's iteration, not RK4.
+                # Windows in which a formula has left its domain are left out instead.
+                self._is_automatic, self._integrator = False, Radau()
+                self._substeps, self._steps = MOST_AT_FIRST, {}
+                continue
+            if chosen or not result.states.size or most:
                 return result
             # Steps that are too long may be the reason why states are not finite.
-            error = error if error > TOLERANCE else np.inf
+            error = self._local_error(result) if finite else np.inf
+            if error <= TOLERANCE:
+                return result
             factor = substep_growth(error, TOLERANCE, self._integrator.order)
             self._substeps = min(MOST_SUBSTEPS, self._substeps * factor)
 

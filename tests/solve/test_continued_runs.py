@@ -134,10 +134,19 @@ def test_an_alias_of_the_integrator_is_no_answer():
     # 101 and 76 turn four substeps of RK4 a sample into a slow pole, with the cost and response of
     # the true values.
     starts = [{"k1": 101.0, "k2": 76.0}, {"k1": 1.0, "k2": 1.0}]
-    found = gb.fit(conversion(), starts=starts, progress=False, profiles=False)
+    options = {
+        "method": gb.MultipleShooting(integrator=gb.RungeKutta()),
+        "progress": False,
+        "profiles": False,
+    }
+    found = gb.fit(conversion(), starts=starts, **options)
     assert found.estimate["k1"] == pytest.approx(0.8125, rel=1e-3)
     assert [run.converged for run in found.runs] == [False, True]
     assert found.runs[0].status == "integration too coarse"
     assert not any("parameter vectors" in text for text in found.warnings)
-    alone = gb.fit(conversion(), starts=starts[:1], progress=False, profiles=False)
+    alone = gb.fit(conversion(), starts=starts[:1], **options)
     assert any(text.startswith("the integration is too coarse") for text in alone.warnings)
+    # A quarter of the box is stiff, and implicit steps have no alias.
+    implicit = gb.fit(conversion(), starts=starts[:1], progress=False, profiles=False)
+    assert "Radau" in implicit.records[0].method
+    assert not any("too coarse" in text for text in implicit.warnings)

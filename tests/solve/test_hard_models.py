@@ -40,10 +40,9 @@ def test_tanks_are_found_from_starts_that_would_drain_them(model):
 
 
 def test_a_reactor_that_ignites_is_found_in_a_wide_box():
-    # Rounding decides which start stalls: of eight, six to eight arrive with the matrix kernels of
-    # four processors.
-    found = fit(reactor(), 4)
-    assert found.agreeing >= 2
+    # A fast reaction grows by e in a quarter of a sample: single implicit steps lead nowhere.
+    found = fit(reactor(), 2)
+    assert found.agreeing == 2
     near(found, REACTOR)
 
 

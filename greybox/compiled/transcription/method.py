@@ -91,6 +91,18 @@ class Transcription(ABC):
         """Return the method for models that are too fast for explicit steps."""
         return self
 
+    @property
+    def cure_if_stiff(self) -> str:
+        """What else helps where explicit steps are too long, for the end of a sentence."""
+        return (
+            ""
+            if self.scheme.implicit
+            else (
+                "; if the model is stiff, with time constants far below a sample, use "
+                f"method={type(self).__name__}(integrator=Radau())"
+            )
+        )
+
     def described(self, segment_length: int, substeps: int) -> str:
         """Return the method in words, with what was chosen."""
         segments = f"{counted(segment_length, 'sample')} per segment"

@@ -7,8 +7,6 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
-from greybox.compiled.transcription.method import Transcription
-from greybox.modeling.integrators import RungeKutta
 from greybox.solve.discretization_error import DiscretizationError, discretization_error
 
 
@@ -35,16 +33,5 @@ def discretization_warnings(
     yield (
         f"the integration is too coarse: twice the steps per sample ({2 * count} instead of "
         f"{count}) would change {name} or its standard error {size}; "
-        f"{_cure(nlp.method, error.growth * count)}."
+        f"use {nlp.method.finer(error.growth * count)}{nlp.method.cure_if_stiff}."
     )
-
-
-def _cure(method: Transcription, steps: int) -> str:
-    """Name a method with this number of steps, or another integrator."""
-    finer = f"use {method.finer(steps)}"
-    if isinstance(method.scheme, RungeKutta):
-        return (
-            f"{finer}; if the model is stiff, with time constants far below a sample, use "
-            f"method={type(method).__name__}(integrator=Radau()) instead"
-        )
-    return finer

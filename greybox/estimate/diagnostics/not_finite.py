@@ -11,7 +11,6 @@ from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.files.arrays import Array, all_finite
-from greybox.modeling.integrators import RungeKutta
 from greybox.solve.ipopt import INVALID
 from greybox.solve.minima import Multistart
 from greybox.solve.runs import NOT_FINITE, Run, Runs
@@ -129,12 +128,7 @@ def _of_record(part: RecordPart, trajectory: Trajectory) -> Trouble | None:
         values = ", ".join(f"{name} = {value:.4g}" for name, value in point)
         return Trouble(names[first], f"{names[first]} is not finite {place}, where {values}", cure)
 
-    cure += ", or use method=MultipleShooting(segment=2)"
-    if isinstance(method.scheme, RungeKutta):
-        cure += (
-            "; if the model is stiff, with time constants far below a sample, use "
-            "method=MultipleShooting(integrator=Radau())"
-        )
+    cure += f", or use method=MultipleShooting(segment=2){method.cure_if_stiff}"
     diverged = [system.states[k] for k in np.flatnonzero(lost[len(names) :, at])]
     verb = "is" if len(diverged) == 1 else "are"
     joined = " and ".join(diverged)

@@ -79,10 +79,6 @@ class AllParts:
 
     # --- judging an iterate
 
-    def explain_data(self, iterate: Iterate) -> bool:
-        """Return whether all residuals look like noise."""
-        return all(part.explains_data(trajectory) for part, trajectory in self._along(iterate))
-
     def is_continuous(self, iterate: Iterate) -> bool:
         """Return whether all gaps are rounding, relative to the largest value of a state."""
         # Relative to the largest value, since a state may pass through zero.
@@ -141,7 +137,7 @@ class AllParts:
         """Return the iterate after the share `length` of a step."""
         # The nodes follow from the condensed step, which already knows their gaps.
         zipped = zip(step.condensed, iterate.trajectories, strict=True)
-        nodes = [condensed.nodes_after(t.nodes, step.dz, length) for condensed, t in zipped]
+        nodes = [t.nodes + length * condensed.change_of_nodes(step.dz) for condensed, t in zipped]
         z = self.limits.after(iterate.z, length * step.dz) if step.dz.any() else iterate.z
         return self.at(z, nodes, iterate)
 

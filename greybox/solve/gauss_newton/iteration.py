@@ -196,7 +196,13 @@ def _is_within_noise(
     of iterations, for a hundredth of a unit of log-likelihood. A plateau far from the data looks
     the same; but there the residuals are not noise.
     """
-    if not (progress.is_exact and parts.is_continuous(iterate) and parts.explain_data(iterate)):
+    if not (
+        progress.is_exact
+        and parts.is_continuous(iterate)
+        and all(
+            part.explains_data(t) for part, t in zip(parts.parts, iterate.trajectories, strict=True)
+        )
+    ):
         return False
     undamped = _undamped(parts, iterate, step, progress)
     # A step that is not stopped by a bound decreases the cost by its `distance`, and continues to

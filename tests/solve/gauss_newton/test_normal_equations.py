@@ -233,7 +233,7 @@ def test_damping_of_nodes_shortens_a_step_and_is_no_part_of_what_it_promises():
     assert step.distance == pytest.approx(step.dz @ hessian @ step.dz / 2)
     promised = 0.0
     for weight, one, A, g in zip(weights, systems, curvatures, slopes, strict=True):
-        v = np.array([one.nodes_after(np.zeros((1, 1)), step.dz, 1.0)[0, 0], step.dz[0]])
+        v = np.array([one.change_of_nodes(step.dz)[0, 0], step.dz[0]])
         promised -= weight * (g @ v + v @ A @ v / 2)
     assert step.decrease == pytest.approx(promised)
     alone = gauss_newton_step(parts, iterate, [None, None], progress, states_only=True)
