@@ -303,7 +303,7 @@ def assessed_misfit(
     responses, records = [], []
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
         if isinstance(part, ResponsePart):
-            responses.append(_of_response(part, nlp.all_values(x), nlp.free))
+            responses.append(_of_response(part, nlp.all_values(x), nlp.free, nlp.constants))
         elif isinstance(part, RecordPart) and part.model.has_time and not part.model.is_prior:
             records.append((part, trajectory))
 
@@ -637,7 +637,9 @@ def _on_excerpts(
     return excerpt, excerpt.trajectory(trajectory.z, nodes)
 
 
-def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Regression:
+def _of_response(
+    part: ResponsePart, values: Array, free: Sequence[str], constants: Sequence[str]
+) -> _Regression:
     response, criterion, data = part.response(values), part.criterion, part.data
     size = criterion.error_size(response, data)
     if criterion.known_noise and data.dof is not None:
@@ -694,6 +696,8 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
         for k, name in enumerate(free)
         for kind, b, value in orders
     ]
+    by_constant = zip(constants, relative.T[len(free) :], strict=True)
+    own += [Term("fixed", column, a=name) for name, column in by_constant]
     # Where most of a response is left, no size or correlation of its errors excuses the model.
     text = f"a response of {data.output or 'the output'} to {data.input or 'the input'}"
     path = Cause(text, "a path between both, or wider bounds", 1.0, 0.0, 1.0, 0.0, 0.0)
