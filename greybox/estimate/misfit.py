@@ -36,8 +36,8 @@ from greybox.statistics.column_space import DEPENDENT, beside, column_basis, out
 from greybox.statistics.score_test import (
     REMAINS,
     chance,
-    correlated_score,
-    p_value_of_scores,
+    correlated_fits,
+    p_values_of_fits,
     score_tests,
 )
 
@@ -387,29 +387,33 @@ def _of_group(parts: Sequence[_Regression]) -> Misfit:
 
     # Real and imaginary parts follow one another in every response.
     lengths = [n // 2 for part in parts if (n := len(part.residuals)) for _ in "ri"]
-    p_common, score, apart, noise_apart = 1.0, None, (0.0, 0), 0.0
+    p_common, rank_apart, noise_apart = 1.0, 0, 0.0
+    count, p_correlated = len(residuals), p_values
     if ranked and not outputs:
-        score = correlated_score([(residuals, fitted, lengths)])
-    if score is not None and len(parts) > 1:
-        # Other values may be far from the common ones: each part is fitted by itself.
-        blocks = [part.separate() for part in parts if part.separate]
-        apart, noise_apart = correlated_score(blocks), sum(np.sum(rows**2) for rows, *_ in blocks)
-        p_common = p_value_of_scores(score, apart, len(residuals))
+        left_by, scores, rank = correlated_fits([(residuals, fitted, lengths)], best_columns)
+        before = left_by[:, :1]
+        p_correlated = p_values_of_fits(before, left_by, scores, count - rank - 1).tolist()[1:]
+        if len(parts) > 1:
+            # Other values may be far from the common ones: each part is fitted by itself.
+            blocks = [part.separate() for part in parts if part.separate]
+            noise_apart = sum(np.sum(rows**2) for rows, *_ in blocks)
+            *apart, rank_apart = correlated_fits(blocks)
+            if rank_apart > rank:
+                [p_common] = p_values_of_fits(before, *apart, count - rank_apart, rank_apart - rank)
 
     texts = [terms[key].described(test[2], test[3]) for test, key, _ in ranked]
     alike = _alike(beside(white(best_columns), white_fitted), texts)
     causes = []
     for k, ((decrease, _, value, error), key, column) in enumerate(ranked):
-        p_value = p_correlated = p_values[k]
+        # Errors that are correlated may hide a term, or look like one.
+        pair = min(p_values[k], p_correlated[k]), p_correlated[k]
         if terms[key].kind in ("own", "schedule", "trim", "amplitude") and p_common < FALSE_ALARMS:
             # Residuals that other values could explain, too, are not noise.
-            share_apart = noise_apart / (noise_apart + decrease * without / len(residuals))
-            p_value = p_correlated = float(chance(share_apart, len(residuals) - apart[1]))
-        elif score is not None and p_value < FALSE_ALARMS:
-            columns = np.hstack([fitted, column])
-            beside_it = correlated_score([(residuals, columns, lengths)])
-            p_correlated = max(p_value, p_value_of_scores(score, beside_it, len(residuals)))
-        numbers = np.minimum([shares[k], tried * p_value, tried * p_correlated], 1.0).tolist()
+            share_apart = noise_apart / (noise_apart + decrease * without / count)
+            pair = 2 * (float(chance(share_apart, count - rank_apart)),)
+        # Among responses, each family is as likely to be missing, whatever its number of terms.
+        tests = tried.total() if outputs else len(tried) * tried[key[0]]
+        numbers = np.minimum([shares[k], *(tests * p for p in pair)], 1.0).tolist()
         term = terms[key]
         added = (term.b, term.added) if term.added else None
         causes.append(Cause(*texts[k], value, error, *numbers, alike=alike[k], added=added))
@@ -417,17 +421,17 @@ def _of_group(parts: Sequence[_Regression]) -> Misfit:
     # What earlier samples do not predict.
     innovations = [len(residuals) / float(weights[0]) ** 2 for weights in filters]
     squares = float(np.sum(residuals**2)) + TINY
-    tests = [*zip(ranked, causes, strict=True)]
+    tested = [*zip(ranked, causes, strict=True)]
     causes += [cause for part in parts for cause in part.causes]
     return Misfit(
         left,
         noise,
-        tried,
+        tried.total(),
         tuple(causes),
         p_common,
         1 - min(innovations, default=squares) / squares,
         any(part.is_unstable for part in parts),
-        _shape(parts, tests, white, white_residuals, white_fitted),
+        _shape(parts, tested, white, white_residuals, white_fitted),
     )
 
 
@@ -499,12 +503,12 @@ def _ranked(
     white: Callable[[Array], Array],
     residuals: Array,
     fitted: Array,
-) -> tuple[int, list[tuple[list[float], Key, Array]]]:
-    """Return the number of terms, and the best of every family with its test and its column.
+) -> tuple[Counter[Any], list[tuple[list[float], Key, Array]]]:
+    """Return the number of terms by family, and the best of each with its test and its column.
 
     `residuals` (N,) and `fitted` (N, p) are white.
     """
-    best, tried = {}, 0
+    best, tried = {}, Counter[Any]()
     remains = min(part.remains for part in parts)
     size = COLUMNS // max(len(residuals), 1) + 1
     for first in range(0, len(keys), size):
@@ -514,8 +518,8 @@ def _ranked(
         for k, test in enumerate(tests):
             # The probability is NaN where nothing of a term is left.
             if test[1] <= 1:
-                tried += 1
                 family = chosen[k][0]
+                tried[family] += 1
                 if test > best.get(family, [[]])[0]:
                     best[family] = test, chosen[k], columns[:, [k]]
     return tried, sorted(best.values(), key=lambda test: -round(test[0][0], 9))[:FAMILIES]

@@ -25,10 +25,12 @@ FEWEST = 6.0  # numbers beyond those that the parameters take
 
 ROUNDING = 1e-12  # of products of columns
 
-# Correlations of neighbors that are tried, each with equal errors.
-CORRELATIONS = np.tanh(np.linspace(0.0, 2.5, 20))
-# Errors of independent points that are larger or smaller beyond a share of the points.
-RATIOS = (0.1, 0.3, 3.0, 10.0)
+# Correlated errors that are tried, beside white ones: lengths of the correlation in points, of which
+# the longest is an error of all points, and variances over that of the white errors.
+LENGTHS = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 64.0])
+VARIANCES = np.array([0.3, 1.0, 3.0, 10.0, 1e4])[:, None, None]
+# Squares of errors of independent points that are larger or smaller beyond a share of the points.
+RATIOS = np.array([0.1, 0.3, 3.0, 10.0])[:, None] ** 2
 SHARES = np.arange(1, 6) / 6
 # Powers of frequency by which errors fall: none, then those of a gust through up to two lags.
 POWERS = np.array([0, 1, 2, 4, 6])[:, None, None]
@@ -76,53 +78,91 @@ def score_tests(residuals: Array, fitted: Array, terms: Array, remains: float = 
     return np.array([count * share, p_value, value, error])
 
 
-def correlated_score(blocks: Sequence[tuple[Array, Array, Sequence[int]]]) -> tuple[float, int]:
-    """Return -2 log likelihood of residuals, and the rank of what a fit can absorb.
-
-    Errors may be correlated, or larger at some rows.
+def correlated_fits(
+    blocks: Sequence[tuple[Array, Array, Sequence[int]]], *terms: Array
+) -> tuple[Array, Array, int]:
+    """Return what fits leave of residuals, without a term and beside each, for m kinds of errors.
 
     Correlated errors look like a smooth term that is missing, large ones like a local term, and the
-    other way round: a term must explain more than an exponential correlation of neighbors does, or
-    errors that are larger beyond some row. Either is estimated here, the same for all blocks.
+    other way round. So errors may be white, or correlated with white ones beside them, or larger
+    beyond some row, in all blocks alike.
 
     Parameters
     ----------
     blocks : sequence of (residuals, fitted, lengths)
         Rows that have columns of their own: arrays (N, 1) and (N, p) as in `score_tests`, and the
         numbers of rows in which neighbors are correlated.
-    """
-    count, rank, counted, determinants = 0, 0, 0.0, 0.0
-    squares = np.finfo(float).tiny  # parts fitted exactly leave nothing
-    for residuals, fitted, lengths in blocks:
-        numbers, firsts = len(residuals), np.cumsum([0, *lengths[:-1]])
-        values = np.hstack([column_basis(fitted), residuals])
-        # Products of orthonormal columns keep twelve digits where their lengths change tenfold.
-        total, later = values.T @ values, np.delete(np.arange(numbers), firsts)
-        now, before = values[later], values[later - 1]
-        product, cross = now.T @ now, now.T @ before
-        # Less what the neighbor predicts.
-        rho = CORRELATIONS[:, None, None]
-        white = product - rho * (cross + cross.T) + rho**2 * (before.T @ before)
-        white = white / (1 - rho**2) + total - product
-        place = np.concatenate([np.arange(length) / length for length in lengths])
-        is_before = place < SHARES[:, None, None]
-        size = np.where(is_before, 1.0, np.array(RATIOS)[:, None]).reshape(-1, numbers)
-        near = ((is_before * values.T) @ values)[:, None]
-        sized = near + (total - near) / np.array(RATIOS)[:, None, None] ** 2
-        products = np.concatenate([white, sized.reshape(-1, *total.shape)])
-        # A part that is fitted exactly would leave a negative remainder by rounding.
-        products += (ROUNDING * products + np.finfo(float).tiny) * np.eye(len(total))
-        # The last diagonal element is the length of what the columns leave of the residuals.
-        logarithms = _squares_of_lengths(np.linalg.cholesky(products))
-        squares += np.exp(logarithms[:, -1])
-        counted += logarithms[:, :-1].sum(axis=1)
-        count, rank = count + numbers, rank + values.shape[1] - 1
-        correlated = (numbers - len(lengths)) * np.log(1 - CORRELATIONS**2)
-        determinants += np.append(correlated, 2 * np.log(size).sum(axis=1))
+    *terms : (N, c) array
+        What unit terms would add to a single block.
 
-    scores = count * np.log(squares) + determinants
-    # Many columns leave small residuals, which would look equal: their number is counted.
-    return scores[np.argmin(scores + counted - rank * np.log(squares))], rank
+    Returns
+    -------
+    squares, scores : (m, 1 + c) arrays
+        Weighted sums of squares, and -2 log of the restricted likelihoods.
+    rank : int
+        Of what a fit without a term can absorb.
+    """
+    count, rank = 0, 0
+    squares = scores = np.zeros(1)
+    for residuals, fitted, lengths in blocks:
+        basis = column_basis(fitted)
+        values = np.hstack([basis, 0 * residuals, *terms, residuals])
+        waves = np.vstack([*map(_cosines, np.split(values, np.cumsum(lengths[:-1])))])
+        powers = np.hstack([*map(_powers, lengths)])
+        place = np.concatenate([np.arange(length) / length for length in lengths])
+        sizes = np.where(place < SHARES[:, None, None], 1.0, RATIOS).reshape(-1, len(values))
+        products = np.array(
+            [(waves.T / row) @ waves for row in powers]
+            + [(values.T / row) @ values for row in sizes]
+        )
+        # A part that is fitted exactly would leave a negative remainder by rounding.
+        products += (ROUNDING * products + np.finfo(float).tiny) * np.eye(values.shape[1])
+        *taken, last = range(values.shape[1])
+        first = basis.shape[1]
+        fits = np.array([[*taken[:first], term, last] for term in taken[first:]])
+        triangles = np.linalg.cholesky(products[:, fits[:, :, None], fits[:, None]])
+        # The last diagonal element is the length of what the columns leave of the residuals.
+        logarithms = _squares_of_lengths(triangles)
+        squares = squares + np.exp(logarithms[..., -1])
+        determinants = np.log([*powers, *sizes]).sum(axis=1)[:, None]
+        scores = scores + logarithms[..., :-1].sum(axis=2) + determinants
+        count, rank = count + len(values), rank + first
+
+    remaining = count - rank - (np.arange(squares.shape[1]) > 0)
+    return squares, scores + remaining * np.log(squares), rank
+
+
+def p_values_of_fits(
+    before: Array, squares: Array, scores: Array, remaining: int, terms: int = 1
+) -> Array:
+    """Return the probabilities (c,) by chance that fits leave so little of the squares (m, 1).
+
+    Both are those of `correlated_fits`. A probability is the mean over the kinds of errors, each as
+    likely as the residuals beside the terms make it: without a term that is missing, they would
+    always look correlated.
+    """
+    left = np.minimum(squares / before, 1.0)
+    weight = np.exp((scores.min(axis=0) - scores) / 2)
+    return np.average(chance(left, max(remaining, 1), terms), axis=0, weights=weight)
+
+
+def _cosines(values: Array) -> Array:
+    """Return the orthonormal cosine transform of values (n, c)."""
+    n = len(values)
+    turn = np.exp(-0.5j * np.pi * np.arange(n) / n)[:, None] / np.sqrt(2 * n)
+    turn[0] /= np.sqrt(2)
+    return (turn * np.fft.rfft(np.vstack([values, values[::-1]]), axis=0)[:n]).real
+
+
+def _powers(n: int) -> Array:
+    """Return the power of errors at n cosines, white ones first.
+
+    Cosines are the principal components of a random walk, and of one that returns to its mean.
+    """
+    rho = np.exp(-1 / LENGTHS)[:, None]
+    slow = 1 / ((1 - rho) ** 2 / rho + 2 - 2 * np.cos(np.pi * np.arange(n) / n))
+    slow /= slow.mean(axis=1, keepdims=True)
+    return np.vstack([np.ones(n), *(1 + VARIANCES * slow)])
 
 
 def scores_of_powers(residuals: Array, fitted: Array, omega: Array) -> Array:
@@ -144,16 +184,6 @@ def _squares_of_lengths(triangles: Array) -> Array:
     """Return the logarithms of the squares of their diagonals, lengths beside earlier columns."""
     diagonal = np.abs(of_diagonal(triangles))
     return 2 * np.log(np.maximum(diagonal, np.finfo(float).tiny))
-
-
-def p_value_of_scores(without: tuple[float, int], beside: tuple[float, int], count: int) -> float:
-    """Return the probability by chance of two scores of `count` residuals, with their ranks."""
-    (score, taken), (lower, rank) = without, beside
-    if rank == taken:
-        return 1.0
-    # The ratio of likelihoods as a share of squares; correlation or ratio is one more unknown.
-    left = np.exp(-max(score - lower, 0.0) / count)
-    return float(chance(left, max(count - rank - 1, 1), rank - taken))
 
 
 def chance(left: Any, remaining: Any, terms: int = 1) -> Any:
