@@ -22,7 +22,7 @@ from greybox.estimate.missing_terms import (
     terms_of_response,
 )
 from greybox.estimate.repeated_inputs import repeated_residuals
-from greybox.files.arrays import Array, BoolArray, ComplexArray
+from greybox.files.arrays import Array, BoolArray, ComplexArray, real_and_imaginary
 from greybox.files.html_text import Printed
 from greybox.files.text_table import number, percent, some, text_table, with_error
 from greybox.modeling.added_terms import Formula
@@ -41,10 +41,12 @@ from greybox.statistics.score_test import (
     score_tests,
 )
 
-# Largest probability at which a model is called wrong. Of simulated right fits, 0.6 % of 959
-# records and 2 % of 800 responses, whose errors may be correlated along frequency, are below it;
-# below 0.01 would be 2 and 5 %. Above it, but below 0.01, are only 1 and 3 % of wrong models.
+# Largest probability at which a model is called wrong. Of 959 right fits of simulated records,
+# 0.6 % are below it; below 0.01 would be 2 %.
 FALSE_ALARMS = 0.003
+# The same of responses: of 1000 simulated right fits, whose errors were white, correlated along
+# frequency, drifting, or common to all points, 3 % are below it, and of those of white errors none.
+OF_RESPONSES = 0.01
 CONDITIONAL = 0.001  # the same where correlated errors of a response would excuse the model
 POSSIBLE = 0.05  # and where drift alone would
 NAMED = 3  # causes that are printed with a fit
@@ -175,6 +177,8 @@ class Misfit(Printed):
         Whether the model is unstable, so that the inputs of a record answer to its errors.
     shape : Shape or None
         The shape of the best term of records, where it is significant.
+    level : float
+        Probability below which the model does not explain the data.
     """
 
     left: float
@@ -185,6 +189,7 @@ class Misfit(Printed):
     drift: float
     is_unstable: bool
     shape: Shape | None = None
+    level: float = FALSE_ALARMS
 
     @property
     def p_value(self) -> float:
@@ -198,7 +203,7 @@ class Misfit(Printed):
     @property
     def explains(self) -> bool:
         """Whether the residuals look like noise."""
-        return not self.p_value < FALSE_ALARMS
+        return not self.p_value < self.level
 
     @property
     def is_large(self) -> bool:
@@ -209,7 +214,7 @@ class Misfit(Printed):
     def likely(self) -> tuple[Cause, ...]:
         """The causes that are named: up to three, where the model may not explain the data."""
         excused = POSSIBLE if self.is_drifting else CONDITIONAL
-        limit = excused if self.explains else FALSE_ALARMS
+        limit = excused if self.explains else self.level
         return tuple([cause for cause in self.causes if cause.p_value < limit][:NAMED])
 
     @property
@@ -237,7 +242,7 @@ class Misfit(Printed):
             return (
                 f"explains the data: the residuals{size} follow none of {self.tried} missing terms"
             )
-        common = self.p_common < FALSE_ALARMS
+        common = self.p_common < self.level
         return (
             f"does not explain the data: {left} what drove the test ({_chance(self.p_value)}); "
             f"{noise}{'; one set of values does not serve all parts' * common}"
@@ -303,7 +308,7 @@ def assessed_misfit(
     responses, records = [], []
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
         if isinstance(part, ResponsePart):
-            responses.append(_of_response(part, nlp.all_values(x), nlp.free, nlp.constants))
+            responses.append(_of_response(part, nlp.all_values(x), nlp.names, x.size))
         elif isinstance(part, RecordPart) and part.model.has_time and not part.model.is_prior:
             records.append((part, trajectory))
 
@@ -335,6 +340,7 @@ def assessed_misfit(
         causes=tuple(causes),
         p_common=min(group.p_common for group in groups),
         shape=groups[-1].shape,
+        level=groups[-1].level,
     )
 
 
@@ -387,33 +393,24 @@ def _of_group(parts: Sequence[_Regression]) -> Misfit:
 
     # Real and imaginary parts follow one another in every response.
     lengths = [n // 2 for part in parts if (n := len(part.residuals)) for _ in "ri"]
-    p_common, rank_apart, noise_apart = 1.0, 0, 0.0
-    count, p_correlated = len(residuals), p_values
+    p_common, p_correlated = 1.0, p_values
     if ranked and not outputs:
-        left_by, scores, rank = correlated_fits([(residuals, fitted, lengths)], best_columns)
-        before = left_by[:, :1]
-        p_correlated = p_values_of_fits(before, left_by, scores, count - rank - 1).tolist()[1:]
+        fits = correlated_fits([(residuals, fitted, lengths)], best_columns)
+        p_correlated = p_values_of_fits(fits, fits, len(residuals))[1:]
         if len(parts) > 1:
             # Other values may be far from the common ones: each part is fitted by itself.
-            blocks = [part.separate() for part in parts if part.separate]
-            noise_apart = sum(np.sum(rows**2) for rows, *_ in blocks)
-            *apart, rank_apart = correlated_fits(blocks)
-            if rank_apart > rank:
-                [p_common] = p_values_of_fits(before, *apart, count - rank_apart, rank_apart - rank)
+            apart = correlated_fits([part.separate() for part in parts if part.separate])
+            [p_common] = p_values_of_fits(fits, apart, len(residuals))
 
     texts = [terms[key].described(test[2], test[3]) for test, key, _ in ranked]
     alike = _alike(beside(white(best_columns), white_fitted), texts)
     causes = []
-    for k, ((decrease, _, value, error), key, column) in enumerate(ranked):
-        # Errors that are correlated may hide a term, or look like one.
-        pair = min(p_values[k], p_correlated[k]), p_correlated[k]
-        if terms[key].kind in ("own", "schedule", "trim", "amplitude") and p_common < FALSE_ALARMS:
-            # Residuals that other values could explain, too, are not noise.
-            share_apart = noise_apart / (noise_apart + decrease * without / count)
-            pair = 2 * (float(chance(share_apart, count - rank_apart)),)
+    for k, ((_, _, value, error), key, _) in enumerate(ranked):
         # Among responses, each family is as likely to be missing, whatever its number of terms.
         tests = tried.total() if outputs else len(tried) * tried[key[0]]
-        numbers = np.minimum([shares[k], *(tests * p for p in pair)], 1.0).tolist()
+        # Errors that are correlated may hide a term, or look like one.
+        pair = tests * min(p_values[k], p_correlated[k]), tests * p_correlated[k]
+        numbers = np.minimum([shares[k], *pair], 1.0).tolist()
         term = terms[key]
         added = (term.b, term.added) if term.added else None
         causes.append(Cause(*texts[k], value, error, *numbers, alike=alike[k], added=added))
@@ -421,17 +418,16 @@ def _of_group(parts: Sequence[_Regression]) -> Misfit:
     # What earlier samples do not predict.
     innovations = [len(residuals) / float(weights[0]) ** 2 for weights in filters]
     squares = float(np.sum(residuals**2)) + TINY
-    tested = [*zip(ranked, causes, strict=True)]
-    causes += [cause for part in parts for cause in part.causes]
     return Misfit(
         left,
         noise,
         tried.total(),
-        tuple(causes),
+        (*causes, *(cause for part in parts for cause in part.causes)),
         p_common,
         1 - min(innovations, default=squares) / squares,
         any(part.is_unstable for part in parts),
-        _shape(parts, tested, white, white_residuals, white_fitted),
+        _shape(parts, zip(ranked, causes, strict=True), white, white_residuals, white_fitted),
+        FALSE_ALARMS if outputs else OF_RESPONSES,
     )
 
 
@@ -528,7 +524,7 @@ def _ranked(
 def _numbered(terms: Iterable[Term]) -> dict[Key, Term]:
     """Return terms by their family and their number in it, the same in all parts."""
     numbered: dict[Key, Term] = {}
-    counts = Counter[tuple[str, str, str]]()
+    counts = Counter[Any]()
     for term in terms:
         numbered[term.family, counts[term.family]] = term
         counts[term.family] += 1
@@ -641,9 +637,7 @@ def _on_excerpts(
     return excerpt, excerpt.trajectory(trajectory.z, nodes)
 
 
-def _of_response(
-    part: ResponsePart, values: Array, free: Sequence[str], constants: Sequence[str]
-) -> _Regression:
+def _of_response(part: ResponsePart, values: Array, names: Sequence[str], free: int) -> _Regression:
     response, criterion, data = part.response(values), part.criterion, part.data
     size = criterion.error_size(response, data)
     if criterion.known_noise and data.dof is not None:
@@ -653,7 +647,7 @@ def _of_response(
         size = np.sqrt(size**2 + 2 * np.abs(data.response - response) ** 2 / scale)
     used = (size > 0) & (np.abs(response) > 0)
     # A single outlier would look like a narrow mode.
-    worst = largest_deviation(part, values, len(free))
+    worst = largest_deviation(part, values, free)
     if worst and len(used) * worst.probability < SIZE:
         used[worst.index] = False
     order = np.argsort(data.omega, kind="stable")
@@ -662,18 +656,18 @@ def _of_response(
     def rows(columns: ComplexArray) -> Array:
         at = response[order]
         scaled = columns[order] / (at * size[order] / np.abs(at))[:, None]
-        return np.vstack([scaled.real, scaled.imag])
+        return real_and_imaginary(scaled)
 
     def residuals(x: Array) -> Array:
         return rows((data.response - part.response(np.append(x, others)))[:, None])
 
     def slopes(x: Array) -> Array:
-        return rows(part.sensitivity(np.append(x, others))[:, : len(free)])
+        return rows(-part.sensitivity(np.append(x, others))[:, :free])
 
     def separate() -> tuple[Array, Array, tuple[int, int]]:
         from scipy.optimize import least_squares  # noqa: PLC0415  (slow to import)
 
-        jac: Any = lambda x: -slopes(x)  # noqa: E731  (typed as a string)
+        jac: Any = slopes  # typed as a string
         x = least_squares(
             lambda x: residuals(x)[:, 0],
             at_fit,
@@ -684,7 +678,7 @@ def _of_response(
         ).x
         return residuals(x), slopes(x), (order.size, order.size)
 
-    at_fit, others = np.split(values, [len(free)])
+    at_fit, others = np.split(values, [free])
     # Where a response is zero, `used` leaves out what has no relative change.
     relative = part.sensitivity(values) / np.where(response == 0, np.inf, response)[:, None]
     states, sine = getattr(part.problem.model, "states", ()), part.problem.amplitude
@@ -696,12 +690,10 @@ def _of_response(
     if sine is not None:
         orders += [("amplitude", sine.signal, sine.amplitude)]
     own = [
-        Term(kind, relative[:, k] * value, a=name, b=b)
-        for k, name in enumerate(free)
-        for kind, b, value in orders
+        Term(kind, column * value, a=name, b=b)
+        for k, (name, column) in enumerate(zip(names, relative.T, strict=True))
+        for kind, b, value in (orders if k < free else [("fixed", "", 1.0)])
     ]
-    by_constant = zip(constants, relative.T[len(free) :], strict=True)
-    own += [Term("fixed", column, a=name) for name, column in by_constant]
     # Where most of a response is left, no size or correlation of its errors excuses the model.
     text = f"a response of {data.output or 'the output'} to {data.input or 'the input'}"
     path = Cause(text, "a path between both, or wider bounds", 1.0, 0.0, 1.0, 0.0, 0.0)

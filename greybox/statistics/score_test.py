@@ -11,6 +11,7 @@ applications to model specification in econometrics, Review of Economic Studies 
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -24,16 +25,19 @@ REMAINS = 0.01
 FEWEST = 6.0  # numbers beyond those that the parameters take
 
 ROUNDING = 1e-12  # of products of columns
+TINY = 1e-300
 
-# Correlated errors that are tried, beside white ones: lengths of the correlation in points, of which
-# the longest is an error of all points, and variances over that of the white errors.
-LENGTHS = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 64.0])
+# Correlated errors that are tried, with white ones beside them: lengths of the correlation in
+# points, of which the longest is an error of all points, and variances over that of the white ones.
+LENGTHS = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 64.0])[:, None]
 VARIANCES = np.array([0.3, 1.0, 3.0, 10.0, 1e4])[:, None, None]
 # Squares of errors of independent points that are larger or smaller beyond a share of the points.
 RATIOS = np.array([0.1, 0.3, 3.0, 10.0])[:, None] ** 2
-SHARES = np.arange(1, 6) / 6
+SHARES = np.arange(1, 6)[:, None, None] / 6
 # Powers of frequency by which errors fall: none, then those of a gust through up to two lags.
 POWERS = np.array([0, 1, 2, 4, 6])[:, None, None]
+
+Fits = tuple[Array, Array, Array]  # see `correlated_fits`
 
 
 def score_tests(residuals: Array, fitted: Array, terms: Array, remains: float = REMAINS) -> Array:
@@ -58,29 +62,24 @@ def score_tests(residuals: Array, fitted: Array, terms: Array, remains: float = 
         Share of the length of a term that must remain beside the parameters.
     """
     basis = column_basis(fitted)
-    before = np.linalg.norm(terms, axis=0)
-    terms = outside(terms / positive_or_one(before), basis)
+    scale = positive_or_one(np.linalg.norm(terms, axis=0))
+    terms = outside(terms / scale, basis)
     length = np.linalg.norm(terms, axis=0)
-    is_new = (length > remains) & (before > 0)
-    rows = np.where(is_new, terms / np.where(is_new, length, 1.0), 0.0)
+    length[length <= remains] = np.inf
     residuals = outside(residuals, basis)
 
     count = len(residuals)
     remaining = count - basis.shape[1]
     squares = float(residuals @ residuals)
-    along = rows.T @ residuals
-    share = np.minimum(along**2 / max(squares, np.finfo(float).tiny), 1 - 1e-12)
-    tested = is_new & (remaining > FEWEST) & (squares > 0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        error = np.sqrt(squares * (1 - share) / max(remaining, 1)) / (length * before)
-        value = along / (length * before)
+    along = (terms / length).T @ residuals
+    share = np.minimum(along**2 / max(squares, TINY), 1 - 1e-12)
+    tested = (length < np.inf) & (remaining > FEWEST) & (squares > 0)
+    error = np.sqrt(squares * (1 - share) / max(remaining, 1)) / (length * scale)
     p_value = np.where(tested, chance(1 - share, max(remaining - 1, 1)), np.nan)
-    return np.array([count * share, p_value, value, error])
+    return np.array([count * share, p_value, along / (length * scale), error])
 
 
-def correlated_fits(
-    blocks: Sequence[tuple[Array, Array, Sequence[int]]], *terms: Array
-) -> tuple[Array, Array, int]:
+def correlated_fits(blocks: Sequence[tuple[Array, Array, Sequence[int]]], *terms: Array) -> Fits:
     """Return what fits leave of residuals, without a term and beside each, for m kinds of errors.
 
     Correlated errors look like a smooth term that is missing, large ones like a local term, and the
@@ -99,70 +98,68 @@ def correlated_fits(
     -------
     squares, scores : (m, 1 + c) arrays
         Weighted sums of squares, and -2 log of the restricted likelihoods.
-    rank : int
-        Of what a fit without a term can absorb.
+    ranks : (1 + c,) array
+        Of what a fit can absorb.
     """
+    from scipy.fft import dct  # noqa: PLC0415  (imports slowly)
+
     count, rank = 0, 0
-    squares = scores = np.zeros(1)
+    squares = scores = np.zeros((1, 1))
     for residuals, fitted, lengths in blocks:
         basis = column_basis(fitted)
         values = np.hstack([basis, 0 * residuals, *terms, residuals])
-        waves = np.vstack([*map(_cosines, np.split(values, np.cumsum(lengths[:-1])))])
-        powers = np.hstack([*map(_powers, lengths)])
-        place = np.concatenate([np.arange(length) / length for length in lengths])
-        sizes = np.where(place < SHARES[:, None, None], 1.0, RATIOS).reshape(-1, len(values))
+        pieces = np.split(values, np.cumsum(lengths[:-1]))
+        waves = np.vstack([np.asarray(dct(piece, axis=0, norm="ortho")) for piece in pieces])
+        kinds = [np.hstack(rows) for rows in zip(*map(_variances, lengths), strict=True)]
         products = np.array(
-            [(waves.T / row) @ waves for row in powers]
-            + [(values.T / row) @ values for row in sizes]
+            [
+                (columns.T / row) @ columns
+                for columns, rows in zip((waves, values), kinds, strict=True)
+                for row in rows
+            ]
         )
         # A part that is fitted exactly would leave a negative remainder by rounding.
-        products += (ROUNDING * products + np.finfo(float).tiny) * np.eye(values.shape[1])
-        *taken, last = range(values.shape[1])
+        products += (ROUNDING * products + TINY) * np.eye(values.shape[1])
         first = basis.shape[1]
-        fits = np.array([[*taken[:first], term, last] for term in taken[first:]])
-        triangles = np.linalg.cholesky(products[:, fits[:, :, None], fits[:, None]])
-        # The last diagonal element is the length of what the columns leave of the residuals.
-        logarithms = _squares_of_lengths(triangles)
-        squares = squares + np.exp(logarithms[..., -1])
-        determinants = np.log([*powers, *sizes]).sum(axis=1)[:, None]
-        scores = scores + logarithms[..., :-1].sum(axis=2) + determinants
+        triangles = np.linalg.cholesky(products[:, :first, :first])
+        half = np.linalg.solve(triangles, products[:, :first, first:])
+        rest = products[:, first:, first:] - half.swapaxes(1, 2) @ half
+        left = of_diagonal(rest)
+        squares = squares + left[:, -1:] - rest[:, -1, :-1] ** 2 / left[:, :-1]
+        logarithms = _squares_of_lengths(triangles), np.log(np.vstack(kinds))
+        scores = scores + np.log(left[:, :-1]) + np.hstack(logarithms).sum(axis=1, keepdims=True)
         count, rank = count + len(values), rank + first
 
-    remaining = count - rank - (np.arange(squares.shape[1]) > 0)
-    return squares, scores + remaining * np.log(squares), rank
+    ranks = rank + np.minimum(np.arange(squares.shape[1]), 1.0)
+    return squares, scores + (count - ranks) * np.log(squares), ranks
 
 
-def p_values_of_fits(
-    before: Array, squares: Array, scores: Array, remaining: int, terms: int = 1
-) -> Array:
-    """Return the probabilities (c,) by chance that fits leave so little of the squares (m, 1).
+def p_values_of_fits(without: Fits, beside: Fits, count: int) -> list[float]:
+    """Return the probabilities by chance that fits leave so little of `count` residuals.
 
-    Both are those of `correlated_fits`. A probability is the mean over the kinds of errors, each as
-    likely as the residuals beside the terms make it: without a term that is missing, they would
-    always look correlated.
+    A probability is the mean over the kinds of errors, each as likely as the residuals of the
+    larger fit make it: without a term that is missing, they would always look correlated.
     """
-    left = np.minimum(squares / before, 1.0)
+    (before, _, taken), (squares, scores, ranks) = without, beside
+    left = np.minimum(squares / before[:, :1], 1.0)
+    p_values = chance(left, np.maximum(count - ranks, 1), np.maximum(ranks - taken[0], 1))
     weight = np.exp((scores.min(axis=0) - scores) / 2)
-    return np.average(chance(left, max(remaining, 1), terms), axis=0, weights=weight)
+    # Before the data, white errors are as likely as all others.
+    weight[0] *= len(weight) - 1
+    return np.average(p_values, axis=0, weights=weight).tolist()
 
 
-def _cosines(values: Array) -> Array:
-    """Return the orthonormal cosine transform of values (n, c)."""
-    n = len(values)
-    turn = np.exp(-0.5j * np.pi * np.arange(n) / n)[:, None] / np.sqrt(2 * n)
-    turn[0] /= np.sqrt(2)
-    return (turn * np.fft.rfft(np.vstack([values, values[::-1]]), axis=0)[:n]).real
-
-
-def _powers(n: int) -> Array:
-    """Return the power of errors at n cosines, white ones first.
+@lru_cache(4)  # real and imaginary parts, and mostly all parts, have equal numbers of points
+def _variances(n: int) -> tuple[Array, Array]:
+    """Return the variances of n cosines of errors, white ones first, and those of n errors.
 
     Cosines are the principal components of a random walk, and of one that returns to its mean.
     """
-    rho = np.exp(-1 / LENGTHS)[:, None]
-    slow = 1 / ((1 - rho) ** 2 / rho + 2 - 2 * np.cos(np.pi * np.arange(n) / n))
+    rows = np.arange(n) / n
+    slow = 1 / (np.cosh(1 / LENGTHS) - np.cos(np.pi * rows))
     slow /= slow.mean(axis=1, keepdims=True)
-    return np.vstack([np.ones(n), *(1 + VARIANCES * slow)])
+    sizes = np.where(rows < SHARES, 1.0, RATIOS)
+    return np.vstack([np.ones(n), *(1 + VARIANCES * slow)]), np.vstack([*sizes])
 
 
 def scores_of_powers(residuals: Array, fitted: Array, omega: Array) -> Array:
@@ -183,10 +180,10 @@ def scores_of_powers(residuals: Array, fitted: Array, omega: Array) -> Array:
 def _squares_of_lengths(triangles: Array) -> Array:
     """Return the logarithms of the squares of their diagonals, lengths beside earlier columns."""
     diagonal = np.abs(of_diagonal(triangles))
-    return 2 * np.log(np.maximum(diagonal, np.finfo(float).tiny))
+    return 2 * np.log(np.maximum(diagonal, TINY))
 
 
-def chance(left: Any, remaining: Any, terms: int = 1) -> Any:
+def chance(left: Any, remaining: Any, terms: Any = 1) -> Any:
     """Return the probability that terms leave at most such a share of the squares of noise.
 
     `remaining` is the count of numbers that the terms and parameters do not use up.
