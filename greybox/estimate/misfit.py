@@ -75,7 +75,7 @@ KNOTS = 11  # of the shape of a term over a signal
 # Share of the best determined combination of knots below which one counts as not determined: it is
 # what parameters explain, or has too few samples.
 DETERMINED = 0.02
-ENOUGH = 0.3  # change of -2 log likelihood in one of these, far below what is significant
+ENOUGH = 0.15  # change of log likelihood in one of these, far below what is significant
 
 Key = tuple[tuple[str, str, str], int]  # the family of a term, and its number in it
 
@@ -387,20 +387,20 @@ def _of_group(parts: Sequence[_Regression]) -> Misfit:
         # Residuals without noise are whitened by what the misfit is like: slow parts count little.
         alone = score_tests(residuals[:, 0], fitted, best_columns)[0] / len(residuals)
         shares = np.maximum(shares, alone).tolist()
-    p_values = [p_value for (_, p_value, *_), *_ in ranked]
+    p_common = 1.0
+    p_values = p_correlated = [p_value for (_, p_value, *_), *_ in ranked]
     if outputs:
         p_values = autoregressive_p_values(residuals[:, 0], fitted, best_columns, outputs).tolist()
-
-    # Real and imaginary parts follow one another in every response.
-    lengths = [n // 2 for part in parts if (n := len(part.residuals)) for _ in "ri"]
-    p_common, p_correlated = 1.0, p_values
-    if ranked and not outputs:
+        p_correlated = p_values
+    elif ranked:
+        # Real and imaginary parts follow one another in every response.
+        lengths = [n // 2 for part in parts if (n := len(part.residuals)) for _ in "ri"]
         fits = correlated_fits([(residuals, fitted, lengths)], best_columns)
-        p_correlated = p_values_of_fits(fits, fits, len(residuals))[1:]
+        p_correlated = p_values_of_fits(fits, fits)[1:]
         if len(parts) > 1:
             # Other values may be far from the common ones: each part is fitted by itself.
             apart = correlated_fits([part.separate() for part in parts if part.separate])
-            [p_common] = p_values_of_fits(fits, apart, len(residuals))
+            [p_common] = p_values_of_fits(fits, apart)
 
     texts = [terms[key].described(test[2], test[3]) for test, key, _ in ranked]
     alike = _alike(beside(white(best_columns), white_fitted), texts)
@@ -409,8 +409,8 @@ def _of_group(parts: Sequence[_Regression]) -> Misfit:
         # Among responses, each family is as likely to be missing, whatever its number of terms.
         tests = tried.total() if outputs else len(tried) * tried[key[0]]
         # Errors that are correlated may hide a term, or look like one.
-        pair = tests * min(p_values[k], p_correlated[k]), tests * p_correlated[k]
-        numbers = np.minimum([shares[k], *pair], 1.0).tolist()
+        p_alone = tests * min(p_values[k], p_correlated[k])
+        numbers = np.minimum([shares[k], p_alone, tests * p_correlated[k]], 1.0).tolist()
         term = terms[key]
         added = (term.b, term.added) if term.added else None
         causes.append(Cause(*texts[k], value, error, *numbers, alike=alike[k], added=added))
@@ -506,7 +506,7 @@ def _ranked(
     """
     best, tried = {}, Counter[Any]()
     remains = min(part.remains for part in parts)
-    size = COLUMNS // max(len(residuals), 1) + 1
+    size = COLUMNS // (len(residuals) + 1) + 1
     for first in range(0, len(keys), size):
         chosen = keys[first : first + size]
         columns = np.vstack([part.columns(chosen) for part in parts])
@@ -674,7 +674,7 @@ def _of_response(part: ResponsePart, values: Array, names: Sequence[str], free: 
             jac,
             x_scale="jac",
             max_nfev=REFIT,
-            ftol=ENOUGH / max(2 * order.size, 1),
+            ftol=ENOUGH / order.size,
         ).x
         return residuals(x), slopes(x), (order.size, order.size)
 
@@ -695,8 +695,15 @@ def _of_response(part: ResponsePart, values: Array, names: Sequence[str], free: 
         for kind, b, value in (orders if k < free else [("fixed", "", 1.0)])
     ]
     # Where most of a response is left, no size or correlation of its errors excuses the model.
-    text = f"a response of {data.output or 'the output'} to {data.input or 'the input'}"
-    path = Cause(text, "a path between both, or wider bounds", 1.0, 0.0, 1.0, 0.0, 0.0)
+    path = Cause(
+        f"a response of {data.output or 'the output'} to {data.input or 'the input'}",
+        "a path between both, or wider bounds",
+        1.0,
+        0.0,
+        1.0,
+        0.0,
+        0.0,
+    )
     measured, left = rows(data.response[:, None]), residuals(at_fit)
     return _Regression(
         measured,

@@ -75,7 +75,7 @@ def score_tests(residuals: Array, fitted: Array, terms: Array, remains: float = 
     share = np.minimum(along**2 / max(squares, TINY), 1 - 1e-12)
     tested = (length < np.inf) & (remaining > FEWEST) & (squares > 0)
     error = np.sqrt(squares * (1 - share) / max(remaining, 1)) / (length * scale)
-    p_value = np.where(tested, chance(1 - share, max(remaining - 1, 1)), np.nan)
+    p_value = np.where(tested, chance(1 - share, remaining - 1), np.nan)
     return np.array([count * share, p_value, along / (length * scale), error])
 
 
@@ -98,12 +98,12 @@ def correlated_fits(blocks: Sequence[tuple[Array, Array, Sequence[int]]], *terms
     -------
     squares, scores : (m, 1 + c) arrays
         Weighted sums of squares, and -2 log of the restricted likelihoods.
-    ranks : (1 + c,) array
-        Of what a fit can absorb.
+    remaining : (1 + c,) array
+        Numbers that the fits do not use up.
     """
     from scipy.fft import dct  # noqa: PLC0415  (imports slowly)
 
-    count, rank = 0, 0
+    most = 0
     squares = scores = np.zeros((1, 1))
     for residuals, fitted, lengths in blocks:
         basis = column_basis(fitted)
@@ -128,21 +128,21 @@ def correlated_fits(blocks: Sequence[tuple[Array, Array, Sequence[int]]], *terms
         squares = squares + left[:, -1:] - rest[:, -1, :-1] ** 2 / left[:, :-1]
         logarithms = _squares_of_lengths(triangles), np.log(np.vstack(kinds))
         scores = scores + np.log(left[:, :-1]) + np.hstack(logarithms).sum(axis=1, keepdims=True)
-        count, rank = count + len(values), rank + first
+        most += len(values) - first
 
-    ranks = rank + np.minimum(np.arange(squares.shape[1]), 1.0)
-    return squares, scores + (count - ranks) * np.log(squares), ranks
+    remaining = most - np.minimum(np.arange(squares.shape[1]), 1.0)
+    return squares, scores + remaining * np.log(squares), remaining
 
 
-def p_values_of_fits(without: Fits, beside: Fits, count: int) -> list[float]:
-    """Return the probabilities by chance that fits leave so little of `count` residuals.
+def p_values_of_fits(without: Fits, beside: Fits) -> list[float]:
+    """Return the probabilities by chance that larger fits leave so little of the residuals.
 
-    A probability is the mean over the kinds of errors, each as likely as the residuals of the
-    larger fit make it: without a term that is missing, they would always look correlated.
+    A probability is the mean over the kinds of errors, each as likely as what the larger fit
+    leaves makes it: without a term that is missing, they would always look correlated.
     """
-    (before, _, taken), (squares, scores, ranks) = without, beside
+    (before, _, most), (squares, scores, remaining) = without, beside
     left = np.minimum(squares / before[:, :1], 1.0)
-    p_values = chance(left, np.maximum(count - ranks, 1), np.maximum(ranks - taken[0], 1))
+    p_values = chance(left, remaining, np.maximum(most[0] - remaining, 1))
     weight = np.exp((scores.min(axis=0) - scores) / 2)
     # Before the data, white errors are as likely as all others.
     weight[0] *= len(weight) - 1
@@ -191,4 +191,4 @@ def chance(left: Any, remaining: Any, terms: Any = 1) -> Any:
     from scipy.special import betainc  # noqa: PLC0415  (takes a tenth of a second to import)
 
     # 1 - I_x(a, b) = I_(1 - x)(b, a), which keeps its digits where it is small.
-    return betainc(remaining / 2, terms / 2, left)
+    return betainc(np.maximum(remaining, 1) / 2, terms / 2, left)
