@@ -44,8 +44,8 @@ from greybox.statistics.score_test import (
 # Largest probability at which a model is called wrong. Of 959 right fits of simulated records,
 # 0.6 % are below it; below 0.01 would be 2 %.
 FALSE_ALARMS = 0.003
-# The same of responses: of 1000 simulated right fits, whose errors were white, correlated along
-# frequency, drifting, or common to all points, 3 % are below it, and of those of white errors none.
+# The same of responses: of 2000 simulated right fits, whose errors are white, correlated along
+# frequency, drifting, or common to all points, 1.9 % are below it, and of those in white ones none.
 OF_RESPONSES = 0.01
 CONDITIONAL = 0.001  # the same where correlated errors of a response would excuse the model
 POSSIBLE = 0.05  # and where drift alone would
@@ -96,7 +96,7 @@ class Cause:
         counts if that is larger.
     p_value : float
         Probability of such a share if the model explains the data, times the number of terms that
-        were tried for records, or for responses.
+        were tried for records; for responses that of terms of its kind, times the number of kinds.
     p_correlated : float
         The same if errors of neighboring points of a response may be correlated.
     alike : tuple of str
