@@ -22,7 +22,7 @@ from greybox.estimate.missing_terms import (
     terms_of_response,
 )
 from greybox.estimate.repeated_inputs import repeated_residuals
-from greybox.files.arrays import Array, BoolArray, ComplexArray
+from greybox.files.arrays import Array, BoolArray, ComplexArray, real_and_imaginary
 from greybox.files.html_text import Printed
 from greybox.files.text_table import number, percent, some, text_table, with_error
 from greybox.modeling.added_terms import Formula
@@ -36,15 +36,17 @@ from greybox.statistics.column_space import DEPENDENT, beside, column_basis, out
 from greybox.statistics.score_test import (
     REMAINS,
     chance,
-    correlated_score,
-    p_value_of_scores,
+    correlated_fits,
+    p_values_of_fits,
     score_tests,
 )
 
-# Largest probability at which a model is called wrong. Of simulated right fits, 0.6 % of 959
-# records and 2 % of 800 responses, whose errors may be correlated along frequency, are below it;
-# below 0.01 would be 2 and 5 %. Above it, but below 0.01, are only 1 and 3 % of wrong models.
+# Largest probability at which a model is called wrong. Of 959 right fits of simulated records,
+# 0.6 % are below it; below 0.01 would be 2 %.
 FALSE_ALARMS = 0.003
+# The same of responses: of 2000 simulated right fits, whose errors are white, correlated along
+# frequency, drifting, or common to all points, 1.9 % are below it, and of those in white ones none.
+OF_RESPONSES = 0.01
 CONDITIONAL = 0.001  # the same where correlated errors of a response would excuse the model
 POSSIBLE = 0.05  # and where drift alone would
 NAMED = 3  # causes that are printed with a fit
@@ -73,7 +75,7 @@ KNOTS = 11  # of the shape of a term over a signal
 # Share of the best determined combination of knots below which one counts as not determined: it is
 # what parameters explain, or has too few samples.
 DETERMINED = 0.02
-ENOUGH = 0.3  # change of -2 log likelihood in one of these, far below what is significant
+ENOUGH = 0.15  # change of log likelihood in one of these, far below what is significant
 
 Key = tuple[tuple[str, str, str], int]  # the family of a term, and its number in it
 
@@ -94,7 +96,7 @@ class Cause:
         counts if that is larger.
     p_value : float
         Probability of such a share if the model explains the data, times the number of terms that
-        were tried for records, or for responses.
+        were tried for records; for responses that of terms of its kind, times the number of kinds.
     p_correlated : float
         The same if errors of neighboring points of a response may be correlated.
     alike : tuple of str
@@ -175,6 +177,8 @@ class Misfit(Printed):
         Whether the model is unstable, so that the inputs of a record answer to its errors.
     shape : Shape or None
         The shape of the best term of records, where it is significant.
+    level : float
+        Probability below which the model does not explain the data.
     """
 
     left: float
@@ -185,6 +189,7 @@ class Misfit(Printed):
     drift: float
     is_unstable: bool
     shape: Shape | None = None
+    level: float = FALSE_ALARMS
 
     @property
     def p_value(self) -> float:
@@ -198,7 +203,7 @@ class Misfit(Printed):
     @property
     def explains(self) -> bool:
         """Whether the residuals look like noise."""
-        return not self.p_value < FALSE_ALARMS
+        return not self.p_value < self.level
 
     @property
     def is_large(self) -> bool:
@@ -209,7 +214,7 @@ class Misfit(Printed):
     def likely(self) -> tuple[Cause, ...]:
         """The causes that are named: up to three, where the model may not explain the data."""
         excused = POSSIBLE if self.is_drifting else CONDITIONAL
-        limit = excused if self.explains else FALSE_ALARMS
+        limit = excused if self.explains else self.level
         return tuple([cause for cause in self.causes if cause.p_value < limit][:NAMED])
 
     @property
@@ -237,7 +242,7 @@ class Misfit(Printed):
             return (
                 f"explains the data: the residuals{size} follow none of {self.tried} missing terms"
             )
-        common = self.p_common < FALSE_ALARMS
+        common = self.p_common < self.level
         return (
             f"does not explain the data: {left} what drove the test ({_chance(self.p_value)}); "
             f"{noise}{'; one set of values does not serve all parts' * common}"
@@ -303,7 +308,7 @@ def assessed_misfit(
     responses, records = [], []
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
         if isinstance(part, ResponsePart):
-            responses.append(_of_response(part, nlp.all_values(x), nlp.free))
+            responses.append(_of_response(part, nlp.all_values(x), nlp.names, x.size))
         elif isinstance(part, RecordPart) and part.model.has_time and not part.model.is_prior:
             records.append((part, trajectory))
 
@@ -338,6 +343,7 @@ def assessed_misfit(
         causes=tuple(causes),
         p_common=min(group.p_common for group in groups),
         shape=groups[-1].shape,
+        level=groups[-1].level,
     )
 
 
@@ -380,37 +386,30 @@ def _of_group(parts: Sequence[_Regression]) -> Misfit:
         # Residuals without noise are whitened by what the misfit is like: slow parts count little.
         alone = score_tests(residuals[:, 0], fitted, best_columns)[0] / len(residuals)
         shares = np.maximum(shares, alone).tolist()
-    p_values = (
-        autoregressive_p_values(residuals[:, 0], fitted, best_columns, outputs).tolist()
-        if outputs
-        else [test[1] for test, *_ in ranked]
-    )
-
-    # Real and imaginary parts follow one another in every response.
-    lengths = [n // 2 for part in parts if (n := len(part.residuals)) for _ in "ri"]
-    p_common, score, apart, noise_apart = 1.0, None, (0.0, 0), 0.0
-    if ranked and not outputs:
-        score = correlated_score([(residuals, fitted, lengths)])
-    if score is not None and len(parts) > 1:
-        # Other values may be far from the common ones: each part is fitted by itself.
-        blocks = [part.separate() for part in parts if part.separate]
-        apart, noise_apart = correlated_score(blocks), sum(np.sum(rows**2) for rows, *_ in blocks)
-        p_common = p_value_of_scores(score, apart, len(residuals))
+    p_common = 1.0
+    p_values = p_correlated = [p_value for (_, p_value, *_), *_ in ranked]
+    if outputs:
+        p_values = autoregressive_p_values(residuals[:, 0], fitted, best_columns, outputs).tolist()
+        p_correlated = p_values
+    elif ranked:
+        # Real and imaginary parts follow one another in every response.
+        lengths = [n // 2 for part in parts if (n := len(part.residuals)) for _ in "ri"]
+        fits = correlated_fits([(residuals, fitted, lengths)], best_columns)
+        p_correlated = p_values_of_fits(fits, fits)[1:]
+        if len(parts) > 1:
+            # Other values may be far from the common ones: each part is fitted by itself.
+            apart = correlated_fits([part.separate() for part in parts if part.separate])
+            [p_common] = p_values_of_fits(fits, apart)
 
     texts = [terms[key].described(test[2], test[3]) for test, key, _ in ranked]
     alike = _alike(beside(white_best, white_fitted), texts)
     causes = []
-    for k, ((decrease, _, value, error), key, column) in enumerate(ranked):
-        p_value = p_correlated = p_values[k]
-        if terms[key].kind in ("own", "schedule", "trim", "amplitude") and p_common < FALSE_ALARMS:
-            # Residuals that other values could explain, too, are not noise.
-            share_apart = noise_apart / (noise_apart + decrease * without / len(residuals))
-            p_value = p_correlated = float(chance(share_apart, len(residuals) - apart[1]))
-        elif score is not None and p_value < FALSE_ALARMS:
-            columns = np.hstack([fitted, column])
-            beside_it = correlated_score([(residuals, columns, lengths)])
-            p_correlated = max(p_value, p_value_of_scores(score, beside_it, len(residuals)))
-        numbers = np.minimum([shares[k], tried * p_value, tried * p_correlated], 1.0).tolist()
+    for k, ((_, _, value, error), key, _) in enumerate(ranked):
+        # Among responses, each family is as likely to be missing, whatever its number of terms.
+        tests = tried.total() if outputs else len(tried) * tried[key[0]]
+        # Errors that are correlated may hide a term, or look like one.
+        p_alone = tests * min(p_values[k], p_correlated[k])
+        numbers = np.minimum([shares[k], p_alone, tests * p_correlated[k]], 1.0).tolist()
         term = terms[key]
         added = (term.b, term.added) if term.added else None
         causes.append(Cause(*texts[k], value, error, *numbers, alike=alike[k], added=added))
@@ -418,17 +417,16 @@ def _of_group(parts: Sequence[_Regression]) -> Misfit:
     # What earlier samples do not predict.
     innovations = [len(residuals) / float(weights[0]) ** 2 for weights in filters]
     squares = float(np.sum(residuals**2)) + TINY
-    tests = [*zip(ranked, causes, strict=True)]
-    causes += [cause for part in parts for cause in part.causes]
     return Misfit(
         left,
         noise,
-        tried,
-        tuple(causes),
+        tried.total(),
+        (*causes, *(cause for part in parts for cause in part.causes)),
         p_common,
         1 - min(innovations, default=squares) / squares,
         any(part.is_unstable for part in parts),
-        _shape(parts, tests, white, white_residuals, white_fitted),
+        _shape(parts, zip(ranked, causes, strict=True), white, white_residuals, white_fitted),
+        FALSE_ALARMS if outputs else OF_RESPONSES,
     )
 
 
@@ -500,14 +498,14 @@ def _ranked(
     white: Callable[[Array], Array],
     residuals: Array,
     fitted: Array,
-) -> tuple[int, list[tuple[list[float], Key, Array]]]:
-    """Return the number of terms, and the best of every family with its test and its column.
+) -> tuple[Counter[Any], list[tuple[list[float], Key, Array]]]:
+    """Return the number of terms by family, and the best of each with its test and its column.
 
     `residuals` (N,) and `fitted` (N, p) are white.
     """
-    best, tried = {}, 0
+    best, tried = {}, Counter[Any]()
     remains = min(part.remains for part in parts)
-    size = COLUMNS // max(len(residuals), 1) + 1
+    size = COLUMNS // (len(residuals) + 1) + 1
     for first in range(0, len(keys), size):
         chosen = keys[first : first + size]
         columns = np.vstack([part.columns(chosen) for part in parts])
@@ -515,8 +513,8 @@ def _ranked(
         for k, test in enumerate(tests):
             # The probability is NaN where nothing of a term is left.
             if test[1] <= 1:
-                tried += 1
                 family = chosen[k][0]
+                tried[family] += 1
                 if test > best.get(family, [[]])[0]:
                     best[family] = test, chosen[k], columns[:, [k]]
     return tried, sorted(best.values(), key=lambda test: -round(test[0][0], 9))[:FAMILIES]
@@ -525,7 +523,7 @@ def _ranked(
 def _numbered(terms: Iterable[Term]) -> dict[Key, Term]:
     """Return terms by their family and their number in it, the same in all parts."""
     numbered: dict[Key, Term] = {}
-    counts = Counter[tuple[str, str, str]]()
+    counts = Counter[Any]()
     for term in terms:
         numbered[term.family, counts[term.family]] = term
         counts[term.family] += 1
@@ -642,7 +640,7 @@ def _on_excerpts(
     return excerpt, excerpt.trajectory(trajectory.z, nodes)
 
 
-def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Regression:
+def _of_response(part: ResponsePart, values: Array, names: Sequence[str], free: int) -> _Regression:
     response, criterion, data = part.response(values), part.criterion, part.data
     size = criterion.error_size(response, data)
     if criterion.known_noise and data.dof is not None:
@@ -652,7 +650,7 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
         size = np.sqrt(size**2 + 2 * np.abs(data.response - response) ** 2 / scale)
     used = (size > 0) & (np.abs(response) > 0)
     # A single outlier would look like a narrow mode.
-    worst = largest_deviation(part, values, len(free))
+    worst = largest_deviation(part, values, free)
     if worst and len(used) * worst.probability < SIZE:
         used[worst.index] = False
     order = np.argsort(data.omega, kind="stable")
@@ -661,29 +659,29 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
     def rows(columns: ComplexArray) -> Array:
         at = response[order]
         scaled = columns[order] / (at * size[order] / np.abs(at))[:, None]
-        return np.vstack([scaled.real, scaled.imag])
+        return real_and_imaginary(scaled)
 
     def residuals(x: Array) -> Array:
         return rows((data.response - part.response(np.append(x, others)))[:, None])
 
     def slopes(x: Array) -> Array:
-        return rows(part.sensitivity(np.append(x, others))[:, : len(free)])
+        return rows(-part.sensitivity(np.append(x, others))[:, :free])
 
     def separate() -> tuple[Array, Array, tuple[int, int]]:
         from scipy.optimize import least_squares  # noqa: PLC0415  (slow to import)
 
-        jac: Any = lambda x: -slopes(x)  # noqa: E731  (typed as a string)
+        jac: Any = slopes  # typed as a string
         x = least_squares(
             lambda x: residuals(x)[:, 0],
             at_fit,
             jac,
             x_scale="jac",
             max_nfev=REFIT,
-            ftol=ENOUGH / max(2 * order.size, 1),
+            ftol=ENOUGH / order.size,
         ).x
         return residuals(x), slopes(x), (order.size, order.size)
 
-    at_fit, others = np.split(values, [len(free)])
+    at_fit, others = np.split(values, [free])
     # Where a response is zero, `used` leaves out what has no relative change.
     relative = part.sensitivity(values) / np.where(response == 0, np.inf, response)[:, None]
     states, sine = getattr(part.problem.model, "states", ()), part.problem.amplitude
@@ -695,9 +693,9 @@ def _of_response(part: ResponsePart, values: Array, free: Sequence[str]) -> _Reg
     if sine is not None:
         orders += [("amplitude", sine.signal, sine.amplitude)]
     own = [
-        Term(kind, relative[:, k] * value, a=name, b=b)
-        for k, name in enumerate(free)
-        for kind, b, value in orders
+        Term(kind, column * value, a=name, b=b)
+        for k, (name, column) in enumerate(zip(names, relative.T, strict=True))
+        for kind, b, value in (orders if k < free else [("fixed", "", 1.0)])
     ]
     # Where most of a response is left, no size or correlation of its errors excuses the model.
     path = Cause(

@@ -521,22 +521,17 @@ def _filtered(piece: Array, step: float, b: Any, a: Any) -> Array:
 @lru_cache(4)  # responses of a study mostly have the same frequencies
 def terms_of_response(*omega: float) -> tuple[Term, ...]:
     """Return the terms that the model of a response at these frequencies may lack."""
-    return tuple(_terms_of_response(np.array(omega)))
-
-
-def _terms_of_response(omega: Array) -> Iterator[Term]:
-    s, low, high = 1j * omega, float(omega.min()), float(omega.max())
-    yield Term("zero", s / high)
+    at, low, high = np.array(omega), min(omega), max(omega)
+    s = 1j * at
+    terms = [Term("zero", s / high)]
     for T in np.array([0.5, 1.0, 2.0]) / high:
-        yield Term("delay", np.exp(-s * T) - 1, scale=T)
         # A delay in the model absorbs the phase of a zero.
-        yield Term("zero", np.abs(1 + s * T) - 1)
+        terms += Term("delay", np.exp(-s * T) - 1, scale=T), Term("zero", np.abs(1 + s * T) - 1)
     for a in np.geomspace(low / 2, 2 * high, 9):
-        yield Term("pole", 1 / (1 + s / a) - 1, level=a)
-    modes = np.geomspace(low, high, 16)[:, None]
-    for [w], below in zip(modes, s**2 + 2 * DAMPING * modes * s + modes**2, strict=True):
-        for top in (w**2, s * w):
-            yield Term("mode", top / below, level=w)
-    edges = np.sqrt(omega[1:] * omega[:-1])
-    for edge in edges[:: max(len(edges) // EDGES, 1)]:
-        yield Term("step", 1.0 * (omega > edge), level=edge)
+        terms.append(Term("pole", 1 / (1 + s / a) - 1, level=a))
+    for w in np.geomspace(low, high, 16):
+        below = s**2 + 2 * DAMPING * w * s + w**2
+        terms += [Term("mode", top / below, level=w) for top in (w**2, s * w)]
+    edges = np.sqrt(at[1:] * at[:-1])
+    steps = edges[:: max(len(edges) // EDGES, 1)]
+    return *terms, *(Term("step", 1.0 * (at > edge), level=edge) for edge in steps)

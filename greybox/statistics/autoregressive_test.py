@@ -101,7 +101,7 @@ def autoregressive_p_values(
         # A probability near one depends on the root of the decrease, which may be all rounding.
         decrease = np.maximum(scores[-1] - scores[:-1] - UNCHANGED, 0.0)
         remaining = sum(counts) - first - sum(w.shape[1] for w in filters)
-        p_values.append(chance(np.exp(-decrease / sum(counts)), max(remaining, 1)))
+        p_values.append(chance(np.exp(-decrease / sum(counts)), remaining))
     return np.max(p_values, axis=0)
 
 

@@ -2,8 +2,9 @@
 
 The residuals are regressed on what each term would add to the model, after both have lost what the
 fitted parameters can take. All are whitened before, so that colored noise is not called misfit.
-The share of the residuals that a term takes has a beta distribution if they are noise. For records
-these tests rank the terms; `autoregressive_test` has their probabilities.
+The share of the residuals that a term takes has a beta distribution if they are noise. These tests
+rank the terms. For records `autoregressive_test` has their probabilities; for responses these are
+means over the kinds of errors that there may be.
 
 Sources: Rao (1948), Large sample tests of statistical hypotheses, Mathematical Proceedings of the
 Cambridge Philosophical Society 44; Breusch and Pagan (1980), The Lagrange multiplier test and its
@@ -11,6 +12,7 @@ applications to model specification in econometrics, Review of Economic Studies 
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -24,14 +26,19 @@ REMAINS = 0.01
 FEWEST = 6.0  # numbers beyond those that the parameters take
 
 ROUNDING = 1e-12  # of products of columns
+TINY = 1e-300
 
-# Correlations of neighbors that are tried, each with equal errors.
-CORRELATIONS = np.tanh(np.linspace(0.0, 2.5, 20))
-# Errors of independent points that are larger or smaller beyond a share of the points.
-RATIOS = (0.1, 0.3, 3.0, 10.0)
-SHARES = np.arange(1, 6) / 6
+# Correlated errors that are tried, with white ones beside them: lengths of the correlation in
+# points, of which the longest is an error of all points, and variances over that of the white ones.
+LENGTHS = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 64.0])[:, None]
+VARIANCES = np.array([0.3, 1.0, 3.0, 10.0, 1e4])[:, None, None]
+# Squares of errors of independent points that are larger or smaller beyond a share of the points.
+RATIOS = np.array([0.1, 0.3, 3.0, 10.0])[:, None] ** 2
+SHARES = np.arange(1, 6)[:, None, None] / 6
 # Powers of frequency by which errors fall: none, then those of a gust through up to two lags.
 POWERS = np.array([0, 1, 2, 4, 6])[:, None, None]
+
+Fits = tuple[Array, Array, Array]  # see `correlated_fits`
 
 
 def score_tests(residuals: Array, fitted: Array, terms: Array, remains: float = REMAINS) -> Array:
@@ -59,68 +66,100 @@ def score_tests(residuals: Array, fitted: Array, terms: Array, remains: float = 
     residuals = outside(residuals, basis)
     before, terms = np.linalg.norm(terms, axis=0), outside(terms, basis)
     length = np.linalg.norm(terms, axis=0)
-    is_new = length > remains * before
-    length[~is_new] = 1.0
+    length[length <= remains * before] = np.inf
 
     count = len(residuals)
     remaining = count - basis.shape[1]
     squares = float(residuals @ residuals)
-    along = np.where(is_new, residuals @ terms / length, 0.0)
-    share = np.minimum(along**2 / max(squares, np.finfo(float).tiny), 1 - 1e-12)
-    tested = is_new & (remaining > FEWEST) & (squares > 0)
+    along = residuals @ terms / length
+    share = np.minimum(along**2 / max(squares, TINY), 1 - 1e-12)
+    tested = (length < np.inf) & (remaining > FEWEST) & (squares > 0)
     error = np.sqrt(squares * (1 - share) / max(remaining, 1)) / length
-    value = along / length
-    p_value = np.where(tested, chance(1 - share, max(remaining - 1, 1)), np.nan)
-    return np.array([count * share, p_value, value, error])
+    p_value = np.where(tested, chance(1 - share, remaining - 1), np.nan)
+    return np.array([count * share, p_value, along / length, error])
 
 
-def correlated_score(blocks: Sequence[tuple[Array, Array, Sequence[int]]]) -> tuple[float, int]:
-    """Return -2 log likelihood of residuals, and the rank of what a fit can absorb.
-
-    Errors may be correlated, or larger at some rows.
+def correlated_fits(blocks: Sequence[tuple[Array, Array, Sequence[int]]], *terms: Array) -> Fits:
+    """Return what fits leave of residuals, without a term and beside each, for m kinds of errors.
 
     Correlated errors look like a smooth term that is missing, large ones like a local term, and the
-    other way round: a term must explain more than an exponential correlation of neighbors does, or
-    errors that are larger beyond some row. Either is estimated here, the same for all blocks.
+    other way round. So errors may be white, or correlated with white ones beside them, or larger
+    beyond some row, in all blocks alike.
 
     Parameters
     ----------
     blocks : sequence of (residuals, fitted, lengths)
         Rows that have columns of their own: arrays (N, 1) and (N, p) as in `score_tests`, and the
         numbers of rows in which neighbors are correlated.
-    """
-    count, rank, counted, determinants = 0, 0, 0.0, 0.0
-    squares = np.finfo(float).tiny  # parts fitted exactly leave nothing
-    for residuals, fitted, lengths in blocks:
-        numbers, firsts = len(residuals), np.cumsum([0, *lengths[:-1]])
-        values = np.hstack([column_basis(fitted), residuals])
-        # Products of orthonormal columns keep twelve digits where their lengths change tenfold.
-        total, later = values.T @ values, np.delete(np.arange(numbers), firsts)
-        now, before = values[later], values[later - 1]
-        product, cross = now.T @ now, now.T @ before
-        # Less what the neighbor predicts.
-        rho = CORRELATIONS[:, None, None]
-        white = product - rho * (cross + cross.T) + rho**2 * (before.T @ before)
-        white = white / (1 - rho**2) + total - product
-        place = np.concatenate([np.arange(length) / length for length in lengths])
-        is_before = place < SHARES[:, None, None]
-        size = np.where(is_before, 1.0, np.array(RATIOS)[:, None]).reshape(-1, numbers)
-        near = ((is_before * values.T) @ values)[:, None]
-        sized = near + (total - near) / np.array(RATIOS)[:, None, None] ** 2
-        products = np.concatenate([white, sized.reshape(-1, *total.shape)])
-        # A part that is fitted exactly would leave a negative remainder by rounding.
-        products += (ROUNDING * products + np.finfo(float).tiny) * np.eye(len(total))
-        # The last diagonal element is the length of what the columns leave of the residuals.
-        logarithms = _squares_of_lengths(np.linalg.cholesky(products))
-        squares += np.exp(logarithms[:, -1])
-        counted += logarithms[:, :-1].sum(axis=1)
-        count, rank = count + numbers, rank + values.shape[1] - 1
-        correlated = (numbers - len(lengths)) * np.log(1 - CORRELATIONS**2)
-        determinants += np.append(correlated, 2 * np.log(size).sum(axis=1))
+    *terms : (N, c) array
+        What unit terms would add to a single block.
 
-    scores = count * np.log(squares) + determinants
-    # Many columns leave small residuals, which would look equal: their number is counted.
-    return scores[np.argmin(scores + counted - rank * np.log(squares))], rank
+    Returns
+    -------
+    squares, scores : (m, 1 + c) arrays
+        Weighted sums of squares, and -2 log of the restricted likelihoods.
+    remaining : (1 + c,) array
+        Numbers that the fits do not use up.
+    """
+    from scipy.fft import dct  # noqa: PLC0415  (imports slowly)
+
+    most = 0
+    squares = scores = np.zeros((1, 1))
+    for residuals, fitted, lengths in blocks:
+        basis = column_basis(fitted)
+        values = np.hstack([basis, 0 * residuals, *terms, residuals])
+        pieces = np.split(values, np.cumsum(lengths[:-1]))
+        waves = np.vstack([np.asarray(dct(piece, axis=0, norm="ortho")) for piece in pieces])
+        kinds = [np.hstack(rows) for rows in zip(*map(_variances, lengths), strict=True)]
+        products = np.array(
+            [
+                (columns.T / row) @ columns
+                for columns, rows in zip((waves, values), kinds, strict=True)
+                for row in rows
+            ]
+        )
+        # A part that is fitted exactly would leave a negative remainder by rounding.
+        products += (ROUNDING * products + TINY) * np.eye(values.shape[1])
+        first = basis.shape[1]
+        triangles = np.linalg.cholesky(products[:, :first, :first])
+        half = np.linalg.solve(triangles, products[:, :first, first:])
+        rest = products[:, first:, first:] - half.swapaxes(1, 2) @ half
+        left = of_diagonal(rest)
+        squares = squares + left[:, -1:] - rest[:, -1, :-1] ** 2 / left[:, :-1]
+        logarithms = _squares_of_lengths(triangles), np.log(np.vstack(kinds))
+        scores = scores + np.log(left[:, :-1]) + np.hstack(logarithms).sum(axis=1, keepdims=True)
+        most += len(values) - first
+
+    remaining = most - np.minimum(np.arange(squares.shape[1]), 1.0)
+    return squares, scores + remaining * np.log(squares), remaining
+
+
+def p_values_of_fits(without: Fits, beside: Fits) -> list[float]:
+    """Return the probabilities by chance that larger fits leave so little of the residuals.
+
+    A probability is the mean over the kinds of errors, each as likely as what the larger fit
+    leaves makes it: without a term that is missing, they would always look correlated.
+    """
+    (before, _, most), (squares, scores, remaining) = without, beside
+    left = np.minimum(squares / before[:, :1], 1.0)
+    p_values = chance(left, remaining, np.maximum(most[0] - remaining, 1))
+    weight = np.exp((scores.min(axis=0) - scores) / 2)
+    # Before the data, white errors are as likely as all others.
+    weight[0] *= len(weight) - 1
+    return np.average(p_values, axis=0, weights=weight).tolist()
+
+
+@lru_cache(4)  # real and imaginary parts, and mostly all parts, have equal numbers of points
+def _variances(n: int) -> tuple[Array, Array]:
+    """Return the variances of n cosines of errors, white ones first, and those of n errors.
+
+    Cosines are the principal components of a random walk, and of one that returns to its mean.
+    """
+    rows = np.arange(n) / n
+    slow = 1 / (np.cosh(1 / LENGTHS) - np.cos(np.pi * rows))
+    slow /= slow.mean(axis=1, keepdims=True)
+    sizes = np.where(rows < SHARES, 1.0, RATIOS)
+    return np.vstack([np.ones(n), *(1 + VARIANCES * slow)]), np.vstack([*sizes])
 
 
 def scores_of_powers(residuals: Array, fitted: Array, omega: Array) -> Array:
@@ -141,20 +180,10 @@ def scores_of_powers(residuals: Array, fitted: Array, omega: Array) -> Array:
 def _squares_of_lengths(triangles: Array) -> Array:
     """Return the logarithms of the squares of their diagonals, lengths beside earlier columns."""
     diagonal = np.abs(of_diagonal(triangles))
-    return 2 * np.log(np.maximum(diagonal, np.finfo(float).tiny))
+    return 2 * np.log(np.maximum(diagonal, TINY))
 
 
-def p_value_of_scores(without: tuple[float, int], beside: tuple[float, int], count: int) -> float:
-    """Return the probability by chance of two scores of `count` residuals, with their ranks."""
-    (score, taken), (lower, rank) = without, beside
-    if rank == taken:
-        return 1.0
-    # The ratio of likelihoods as a share of squares; correlation or ratio is one more unknown.
-    left = np.exp(-max(score - lower, 0.0) / count)
-    return float(chance(left, max(count - rank - 1, 1), rank - taken))
-
-
-def chance(left: Any, remaining: Any, terms: int = 1) -> Any:
+def chance(left: Any, remaining: Any, terms: Any = 1) -> Any:
     """Return the probability that terms leave at most such a share of the squares of noise.
 
     `remaining` is the count of numbers that the terms and parameters do not use up.
@@ -162,4 +191,4 @@ def chance(left: Any, remaining: Any, terms: int = 1) -> Any:
     from scipy.special import betainc  # noqa: PLC0415  (takes a tenth of a second to import)
 
     # 1 - I_x(a, b) = I_(1 - x)(b, a), which keeps its digits where it is small.
-    return betainc(remaining / 2, terms / 2, left)
+    return betainc(np.maximum(remaining, 1) / 2, terms / 2, left)

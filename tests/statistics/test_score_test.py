@@ -1,23 +1,61 @@
-"""Scores of parts with columns of their own, against all columns in one block-diagonal matrix."""
+"""Fits beside errors of several kinds, against weighted least squares and simulated errors."""
 
 import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from greybox.statistics.score_test import correlated_score
+from greybox.statistics.score_test import correlated_fits, p_values_of_fits
+
+
+def blocks():
+    """Yield the residuals, the columns, and the numbers of neighboring rows of three parts."""
+    random = np.random.default_rng(0)
+    for rows, columns in ((20, 3), (30, 5), (16, 2)):
+        residuals = np.cumsum(random.normal(size=(2 * rows, 1)), axis=0)
+        yield residuals, random.normal(size=(2 * rows, columns)), (rows, rows)
 
 
 def test_parts_with_columns_of_their_own_are_one_block_diagonal_matrix():
-    random = np.random.default_rng(0)
-    blocks = []
-    for rows, columns in ((20, 3), (30, 5), (16, 2)):
-        residuals = np.cumsum(random.normal(size=(2 * rows, 1)), axis=0)
-        blocks.append((residuals, random.normal(size=(2 * rows, columns)), (rows, rows)))
+    parts = [*blocks()]
     whole = (
-        np.vstack([residuals for residuals, *_ in blocks]),
-        block_diag(*(columns for _, columns, _ in blocks)),
-        sum((lengths for *_, lengths in blocks), ()),
+        np.vstack([residuals for residuals, *_ in parts]),
+        block_diag(*(columns for _, columns, _ in parts)),
+        sum((lengths for *_, lengths in parts), ()),
     )
     # Errors that are larger beyond a row do so in each run of neighbors, in both forms.
-    assert correlated_score(blocks) == pytest.approx(correlated_score([whole]), rel=1e-9)
-    assert correlated_score(blocks)[1] == 10
+    squares, _, remaining = fits = correlated_fits(parts)
+    assert squares == pytest.approx(correlated_fits([whole])[0], rel=1e-9)
+    assert remaining == 132 - 10
+    assert p_values_of_fits(fits, fits) == pytest.approx([1.0])
+
+
+def test_white_errors_and_larger_ones_at_the_end_are_weighted_least_squares():
+    residuals, columns, lengths = next(blocks())
+    term = np.random.default_rng(1).normal(size=(40, 1))
+    squares, scores, remaining = correlated_fits([(residuals, columns, lengths)], term)
+    logs = []
+    for kind, size in ((0, np.ones(40)), (-1, np.where(np.arange(40) % 20 < 17, 1.0, 10.0))):
+        basis = np.linalg.qr(columns)[0]
+        weighted = np.hstack([basis, term]) / size[:, None]
+        y = residuals[:, 0] / size
+        left = y - weighted @ np.linalg.lstsq(weighted, y)[0]
+        assert squares[kind, 1] == pytest.approx(left @ left, rel=1e-9)
+        information = np.linalg.slogdet(weighted.T @ weighted)[1] + 2 * np.sum(np.log(size))
+        logs.append(information + 36 * np.log(left @ left))
+    assert remaining.tolist() == [37, 36]
+    assert scores[0, 1] - scores[-1, 1] == pytest.approx(logs[0] - logs[1], rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("walks", "size", "is_likely"), [(0, 2, False), (0, 0, True), (1, 0, True)]
+)
+def test_a_term_explains_what_errors_that_walk_do_not(walks, size, is_likely):
+    random, rows = np.random.default_rng(2), np.linspace(-1, 1, 24)
+    term, ones = np.tile(rows**2, 2)[:, None], np.ones((48, 1))
+    likely = 0
+    for _ in range(20):
+        errors = random.normal(size=(2, 24))
+        errors = (np.cumsum(errors, axis=1) if walks else errors).reshape(-1, 1)
+        fits = correlated_fits([(errors + 2 * size * term, ones, (24, 24))], term)
+        likely += p_values_of_fits(fits, fits)[1] > 0.01
+    assert likely >= 18 if is_likely else likely <= 2
