@@ -19,7 +19,7 @@ from greybox.files.html_text import Printed
 from greybox.files.safe_files import write_text
 from greybox.files.text_table import alternatives, counted, number, one_line, some, text_table
 from greybox.modeling.model import Names
-from greybox.solve.multistart import solver_for
+from greybox.solve.gauss_newton.driver import GaussNewton
 
 # Times a step: for a lag with an error of half its value, the upper error is that much larger.
 LONGEST = 4.0
@@ -210,7 +210,7 @@ def _lengths(fit: Fit, steps: Array, drawn: Callable[[Array], Array]) -> Array:
     predicted = np.sum(coordinates**2, axis=1) / 2
 
     has_records = len(fit.responses) < len(fit.parts)
-    simulated = solver_for(problem).cost if has_records else problem.cost
+    simulated = (GaussNewton(problem) if has_records else problem).cost
 
     def costs(steps: Array) -> Array:
         x = drawn(steps)[:, :p]

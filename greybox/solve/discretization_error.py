@@ -201,7 +201,7 @@ def with_finer_steps(
         # One minimum may have several parameter vectors (lags that swap), which move by themselves.
         numbers = np.array(minimum.runs)
         for group in distinct_ends(nlp, search.runs.estimate[numbers]):
-            outcome = solver.run(search.runs.estimate[numbers[group[0]]])
+            outcome = solver.near(search.runs.estimate[numbers[group[0]]])
             ends |= dict.fromkeys(numbers[group].tolist(), outcome)
         count += 1
         least = min((end.cost for end in ends.values() if end.converged), default=math.inf)

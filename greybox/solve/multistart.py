@@ -114,7 +114,7 @@ def multistart(  # noqa: PLR0913  (what to run, from where, how, and how long)
             # Minima that these runs have missed take the places of starts that were not tried.
             untried = {*range(len(starts))} - {*results}
             others = points_beside(nlp, minima[0].estimate) if beside else ()
-            added = {k: (x, solver.run(x)) for k, x in zip(untried, others, strict=False)}
+            added = {k: (x, solver.near(x)) for k, x in zip(untried, others, strict=False)}
             if added:
                 results, runs, minima = _certified(nlp, solver, results | added)
             break

@@ -99,10 +99,6 @@ class TranscribedProgram(LocalSolver):
         """Return the best nodes at the parameters x (p,), as the Gauss-Newton solver finds them."""
         return self._gauss_newton.profile(x, nodes)
 
-    def cost(self, values: Array) -> float:
-        """Return the smallest cost at all values (k,), as the Gauss-Newton solver finds it."""
-        return self._gauss_newton.cost(values)
-
     def refined(self, nlp: CompiledProblem) -> GaussNewton:
         """Return the Gauss-Newton solver with finer steps, which is near the minimum already."""
         return self._gauss_newton.refined(nlp)
