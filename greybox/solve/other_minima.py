@@ -7,8 +7,8 @@ the cost of responses: of a record whose model is linear, those of the model at 
 """
 
 from contextlib import suppress
+from functools import partial
 from itertools import product
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -46,11 +46,15 @@ def points_beside(nlp: CompiledProblem, x: Array) -> Array:
     away = costs[1:] > limit
     held, z = held[:, away], alike.scaling.to_solver(starts[1:][away]).T
     low, high = (np.where(held, z, bound[:, None]) for bound in alike.bounds)
-    search = BatchedNewton.of(alike, alike.programs[-1])
     # Approximate ends suffice, since runs begin there: kinks of the cost are rounded off.
-    limits: Any = {"max_iterations": 50, "tolerance": 1e-8, "from_near": True, "smoothing": 1e-2}
-    z = search.minimize(z, bounds=(low, high), **limits).z
-    z = search.minimize(z, **limits).z
+    search = partial(
+        BatchedNewton.of(alike, alike.programs[-1]).minimize,
+        max_iterations=50,
+        tolerance=1e-8,
+        from_near=True,
+        smoothing=1e-2,
+    )
+    z = search(search(z, bounds=(low, high)).z).z
 
     ends = np.vstack([best, alike.estimate_at(z.T)])
     ends = ends[alike.costs(ends) <= limit]
@@ -65,12 +69,13 @@ def _in_frequency(nlp: CompiledProblem, x: Array) -> CompiledProblem:
     A record with as many outputs as states determines the whole model, and has no others.
     """
     for part in nlp.parts_of(RecordPart)[:1]:
-        problem: Any = part.problem
+        problem, record = part.problem, part.model.record
         states, inputs, p = part.system.symbols
         derivative = part.system.derivative(states, inputs, p)
         if len(part.outputs) < part.states and ca.is_linear(derivative, ca.vertcat(states, inputs)):
             values = problem.local_values(dict(zip(nlp.names, nlp.all_values(x), strict=True)))
-            omega = 2 * np.pi * np.geomspace(1 / problem.data.duration, 0.5 / problem.data.step, 10)
+            # From below the lowest frequency of the record to nearly the Nyquist frequency, rad/s.
+            omega = np.geomspace(1 / record.duration, 3 / record.step, 10)
             data = [
                 frequency_response(problem.model, values, omega, input=i, output=o)
                 for i, o in product(part.system.inputs, part.outputs)
