@@ -116,12 +116,13 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
         Time limit of the whole search, in s. The best runs until then are judged; the answer
         depends on the speed of the machine, and says so.
     profiles : bool
-        After default starts, look for other minima of responses that the data hardly distinguish
-        from the best one. Profile the likelihood of responses, as `greybox.profile` does, along
-        parameters without an interval by the standard error, or whose interval leaves the bounds,
-        whose error exceeds half the value, or changes by 30 % within one error: `Fit.profiles`.
-        Slow problems (trims inside the optimization, finite amplitudes, many parameters with
-        constraints) are not profiled unless you name the parameters in `greybox.profile`.
+        After default starts, look for other minima that the data hardly distinguish from the best
+        one; for records, if the model is linear and has more states than outputs. Profile the
+        likelihood of responses, as `greybox.profile` does, along parameters without an interval by
+        the standard error, or whose interval leaves the bounds, whose error exceeds half the value,
+        or changes by 30 % within one error: `Fit.profiles`. Slow problems (trims inside the
+        optimization, finite amplitudes, many parameters with constraints) are not profiled unless
+        you name the parameters in `greybox.profile`.
     progress : bool or function
         A bar on a terminal for fits longer than two seconds; or a function of the numbers of
         finished and of all runs.

@@ -169,11 +169,8 @@ def without_aliases(
         replace(run, converged=False, status=TOO_COARSE) if run.index in lost else run
         for run in search.runs
     )
-    minima = []
-    for minimum in search.minima:
-        sound = [k for k in minimum.runs if k not in lost]
-        if sound:
-            minima.append(minimum_of(nlp, runs[np.array(sound)]))
+    sound = ([k for k in minimum.runs if k not in lost] for minimum in search.minima)
+    minima = [minimum_of(nlp, runs[np.array(numbers)]) for numbers in sound if numbers]
     minima.sort(key=lambda m: m.cost)
     nodes = search.nodes
     if minima[0].runs[0] != search.minima[0].runs[0]:
