@@ -36,10 +36,10 @@ def points_beside(nlp: CompiledProblem, x: Array) -> Array:
         return x[:0]
 
     places = [nlp.free.index(name) for name in alike.free]
-    best, p = x[places], len(places)
+    best = x[places]
     boxes = [alike.problem.parameters[name].in_box(SHARES) for name in alike.free]
-    held = np.tile(np.eye(p, dtype=bool), len(SHARES))
-    starts = np.vstack([best, np.where(held, np.repeat(boxes, p, 1), best[:, None]).T])
+    held = np.tile(np.eye(len(best), dtype=bool), len(SHARES))
+    starts = np.vstack([best, np.where(held, np.repeat(boxes, len(best), 1), best[:, None]).T])
     costs = alike.costs(starts)
     limit = costs[0] + RIVAL * likelihood_unit(alike, costs[0]) + PERCENT
     # A value that fits already is on no other side of a ridge.

@@ -213,8 +213,9 @@ class GaussNewton(LocalSolver):
             For another value of a fixed parameter: it is compiled in.
         """
         nlp, count = self.nlp, len(self.nlp.free)
-        constants = zip(nlp.constants, values[count:], nlp.constant_values, strict=True)
-        for name, value, compiled in constants:
+        for name, value, compiled in zip(
+            nlp.constants, values[count:], nlp.constant_values, strict=True
+        ):
             if value != compiled:
                 raise ValueError(
                     f"{name} is fixed at {compiled:g} here: give {value:g} to the problem, "
