@@ -110,8 +110,9 @@ def multistart(  # noqa: PLR0913  (what to run, from where, how, and how long)
         if stop_requested():
             break
         if 0 < enough <= len(agreeing_runs(nlp, runs, minima)):
-            # Minima that these runs have missed take the places of starts that were not tried.
-            untried = {*range(len(starts))} - {*results}
+            # Minima that these runs have missed take the places of starts that were not tried: the
+            # last ones, since among equal minima the first start decides.
+            untried = sorted({*range(len(starts))} - {*results}, reverse=True)
             others = points_beside(nlp, minima[0].estimate) if beside else ()
             added = {k: (x, solver.near(x)) for k, x in zip(untried, others, strict=False)}
             if added:

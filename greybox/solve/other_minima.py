@@ -69,13 +69,12 @@ def _in_frequency(nlp: CompiledProblem, x: Array) -> CompiledProblem:
     A record with as many outputs as states determines the whole model, and has no others.
     """
     for part in nlp.parts_of(RecordPart)[:1]:
-        problem, record = part.problem, part.model.record
-        states, inputs, p = part.system.symbols
-        derivative = part.system.derivative(states, inputs, p)
-        if len(part.outputs) < part.states and ca.is_linear(derivative, ca.vertcat(states, inputs)):
+        problem, symbols = part.problem, part.system.symbols
+        derivative = part.system.derivative(*symbols)
+        if len(part.outputs) < part.states and ca.is_linear(derivative, ca.vertcat(*symbols[:2])):
             values = problem.local_values(dict(zip(nlp.names, nlp.all_values(x), strict=True)))
             # From below the lowest frequency of the record to nearly the Nyquist frequency, rad/s.
-            omega = np.geomspace(1 / record.duration, 3 / record.step, 10)
+            omega = np.geomspace(1 / problem.record.duration, 3 / problem.record.step, 10)
             data = [
                 frequency_response(problem.model, values, omega, input=i, output=o)
                 for i, o in product(part.system.inputs, part.outputs)
