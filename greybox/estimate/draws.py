@@ -14,12 +14,12 @@ import numpy as np
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, positive_or_one
 from greybox.files.html_text import Printed
 from greybox.files.safe_files import write_text
 from greybox.files.text_table import alternatives, counted, number, one_line, some, text_table
 from greybox.modeling.model import Names
-from greybox.solve.multistart import solver_for
+from greybox.solve.gauss_newton.driver import GaussNewton
 
 # Times a step: for a lag with an error of half its value, the upper error is that much larger.
 LONGEST = 4.0
@@ -199,8 +199,8 @@ def _lengths(fit: Fit, steps: Array, drawn: Callable[[Array], Array]) -> Array:
         return unchanged
 
     p = len(fit.free)
-    size = np.sqrt(np.diag(fit.white))
-    size[size == 0] = 1  # of a parameter on which the data contain no information
+    # One for a parameter on which the data contain no information.
+    size = positive_or_one(np.sqrt(np.diag(fit.white)))
     variances, axes = np.linalg.eigh(fit.white / np.outer(size, size))
     is_seen = variances > 1e-12 * variances.max()
     scale = np.sqrt(variances[is_seen])
@@ -210,7 +210,7 @@ def _lengths(fit: Fit, steps: Array, drawn: Callable[[Array], Array]) -> Array:
     predicted = np.sum(coordinates**2, axis=1) / 2
 
     has_records = len(fit.responses) < len(fit.parts)
-    simulated = solver_for(problem).cost if has_records else problem.cost
+    simulated = (GaussNewton(problem) if has_records else problem).cost
 
     def costs(steps: Array) -> Array:
         x = drawn(steps)[:, :p]

@@ -3,7 +3,7 @@
 import math
 import platform
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -38,7 +38,7 @@ from greybox.files.progress import DELAY, bar
 from greybox.files.text_table import counted
 from greybox.formulation.prior_part import stated_priors
 from greybox.formulation.problem import Problem
-from greybox.formulation.starts import Listed, Starts, as_starts
+from greybox.formulation.starts import AnyStarts, Listed, as_starts
 from greybox.formulation.sum import Sum
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import LOCK, one_thread_at_a_time, traced_once
@@ -60,7 +60,7 @@ from greybox.solve.interruption import (
 from greybox.solve.kept_runs import KeptRuns
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart, agreeing_runs
-from greybox.solve.multistart import BATCHED, SEARCHES, multistart, solver_for
+from greybox.solve.multistart import BATCHED, SEARCHES, ProgressReport, multistart, solver_for
 from greybox.solve.robust_errors import with_robust_errors
 from greybox.solve.runs import SEARCH_OVER
 
@@ -69,7 +69,7 @@ _version = cache(version)  # reading it takes 2 ms
 
 def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     problem: AnyProblem,
-    starts: int | Starts | Sequence[Mapping[str, float] | Starts] | None = None,
+    starts: AnyStarts | None = None,
     seed: int | None = None,
     *,
     method: Transcription | None = None,
@@ -78,7 +78,7 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
     executor: Executor | None = None,
     seconds: float | None = None,
     profiles: bool = True,
-    progress: bool | Callable[[int, int], None] = True,
+    progress: bool | ProgressReport = True,
 ) -> Fit:
     """Fit a problem from many starts: by IPOPT, or, where data are records, by Gauss-Newton steps.
 
@@ -116,12 +116,13 @@ def fit(  # noqa: PLR0913  (what to fit, from where, how, and how long)
         Time limit of the whole search, in s. The best runs until then are judged; the answer
         depends on the speed of the machine, and says so.
     profiles : bool
-        After default starts, look for other minima of responses that the data hardly distinguish
-        from the best one. Profile the likelihood of responses, as `greybox.profile` does, along
-        parameters without an interval by the standard error, or whose interval leaves the bounds,
-        whose error exceeds half the value, or changes by 30 % within one error: `Fit.profiles`.
-        Slow problems (trims inside the optimization, finite amplitudes, many parameters with
-        constraints) are not profiled unless you name the parameters in `greybox.profile`.
+        After default starts, look for other minima that the data hardly distinguish from the best
+        one; for records, if the model is linear and has more states than outputs. Profile the
+        likelihood of responses, as `greybox.profile` does, along parameters without an interval by
+        the standard error, or whose interval leaves the bounds, whose error exceeds half the value,
+        or changes by 30 % within one error: `Fit.profiles`. Slow problems (trims inside the
+        optimization, finite amplitudes, many parameters with constraints) are not profiled unless
+        you name the parameters in `greybox.profile`.
     progress : bool or function
         A bar on a terminal for fits longer than two seconds; or a function of the numbers of
         finished and of all runs.
@@ -234,13 +235,13 @@ def _interruptible() -> Iterator[None]:
 def fit_keeping(
     kept: KeptRuns | None,
     problem: AnyProblem,
-    starts: int | Starts | Sequence[Mapping[str, float] | Starts] | None = None,
+    starts: AnyStarts | None = None,
     seed: int | None = None,
     *,
-    by: SolverChoice | None = None,
+    by: SolverChoice,
     executor: Executor | None = None,
     profiles: bool = True,
-    progress: bool | Callable[[int, int], None] = True,
+    progress: bool | ProgressReport = True,
 ) -> Fit:
     """Fit as `fit` does, and store every run at once; stored runs are not repeated."""
     if not isinstance(problem, Problem | Sum):
@@ -250,7 +251,6 @@ def fit_keeping(
 
     require_executor(executor)
     began = time.perf_counter()
-    by = by or SolverChoice()
     nlp, solver = by.compiled(problem)
     rule = as_starts(solver.starts if starts is None else starts, seed)
 

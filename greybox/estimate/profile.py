@@ -246,9 +246,7 @@ class HeldMinima:
 
         # A fit does not store the states at the nodes: they are solved again, then everything
         # together.
-        states = self._solver.profile(x)
-        nodes = [trajectory.nodes for trajectory in states.trajectories]
-        outcome = self._solver.solved_from(x, nodes)
+        outcome = self._solver.near(x)
         if not outcome.converged:
             raise NoProfileError(
                 f"the minimum of {nlp.problem.name!r} is not found again from the estimate: "

@@ -1,6 +1,6 @@
 """Which parameters of a model structure data could determine, by the rank of sensitivities."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -21,7 +21,7 @@ from greybox.formulation.frequency_criteria import SquaredRelativeError
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import OutputError
 from greybox.modeling.linearization import jacobians
-from greybox.modeling.model import Model, require_known
+from greybox.modeling.model import Model, ParameterFormula, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.transfer_function import TransferFunction
 from greybox.statistics.column_space import beside
@@ -114,7 +114,7 @@ def structural_identifiability(
     at: Mapping[str, float] | None = None,
     fixed: Mapping[str, float] | None = None,
     free: Sequence[str] = (),
-    tied: Mapping[str, Callable[[Any], Any]] | None = None,
+    tied: Mapping[str, ParameterFormula] | None = None,
     initial: Mapping[str, Any] | None = None,
 ) -> StructuralIdentifiability:
     """Return which parameters inputs and outputs could determine, before there are any data.

@@ -1,7 +1,7 @@
 """A problem: a model, data and a criterion, with fixed, tied and renamed parameters."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from inspect import Signature, signature
@@ -25,7 +25,7 @@ from greybox.formulation.spectrum_criteria import EquationError, outputs_in_spec
 from greybox.formulation.sum import Addable, Sum
 from greybox.formulation.time_criteria import OutputError, TimeCriterion
 from greybox.modeling.harmonic_balance import check_sine
-from greybox.modeling.model import Model, Names, pick_signals, require_known
+from greybox.modeling.model import Model, Names, ParameterFormula, pick_signals, require_known
 from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.parameter import Parameter, is_finite_number
 from greybox.modeling.sine import Sine, as_sine
@@ -165,8 +165,8 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     criterion: Criterion | TimeCriterion = None  # type: ignore[assignment]
     fixed: Mapping[str, float | HeldEstimate] | HeldEstimate = field(default_factory=dict)
     free: Sequence[str] = ()
-    tied: Mapping[str, Callable[[Any], Any]] = field(default_factory=dict)
-    constraints: Sequence[Callable[[Any], Any]] = ()
+    tied: Mapping[str, ParameterFormula] = field(default_factory=dict)
+    constraints: Sequence[ParameterFormula] = ()
     delay: str = "exact"
     at: Mapping[str, float] = field(default_factory=dict)
     rename: Mapping[str, str] = field(default_factory=dict)
@@ -549,7 +549,7 @@ def _require(value: Any, kind: Any, what: str, cure: str) -> None:
         raise TypeError(f"{what} is {value!r:.80}: give {cure}.")
 
 
-def _call(function: Callable[[Any], Any], p: Names, what: str) -> Any:
+def _call(function: ParameterFormula, p: Names, what: str) -> Any:
     """Evaluate a user's function of the parameters, naming it when it fails."""
     if not callable(function):
         raise TypeError(

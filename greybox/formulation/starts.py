@@ -159,9 +159,11 @@ class Chained(Starts):
         return np.concatenate([rule.draw(parameters) for rule in self.rules])
 
 
-def as_starts(
-    starts: "int | Starts | Sequence[Mapping[str, float] | Starts]", seed: int | None = None
-) -> Starts:
+AnyStarts = int | Starts | Sequence[Mapping[str, float] | Starts]
+"""A number of starts, a rule, or a list of points and rules."""
+
+
+def as_starts(starts: AnyStarts, seed: int | None = None) -> Starts:
     """Return the rule for a number of starts, a rule, or a list of points and rules.
 
     A number means the declared values, which are often a good guess, and then Sobol points.

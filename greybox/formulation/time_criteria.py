@@ -1,7 +1,7 @@
 """Criteria for records: the mismatch between a model's simulated outputs and measured ones."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
@@ -12,7 +12,7 @@ from greybox.data.transient_spectrum import TransientSpectrum
 from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.input_assumptions import Inputs, require_inputs
 from greybox.modeling.colored_disturbance import ColoredDisturbance, gust_on, undisturbed
-from greybox.modeling.model import Model, require_known
+from greybox.modeling.model import Model, ParameterFormula, require_known
 from greybox.modeling.parameter import Parameter, is_finite_number
 from greybox.modeling.state_space import StateSpace
 
@@ -63,7 +63,7 @@ class TimeCriterion(AnyCriterion):
     noise: Literal["diagonal", "full"] | Mapping[str, float] = "diagonal"
     inputs: Inputs = "record"
     biases: Sequence[str] = ()
-    initial: Mapping[str, float | Callable[[Any], Any]] = field(default_factory=dict)
+    initial: Mapping[str, float | ParameterFormula] = field(default_factory=dict)
 
     condition = "stationary output errors with the autocorrelation of the residuals"
     is_likelihood = True

@@ -47,6 +47,10 @@ class Names(Mapping[str, Any]):
         return f"Names({dict(self)!r})"
 
 
+ParameterFormula = Callable[[Any], Any]
+"""A user's function of parameters by name."""
+
+
 def require_usable(names: Iterable[str], owner: str, base: type = Names) -> None:
     """Raise ValueError for a name that would hide an attribute of `base`."""
     for name in names:
@@ -105,7 +109,7 @@ class Model(ABC):
 
     parameters: Mapping[str, Parameter] = MappingProxyType({})
     units: Mapping[str, str] = MappingProxyType({})
-    derived: ClassVar[Mapping[str, Callable[[Any], Any]]] = MappingProxyType({})
+    derived: ClassVar[Mapping[str, ParameterFormula]] = MappingProxyType({})
     arguments: tuple[tuple[Any, ...], dict[str, Any]]
 
     def __init_subclass__(cls, **kwargs: Any) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.modeling.model import Model, Names
+from greybox.modeling.model import Model, Names, ParameterFormula
 from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace
 
@@ -78,7 +78,7 @@ def traced(owner: str, formula: Callable[..., Any], *arguments: Any) -> Any:
         raise ValueError(f"{owner} cannot be compiled ({reason.rstrip('.')}): {CURE}") from error
 
 
-def called(what: str, function: Callable[[Any], Any], p: Any) -> Any:
+def called(what: str, function: ParameterFormula, p: Any) -> Any:
     """Call a user's function of the parameters; ValueError names it where it fails.
 
     The message of Python alone would not show which of the user's functions failed.

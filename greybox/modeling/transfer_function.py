@@ -2,10 +2,10 @@
 
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from greybox.modeling.model import Model, Names, merged_parameters, require_known
+from greybox.modeling.model import Model, Names, ParameterFormula, merged_parameters, require_known
 
 
 class TransferFunction(Model):
@@ -105,7 +105,7 @@ class RenamedParameters(TransferFunction):
         return Names({name: p[new] for name, new in self.names.items()}, self.label)
 
     @property
-    def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
+    def derived(self) -> Mapping[str, ParameterFormula]:  # type: ignore[override]
         """Derived quantities of the model, under their own names."""
         quantities = self.model.derived.items()
         # The default binds each function now; the loop variable would be the last one.
@@ -133,7 +133,7 @@ class Connection(TransferFunction):
         self.units = parts[0].units
 
     @property
-    def derived(self) -> Mapping[str, Callable[[Any], Any]]:  # type: ignore[override]
+    def derived(self) -> Mapping[str, ParameterFormula]:  # type: ignore[override]
         """Derived quantities of all parts."""
         return {name: f for part in self.parts for name, f in part.derived.items()}
 

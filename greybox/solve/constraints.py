@@ -7,6 +7,7 @@ import numpy as np
 
 from greybox.files.arrays import Array, BoolArray
 from greybox.modeling.one_thread import one_thread_at_a_time
+from greybox.modeling.symbolic_reading import dense_jacobian
 from greybox.solve.quadratic_program import solve_small_qp
 
 
@@ -30,15 +31,8 @@ class Limits:
         """Return these limits and an equation (z) -> 0, as two constraints."""
         z = ca.SX.sym("z", len(self.low))
         value = equation(z)
-        slope = ca.densify(ca.jacobian(value, z))
-        values, slopes = ca.vertcat(value, -value), ca.vertcat(slope, -slope)
-        two_sided = ca.Function("equation", [z], [values, slopes])
-        point = ca.MX.sym("z", len(self.low))
-        stacked = [
-            ca.vertcat(*rows)
-            for rows in zip(self.constraints(point), two_sided(point), strict=True)
-        ]
-        return replace(self, constraints=ca.Function("constraints", [point], stacked))
+        values = ca.vertcat(self.constraints(z)[0], value, -value)
+        return replace(self, constraints=constraints_of(values, z))
 
     def clipped(self, z: Array) -> Array:
         """Return the point within the bounds."""
@@ -91,3 +85,8 @@ class Limits:
             step = solve_small_qp(np.eye(len(z)), np.zeros(len(z)), *self.linearized(z))
             z = self.clipped(z + step)
         return z
+
+
+def constraints_of(values: ca.SX, z: ca.SX) -> ca.Function:
+    """Return the constraints (z) -> values (c,) and their derivatives (c, p)."""
+    return ca.Function("constraints", [z], [values, dense_jacobian(values, z)])

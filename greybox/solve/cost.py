@@ -7,7 +7,7 @@ import numpy as np
 from greybox.compiled.compiled_problem import AnyProblem, compile_problem
 from greybox.compiled.transcription.method import Transcription
 from greybox.modeling.model import require_known
-from greybox.solve.multistart import solver_for
+from greybox.solve.gauss_newton.driver import GaussNewton
 
 
 def cost(
@@ -35,4 +35,5 @@ def cost(
     require_known(values, problem.parameters, "parameter", repr(problem.name))
     nlp = compile_problem(problem, method)
     point = np.array([values.get(name, problem.parameters[name].start) for name in nlp.names])
-    return solver_for(nlp).cost(point)
+    has_states = any(part.has_states for part in nlp.parts)
+    return (GaussNewton(nlp) if has_states else nlp).cost(point)

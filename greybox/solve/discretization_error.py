@@ -8,9 +8,8 @@ the implicit steps of its polynomials.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -20,8 +19,8 @@ from greybox.files.arrays import Array, all_finite, positive_or_one
 from greybox.modeling.step_size import MOST_SUBSTEPS, substep_growth
 from greybox.solve.interruption import stop_requested
 from greybox.solve.local_solver import LocalSolver
-from greybox.solve.minima import Minimum, Multistart, distinct_ends, find_minima
-from greybox.solve.runs import TOO_COARSE, Outcome, Runs
+from greybox.solve.minima import Multistart, distinct_ends, find_minima, minimum_of
+from greybox.solve.runs import TOO_COARSE, Outcome, Runs, spent
 from greybox.statistics.column_space import pseudo_inverse
 
 # Cost above the best up to which minima are followed to the finer steps, at least one run each:
@@ -164,14 +163,12 @@ def without_aliases(
         return search
 
     lost = np.concatenate(aliases).tolist()
-    runs = _changed(search.runs, {k: {"converged": False, "status": TOO_COARSE} for k in lost})
-    minima = []
-    for minimum in search.minima:
-        sound = tuple(k for k in minimum.runs if k not in lost)
-        if sound:
-            best = runs[sound[0]]
-            variants = len(distinct_ends(nlp, runs.estimate[np.array(sound)]))
-            minima.append(Minimum(best.cost, best.estimate, sound, variants))
+    runs = Runs.of(
+        replace(run, converged=False, status=TOO_COARSE) if run.index in lost else run
+        for run in search.runs
+    )
+    sound = ([k for k in minimum.runs if k not in lost] for minimum in search.minima)
+    minima = [minimum_of(nlp, runs[np.array(numbers)]) for numbers in sound if numbers]
     minima.sort(key=lambda m: m.cost)
     nodes = search.nodes
     if minima[0].runs[0] != search.minima[0].runs[0]:
@@ -199,27 +196,23 @@ def with_finer_steps(
         # One minimum may have several parameter vectors (lags that swap), which move by themselves.
         numbers = np.array(minimum.runs)
         for group in distinct_ends(nlp, search.runs.estimate[numbers]):
-            outcome = solver.run(search.runs.estimate[numbers[group[0]]])
+            outcome = solver.near(search.runs.estimate[numbers[group[0]]])
             ends |= dict.fromkeys(numbers[group].tolist(), outcome)
         count += 1
         least = min((end.cost for end in ends.values() if end.converged), default=math.inf)
     if math.isinf(least):
         return None
 
-    names = ("estimate", "cost", "converged", "status")
-    changes = {k: {name: getattr(end, name) for name in names} for k, end in ends.items()}
-    runs = _changed(search.runs, changes)
+    runs = Runs.of(
+        spent(ends[run.index], run).as_run(run.index, run.start) if run.index in ends else run
+        for run in search.runs
+    )
     signatures = [ends[run.index].signature if run.index in ends else None for run in runs]
     moved = find_minima(nlp, [run for run in runs if run.index in ends], signatures)
     # The first that moved is the best, to rounding: the others cost no less than any that moved.
     best, *others = moved
     others = sorted([*others, *search.minima[count:]], key=lambda m: m.cost)
     return replace(search, runs=runs, minima=(best, *others), nodes=ends[best.runs[0]].nodes)
-
-
-def _changed(runs: Runs, changes: Mapping[int, Mapping[str, Any]]) -> Runs:
-    """Return the runs, some of them with other values of their fields, by number."""
-    return Runs.of(replace(run, **changes.get(run.index, {})) for run in runs)
 
 
 def quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> tuple[Array, Array]:

@@ -86,10 +86,6 @@ class LocalSolver(Runner):
     def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
         """Return the best nodes at the parameters x (p,), which are `nodes` if these are known."""
 
-    @abstractmethod
-    def cost(self, values: Array) -> float:
-        """Return the smallest cost at all values (k,), with the constants; NaN if there is none."""
-
     def is_finite_at(self, start: Array) -> bool:
         """Return whether a run can begin at the parameters `start` (p,)."""
         return True
@@ -97,6 +93,10 @@ class LocalSolver(Runner):
     def screened(self, starts: Array) -> Screened | None:
         """Compare the starts (r, p) with little work; None if that is not possible."""
         return None
+
+    def near(self, x: Array) -> Outcome:
+        """Return the run from parameters x (p,) that are near a minimum."""
+        return self.run(x)
 
     def continued(self, outcome: Outcome) -> Outcome:
         """Return a run that did not converge with more iterations, if the solver can."""

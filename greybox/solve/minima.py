@@ -188,17 +188,14 @@ def find_minima(
         ties = near[costs[near] <= cost + 1e-9 * max(abs(cost), 1.0)]
         first = ties[np.argmin(indices[ties])]
         near = near[np.argsort(_are_apart(z[near], z[first]), kind="stable")]
-        k = int(near[0])
-        variants = len(distinct_ends(nlp, columns.estimate[order[near]]))
-        minima.append(
-            Minimum(
-                float(costs[k]),
-                columns.estimate[order[k]].copy(),
-                tuple(indices[near].tolist()),
-                variants,
-            )
-        )
+        minima.append(minimum_of(nlp, columns[order[near]]))
     return tuple(minima)
+
+
+def minimum_of(nlp: CompiledProblem, runs: Runs) -> Minimum:
+    """Return the minimum that these runs share, best first."""
+    variants = len(distinct_ends(nlp, runs.estimate))
+    return Minimum(float(runs.cost[0]), runs.estimate[0], tuple(runs.indices.tolist()), variants)
 
 
 def _differences(signatures: Signatures, of: int, indices: IntArray) -> Array:

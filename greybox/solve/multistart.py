@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from greybox.solve.kept_runs import KeptRuns, Memory
 from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Minimum, Multistart, agreeing_runs, find_minima
 from greybox.solve.other_minima import points_beside
-from greybox.solve.response_solver import ResponseSolver
+from greybox.solve.response_solver import NO_OPTIONS, ResponseSolver
 from greybox.solve.runs import CUT_SHORT, NOT_FINITE, SCREENED, Outcome, Run, Runs
 from greybox.solve.shared_solver import SharedSolver
 from greybox.solve.transcribed_program import TranscribedProgram
@@ -35,7 +34,7 @@ SEARCHES = (BATCHED, "multistart")
 
 @one_thread_at_a_time
 def solver_for(
-    nlp: CompiledProblem, options: Mapping[str, Any] = MappingProxyType({}), search: str = BATCHED
+    nlp: CompiledProblem, options: Mapping[str, Any] = NO_OPTIONS, search: str = BATCHED
 ) -> LocalSolver:
     """Return the solver of a problem.
 
@@ -111,10 +110,11 @@ def multistart(  # noqa: PLR0913  (what to run, from where, how, and how long)
         if stop_requested():
             break
         if 0 < enough <= len(agreeing_runs(nlp, runs, minima)):
-            # Minima that these runs have missed take the places of starts that were not tried.
-            untried = {*range(len(starts))} - {*results}
+            # Minima that these runs have missed take the places of starts that were not tried: the
+            # last ones, since among equal minima the first start decides.
+            untried = sorted({*range(len(starts))} - {*results}, reverse=True)
             others = points_beside(nlp, minima[0].estimate) if beside else ()
-            added = {k: (x, solver.run(x)) for k, x in zip(untried, others, strict=False)}
+            added = {k: (x, solver.near(x)) for k, x in zip(untried, others, strict=False)}
             if added:
                 results, runs, minima = _certified(nlp, solver, results | added)
             break
@@ -209,8 +209,7 @@ class FiniteStarts:
         home = nlp.scaling.to_solver(self._home)
         away = nlp.scaling.to_solver(start) - home
         for halvings in range(1, 7):
-            z = home + 0.5**halvings * away
-            point = nlp.estimate_at(z)
+            point = nlp.estimate_at(home + 0.5**halvings * away)
             if self.solver.is_finite_at(point):
                 return point
         return start

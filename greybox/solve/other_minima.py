@@ -1,40 +1,83 @@
 """Where to look for other minima than the one that all runs reach.
 
-Two poles that swap have other values with the same response, and few random starts lead there. Each
-parameter is held at some values while the others move, and then released: this crosses the ridge
-between two minima. It is done for many points at once, which needs the cost of responses.
+Two poles that swap, or the resistors of a ladder, have other values with the same response, and few
+random starts lead there. Each parameter is held at some values while the others move, and then
+released: this crosses the ridge between two minima. It is done for many points at once, which needs
+the cost of responses: of a record whose model is linear, those of the model at its minimum.
 """
 
-from typing import Any
+from contextlib import suppress
+from functools import partial
+from itertools import product
 
+import casadi as ca
 import numpy as np
 
-from greybox.compiled.compiled_problem import CompiledProblem
+from greybox.compiled.compiled_problem import CompiledProblem, compile_problem
+from greybox.compiled.record_part import RecordPart
 from greybox.files.arrays import Array
+from greybox.formulation.frequency_criteria import SquaredRelativeError
+from greybox.modeling.linear_response import frequency_response
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.minima import RIVAL, distinct_ends, likelihood_unit
 from greybox.solve.response_solver import ResponseSolver
 
-SHARES = np.array([0.125, 0.375, 0.625, 0.875])  # of a start box, where a parameter is held
+SHARES = np.array([0.125, 0.875])  # of a start box, where a parameter is held
+PERCENT = 1e-3  # sum of ten squares, each of an error of a percent
 
 
 def points_beside(nlp: CompiledProblem, x: Array) -> Array:
     """Return up to two points (m, p) that fit nearly as well as the minimum x (p,), or better."""
-    if not ResponseSolver.serves(nlp):
-        return x[None][:0]
+    alike = nlp
+    # There may be no operating point, or an option that only a record has.
+    with suppress(ValueError):
+        alike = _in_frequency(nlp, x)
+    if not ResponseSolver.serves(alike):
+        return x[:0]
 
-    p = len(x)
-    boxes = [nlp.problem.parameters[name].in_box(SHARES) for name in nlp.free]
-    held = np.tile(np.eye(p, dtype=bool), len(SHARES))
-    z = nlp.scaling.to_solver(np.where(held, np.repeat(boxes, p, 1), x[:, None]).T).T
-    low, high = (np.where(held, z, bound[:, None]) for bound in nlp.bounds)
-    search = BatchedNewton.of(nlp, nlp.programs[-1])
+    places = [nlp.free.index(name) for name in alike.free]
+    best = x[places]
+    boxes = [alike.problem.parameters[name].in_box(SHARES) for name in alike.free]
+    held = np.tile(np.eye(len(best), dtype=bool), len(SHARES))
+    starts = np.vstack([best, np.where(held, np.repeat(boxes, len(best), 1), best[:, None]).T])
+    costs = alike.costs(starts)
+    limit = costs[0] + RIVAL * likelihood_unit(alike, costs[0]) + PERCENT
+    # A value that fits already is on no other side of a ridge.
+    away = costs[1:] > limit
+    held, z = held[:, away], alike.scaling.to_solver(starts[1:][away]).T
+    low, high = (np.where(held, z, bound[:, None]) for bound in alike.bounds)
     # Approximate ends suffice, since runs begin there: kinks of the cost are rounded off.
-    limits: Any = {"max_iterations": 50, "tolerance": 1e-8, "from_near": True, "smoothing": 1e-2}
-    z = search.minimize(z, bounds=(low, high), **limits).z
-    z = search.minimize(z, **limits).z
+    search = partial(
+        BatchedNewton.of(alike, alike.programs[-1]).minimize,
+        max_iterations=50,
+        tolerance=1e-8,
+        from_near=True,
+        smoothing=1e-2,
+    )
+    z = search(search(z, bounds=(low, high)).z).z
 
-    ends = np.vstack([x, nlp.estimate_at(z.T)])
-    costs = nlp.costs(ends)
-    ends = ends[costs <= costs[0] + RIVAL * likelihood_unit(nlp, costs[0])]
-    return ends[[group[0] for group in distinct_ends(nlp, ends)[1:3]]]
+    ends = np.vstack([best, alike.estimate_at(z.T)])
+    ends = ends[alike.costs(ends) <= limit]
+    points = np.array([x] * len(ends))
+    points[:, places] = ends
+    return points[[group[0] for group in distinct_ends(nlp, points)[1:3]]]
+
+
+def _in_frequency(nlp: CompiledProblem, x: Array) -> CompiledProblem:
+    """Return a problem of responses: those of the first record's model at x (p,), if linear.
+
+    A record with as many outputs as states determines the whole model, and has no others.
+    """
+    for part in nlp.parts_of(RecordPart)[:1]:
+        problem, symbols = part.problem, part.system.symbols
+        derivative = part.system.derivative(*symbols)
+        if len(part.outputs) < part.states and ca.is_linear(derivative, ca.vertcat(*symbols[:2])):
+            values = problem.local_values(dict(zip(nlp.names, nlp.all_values(x), strict=True)))
+            # From below the lowest frequency of the record to nearly the Nyquist frequency, rad/s.
+            omega = np.geomspace(1 / problem.record.duration, 3 / problem.record.step, 10)
+            data = [
+                frequency_response(problem.model, values, omega, input=i, output=o)
+                for i, o in product(part.system.inputs, part.outputs)
+            ]
+            return compile_problem(problem.with_(data=data, criterion=SquaredRelativeError()))
+    return nlp

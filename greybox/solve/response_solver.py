@@ -134,10 +134,6 @@ class ResponseSolver(LocalSolver):
         trajectories = tuple(part.trajectory(z) for part in self.problem.parts)
         return Profile(z, trajectories, self.problem.costs(x[None]).item(), converged=True)
 
-    def cost(self, values: Array) -> float:
-        """Return the cost without smoothing at all values (k,)."""
-        return self.problem.cost(values)
-
     def judged(self, estimates: Array) -> tuple[Array, Any]:
         """Return the costs, without smoothing, and signatures."""
         firsts = range(0, max(len(estimates), 1), AT_ONCE)

@@ -8,7 +8,6 @@ whole samples of estimated delays follow in the same way.
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from types import MappingProxyType
 from typing import Any
 
 import casadi as ca
@@ -32,9 +31,7 @@ class TranscribedProgram(LocalSolver):
     """IPOPT on one compiled problem whose parts have hidden unknowns, built once for all starts."""
 
     @one_thread_at_a_time
-    def __init__(
-        self, nlp: CompiledProblem, options: Mapping[str, Any] = MappingProxyType({})
-    ) -> None:
+    def __init__(self, nlp: CompiledProblem, options: Mapping[str, Any]) -> None:
         """Put the programs of all parts together."""
         self._nlp = nlp
         self._gauss_newton = GaussNewton(nlp)  # gives states to begin with
@@ -98,10 +95,6 @@ class TranscribedProgram(LocalSolver):
     def profile(self, x: Array, nodes: Sequence[Array] | None = None) -> Profile:
         """Return the best nodes at the parameters x (p,), as the Gauss-Newton solver finds them."""
         return self._gauss_newton.profile(x, nodes)
-
-    def cost(self, values: Array) -> float:
-        """Return the smallest cost at all values (k,), as the Gauss-Newton solver finds it."""
-        return self._gauss_newton.cost(values)
 
     def refined(self, nlp: CompiledProblem) -> GaussNewton:
         """Return the Gauss-Newton solver with finer steps, which is near the minimum already."""

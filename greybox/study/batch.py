@@ -24,7 +24,7 @@ from greybox.files.error_place import error_place
 from greybox.files.progress import bar
 from greybox.files.text_table import counted, printable
 from greybox.formulation.problem import Problem
-from greybox.formulation.starts import Starts, as_starts
+from greybox.formulation.starts import AnyStarts, as_starts
 from greybox.formulation.sum import Sum
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import unchanged, unchanged_in
@@ -73,7 +73,7 @@ class Member:
     """
 
     problem: AnyProblem
-    starts: int | Starts | Sequence[Mapping[str, float] | Starts] | None = None
+    starts: AnyStarts | None = None
     seed: int | None = None
     method: Transcription | None = None
     solver_options: Mapping[str, Any] = field(default_factory=dict)

@@ -7,7 +7,7 @@ Introduction to the Bootstrap; Davison and Hinkley (1997), Bootstrap Methods and
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -37,7 +37,7 @@ from greybox.solve.executors import require_executor, run_all
 from greybox.solve.interruption import Interrupted, Response, listening, responding, take_interrupt
 from greybox.solve.kept_runs import Memory
 from greybox.solve.minima import same_cost
-from greybox.solve.multistart import multistart, solver_for
+from greybox.solve.multistart import ProgressReport, multistart, solver_for
 from greybox.solve.runs import Outcome
 from greybox.study.record_replicates import RecordReplicates, record_draws
 from greybox.study.replicates import Replicates
@@ -264,7 +264,7 @@ def bootstrap(
     method: Transcription | None = None,
     executor: Executor | None = None,
     folder: str | Path | None = None,
-    progress: bool | Callable[[int, int], None] = True,
+    progress: bool | ProgressReport = True,
 ) -> Bootstrap:
     """Repeat a fit on data that are drawn anew, and return the spread of its estimates.
 
@@ -420,7 +420,7 @@ def _made(
     replicates: int,
     executor: Executor | None,
     folder: str | Path | None,
-    progress: bool | Callable[[int, int], None],
+    progress: bool | ProgressReport,
 ) -> tuple[list[Outcome], bool]:
     """Make the replicates; return their outcomes by number, and whether Ctrl-C ended them."""
     outcomes: list[Outcome] = []

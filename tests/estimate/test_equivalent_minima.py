@@ -71,6 +71,39 @@ def test_a_minimum_that_eight_agreeing_starts_miss_is_found():
     assert fit.estimate["a"] == pytest.approx(1.2, rel=0.1)  # else 17, with K at its bound
 
 
+class Ladder(gb.StateSpace):
+    """Three stages of a resistor and a capacitor of one farad, measured at the end."""
+
+    states, inputs, outputs = ("a", "b", "c"), ("u",), ("c",)
+    R1 = gb.Parameter(1.0, bounds=(0.05, 20))
+    R2 = gb.Parameter(1.0, bounds=(0.05, 20))
+    R3 = gb.Parameter(1.0, bounds=(0.05, 20))
+
+    def derivative(self, x, u, p):
+        flows = (u.u - x.a) / p.R1, (x.a - x.b) / p.R2, (x.b - x.c) / p.R3
+        return (flows[0] - flows[1], flows[1] - flows[2], flows[2])
+
+    def output(self, x, u, p):
+        return (x.c,)
+
+
+def test_values_of_a_record_with_the_same_response_are_named():
+    random = np.random.default_rng(3)
+    u = np.repeat(random.choice([-1.0, 1.0], 15), 20)
+    record, rest = gb.Record(0.3 * np.arange(300), {"u": u}), dict.fromkeys("abc", 0.0)
+    truth = {"R1": 1.4, "R2": 0.82, "R3": 0.98}
+    c = gb.simulate(Ladder(), truth, record, initial=rest, inputs="held")["c"]
+    noisy = record.with_signals(c=c + 0.01 * random.normal(size=300))
+    rule = gb.OutputError(inputs="held", initial=rest)
+    fit = gb.fit(gb.Problem(Ladder(), noisy, rule), progress=False)
+    (text,) = same_response(fit)
+    other = {name: float(re.search(rf"{name} = ([\d.]*\d)", text)[1]) for name in truth}
+    assert other["R1"] < 0.5 * fit.estimate["R1"]
+    omega = np.geomspace(0.1, 5, 20)
+    pair = [gb.frequency_response(Ladder(), p, omega).response for p in (fit.estimate, other)]
+    assert np.abs(pair[0] - pair[1]).max() < 1e-3
+
+
 class Bounded(LagLagDelay):
     """The same with bounds that the shorter lag cannot have."""
 

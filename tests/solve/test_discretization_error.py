@@ -141,7 +141,7 @@ class Solver:
     def __init__(self, ends):
         self.ends, self.asked = ends, []
 
-    def run(self, start):
+    def near(self, start):
         self.asked.append(float(start[0]))
         cost = self.ends.get(float(start[0]), math.inf)
         converged = math.isfinite(cost)

@@ -47,7 +47,7 @@ SOLVED, LOST = "Solve_Succeeded", "Maximum_Iterations_Exceeded"
 def transcribed():
     problem = gb.Problem(Lag(), record(40, 0), gb.OutputError(inputs="held"))
     nlp = compile_problem(problem, gb.MultipleShooting(ipopt=True))
-    return TranscribedProgram(nlp)
+    return TranscribedProgram(nlp, {})
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_the_cost_of_a_solution_is_the_weighted_sum_of_the_parts():
         Lag(), record(70, 1), held, weight=5.0
     )
     nlp = compile_problem(problem, gb.MultipleShooting(ipopt=True))
-    made = TranscribedProgram(nlp)
+    made = TranscribedProgram(nlp, {})
     sizes = [program.unknowns.numel() for program in made._programs]
     weights = [program.parameters.numel() for program in made._programs]
     seen = []

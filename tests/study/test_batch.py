@@ -412,7 +412,7 @@ def test_runs_of_every_kind_come_back_as_they_were(tmp_path, problem):
             super().add(number, start, outcome)
 
     kept = Noted(tmp_path, "fit")
-    fit = fit_keeping(kept, problem, 4, progress=False)
+    fit = fit_keeping(kept, problem, 4, by=SolverChoice(), progress=False)
     kept.write()
     known = StoredRuns(tmp_path, "fit").known(fingerprint(problem, SolverChoice()))
     assert sorted(known) == sorted(found) == [0, 1, 2, 3]
@@ -427,7 +427,9 @@ def test_runs_of_every_kind_come_back_as_they_were(tmp_path, problem):
         for array, other in zip(outcome.nodes or (), wanted.nodes or (), strict=True):
             assert_array_equal(array, other)
     found.clear()
-    require_same(fit_keeping(Noted(tmp_path, "fit"), problem, 4, progress=False), fit)
+    require_same(
+        fit_keeping(Noted(tmp_path, "fit"), problem, 4, by=SolverChoice(), progress=False), fit
+    )
     assert found == {}
 
 

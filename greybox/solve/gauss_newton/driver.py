@@ -14,7 +14,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
-from greybox.solve.constraints import Limits
+from greybox.solve.constraints import Limits, constraints_of
 from greybox.solve.gauss_newton.all_parts import AllParts, with_rounding
 from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Nodes, Progress, relaxed
 from greybox.solve.gauss_newton.iteration import CONVERGED, SINGULAR, descend
@@ -85,6 +85,11 @@ class GaussNewton(LocalSolver):
         """Solve from the parameters x (p,) and nodes that are near those of the solution."""
         return self._solved(self._at(x, nodes), EXACT, iterations)
 
+    def near(self, x: Array) -> Outcome:
+        """Solve from parameters x (p,) near a minimum, whose states are solved first."""
+        # From states of the data, a run may leave for another minimum.
+        return self.solved_from(x, [part.nodes for part in self.profile(x).trajectories])
+
     def continued(self, outcome: Outcome) -> Outcome:
         """Continue a run that did not converge, with many more iterations."""
         if outcome.nodes is None:
@@ -93,10 +98,7 @@ class GaussNewton(LocalSolver):
         # problems, takes 1300 iterations.
         affordable = min(3_000_000 // max(self._parts.samples, 1), 2000)
         iterations = max(affordable, self.settings.max_iter)
-        later = self.solved_from(outcome.estimate, outcome.nodes, iterations)
-        better = later if later.converged or later.cost < outcome.cost else outcome
-        # Both runs count, whichever end is taken.
-        return spent(replace(better, iterations=later.iterations, seconds=later.seconds), outcome)
+        return spent(self.solved_from(outcome.estimate, outcome.nodes, iterations), outcome)
 
     def _solved(
         self, iterate: Iterate, progress: Progress, iterations: int | None = None
@@ -211,8 +213,9 @@ class GaussNewton(LocalSolver):
             For another value of a fixed parameter: it is compiled in.
         """
         nlp, count = self.nlp, len(self.nlp.free)
-        constants = zip(nlp.constants, values[count:], nlp.constant_values, strict=True)
-        for name, value, compiled in constants:
+        for name, value, compiled in zip(
+            nlp.constants, values[count:], nlp.constant_values, strict=True
+        ):
             if value != compiled:
                 raise ValueError(
                     f"{name} is fixed at {compiled:g} here: give {value:g} to the problem, "
@@ -248,6 +251,4 @@ class GaussNewton(LocalSolver):
 def _limits(nlp: CompiledProblem) -> Limits:
     """Return the bounds and constraints in the solver's variables."""
     z = ca.SX.sym("z", len(nlp.free))
-    g = nlp.limits_at(z)
-    constraints = ca.Function("constraints", [z], [g, ca.densify(ca.jacobian(g, z))])
-    return Limits(*nlp.bounds, constraints)
+    return Limits(*nlp.bounds, constraints_of(nlp.limits_at(z), z))
