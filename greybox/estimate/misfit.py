@@ -610,7 +610,7 @@ def _offsets(
         determined = float(squares.sum() ** 2 / (squares @ squares))
         error = determined**0.5 * float(spread / squares.sum()) + TINY
         left = 1 / (1 + (value / error) ** 2 / determined)
-        p_value = chance(left, max(determined - 1, TINY))
+        p_value = chance(left, determined - 1)
         numbers = np.minimum(
             [decrease / len(columns), *2 * [count * len(terms) * p_value]], 1.0
         ).tolist()

@@ -191,4 +191,4 @@ def chance(left: Any, remaining: Any, terms: Any = 1) -> Any:
     from scipy.special import betainc  # noqa: PLC0415  (takes a tenth of a second to import)
 
     # 1 - I_x(a, b) = I_(1 - x)(b, a), which keeps its digits where it is small.
-    return betainc(np.maximum(remaining, 1) / 2, terms / 2, left)
+    return betainc(np.maximum(remaining, TINY) / 2, terms / 2, left)
