@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
@@ -17,7 +16,7 @@ from numpy.typing import ArrayLike
 from greybox.data.intersample import CONTINUOUS
 from greybox.data.record import Record
 from greybox.experiment.controller import Controller, connected, run_controllers, sensors_of
-from greybox.experiment.excitation import Excitation
+from greybox.experiment.excitation import NOTHING, Excitation
 from greybox.experiment.sampled_loop import measured_signal
 from greybox.files.arrays import Array, BoolArray, all_finite
 from greybox.modeling.integrators import RungeKutta
@@ -26,8 +25,6 @@ from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.parameter import is_finite_number, require_whole
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.step_size import relative_change, substep_growth
-
-NOTHING: Mapping[str, float] = MappingProxyType({})
 
 # Relative change of a state, within a controller period, when the substeps are halved. A fifteenth
 # of it remains: in a loop of 400 Hz, 3e-6 per second if all errors add up.
