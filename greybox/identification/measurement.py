@@ -347,10 +347,9 @@ def found_tests(recording: Recording, settings: Settings) -> tuple[Segment, ...]
 
 
 def _chosen(segments: Sequence[Segment], settings: Settings) -> list[Segment]:
-    wanted = (
-        _numbers(settings.tests, len(segments)) if settings.tests else range(1, len(segments) + 1)
-    )
-    chosen = [segments[k - 1] for k in wanted]
+    chosen = list(segments)
+    if settings.tests:
+        chosen = [segments[k - 1] for k in _numbers(settings.tests, len(segments))]
     if settings.axis:
         axes = list(dict.fromkeys(segment.axis for segment in chosen))
         chosen = [segment for segment in chosen if segment.axis == settings.axis]
