@@ -60,7 +60,9 @@ logs LOG...
 def run(options: argparse.Namespace) -> Answer:
     """Identify; write response, result and figure."""
     prefix = (options.out or Path(options.logs[0]).stem).removesuffix(".h5") or "log"
-    responses = _response_files(prefix, len(options.logs))
+    count = len(options.logs)
+    numbers = [""] if count == 1 else [f"_{k}" for k in range(1, count + 1)]
+    responses = [Path(f"{prefix}{number}_response.csv") for number in numbers]
     result, figure = Path(f"{prefix}_fit.h5"), Path(f"{prefix}.png")
     # All files that will be written are checked before the log is read.
     for path in (*responses, result):
@@ -105,11 +107,6 @@ def run(options: argparse.Namespace) -> Answer:
         following.append(["margins", str(result), "--log", str(options.logs[0])])
     answer["next"] = [shlex.join(["greybox", *words]) for words in following]
     return answer, *text, "", "Next:", *(f"  {command}" for command in answer["next"])
-
-
-def _response_files(prefix: str, count: int) -> list[Path]:
-    numbers = [""] if count == 1 else [f"_{k}" for k in range(1, count + 1)]
-    return [Path(f"{prefix}{number}_response.csv") for number in numbers]
 
 
 def _structure(word: str) -> Structure:

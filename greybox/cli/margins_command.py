@@ -81,8 +81,8 @@ def run(options: argparse.Namespace) -> Answer:
     }
     wrong = ""
     # A log has the controller that flew, with its gains and its rate.
-    is_one = len(fits) == 1
-    log = flight_log(next(iter(fits.values())), options.results[0], options) if is_one else None
+    first = next(iter(fits.values()))
+    log = flight_log(first, options.results[0], options) if len(fits) == 1 else None
     if log:
         refuse_controllers(options)
         flown = shipped_module("models", "firmware").loop_of_log(

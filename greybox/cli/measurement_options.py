@@ -53,8 +53,10 @@ def stated_choices(options: argparse.Namespace) -> dict[str, Any]:
     # Options and settings have the same names, so that a new setting needs only its option.
     names = {field.name for field in fields(Settings)}
     values = {name: value for name, value in vars(options).items() if name in names}
-    parsed = {"band": stated_band(options.band)}
-    return values | parsed | {"instrument": "".join(options.instrument)}
+    return values | {
+        "band": stated_band(options.band),
+        "instrument": "".join(options.instrument),
+    }
 
 
 def stated_band(words: list[str]) -> tuple[float, float] | None:

@@ -43,13 +43,10 @@ def run(options: argparse.Namespace) -> Answer:
         )
 
     require_writable(path, options.force)
-    write_text(path, problem_file(path.name, _class_name(path.stem), in_time=options.in_time))
+    # PitchRate for pitch_rate. File names may begin with an underscore, class names should begin
+    # with a letter.
+    name = "".join(word[:1].upper() + word[1:] for word in path.stem.split("_"))
+    name = name if name[:1].isalpha() else f"Model{name}"
+    write_text(path, problem_file(path.name, name, in_time=options.in_time))
     command = f"greybox fit {path}"
     return {"file": str(path), "next": [command]}, f"wrote {path}", f"next: {command}"
-
-
-def _class_name(stem: str) -> str:
-    """Return ``PitchRate`` for ``pitch_rate``."""
-    # File names may begin with an underscore, class names should begin with a letter.
-    name = "".join(word[:1].upper() + word[1:] for word in stem.split("_"))
-    return name if name[:1].isalpha() else f"Model{name}"

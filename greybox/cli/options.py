@@ -105,18 +105,16 @@ def _settings(words: Sequence[str], about: str) -> dict[str, Any]:
         kind = KINDS.get(word, str)
         settings = {"metavar": word, "type": kind, "default": "" if kind is str else None}
         if words[0].endswith("..."):
-            settings |= {"nargs": "*", "default": None} if is_optional else _several(word)
+            settings |= {"nargs": "+", "default": []}
+            if is_optional:
+                settings |= {"nargs": "*", "default": None}
+            elif re.match(r"\w+\[?=", word):
+                settings |= {"default": {}, "type": str, "action": _ByName}
         elif is_optional:
             settings["nargs"] = "?"
 
     default = re.search(r"\(default: (\S+)\)", about)
     return settings | ({"default": default[1]} if default else {})
-
-
-def _several(word: str) -> dict[str, Any]:
-    if re.match(r"\w+\[?=", word):
-        return {"nargs": "+", "default": {}, "type": str, "action": _ByName}
-    return {"nargs": "+", "default": []}
 
 
 class _ByName(argparse.Action):

@@ -44,12 +44,14 @@ def held_out_records(options: argparse.Namespace, first: Fit | Study) -> list[An
     """
     if not options.held_out and (options.columns or options.rate):
         raise UsageError("--columns and --rate go with --held-out.")
-    records = []
-    for path in options.held_out:
-        fit: Any = first if isinstance(first, Fit) else first.done[0].fit
-        model = fit.model_of()
-        records.append(read_data(path, model, columns=options.columns, rate=options.rate))
-    return records
+    if not options.held_out:
+        return []
+    fit: Any = first if isinstance(first, Fit) else first.done[0].fit
+    model = fit.model_of()
+    return [
+        read_data(path, model, columns=options.columns, rate=options.rate)
+        for path in options.held_out
+    ]
 
 
 def flight_log(fit: Fit, path: Path, options: argparse.Namespace) -> Recording | None:

@@ -12,6 +12,8 @@ from greybox.data.record import Record
 from greybox.files.arrays import Array
 from greybox.files.text_table import one_line
 
+NOTHING: Mapping[str, float] = MappingProxyType({})  # where no noise, limit or start is given
+
 
 class Maneuver(NamedTuple):
     """One sine, sweep or multisine of an excitation, as planned.

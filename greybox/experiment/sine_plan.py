@@ -6,7 +6,6 @@ Begin with `plan_sines`.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from types import MappingProxyType
 from typing import NamedTuple
 
 import numpy as np
@@ -16,7 +15,7 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.experiment.controller import Controller
-from greybox.experiment.excitation import Excitation
+from greybox.experiment.excitation import NOTHING, Excitation
 from greybox.experiment.optimal_design import require_determined, shares, time_needed
 from greybox.experiment.sampled_loop import sampled_loop
 from greybox.experiment.sines import sine_schedule
@@ -31,7 +30,6 @@ from greybox.spectral.uniform_stretches import uniform_stretches
 
 # A quiet flight has at least this number of periods of the lowest frequency.
 QUIET_PERIODS = 4
-NOTHING: Mapping[str, float] = MappingProxyType({})
 
 
 class _Card(NamedTuple):

@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from types import MappingProxyType
 
 import casadi as ca
 import numpy as np
@@ -17,17 +16,15 @@ from numpy.typing import ArrayLike
 from greybox.data.intersample import CONTINUOUS
 from greybox.data.record import Record
 from greybox.experiment.controller import Controller, connected, run_controllers, sensors_of
-from greybox.experiment.excitation import Excitation
+from greybox.experiment.excitation import NOTHING, Excitation
 from greybox.experiment.sampled_loop import measured_signal
-from greybox.files.arrays import Array, BoolArray, all_finite
+from greybox.files.arrays import Array, all_finite
 from greybox.modeling.integrators import RungeKutta
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.parameter import is_finite_number, require_whole
 from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.step_size import relative_change, substep_growth
-
-NOTHING: Mapping[str, float] = MappingProxyType({})
 
 # Relative change of a state, within a controller period, when the substeps are halved. A fifteenth
 # of it remains: in a loop of 400 Hz, 3e-6 per second if all errors add up.
@@ -237,8 +234,12 @@ def _fly(loop: _Loop, columns: Array, time: Array) -> tuple[dict[str, Array], tu
             substeps = min(MOST_SUBSTEPS, substeps * substep_growth(error, TOLERANCE, 4))
             continue
         if wrong.any():
+            labels = [*map(repr, names), *(f"the state {n!r}" for n in loop.system.states)]
+            row = int(np.flatnonzero(wrong[:, reached])[-1])  # a state, if one is wrong
             raise ValueError(
-                _divergence(loop, names, flown[:, reached], wrong[:, reached], time[reached])
+                f"the flight of {loop.label} diverges: {labels[row]} is {flown[row, reached]:.3g} "
+                f"at {time[reached]:.2f} s; give a controller that stabilizes the plant, or a "
+                "smaller excitation."
             )
         rough = (
             f"the integration error is {error:.1g} of a state's size in a period: the plant is "
@@ -318,17 +319,6 @@ def _integrated(loop: _Loop, x: ca.SX, u: ca.SX, force: ca.SX, span: float, coun
     for _ in range(count if loop.system.states else 0):
         x = RungeKutta().advance(forced, x, u, ca.SX.zeros(u.numel()), loop.p, span / count)
     return x
-
-
-def _divergence(
-    loop: _Loop, names: Sequence[str], values: Array, wrong: BoolArray, moment: float
-) -> str:
-    labels = [*map(repr, names), *(f"the state {n!r}" for n in loop.system.states)]
-    row = int(np.flatnonzero(wrong)[-1])  # a state, if one is wrong
-    return (
-        f"the flight of {loop.label} diverges: {labels[row]} is {values[row]:.3g} at "
-        f"{moment:.2f} s; give a controller that stabilizes the plant, or a smaller excitation."
-    )
 
 
 def _as_excitation(given: Excitation | Mapping[str, ArrayLike], rate: float | None) -> Excitation:

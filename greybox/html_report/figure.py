@@ -9,7 +9,6 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from greybox.files.arrays import Array
 from greybox.html_report.elements import tag
 from greybox.plotting.figure import Figure, Series
 
@@ -36,7 +35,10 @@ def figure_element(figure: Figure, is_alone: bool = False) -> Element:
 def _plain(thing: Any) -> Any:
     """Return numbers as a list, anything else by the names of its attributes."""
     if isinstance(thing, np.ndarray):
-        return _rounded(thing)
+        values = np.asarray(thing, dtype=float)
+        finite = values[np.isfinite(values)]
+        span = float(np.ptp(finite)) if finite.size else 0.0
+        return [_number(value, span) for value in values.tolist()]
     if isinstance(thing, Series) and thing.kind == "regions":
         # NaN ends an outline. Twelve of its 48 vertices look round, in a quarter of the space.
         ends = np.isnan(thing.x)
@@ -45,15 +47,8 @@ def _plain(thing: Any) -> Any:
     return {name: value for name, value in vars(thing).items() if value is not None}
 
 
-def _rounded(values: Array) -> list[float | None]:
-    """Return numbers with the digits that a figure of their span needs, None if not finite."""
-    values = np.asarray(values, dtype=float)
-    finite = values[np.isfinite(values)]
-    span = float(np.ptp(finite)) if finite.size else 0.0
-    return [_number(value, span) for value in values.tolist()]
-
-
 def _number(value: float, span: float) -> float | None:
+    """Return a number with the digits that a figure of this span needs, None if not finite."""
     if not math.isfinite(value):
         return None
     # Five digits of a clock time in seconds would be all alike: far from zero keep more of them.

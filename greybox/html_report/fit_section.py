@@ -32,7 +32,10 @@ def fit_section(entry: Entry) -> Iterator[tuple[str, list[Element]]]:
     # The verdict first: a colleague may read no further.
     fit = entry.fit
     assert fit is not None
-    yield "Verdict", [tag("p", data_summary(fit)), _verdict_box(fit), *_warnings(fit)]
+    judged = verdict(fit)
+    sentences = [tag("p", tag("strong", judged.level)), *(tag("p", s) for s in judged.sentences)]
+    box = tag("div", sentences, class_=f"verdict {judged.grade}")
+    yield "Verdict", [tag("p", data_summary(fit)), box, *_warnings(fit)]
     yield "Parameters", [parameter_table(fit), *remarks(fit)]
     if fit.profiles is not None and fit.profiles.profiles:
         yield "Intervals", list(_profiles(fit.profiles))
@@ -48,12 +51,6 @@ def fit_section(entry: Entry) -> Iterator[tuple[str, list[Element]]]:
 
     yield "Starts", [figure_grid([starts_figure(fit)])]
     yield "Data and provenance", provenance(fit)
-
-
-def _verdict_box(fit: Fit) -> Element:
-    judged = verdict(fit)
-    sentences = [tag("p", tag("strong", judged.level)), *(tag("p", s) for s in judged.sentences)]
-    return tag("div", sentences, class_=f"verdict {judged.grade}")
 
 
 def _warnings(fit: Fit) -> list[Element]:

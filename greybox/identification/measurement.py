@@ -38,7 +38,6 @@ from greybox.spectral.sweeps_and_noise import spectral_response
 from greybox.spectral.test_quality import Finding, Quality, check, jitter
 
 INSTRUMENT, SETPOINT = "instrument", "setpoint"
-RESERVED = (INSTRUMENT, SETPOINT)
 
 FEEDBACK = (
     "In a loop, output noise returns through the controller to the input, and biases the direct "
@@ -156,7 +155,7 @@ def _require_consistent(settings: Settings) -> None:
             "it: give the injected signal."
         )
     for name, _ in pairs:
-        if name in RESERVED:
+        if name in (INSTRUMENT, SETPOINT):
             raise ValueError(
                 f"the name {name!r} is reserved: give the signal another name, NAME=SIGNAL."
             )
@@ -311,8 +310,7 @@ def measure(recording: Recording, settings: Settings) -> Measurement:
                 *(error.finding for error in errors),
             )
             if settings.drop_warned:
-                response, left_out = _without_warned(response, quality)
-                response = replace(response, about={**response.about, **left_out})
+                response = _without_warned(response, quality)
         except ValueError as error:
             refused = Finding("response", "refusal", math.nan, " ".join(str(error).split()))
             quality = Quality((refused, *quality.findings))
@@ -349,10 +347,9 @@ def found_tests(recording: Recording, settings: Settings) -> tuple[Segment, ...]
 
 
 def _chosen(segments: Sequence[Segment], settings: Settings) -> list[Segment]:
-    wanted = (
-        _numbers(settings.tests, len(segments)) if settings.tests else range(1, len(segments) + 1)
-    )
-    chosen = [segments[k - 1] for k in wanted]
+    chosen = list(segments)
+    if settings.tests:
+        chosen = [segments[k - 1] for k in _numbers(settings.tests, len(segments))]
     if settings.axis:
         axes = list(dict.fromkeys(segment.axis for segment in chosen))
         chosen = [segment for segment in chosen if segment.axis == settings.axis]
@@ -504,20 +501,17 @@ def _beyond_sweep(response: FrequencyResponse, used: Sequence[Segment]) -> Itera
         yield Finding("band", "warning", math.nan, text, tuple(beyond.tolist()))
 
 
-def _without_warned(
-    response: FrequencyResponse, quality: Quality
-) -> tuple[FrequencyResponse, dict[str, str]]:
-    """Return the response without the points that a warning names, and a note on them."""
+def _without_warned(response: FrequencyResponse, quality: Quality) -> FrequencyResponse:
+    """Return the response without the points that a warning names, and with a note on them."""
     # If a warning holds for all points, leaving them out would leave nothing: the warning stays.
     warned = {omega for f in quality.findings if f.severity == "warning" for omega in f.omega}
     rows = np.isin(response.omega, [*warned])
     if not rows.any() or rows.all():
-        return response, {}
+        return response
     places = ", ".join(f"{omega:.4g}" for omega in response.omega[rows])
-    about = (
-        f"{counted(int(rows.sum()), 'point')} of {rows.size} at {places} rad/s (see the warnings)"
-    )
-    return response.where(~rows), {"left out": about}
+    count = counted(int(rows.sum()), "point")
+    text = f"{count} of {rows.size} at {places} rad/s (see the warnings)"
+    return replace(response.where(~rows), about={**response.about, "left out": text})
 
 
 def _about(

@@ -14,6 +14,7 @@ import numpy as np
 from greybox.data.record import Record, Recording, median_step
 from greybox.data.test_segment import Segment
 from greybox.files.arrays import Array
+from greybox.files.text_table import as_names
 from greybox.logs.segment_detection import SETPOINTS, present, stretches
 from greybox.logs.sine_detection import sines_and_sweeps
 
@@ -69,9 +70,9 @@ def find_manoeuvres(
     KeyError, ValueError
         If a named signal does not exist.
     """
-    names = [signal] if isinstance(signal, str) and signal else signal
+    names = as_names(signal or ()) or present(data, STICKS)
     manoeuvres = []
-    for name in names or present(data, STICKS) or present(data, (*SETPOINTS, *CONTROLS)):
+    for name in names or present(data, (*SETPOINTS, *CONTROLS)):
         unit, parts = stretches(data, name)
         runs = [run for time, values in parts for run in manoeuvres_in(time, values)]
         manoeuvres += [replace(run, axis=name, unit=unit, source=f"input {name}") for run in runs]

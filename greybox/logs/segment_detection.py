@@ -13,6 +13,7 @@ from greybox.data.record import GAP, Record, Recording, require_time, runs_betwe
 from greybox.data.test_segment import Segment
 from greybox.data.units import known_unit
 from greybox.files.arrays import Array, IntArray
+from greybox.files.text_table import as_names
 from greybox.logs.ardupilot.signals import ATTITUDE_SETPOINTS, SYSTEMID_AXES, SYSTEMID_DELAY
 from greybox.logs.betaflight import AXES as BETAFLIGHT_AXES
 from greybox.logs.flight_controllers import AXES, axis_of
@@ -87,10 +88,12 @@ def find_segments(
     if message or (fields and isinstance(data, Record)):
         segments += _announced(data, message, fields)
     if not segments:
-        names = [setpoint] if isinstance(setpoint, str) and setpoint else setpoint
-        segments = [
-            s for name in names or present(data, SETPOINTS) for s in _in_setpoint(data, name)
-        ]
+        for name in as_names(setpoint or ()) or present(data, SETPOINTS):
+            # A gap of up to a second need not end a test: a lost crossing ends a sine anyway.
+            unit, parts = stretches(data, name, PAUSE)
+            runs = [run for time, values in parts for run in sines_and_sweeps(time, values)]
+            source = f"setpoint {name}"
+            segments += [replace(run, axis=name, unit=unit, source=source) for run in runs]
     sines = [s for s in segments if s.kind == "sine" and s.source != "SIDS"]
     checked = (_checked(s, data, sines) for s in segments)
     return tuple(sorted(checked, key=lambda s: (s.start, s.axis)))
@@ -282,13 +285,6 @@ def stretches(
         (time[run], np.unwrap(values[run], period=turn) if turn else values[run])
         for run in runs_between_gaps(time, max(longest_gap, GAP * record.step))
     ]
-
-
-def _in_setpoint(data: Recording | Record, name: str) -> list[Segment]:
-    # A gap of up to a second need not end a test: a lost crossing ends a sine anyway.
-    unit, parts = stretches(data, name, PAUSE)
-    segments = [segment for time, values in parts for segment in sines_and_sweeps(time, values)]
-    return [replace(s, axis=name, unit=unit, source=f"setpoint {name}") for s in segments]
 
 
 def announcing(recording: Recording) -> tuple[str, ...]:

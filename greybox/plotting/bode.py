@@ -144,12 +144,11 @@ def _error_panels(
 
     if not points[0]:
         return []
-    panels = []
-    for k, label in enumerate(("Error, dB", "Error, °")):
-        bands = [_band(drawn, k) for drawn in responses if drawn.band is not None]
-        panels.append(Panel(label, [rule(), *bands, *points[k]], height=0.5))
-
-    return panels
+    banded = [drawn for drawn in responses if drawn.band is not None]
+    return [
+        Panel(label, [rule(), *(_band(drawn, k) for drawn in banded), *points[k]], height=0.5)
+        for k, label in enumerate(("Error, dB", "Error, °"))
+    ]
 
 
 def _caption(

@@ -392,21 +392,19 @@ def _horizontal_axis(axes: AxesArray, figure: Figure) -> None:
             ax.xaxis.set_major_locator(MaxNLocator(integer=True, steps=[1, 2, 5, 10]))
 
     if figure.is_logarithmic:
-        _make_logarithmic(axes)
-
-
-def _make_logarithmic(axes: AxesArray) -> None:
-    """Make horizontal axes logarithmic, with 1, 2 and 5 of every decade where there is room."""
-    # From everything in the axes, including what a user drew into them before.
-    low = min(ax.dataLim.minposx for ax in axes)
-    high = max(ax.dataLim.xmax for ax in axes)
-    for ax in axes:
-        ax.set(xscale="log", xlim=(low / 1.15, high * 1.15))
-        _number_decades(ax.xaxis, low, high)
+        # From everything in the axes, including what a user drew into them before.
+        low = min(ax.dataLim.minposx for ax in axes)
+        high = max(ax.dataLim.xmax for ax in axes)
+        for ax in axes:
+            ax.set(xscale="log", xlim=(low / 1.15, high * 1.15))
+            _number_decades(ax.xaxis, low, high)
 
 
 def _number_decades(axis: Axis, low: float, high: float) -> None:
-    """Write plain numbers at a logarithmic axis: 60, not 6 times a power of ten."""
+    """Write plain numbers at a logarithmic axis: 60, not 6 times a power of ten.
+
+    1, 2 and 5 of every decade where there is room.
+    """
     linear = MaxNLocator(6, steps=[1, 2, 2.5, 5, 10])
     decades = LogLocator(subs=(1, 2, 5) if high < 1e3 * low else (1,))
     axis.set_major_locator(linear if high < 5 * low else decades)

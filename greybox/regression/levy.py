@@ -266,26 +266,20 @@ def reweighted(
 
     def solved(weight: Array) -> tuple[Array, Array, Array]:
         factor = weight[..., None]
-        solution, matrix = _least_squares(factor * equations, factor * measured[..., :1])
-        numerator, lower = np.split(solution, [m + 1], axis=-1)
-        return numerator, np.concatenate([highest, lower, zeros], axis=-1), matrix
+        matrix = real_and_imaginary(factor * equations, -2)
+        # Powers of ω differ by decades: without scaling, the rank would depend on the units.
+        scale = positive_or_one(np.linalg.norm(matrix, axis=-2, keepdims=True))
+        normalized = matrix / scale
+        inverse = np.linalg.pinv(normalized, RANK) / np.swapaxes(scale, -1, -2)
+        solution = inverse @ real_and_imaginary(factor * measured[..., :1], -2)
+        numerator, lower = np.split(solution[..., 0], [m + 1], axis=-1)
+        return numerator, np.concatenate([highest, lower, zeros], axis=-1), normalized
 
     answer = solved(weight)
     # Divided by |a|, the equation error is the error of the response where a no longer changes.
     for _ in range(iterations):
         answer = solved(weight / np.abs(answer[1] @ powers.T))
     return answer
-
-
-def _least_squares(equations: ComplexArray, right: ComplexArray) -> tuple[Array, Array]:
-    """Return real solutions (..., unknowns) of complex equations, and their normalized matrix."""
-    matrix = real_and_imaginary(equations, -2)
-    # Powers of ω differ by decades: without scaling, the rank would depend on the units.
-    scale = positive_or_one(np.linalg.norm(matrix, axis=-2, keepdims=True))
-    normalized = matrix / scale
-    inverse = np.linalg.pinv(normalized, RANK) / np.swapaxes(scale, -1, -2)
-    solution = inverse @ real_and_imaginary(right, -2)
-    return solution[..., 0], normalized
 
 
 def _check_orders(data: FrequencyResponse, n: int, m: int, integrator: int) -> None:

@@ -141,8 +141,11 @@ class _Analysis:
         self._know_measured_states()
         candidates = list(self._candidates())
         equations = tuple(equation for _, equation in candidates)
-        rows = [row for row, _ in candidates]
+        rows = _column([row for row, _ in candidates])
         linear = self._linear(rows)
+        unknowns = _column([self.parameter[n] for n in linear])
+        # The rows where the unknowns are zero, and their slopes.
+        affine = [ca.substitute(rows, unknowns, 0 * unknowns), ca.jacobian(rows, unknowns)]
         nonlinear = tuple(
             n for n in self.free if n not in linear and any(n in e.parameters for e in equations)
         )
@@ -155,15 +158,10 @@ class _Analysis:
             free=self.free,
             linear=linear,
             nonlinear=nonlinear,
-            rows=self._affine_function(_column(rows), _column([self.parameter[n] for n in linear])),
+            rows=ca.Function("affine", [self.x, self.u, self.p], [*map(ca.densify, affine)]),
             delay=ca.Function("delay", [self.p], [ca.densify(self.delays)]),
             left_out=tuple(self.left_out),
         )
-
-    def _affine_function(self, rows: ca.SX, symbols: ca.SX) -> ca.Function:
-        """Return (x, u, p) -> the rows where the symbols are zero, and their slopes."""
-        results = [ca.substitute(rows, symbols, 0 * symbols), ca.jacobian(rows, symbols)]
-        return ca.Function("affine", [self.x, self.u, self.p], [*map(ca.densify, results)])
 
     def _know_measured_states(self) -> None:
         """Take states from signals, then from outputs and derivatives of known states."""
@@ -235,24 +233,22 @@ class _Analysis:
         late = [self.delays[self.model.inputs.index(n)] for n in _needed(row, self.input)]
         return tuple(_needed(ca.vertcat(row, *late), self.parameter))
 
-    def _linear(self, rows: list[ca.SX]) -> tuple[str, ...]:
+    def _linear(self, rows: ca.SX) -> tuple[str, ...]:
         """Return the parameters in which all rows are jointly affine."""
         # A parameter of a delay changes the regressors themselves.
         excluded = _needed(self.delays, self.parameter)
-        names = [n for n in _needed(_column(rows), self.parameter) if n not in excluded]
-
-        right_sides = _column(rows)
+        names = [n for n in _needed(rows, self.parameter) if n not in excluded]
         linear: list[str] = []
 
         def partners(name: str) -> int:
             """Return how many parameters this one multiplies, itself where it is a power."""
-            slope = ca.simplify(ca.jacobian(right_sides, self.parameter[name]))
+            slope = ca.simplify(ca.jacobian(rows, self.parameter[name]))
             return sum(n in names for n in _needed(slope, self.parameter))
 
         # If parameters multiply one another, the one with the most partners is held: the others are
         # then linear.
         for name in sorted(names, key=partners):
-            if self._affine(right_sides, _column([self.parameter[n] for n in (*linear, name)])):
+            if self._affine(rows, _column([self.parameter[n] for n in (*linear, name)])):
                 linear.append(name)
         return tuple(name for name in names if name in linear)
 

@@ -55,12 +55,13 @@ def response_at(
     # A response without a variance has no weight in a likelihood.
     good = np.isfinite(variance)
     input, output, name = names
-    if not good.any() and weak.any():
-        raise ValueError(
-            f"the instrument hardly moves {input}: at no frequency is its effect {STRONG} times as "
-            "strong as the noise; excite more strongly or longer, or use another instrument."
-        )
     if not good.any():
+        if weak.any():
+            raise ValueError(
+                f"the instrument hardly moves {input}: at no frequency is its effect {STRONG} "
+                "times as strong as the noise; excite more strongly or longer, or use another "
+                "instrument."
+            )
         raise ValueError(
             "no frequency has enough data: the excitation must cover a band, and be longer than "
             "six periods of its lowest frequency."

@@ -55,11 +55,9 @@ def pooled_levels(omega: ArrayLike, level: ArrayLike, dof: ArrayLike) -> tuple[A
     # Levels that differ are modeled as a constant over a χ² variable, whose logarithm is biased
     # too.
     center = curve if np.isinf(prior) else curve + digamma(prior / 2) - np.log(prior / 2)
-    pooled = level.copy()
-    pooled[used] = weight * level[used] + (1 - weight) * np.exp(center)
-    pooled_dof = dof.copy()
-    pooled_dof[used] = np.minimum(prior + dof[used], dof[used].sum())
-    return pooled, pooled_dof
+    level[used] = weight * level[used] + (1 - weight) * np.exp(center)
+    dof[used] = np.minimum(prior + dof[used], dof[used].sum())
+    return level, dof
 
 
 def _inverse_trigamma(value: float) -> float:

@@ -227,7 +227,7 @@ class Bootstrap(Printed):
         return plain(answer)
 
 
-def tail(level: float, dof: float = math.inf) -> float:
+def tail(level: float, dof: float) -> float:
     """Return the share of normal replicates beyond each end of an interval of Student's t."""
     from scipy.special import ndtr  # noqa: PLC0415  (takes a tenth of a second to import)
 

@@ -1,6 +1,6 @@
 """A data file: a frequency response, or a record."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -116,34 +116,32 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
         for record in log.values()
         if set(inputs) <= set(record.signals) and set(outputs) & set(record.signals)
     ]
-    # A table can be described by options. A log has several messages with clocks of their own, for
-    # which a record must be prepared.
-    is_table = len(log) == 1
     if len(records) != 1:
         available = "; ".join(f"{key}: {', '.join(r.signals)}" for key, r in log.items())
-        columns = " ".join(f"{name}=COLUMN" for name in names)
-        cure = (
-            f"name the columns, with units, columns=time=COLUMN:ms {columns}; or, if it is a "
-            "response, columns=frequency=COLUMN:Hz magnitude=COLUMN:dB phase=COLUMN:deg"
-        )
+        # A table can be described by options. A log has several messages with clocks of their own,
+        # for which a record must be prepared.
+        if len(log) == 1:
+            columns = " ".join(f"{name}=COLUMN" for name in names)
+            cure = (
+                f"name the columns, with units, columns=time=COLUMN:ms {columns}; or, if it is a "
+                "response, columns=frequency=COLUMN:Hz magnitude=COLUMN:dB phase=COLUMN:deg"
+            )
+        else:
+            fields = ", ".join(f"{name!r}: 'MESSAGE.Field'" for name in names)
+            cure = (
+                f"prepare the record with gb.prepare(gb.read({str(path)!r}), {{{fields}}}) in a "
+                "file my.py whose function problem() returns gb.Problem(model, record)"
+            )
         raise ValueError(
             f"{path} has {len(records) or 'no'} messages with the signals of {model.label} "
             f"({', '.join((*inputs, ' or '.join(outputs)))}) but has "
-            f"{available:.{LONG}}. To fit it, {cure if is_table else _preparation(path, names)}."
+            f"{available:.{LONG}}. To fit it, {cure}."
         )
 
     (record,) = records
     # Models are written in SI units, tables in any.
     record = in_si(record, [name for name in names if name in record.signals])
     return replace(record, findings=tuple(dict.fromkeys([*record.findings, *log.findings])))
-
-
-def _preparation(path: Path, names: Sequence[str]) -> str:
-    fields = ", ".join(f"{name!r}: 'MESSAGE.Field'" for name in names)
-    return (
-        f"prepare the record with gb.prepare(gb.read({str(path)!r}), {{{fields}}}) in a file my.py "
-        "whose function problem() returns gb.Problem(model, record)"
-    )
 
 
 def reading_once() -> Callable[..., Any]:

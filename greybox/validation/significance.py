@@ -29,8 +29,8 @@ def verdicts(
     *,
     same_data: bool,
     comparable: bool,
-    likelihoods: Likelihoods | None = None,
-    aic: Sequence[float] = (),
+    likelihoods: Likelihoods | None,
+    aic: Sequence[float],
 ) -> tuple[tuple[str, ...], list[NestedTest]]:
     """Return the sentences of a comparison, and the tests of nested models.
 

@@ -78,7 +78,7 @@ class UnitTables:
 def with_usual_units(groups: list[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
     """Give messages of logs without unit tables ArduPilot's usual units, with a finding."""
     if any(unit for group in groups for unit in group.units.values()):
-        return list(groups), ()
+        return groups, ()
     names = ", ".join(dict.fromkeys(group.name for group in groups if group.name in USUAL))
     with_units = [replace(g, units={**g.units, **USUAL.get(g.name, {})}) for g in groups]
     text = f"the log has no table of units: ArduPilot's usual ones are assumed for {names}."

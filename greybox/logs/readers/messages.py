@@ -74,20 +74,18 @@ def bare(messages: Collection[str] | None) -> tuple[str, ...] | None:
     )
 
 
-def on_one_clock(groups: Iterable[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
+def on_one_clock(groups: Sequence[Messages]) -> tuple[list[Messages], tuple[str, ...]]:
     """Return the messages on one clock that never restarts, and findings; see `time_stamps`."""
-    groups = list(groups)
     timed = [group for group in groups if group.time is not None and len(group)]
     # In the order of the file, since restarts show in it across all types of messages.
     stamps = np.full(max((1 + int(group.order.max()) for group in timed), default=0), np.nan)
     for group in timed:
         stamps[group.order] = group.time
     shifted, findings = time_stamps.one_clock(stamps)
-    groups = [
+    return [
         group if group.time is None else replace(group, time=shifted[group.order])
         for group in groups
-    ]
-    return groups, findings
+    ], findings
 
 
 def records(

@@ -64,19 +64,13 @@ def one_clock(stamps: Array) -> tuple[Array, tuple[str, ...]]:
 
 def _plausible(stamps: Array) -> Array:
     """Return the stamps of one boot, NaN if far outside those at its start and its end."""
-    # A damaged stamp would stretch the record over years.
-    first, last = _edge(stamps[:WINDOW], -1), _edge(stamps[-WINDOW:], 1)
+    # A damaged stamp would stretch the record over years. Stamps mostly increase evenly, and a
+    # quarter may be damaged: the edge is twice as far from the median as the quartile.
+    low, early = np.percentile(stamps[:WINDOW], (25, 50))
+    late, high = np.percentile(stamps[-WINDOW:], (50, 75))
+    first, last = early - 2 * (early - low), late + 2 * (high - late)
     plausible = (stamps >= first - SLACK) & (stamps <= last + SLACK)
     return np.where(plausible, stamps, np.nan) if plausible.any() else stamps
-
-
-def _edge(stamps: Array, side: int) -> float:
-    """Return the first (side -1) or last (1) of stamps that mostly increase evenly.
-
-    A quarter may be damaged: the edge is twice as far from the median as the quartile.
-    """
-    low, middle, high = np.percentile(stamps, (25, 50, 75))
-    return float(middle + side * 2 * (high - middle if side > 0 else middle - low))
 
 
 def increasing(time: Array) -> IntArray:
