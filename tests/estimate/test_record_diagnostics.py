@@ -537,3 +537,14 @@ def test_an_output_is_not_explained_below_a_tenth_and_half_of_what_its_noise_all
     assert told(slow, 3.0, corrects=True) == []
     assert told(slow, 3.0, static=True, constant=True) == []
     assert told(slow, 3.0, static=True)
+
+
+def test_samples_that_are_fitted_twice_are_named():
+    flight = slid(0.0, 2.0)
+    once, later = flight.between(0.0, 1.2), flight.between(0.8, 2.0)
+    for first, second in ((flight, flight), (once, later)):
+        problem = gb.several(Slide(), [first, second], fixed={"K": 3.0})
+        (text,) = said(gb.fit(problem, 1, progress=False), "count twice")
+        assert "have the same samples of x, which count twice: the standard errors" in text
+    apart = gb.several(Slide(), [once, flight.between(1.21, 2.0)], fixed={"K": 3.0})
+    assert not said(gb.fit(apart, 1, progress=False), "count twice")
