@@ -324,7 +324,7 @@ def assessed_misfit(
     groups = [
         _of_group(parts) for parts in (responses, regressions) if any(part.terms for part in parts)
     ]
-    if not groups:
+    if not any(group.causes for group in groups):
         return None
 
     # What explains most comes first, among what is significant, and what has no known form last.

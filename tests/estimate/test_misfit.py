@@ -845,3 +845,21 @@ def test_an_input_that_is_no_line_between_its_samples_is_named(smooth):
     if smooth:
         assert misfit.likely[0].text.startswith("u runs in curves between its samples")
         assert misfit.likely[0].value == pytest.approx(1, abs=0.3)
+
+
+class OneLag(gb.TransferFunction):
+    K = gb.Parameter(1.0, bounds=(0.1, 10))
+    T = gb.Parameter(0.5, bounds=(0.05, 5))
+
+    def response(self, s, p):
+        return p.K / (p.T * s + 1)
+
+
+@pytest.mark.parametrize("points", [1, 3])
+def test_too_few_points_do_not_judge_a_model(points):
+    omega = np.geomspace(0.5, 8.0, points)
+    noise = 0.02 * np.random.default_rng(points).normal(size=points)
+    data = gb.FrequencyResponse(omega, 2 / (0.3j * omega + 1) * (1 + noise))
+    fit = gb.fit(gb.Problem(OneLag(), data), starts=4, progress=False)
+    assert fit.misfit is None
+    assert "explain" not in str(fit)
