@@ -1,5 +1,7 @@
 """Covariances of estimates whose errors are correlated in time: against dense covariance matrices and Monte Carlo."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -787,6 +789,26 @@ def resonant():
     inverse = 1 / (A @ A)
     e -= J * (A @ e.reshape(-1)) * inverse
     return spectra_of([J[:, None]], [e], np.array([[inverse]]), np.eye(2), None, lambda: jumps)
+
+
+def test_what_a_fit_took_is_that_of_errors_without_process_noise():
+    """An average with process noise would feed the spectra that the fit took most from."""
+    made = resonant()
+    lags, banded = made.periodogram
+    others = made.others(lags, banded)
+    for _ in range(2):
+        more = made.taken_power(others.density)
+        corrected = made.others(lags + more[0], banded + more[1])
+        changed = abs(corrected.taken - others.taken) >= 0.1 * others.taken
+        others = replace(corrected, score=min(others.score, corrected.score))
+        if not changed:
+            break
+    found = colored_information(
+        made.weighted, made.directions, made.residuals, made.noise, made.initial, made.shocks
+    )
+    expected = made.with_process_noise(others)
+    assert_allclose(found.spectrum.density, expected.density, rtol=1e-9, atol=1e-12)
+    assert expected.taken != pytest.approx(others.taken, rel=1e-6)
 
 
 def test_process_noise_is_judged_by_the_variances_of_its_parts():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
-from greybox.statistics.score_test import correlated_fits, p_values_of_fits
+from greybox.statistics.score_test import chance, correlated_fits, p_values_of_fits
 
 
 def blocks():
@@ -59,3 +59,12 @@ def test_a_term_explains_what_errors_that_walk_do_not(walks, size, is_likely):
         fits = correlated_fits([(errors + 2 * size * term, ones, (24, 24))], term)
         likely += p_values_of_fits(fits, fits)[1] > 0.01
     assert likely >= 18 if is_likely else likely <= 2
+
+
+def test_white_errors_are_as_likely_as_all_other_kinds_before_the_data():
+    """With equal likelihoods, half of the mean is the probability in white errors."""
+    before = np.ones((3, 1)), np.zeros((3, 1)), np.array([20.0])
+    left = np.array([[0.4], [1.0], [1.0]])
+    beside = left, np.zeros((3, 1)), np.array([19.0])
+    white = chance(0.4, 19.0)
+    assert p_values_of_fits(before, beside) == pytest.approx([(white + 1) / 2])
