@@ -95,6 +95,11 @@ class CompiledProblem(Portable):
         return [part for part in self.parts if isinstance(part, kind)]
 
     @property
+    def has_states(self) -> bool:
+        """Whether states are unknowns besides the parameters, as in every record."""
+        return any(part.has_states for part in self.parts)
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Free parameters, then constants: the order of all values."""
         return (*self.free, *self.constants)

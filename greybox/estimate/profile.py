@@ -240,7 +240,7 @@ class HeldMinima:
 
     def _minimum(self, x: Array) -> tuple[Point, tuple[Trajectory, ...]]:
         nlp = self.nlp
-        if not any(part.has_states for part in nlp.parts):
+        if not nlp.has_states:
             z = nlp.scaling.to_solver(x)
             return self._response_minimum(z), tuple(part.trajectory(z) for part in nlp.parts)
 

@@ -35,5 +35,4 @@ def cost(
     require_known(values, problem.parameters, "parameter", repr(problem.name))
     nlp = compile_problem(problem, method)
     point = np.array([values.get(name, problem.parameters[name].start) for name in nlp.names])
-    has_states = any(part.has_states for part in nlp.parts)
-    return (GaussNewton(nlp) if has_states else nlp).cost(point)
+    return (GaussNewton(nlp) if nlp.has_states else nlp).cost(point)

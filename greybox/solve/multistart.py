@@ -47,7 +47,7 @@ def solver_for(
     ValueError
         For options that the solver does not take.
     """
-    if not any(part.has_states for part in nlp.parts):
+    if not nlp.has_states:
         batched = search == BATCHED
         kind = SharedSolver if batched and SharedSolver.serves(nlp) else ResponseSolver
         return kind(nlp, options, batched=batched)

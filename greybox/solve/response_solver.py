@@ -94,8 +94,7 @@ class ResponseSolver(LocalSolver):
     @staticmethod
     def serves(problem: CompiledProblem) -> bool:
         """Return whether starts of a problem can be improved together."""
-        without_states = not any(part.has_states for part in problem.parts)
-        return without_states and fits_a_batch(problem.programs[-1].explicit)
+        return not problem.has_states and fits_a_batch(problem.programs[-1].explicit)
 
     # --- one run
 

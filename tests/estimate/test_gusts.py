@@ -2,6 +2,7 @@
 
 import numpy as np
 from scipy.signal import lfilter
+from slow_lag import SlowLag
 
 import greybox as gb
 
@@ -22,18 +23,6 @@ class Spring(gb.StateSpace):
         return (x.x,)
 
 
-class Lag(gb.StateSpace):
-    states, inputs, outputs = ("x",), ("u",), ("y",)
-    K = gb.Parameter(1.0, bounds=(0.1, 10))
-    tau = gb.Parameter(2.0, bounds=(0.1, 50))
-
-    def derivative(self, x, u, p):
-        return ((p.K * u.u - x.x) / p.tau,)
-
-    def output(self, x, u, p):
-        return (x.x,)
-
-
 def moved(model):
     """Return the model with gusts as an input."""
 
@@ -47,7 +36,7 @@ def moved(model):
     return Moved()
 
 
-MOVED = {model: moved(model) for model in (Spring, Lag)}
+MOVED = {model: moved(model) for model in (Spring, SlowLag)}
 
 
 def fitted(model, truth, moved_by, sensor, samples, seed):
@@ -81,5 +70,5 @@ def test_errors_of_a_sensor_in_a_short_record_are_not_gusts():
 def test_gusts_in_a_slow_vehicle_are_named():
     """Of 20 such fits, 7 named them."""
     truth = {"K": 2.0, "tau": 2.0}
-    fits = [fitted(Lag, truth, 0.3, (0.0, 0.01), 300, seed) for seed in range(10)]
+    fits = [fitted(SlowLag, truth, 0.3, (0.0, 0.01), 300, seed) for seed in range(10)]
     assert named(fits) >= 7

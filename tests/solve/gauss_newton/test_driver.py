@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from rate_lag import Lag
+from slow_lag import SlowLag
 
 import greybox as gb
 from greybox.compiled.compiled_problem import compile_problem
@@ -187,18 +188,6 @@ def test_another_value_of_what_is_fixed_is_refused():
         solver.cost(np.array([2.0, 2.5]))
 
 
-class SlowLag(gb.StateSpace):
-    states, inputs, outputs = ("x",), ("u",), ("x",)
-    K = gb.Parameter(1.0, bounds=(0.1, 10))
-    tau = gb.Parameter(2.0, bounds=(0.1, 50))
-
-    def derivative(self, x, u, p):
-        return ((p.K * u.u - x.x) / p.tau,)
-
-    def output(self, x, u, p):
-        return (x.x,)
-
-
 @pytest.mark.parametrize("seed", [10, 11, 21, 41])
 def test_a_run_that_still_converges_is_not_ended(seed):
     """Its last decrease is within noise, but far more than the next: the minimum is one step off.
@@ -210,8 +199,8 @@ def test_a_run_that_still_converges_is_not_ended(seed):
     u = np.repeat(np.sign(random.normal(size=20)), 15)
     truth = {"K": 2.0, "tau": 5.0}
     flown = gb.simulate(SlowLag(), truth, gb.Record(t, {"u": u}), initial={"x": 0.0}, inputs="held")
-    measured = flown["x"] + 0.03 * random.normal(size=300)
-    problem = gb.Problem(SlowLag(), gb.Record(t, {"u": u, "x": measured}), HELD)
+    measured = flown["y"] + 0.03 * random.normal(size=300)
+    problem = gb.Problem(SlowLag(), gb.Record(t, {"u": u, "y": measured}), HELD)
     fit = gb.fit(problem, starts=8, progress=False)
     assert len(fit.minima) == 1
     assert fit.agreeing == 8
