@@ -210,12 +210,12 @@ def _lengths(fit: Fit, steps: Array, drawn: Callable[[Array], Array]) -> Array:
     predicted = np.sum(coordinates**2, axis=1) / 2
 
     has_records = len(fit.responses) < len(fit.parts)
-    simulated = (GaussNewton(problem) if has_records else problem).cost
+    simulated = GaussNewton(problem)
 
     def costs(steps: Array) -> Array:
         x = drawn(steps)[:, :p]
         if has_records:
-            return np.array([*map(simulated, problem.all_values(x))])
+            return np.array([*map(simulated.cost, problem.all_values(x))])
         return problem.costs(x)
 
     lowest = costs(np.zeros((1, steps.shape[1])))

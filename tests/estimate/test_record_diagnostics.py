@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from gain_and_lag import Lag
 from numpy.testing import assert_allclose
 from scipy.signal import lfilter
 
@@ -548,3 +549,15 @@ def test_samples_that_are_fitted_twice_are_named():
         assert "have the same samples of x, which count twice: the standard errors" in text
     apart = gb.several(Slide(), [once, flight.between(1.21, 2.0)], fixed={"K": 3.0})
     assert not said(gb.fit(apart, 1, progress=False), "count twice")
+
+
+def test_a_response_that_is_fitted_twice_is_named():
+    omega = np.geomspace(0.1, 10, 8)
+    first, later = (gb.FrequencyResponse(omega, k / (1 + 1j * omega)) for k in (1.0, 1.1))
+    first, again, later = (
+        gb.Problem(Lag(), data, name=name)
+        for data, name in ((first, "a"), (first, "b"), (later, "c"))
+    )
+    (text,) = said(gb.fit(first + later + again, 1, progress=False), "count twice")
+    assert text.startswith("'a' and 'b' have the same points")
+    assert not said(gb.fit(first + later, 1, progress=False), "count twice")

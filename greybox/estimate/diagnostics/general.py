@@ -32,7 +32,11 @@ from greybox.estimate.diagnostics.noise_level import unlikely_noise
 from greybox.estimate.diagnostics.not_finite import not_finite_warnings
 from greybox.estimate.diagnostics.outlying_points import outlying_points, outlying_samples
 from greybox.estimate.diagnostics.prior_conflict import prior_conflicts
-from greybox.estimate.diagnostics.records import finding_warnings, record_warnings
+from greybox.estimate.diagnostics.records import (
+    finding_warnings,
+    record_warnings,
+    repeated_data,
+)
 from greybox.estimate.diagnostics.repeated import once
 from greybox.estimate.result import Fit
 from greybox.solve.discretization_error import DiscretizationError
@@ -76,6 +80,7 @@ def warnings(
     return (
         *not_finite_warnings(nlp, search),
         *finding_warnings(nlp),
+        *repeated_data(nlp),
         *discretization_warnings(nlp, trajectories, error),
         *(() if errors else (UNEXPLAINED,)),
         *record_warnings(

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator, Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -10,12 +11,14 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.kalman_gain import kalman_gain
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
+from greybox.compiled.response_part import ResponsePart
 from greybox.data.record import Record, share_samples
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.repeated import Finding, once
 from greybox.estimate.fitted_part import FittedPart, FittedRecord
 from greybox.estimate.missing_terms import dynamic_equations
 from greybox.files.arrays import Array
+from greybox.files.grouping import grouped
 from greybox.files.text_table import listed, some
 from greybox.modeling.colored_disturbance import undisturbed
 from greybox.modeling.state_space import StateSpace
@@ -42,6 +45,31 @@ def finding_warnings(nlp: CompiledProblem) -> Iterator[str]:
     )
 
 
+def repeated_data(nlp: CompiledProblem) -> Iterator[str]:
+    """Name data that are fitted twice, as of a file that was given twice."""
+    pairs = [
+        (same[0].problem.name, again.problem.name, "points")
+        for same in grouped(nlp.parts_of(ResponsePart), lambda part: part.data.checksum)
+        for again in same[1:]
+    ]
+    for first, again in combinations(nlp.parts_of(RecordPart), 2):
+        earlier, later = first.model.record, again.model.record
+        outputs = {*first.outputs} & {*again.outputs}
+        if outputs and earlier.checksum == later.checksum and share_samples(earlier, later):
+            samples = f"samples of {listed(sorted(outputs))}"
+            pairs.append((first.problem.name, again.problem.name, samples))
+
+    return once(
+        (
+            "repeated",
+            name,
+            f"{first!r} and {name!r} have the same {numbers}, which count twice: the standard "
+            "errors are too small; leave one of them out.",
+        )
+        for first, name, numbers in pairs
+    )
+
+
 def record_warnings(
     nlp: CompiledProblem,
     fitted: Sequence[FittedPart],
@@ -65,7 +93,6 @@ def record_warnings(
     alone = len(pairs) == 1
 
     return (
-        *once(_repeated([part for part, _ in pairs])),
         *once(_short(nlp, accuracy)),
         *once(finding for pair in pairs for finding in unexplained_outputs(*pair, alone=alone)),
         *(biased_by_feedback(pairs, unstable=unstable) if feedback else ()),
@@ -102,23 +129,6 @@ def _flattened_inputs(parts: Sequence[RecordPart]) -> Iterator[Finding]:
                     "outputs NaN in between, or state its hold; inputs='linear' says that it runs "
                     "in lines.",
                 )
-
-
-def _repeated(parts: Sequence[RecordPart]) -> Iterator[Finding]:
-    """Name records with samples that are fitted twice, as of a file that was given twice."""
-    for k, part in enumerate(parts):
-        record = part.model.record
-        for other in parts[:k]:
-            earlier, outputs = other.model.record, {*part.outputs} & {*other.outputs}
-            if outputs and record.checksum == earlier.checksum and share_samples(record, earlier):
-                yield (
-                    "repeated",
-                    record.name or part.problem.name,
-                    f"{other.problem.name!r} and {part.problem.name!r} have the same samples of "
-                    f"{listed(sorted(outputs))}, which count twice: the standard errors are too "
-                    "small; leave one of them out.",
-                )
-                break
 
 
 def _short(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[Finding]:
