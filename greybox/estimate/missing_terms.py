@@ -190,6 +190,7 @@ STOPS = (0.05, 0.15, 0.85, 0.95)
 JUMPS = (-0.25, 0.0, 0.25)  # of a parameter, over the samples from their middle
 CREEP = 0.2  # of the largest value of a signal, below which its sign counts less
 DAMPING = 0.05  # of modes
+DAMPINGS = 0.05, 0.2
 MODES = 16  # frequencies of the modes that are tried in records
 # Fewest periods of such a mode in the record: a slower one looks like a drift of the errors.
 PERIODS = 5
@@ -529,8 +530,8 @@ def terms_of_response(*omega: float) -> tuple[Term, ...]:
         terms += Term("delay", np.exp(-s * T) - 1, scale=T), Term("zero", np.abs(1 + s * T) - 1)
     for a in np.geomspace(low / 2, 2 * high, 9):
         terms.append(Term("pole", 1 / (1 + s / a) - 1, level=a))
-    for w in np.geomspace(low, high, 16):
-        below = s**2 + 2 * DAMPING * w * s + w**2
+    for w, damping in itertools.product(np.geomspace(low, high, 16), DAMPINGS):
+        below = s**2 + 2 * damping * w * s + w**2
         terms += [Term("mode", top / below, level=w) for top in (w**2, s * w)]
     edges = np.sqrt(at[1:] * at[:-1])
     steps = edges[:: max(len(edges) // EDGES, 1)]
