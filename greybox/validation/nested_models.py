@@ -60,8 +60,9 @@ class NestedTest:
 
     def __str__(self) -> str:
         verb = "is" if len(self.terms) == 1 else "are"
+        rejected = f"rejected by the test against {self.large}"
         if self.p_value < SIGNIFICANT:
-            verdict = f"{verb} needed: {self.small} is rejected by the test against {self.large}"
+            verdict = f"{verb} needed: {self.small} is {rejected}"
         elif (
             self.dof[1] < LEAST_DOF
             or f_tail(self.statistic, round(self.dof[0]), math.inf) < SIGNIFICANT
@@ -72,9 +73,10 @@ class NestedTest:
                 f"{self.small} from {self.large}"
             )
         else:
-            verdict = f"{verb} not needed: {self.small} explains the data as well as {self.large}"
+            verdict = f"{verb} not shown to be needed: {self.small} is not {rejected}"
 
-        statistic = "F({:g}, {:.0f})".format(*self.dof) + f" = {number(self.statistic, 4)}"
+        r, dof = self.dof
+        statistic = f"F({r:g}, {dof:.0f}) = {number(self.statistic, 4)}"
         scale = "" if self.scale == 1.0 else f"; scaled by {number(self.scale, 3)}"
         return f"{', '.join(self.terms)} {verdict} ({statistic}, {p_text(self.p_value)}{scale})."
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from lateral_aircraft import LATERAL, Lateral, discretized, disturbed, doublets
 from numpy.testing import assert_allclose
+from sampled_lag import SampledLag, lag_record
 from scipy.linalg import solve_discrete_are
 from scipy.optimize import minimize
 from scipy.signal import lfilter
@@ -245,6 +246,14 @@ def test_gusts_that_do_not_blow_have_no_time_constant():
     found = fit(gb.Problem(Spring(), flown(0.0, seed=2), GUSTY))
     assert found.estimate["w_gust_v"] == 0
     assert not any("not determined" in text for text in found.warnings)
+
+
+def test_steps_that_overshoot_settle():
+    """Damping that fell after each of them let runs go to and fro beside this minimum to their end."""
+    gusty = gb.PredictionError(disturbance={"y": "colored"}, inputs="held")
+    found = fit(gb.Problem(SampledLag(), lag_record(5, 800), gusty), starts=2)
+    assert found.runs.converged.all()
+    assert max(found.runs.iterations) < 300
 
 
 class WithAcceleration(Spring):

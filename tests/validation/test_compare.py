@@ -38,7 +38,7 @@ def test_a_linear_truth_is_not_taken_for_a_quadratic_one():
     record, other = flight(LINEAR, 3), flight(LINEAR, 4)
     both, linear, quadratic = (fitted(m, record) for m in (Drag(), LinearDrag(), QuadraticDrag()))
     found = gb.compare(both, linear, records=other)
-    assert "C_x is not needed" in found.statements[0]
+    assert "C_x is not shown to be needed" in found.statements[0]
     assert "equally well" in str(found)
     found = gb.compare(quadratic, linear, records=[other])
     assert "LinearDrag predicts the identification data better than QuadraticDrag" in str(found)

@@ -23,7 +23,7 @@ def test_a_nested_test_says_what_is_needed():
     held = gb.validation.nested_test(fitted(Drag(), record, fixed={"C_x": 0.05}), large)
     assert held.p_value > 0.01
     assert str(held).startswith(
-        "C_x is not needed: Drag 1 explains the data as well as Drag 2 (F(1, "
+        "C_x is not shown to be needed: Drag 1 is not rejected by the test against Drag 2 (F(1, "
     )
     # Of a term that changes little the scaled ratio is the squared t-value.
     record = flight({"a5": 0.2, "C_x": 0.03}, 8, noise=0.6)
@@ -88,8 +88,14 @@ def test_on_a_bound_half_of_the_statistic_has_one_degree_less():
         ({"dof": (2, np.inf)}, "(F(2, inf) = 1.5, p = 0.24; scaled"),
         ({"scale": 1.0}, "p = 0.24)."),
         ({"p_value": 0.049}, "a, b are needed: small is rejected"),
-        ({"p_value": 0.051}, "a, b are not needed: small explains the data as well as large"),
-        ({"terms": ("a",)}, "a is not needed: small explains the data as well as large"),
+        (
+            {"p_value": 0.051},
+            "a, b are not shown to be needed: small is not rejected by the test against large",
+        ),
+        (
+            {"terms": ("a",)},
+            "a is not shown to be needed: small is not rejected by the test against large",
+        ),
         ({"statistic": 40.0, "dof": (1, 1.4)}, "may be needed: the residuals are too correlated"),
     ],
 )
@@ -236,7 +242,9 @@ def test_of_other_data_nothing_is_tested():
         gb.validation.nested_test(small, large)
 
 
-@pytest.mark.parametrize(("dof", "verdict"), [(2.4, "may be needed"), (3.0, "is not needed")])
+@pytest.mark.parametrize(
+    ("dof", "verdict"), [(2.4, "may be needed"), (3.0, "is not shown to be needed")]
+)
 def test_below_three_degrees_of_freedom_nothing_is_called_needless(dof, verdict):
     test = NestedTest("small", "large", ("c",), 4.0, 3.0, 1.1, (1, dof), 0.4)
     assert str(test).startswith(f"c {verdict}")

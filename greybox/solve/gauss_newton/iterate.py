@@ -89,12 +89,15 @@ def next_damping(damping: float, length: float, ratio: float, last_full: float) 
     `ratio` is the actual decrease of the merit function over the predicted one. `last_full` is the
     damping of the last full step: a step that was cut short is damped at least as much.
     """
-    if length == 1.0 and ratio < 0.25:
+    if length < 1.0:
+        return max(FACTOR * damping, last_full) if length < 0.2 else damping
+    if ratio < 0.25:
         return max(FACTOR * damping, FIRST_DAMPING)
-    if length == 1.0:
-        # Damping below 1e-12 of the diagonal could hold back nothing but rounding.
-        return damping / FACTOR if damping > 1e-12 else 0.0
-    return max(FACTOR * damping, last_full) if length < 0.2 else damping
+    # With less damping, the step after one that overshoots would undo it.
+    if ratio < 0.75:
+        return damping
+    # Damping below 1e-12 of the diagonal could hold back nothing but rounding.
+    return damping / FACTOR if damping > 1e-12 else 0.0
 
 
 def after_failure(damping: float) -> float:
@@ -178,8 +181,7 @@ class Progress:
         is_predicted = is_full and step.decrease > 0 and abs(ratio - 1) <= KEPT_PROMISE
         promises_little = step.decrease <= KEPT_PROMISE * abs(merit)
         # A stage that makes no step has nothing left to do.
-        is_done = is_predicted or promises_little or not length
-        is_over = is_done or self.state_iterations == 1
+        is_over = is_predicted or promises_little or not length or self.state_iterations == 1
         return replace(
             self,
             damping=damping if length else 0.0,

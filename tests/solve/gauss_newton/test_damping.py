@@ -14,7 +14,9 @@ from greybox.solve.gauss_newton.iterate import after_failure, next_damping
         (1.1e-12, 1.0, 1.0, 1.1e-13),
         (0.0, 1.0, 0.24, 0.01),  # a poor full step needs some
         (1e-9, 1.0, 0.0, 0.01),
-        (0.1, 1.0, 0.26, 0.01),
+        (0.1, 1.0, 0.26, 0.1),  # one that overshoots keeps it
+        (0.1, 1.0, 0.74, 0.1),
+        (0.1, 1.0, 0.76, 0.01),
         (0.1, 1.0, 0.1, 1.0),
         (0.0, 0.19, 0.9, 1e-4),  # a step cut short needs that of the last full one
         (0.1, 0.19, 0.9, 1.0),
