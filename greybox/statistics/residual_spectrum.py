@@ -404,7 +404,7 @@ class ResidualSpectra:
         # Process noise is compared with the residuals as they are, so the others must be, too.
         density = average.density.transpose(2, 0, 1)
         errors = whittle_score(density, banded.transpose(2, 0, 1), self._numbers)
-        penalty = average.score - errors + self._numbers.sum() * len(self.counts)
+        penalty = average.score - errors + self._numbers.sum()
         residuals = self.periodogram[1].transpose(2, 0, 1)
         likely = self._left(average.density, self.grid.spread_out(average.density))
         score = whittle_score(likely, residuals, self._numbers)
@@ -412,8 +412,8 @@ class ResidualSpectra:
 
     @cached_property
     def _numbers(self) -> Array:
-        """Independent numbers (b,) of every output in a band."""
-        return self.counts.max() * self.grid.band_weight
+        """Independent numbers (k, b) of every output in a band."""
+        return self.counts[:, None] * self.grid.band_weight
 
     def process_noise(self, correlation: float) -> AveragedSpectrum | None:
         """Return white sensor noise with process noise, by the variances of the residuals.

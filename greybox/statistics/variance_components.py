@@ -55,7 +55,10 @@ class VarianceComponents:
 
 
 def whittle_score(spectrum: ComplexArray, periodogram: ComplexArray, numbers: Array) -> float:
-    """Return -2 log likelihood of a periodogram (b, k, k) of `numbers` (b,), given its mean."""
+    """Return -2 log likelihood of a periodogram (b, k, k), given its mean.
+
+    The independent `numbers` in every band are (b,), or (k, b) if outputs have different ones.
+    """
     return _likelihood(spectrum, periodogram, numbers)[0]
 
 
@@ -67,7 +70,19 @@ def _likelihood(
     inverse = np.linalg.inv(spectrum)
     ratio = inverse @ periodogram
     terms = np.linalg.slogdet(spectrum)[1] + np.trace(ratio, axis1=1, axis2=2).real
-    return float(numbers @ terms), inverse, ratio
+    most, repeated = _counts(numbers)
+    mean, power = np.einsum("nbii->nbi", [spectrum, periodogram]).real
+    return float(most @ terms - np.sum(repeated * (np.log(mean) + power / mean))), inverse, ratio
+
+
+def _counts(numbers: Array) -> tuple[Array, Array]:
+    """Return the most numbers (b,) of an output, and those (b, k) that each repeats.
+
+    The transform of an output that is measured at every fourth sample repeats itself four times.
+    """
+    numbers = np.atleast_2d(numbers)
+    most = numbers.max(axis=0)
+    return most, (most - numbers).T
 
 
 def variance_components(
@@ -82,12 +97,14 @@ def variance_components(
         semidefinite.
     periodogram : (b, k, k) array
         With about one unit of power for each output.
-    numbers : (b,) array
+    numbers : (b,) or (k, b) array
         Independent numbers of each output in every band.
     sensors : int
         Number of the first parts, each of which is the noise of one output.
     """
     k = periodogram.shape[1]
+    most, repeated = _counts(numbers)
+    alone, power = (np.einsum("...ii->...i", a).real for a in (expected, periodogram))
     variance = np.full(len(expected), WHITE)
     variance[sensors:] = (1 - WHITE) / max(len(expected) - sensors, 1)
 
@@ -98,10 +115,13 @@ def variance_components(
         # The expected curvature is positive, that of the likelihood need not be: Fisher scoring.
         parts = inverse @ expected
         # Traces of products as products of rows: einsum spends more time on finding its order.
-        rows = (numbers[:, None, None] * parts).reshape(len(parts), -1)
-        gradient = (rows @ (np.eye(k) - ratio).swapaxes(1, 2).ravel()).real * variance
+        rows = (most[:, None, None] * parts).reshape(len(parts), -1)
+        gradient = (rows @ (np.eye(k) - ratio).swapaxes(1, 2).ravel()).real
         information = (rows @ parts.swapaxes(2, 3).reshape(len(parts), -1).T).real
-        return gradient, information * variance * variance[:, None]
+        # What is repeated makes the information too large, which only shortens the steps.
+        mean = np.tensordot(variance, alone, 1) + LEAST
+        gradient -= np.tensordot(alone, repeated * (1 - power / mean) / mean, 2)
+        return gradient * variance, information * variance * variance[:, None]
 
     score, *products = _likelihood(spectrum(variance), periodogram, numbers)
     gradient, information = slopes(variance, *products)
