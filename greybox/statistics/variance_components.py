@@ -12,6 +12,7 @@ JASA 72.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -55,34 +56,28 @@ class VarianceComponents:
 
 
 def whittle_score(spectrum: ComplexArray, periodogram: ComplexArray, numbers: Array) -> float:
-    """Return -2 log likelihood of a periodogram (b, k, k), given its mean.
-
-    The independent `numbers` in every band are (b,), or (k, b) if outputs have different ones.
-    """
+    """Return -2 log likelihood of a periodogram (b, k, k) of `numbers` (k, b), given its mean."""
     return _likelihood(spectrum, periodogram, numbers)[0]
 
 
 def _likelihood(
     spectrum: ComplexArray, periodogram: ComplexArray, numbers: Array
-) -> tuple[float, ComplexArray, ComplexArray]:
-    """Return -2 log likelihood, the inverse of the mean, and its product with the periodogram."""
+) -> tuple[float, ComplexArray, ComplexArray, Array]:
+    """Return -2 log likelihood, the inverse of the mean, and its product with the periodogram.
+
+    All outputs count as if they had the most numbers: the transform of one that is measured at
+    every fourth sample repeats itself four times. Its repetitions are taken off, and their slopes
+    (b, k) by its own mean follow.
+    """
     spectrum = spectrum + LEAST * np.eye(spectrum.shape[1])
     inverse = np.linalg.inv(spectrum)
     ratio = inverse @ periodogram
     terms = np.linalg.slogdet(spectrum)[1] + np.trace(ratio, axis1=1, axis2=2).real
-    most, repeated = _counts(numbers)
-    mean, power = np.einsum("nbii->nbi", [spectrum, periodogram]).real
-    return float(most @ terms - np.sum(repeated * (np.log(mean) + power / mean))), inverse, ratio
-
-
-def _counts(numbers: Array) -> tuple[Array, Array]:
-    """Return the most numbers (b,) of an output, and those (b, k) that each repeats.
-
-    The transform of an output that is measured at every fourth sample repeats itself four times.
-    """
-    numbers = np.atleast_2d(numbers)
-    most = numbers.max(axis=0)
-    return most, (most - numbers).T
+    most = numbers.max(0)
+    repeated = (most - numbers).T
+    mean, power = np.einsum("abii->abi", [spectrum, periodogram]).real
+    score = most @ terms - np.sum(repeated * (np.log(mean) + power / mean))
+    return float(score), inverse, ratio, repeated * (1 - power / mean) / mean
 
 
 def variance_components(
@@ -97,31 +92,28 @@ def variance_components(
         semidefinite.
     periodogram : (b, k, k) array
         With about one unit of power for each output.
-    numbers : (b,) or (k, b) array
+    numbers : (k, b) array
         Independent numbers of each output in every band.
     sensors : int
         Number of the first parts, each of which is the noise of one output.
     """
     k = periodogram.shape[1]
-    most, repeated = _counts(numbers)
-    alone, power = (np.einsum("...ii->...i", a).real for a in (expected, periodogram))
     variance = np.full(len(expected), WHITE)
     variance[sensors:] = (1 - WHITE) / max(len(expected) - sensors, 1)
 
     def spectrum(variance: Array) -> ComplexArray:
         return np.tensordot(variance, expected, 1)
 
-    def slopes(variance: Array, inverse: ComplexArray, ratio: ComplexArray) -> tuple[Array, Array]:
+    def slopes(variance: Array, inverse: Any, ratio: Any, repeated: Any) -> tuple[Array, Array]:
         # The expected curvature is positive, that of the likelihood need not be: Fisher scoring.
         parts = inverse @ expected
         # Traces of products as products of rows: einsum spends more time on finding its order.
-        rows = (most[:, None, None] * parts).reshape(len(parts), -1)
-        gradient = (rows @ (np.eye(k) - ratio).swapaxes(1, 2).ravel()).real
+        rows = (numbers.max(0)[:, None, None] * parts).reshape(len(parts), -1)
+        gradient = (rows @ (np.eye(k) - ratio).swapaxes(1, 2).ravel()).real * variance
+        # Repetitions make the information too large, which only shortens the steps.
+        gradient -= np.einsum("cbii,bi->c", expected, repeated).real * variance
         information = (rows @ parts.swapaxes(2, 3).reshape(len(parts), -1).T).real
-        # What is repeated makes the information too large, which only shortens the steps.
-        mean = np.tensordot(variance, alone, 1) + LEAST
-        gradient -= np.tensordot(alone, repeated * (1 - power / mean) / mean, 2)
-        return gradient * variance, information * variance * variance[:, None]
+        return gradient, information * variance * variance[:, None]
 
     score, *products = _likelihood(spectrum(variance), periodogram, numbers)
     gradient, information = slopes(variance, *products)
