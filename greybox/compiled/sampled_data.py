@@ -239,7 +239,7 @@ def sampled_data(
         )
     ):
         raise ValueError(
-            f"the inputs of the record never change ({names}) and {listed(outputs)} "
+            f"the inputs of {_called(record)} never change ({names}) and {listed(outputs)} "
             f"{'is' if len(outputs) == 1 else 'are'} indistinguishable from noise: "
             "nothing can be estimated from it."
         )
@@ -265,7 +265,7 @@ def sampled_data(
     constant_outputs = [] if static else [name for name in outputs if _is_constant(record[name])]
     if len(constant_outputs) == len(outputs):
         raise ValueError(
-            f"the outputs of the record never change ({', '.join(outputs)}): "
+            f"the outputs of {_called(record)} never change ({', '.join(outputs)}): "
             "nothing can be estimated from it."
         )
 

@@ -74,7 +74,7 @@ def autoregressive_p_values(
     # Each term is fitted beside the parameters, without the others; the last fit has no term.
     first, count = 1 + basis.shape[1], terms.shape[1]
     used = np.hstack([np.ones((count + 1, first)), np.eye(count + 1, count)])
-    used = used[:, :, None] * used[:, None]
+    used = used[..., None] * used[:, None]
     squares = values.T @ values + TINY * np.eye(values.shape[1])
     p_values, factors = list[Array](), _least(squares, used)
     counts, whole = zip(
@@ -89,7 +89,7 @@ def autoregressive_p_values(
         for _ in range(ROUNDS):
             filters = map(_filters, repeat(factors), counts, sums)
             added = [
-                np.tensordot(each, w[:, :, None] * w[:, None], ((2, 3), (1, 2)))
+                np.tensordot(each, w[..., None] * w[:, None], ((2, 3), (1, 2)))
                 for each, w in zip(sums, filters, strict=True)
             ]
             earlier, factors = factors, _least(np.sum(added, axis=0).T, used)
@@ -147,7 +147,7 @@ def _filters(factors: Array, count: int, sums: Array) -> Array:
 
     They follow by least squares, which the ends of a record do not disturb.
     """
-    moments = np.tensordot(factors[:, :, None] * factors[:, None], sums, 2)
+    moments = np.tensordot(factors[..., None] * factors[:, None], sums, 2)
     weights = _least(moments)
     squares = np.einsum("hl,hlm,hm->h", weights, moments, weights)[:, None]
     return weights / np.sqrt(squares / max(count, 1))

@@ -307,7 +307,7 @@ class ResidualSpectra:
         # Outputs that are combinations of others have a singular covariance.
         lags[0] += ROUNDING
 
-        return lags, banded + ROUNDING * np.eye(k)[:, :, None]
+        return lags, banded + ROUNDING * np.eye(k)[..., None]
 
     @property
     def highest_order(self) -> int:
@@ -402,18 +402,16 @@ class ResidualSpectra:
     ) -> AveragedSpectrum:
         """Replace the likelihood of the errors by that of the residuals; the penalty remains."""
         # Process noise is compared with the residuals as they are, so the others must be, too.
-        density = average.density.transpose(2, 0, 1)
-        errors = whittle_score(density, banded.transpose(2, 0, 1), self._numbers)
-        penalty = average.score - errors + self._numbers.sum() * len(self.counts)
-        residuals = self.periodogram[1].transpose(2, 0, 1)
+        errors = whittle_score(average.density.T, banded.T, self._numbers)
+        penalty = average.score - errors + self._numbers.sum()
         likely = self._left(average.density, self.grid.spread_out(average.density))
-        score = whittle_score(likely, residuals, self._numbers)
+        score = whittle_score(likely, self.periodogram[1].T, self._numbers)
         return replace(average, score=penalty + score)
 
     @cached_property
     def _numbers(self) -> Array:
-        """Independent numbers (b,) of every output in a band."""
-        return self.counts.max() * self.grid.band_weight
+        """Independent numbers (k, b) of every output in a band."""
+        return self.counts[:, None] * self.grid.band_weight
 
     def process_noise(self, correlation: float) -> AveragedSpectrum | None:
         """Return white sensor noise with process noise, by the variances of the residuals.
@@ -425,9 +423,9 @@ class ResidualSpectra:
         if parts is None:
             return None
         densities, of_residuals = parts
-        sensors = len(self.counts)
-        residuals = self.periodogram[1].transpose(2, 0, 1)
-        estimated = variance_components(of_residuals, residuals, self._numbers, sensors)
+        estimated = variance_components(
+            of_residuals, self.periodogram[1].T, self._numbers, len(self.counts)
+        )
         variance = estimated.variance
         density = np.tensordot(variance, densities, 1)
         taken = np.array([self.taken_by(part) for part in densities]) * variance
@@ -438,7 +436,7 @@ class ResidualSpectra:
             np.maximum(np.einsum("iib->ib", density).real, TINY),
             float(taken.sum()),
             float(share @ estimated.covariance @ share),
-            estimated.score + aicc_penalty(len(variance), self.counts.max() * sensors),
+            estimated.score + aicc_penalty(len(variance), self.counts.sum()),
         )
 
     def gain_of_gusts(self) -> float:
@@ -468,7 +466,7 @@ class ResidualSpectra:
         filtered = self._shock_transforms / np.fft.rfft([1.0, -correlation], self.grid.size)
         parts = []
         # A state that no output shows has no process noise that could be estimated.
-        for H in filtered.transpose(1, 0, 2):
+        for H in filtered.swapaxes(0, 1):
             spectrum = np.einsum("if,jf->ijf", H, H.conj())
             power = float(np.einsum("iif->f", spectrum).real @ self.grid.weight) / len(H)
             if power > TINY:
@@ -487,18 +485,18 @@ class ResidualSpectra:
     @cached_property
     def _sensor_parts(self) -> list[tuple[NDArray[Any], ComplexArray]]:
         flat = np.ones(len(self.grid.omega), dtype=complex)
-        white = [np.diag(row)[:, :, None] * flat for row in np.eye(len(self.counts))]
+        white = [np.diag(row)[..., None] * flat for row in np.eye(len(self.counts))]
         return [(density, self._left(density, self.grid.spread_out(density))) for density in white]
 
     def _left(self, density: NDArray, spectrum: NDArray) -> ComplexArray:
-        """Return the expected periodogram (b, k, k) of what the fit leaves of errors.
+        """Return the transposed expected periodogram (b, k, k) of what the fit leaves of errors.
 
         Their density (k, k, b) is given, and their `spectrum` at all frequencies. A finite record
         smears lines, and otherwise the fit would seem to take more than there is.
         """
         pairs = np.fft.irfft(spectrum, self.grid.size) * self._measured_pairs
         expected = self.grid.banded(np.fft.rfft(pairs, self.grid.size))
-        return _positive((expected - self.taken_power(density)[1]).transpose(2, 0, 1))
+        return _positive(expected - self.taken_power(density)[1]).T
 
     @cached_property
     def _measured_pairs(self) -> Array:
@@ -506,7 +504,7 @@ class ResidualSpectra:
         # A missing sample reduces the expected covariance at every lag at which it is missing.
         masks = [np.fft.rfft((e != 0).astype(float), self.grid.size) for e in self.residuals]
         pairs = np.fft.irfft(sum(mask[:, None] * mask.conj() for mask in masks), self.grid.size)
-        return pairs / np.sqrt(self.counts * self.counts[:, None])[:, :, None]
+        return pairs / np.sqrt(self.counts * self.counts[:, None])[..., None]
 
     def one_output(self, i: int, r: Array, banded: Array) -> AveragedSpectrum:
         """Average the spectra of one output, of autocovariances r (lags,) and periodogram (b,)."""
@@ -541,7 +539,6 @@ class ResidualSpectra:
     ) -> AveragedSpectrum:
         """Return outputs of these spectra whose coherency is constant in blocks of bands."""
         k = len(self.counts)
-        numbers = self.counts.max()
         root = np.sqrt(np.einsum("iib->ib", apart.density).real)
         weight = self.grid.band_weight
         blocks = min(blocks, len(weight))
@@ -550,18 +547,18 @@ class ResidualSpectra:
         white = banded / (root[:, None] * root)
         means: Any = np.add.reduceat(white * weight, starts, axis=-1) / shares
         # What the fit took is an estimate, which may leave a negative part.
-        matrices = _positive(means.transpose(2, 0, 1)) + LEAST * np.eye(k)
+        matrices = _positive(means).T + LEAST * np.eye(k)
         size = np.sqrt(np.einsum("bii->bi", matrices).real)
-        coherency = matrices / (size[:, :, None] * size[:, None])
-        gain = numbers * float(shares @ np.linalg.slogdet(coherency)[1])
+        coherency = matrices / (size[..., None] * size[:, None])
+        gain = self.counts.max() * float(shares @ np.linalg.slogdet(coherency)[1])
         widths = np.diff(starts, append=len(weight))
-        density = np.repeat(coherency, widths, axis=0).transpose(1, 2, 0) * root[:, None] * root
+        density = np.repeat(coherency, widths, axis=0).T * root[:, None] * root
 
         return replace(
             apart,
             density=density,
             taken=self.taken_by(density),
-            score=apart.score + gain + aicc_penalty(k * (k - 1) * blocks, numbers * k),
+            score=apart.score + gain + aicc_penalty(k * (k - 1) * blocks, self.counts.sum()),
         )
 
     def taken_by(self, density: NDArray) -> float:
@@ -624,9 +621,9 @@ class ResidualSpectra:
 
 
 def _positive(matrices: ComplexArray) -> ComplexArray:
-    """Return Hermitian matrices (b, k, k) without the negative parts that approximations leave."""
-    values, vectors = np.linalg.eigh(matrices)
-    return (vectors * np.maximum(values, 0.0)[:, None]) @ vectors.conj().transpose(0, 2, 1)
+    """Return Hermitian matrices (k, k, b) without the negative parts that approximations leave."""
+    values, vectors = np.linalg.eigh(matrices.T)
+    return ((vectors * np.maximum(values, 0.0)[:, None]) @ vectors.conj().swapaxes(1, 2)).T
 
 
 def unmasked(density: ComplexArray, shares: Array, grid: FrequencyGrid) -> ComplexArray:
@@ -639,9 +636,9 @@ def unmasked(density: ComplexArray, shares: Array, grid: FrequencyGrid) -> Compl
     if shares.min() >= 0.95:
         return density
     variance = grid.mean(np.einsum("iib->ib", density).real)
-    density = density - np.diag((1 - shares) * variance)[:, :, None]
-    density = density / np.sqrt(shares * shares[:, None])[:, :, None]
-    return _positive(density.transpose(2, 0, 1)).transpose(1, 2, 0)
+    density = density - np.diag((1 - shares) * variance)[..., None]
+    density = density / np.sqrt(shares * shares[:, None])[..., None]
+    return _positive(density)
 
 
 def remaining_products(stretches: Sequence[Array]) -> Array:

@@ -12,6 +12,7 @@ JASA 72.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -55,19 +56,28 @@ class VarianceComponents:
 
 
 def whittle_score(spectrum: ComplexArray, periodogram: ComplexArray, numbers: Array) -> float:
-    """Return -2 log likelihood of a periodogram (b, k, k) of `numbers` (b,), given its mean."""
+    """Return -2 log likelihood of a periodogram (b, k, k) of `numbers` (k, b), given its mean."""
     return _likelihood(spectrum, periodogram, numbers)[0]
 
 
 def _likelihood(
     spectrum: ComplexArray, periodogram: ComplexArray, numbers: Array
-) -> tuple[float, ComplexArray, ComplexArray]:
-    """Return -2 log likelihood, the inverse of the mean, and its product with the periodogram."""
+) -> tuple[float, ComplexArray, ComplexArray, Array]:
+    """Return -2 log likelihood, the inverse of the mean, and its product with the periodogram.
+
+    All outputs count as if they had the most numbers: the transform of one that is measured at
+    every fourth sample repeats itself four times. Its repetitions are taken off, and their slopes
+    (b, k) by its own mean follow.
+    """
     spectrum = spectrum + LEAST * np.eye(spectrum.shape[1])
     inverse = np.linalg.inv(spectrum)
     ratio = inverse @ periodogram
     terms = np.linalg.slogdet(spectrum)[1] + np.trace(ratio, axis1=1, axis2=2).real
-    return float(numbers @ terms), inverse, ratio
+    most = numbers.max(0)
+    repeated = (most - numbers).T
+    mean, power = np.einsum("abii->abi", [spectrum, periodogram]).real
+    score = most @ terms - np.sum(repeated * (np.log(mean) + power / mean))
+    return float(score), inverse, ratio, repeated * (1 - power / mean) / mean
 
 
 def variance_components(
@@ -82,7 +92,7 @@ def variance_components(
         semidefinite.
     periodogram : (b, k, k) array
         With about one unit of power for each output.
-    numbers : (b,) array
+    numbers : (k, b) array
         Independent numbers of each output in every band.
     sensors : int
         Number of the first parts, each of which is the noise of one output.
@@ -94,12 +104,14 @@ def variance_components(
     def spectrum(variance: Array) -> ComplexArray:
         return np.tensordot(variance, expected, 1)
 
-    def slopes(variance: Array, inverse: ComplexArray, ratio: ComplexArray) -> tuple[Array, Array]:
+    def slopes(variance: Array, inverse: Any, ratio: Any, repeated: Any) -> tuple[Array, Array]:
         # The expected curvature is positive, that of the likelihood need not be: Fisher scoring.
         parts = inverse @ expected
         # Traces of products as products of rows: einsum spends more time on finding its order.
-        rows = (numbers[:, None, None] * parts).reshape(len(parts), -1)
+        rows = (numbers.max(0)[:, None, None] * parts).reshape(len(parts), -1)
         gradient = (rows @ (np.eye(k) - ratio).swapaxes(1, 2).ravel()).real * variance
+        # Repetitions make the information too large, which only shortens the steps.
+        gradient -= np.einsum("cbii,bi->c", expected, repeated).real * variance
         information = (rows @ parts.swapaxes(2, 3).reshape(len(parts), -1).T).real
         return gradient, information * variance * variance[:, None]
 

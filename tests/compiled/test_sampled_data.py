@@ -405,7 +405,8 @@ def test_a_delay_is_whole_samples_to_a_thousandth(lead, masked):
 
 def test_outputs_that_never_change_say_nothing():
     with pytest.raises(
-        ValueError, match=r"the outputs of the record never change \(y\): nothing can be estimated"
+        ValueError,
+        match=r"the outputs of the record 'made' never change \(y\): nothing can be estimated",
     ):
         cut(record(y=np.full(60, 3.0)))
 

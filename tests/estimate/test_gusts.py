@@ -72,3 +72,30 @@ def test_gusts_in_a_slow_vehicle_are_named():
     truth = {"K": 2.0, "tau": 2.0}
     fits = [fitted(SlowLag, truth, 0.3, (0.0, 0.01), 300, seed) for seed in range(10)]
     assert named(fits) >= 7
+
+
+class Tracked(Spring):
+    outputs = ("y", "speed")
+
+    def output(self, x, u, p):
+        return (x.x, x.v)
+
+
+def test_errors_of_a_sensor_that_misses_half_of_the_record_are_not_gusts():
+    """All four such fits named gusts: both outputs counted as whole."""
+    fits = []
+    for seed in range(4):
+        random = np.random.default_rng(seed)
+        u = np.repeat(np.sign(random.normal(size=20)), 15)
+        record = gb.Record(STEP * np.arange(u.size), {"u": u}, hold={"u": 0.0})
+        truth = {"k": 9.0, "c": 3.0, "b": 9.0}
+        exact = gb.simulate(Tracked(), truth, record, initial={"x": 0.0, "v": 0.0})
+        errors = lfilter([0.6], [1, -0.8], random.normal(size=(2, u.size + 400)))[:, 400:]
+        y, speed = [
+            exact[k] + 0.05 * exact[k].std() * e
+            for k, e in zip(Tracked.outputs, errors, strict=True)
+        ]
+        speed[150:] = np.nan
+        measured = record.with_signals(y=y, speed=speed)
+        fits.append(gb.fit(gb.Problem(Tracked(), measured), starts=1, progress=False))
+    assert named(fits) <= 1

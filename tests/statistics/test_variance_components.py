@@ -33,13 +33,13 @@ def drawn(spectrum, random):
 def test_the_expected_periodogram_has_the_variances_that_made_it():
     expected = parts(200)
     found = variance_components(
-        expected, np.tensordot(TRUTH, expected, 1), np.full(200, 2.0), sensors=2
+        expected, np.tensordot(TRUTH, expected, 1), np.full((2, 200), 2.0), sensors=2
     )
     assert_allclose(found.variance, TRUTH, rtol=2e-3)
 
 
 def test_the_minimum_is_that_of_another_minimizer():
-    expected, numbers = parts(60), np.full(60, 2.0)
+    expected, numbers = parts(60), np.full((2, 60), 2.0)
     periodogram = drawn(np.tensordot(TRUTH, expected, 1), np.random.default_rng(0))
     found = variance_components(expected, periodogram, numbers, sensors=2)
     other = minimize(
@@ -56,7 +56,7 @@ def test_the_covariance_is_that_of_repeated_periodograms():
     expected, random = parts(60), np.random.default_rng(1)
     spectrum = np.tensordot(TRUTH, expected, 1)
     every = [
-        variance_components(expected, drawn(spectrum, random), np.full(60, 2.0), sensors=2)
+        variance_components(expected, drawn(spectrum, random), np.full((2, 60), 2.0), sensors=2)
         for _ in range(150)
     ]
     logs = np.log([one.variance for one in every])
@@ -68,7 +68,7 @@ def test_the_covariance_is_that_of_repeated_periodograms():
 def test_a_part_that_is_not_there_has_no_variance():
     expected = parts(200)
     white = np.tensordot(TRUTH * [1, 1, 0], expected, 1)
-    found = variance_components(expected, white, np.full(200, 2.0), sensors=2)
+    found = variance_components(expected, white, np.full((2, 200), 2.0), sensors=2)
     assert found.variance[2] < 1e-3
     assert_allclose(found.variance[:2], TRUTH[:2], rtol=5e-3)
 
@@ -85,12 +85,28 @@ def test_scores_are_those_of_complex_normal_numbers():
         for n, s, x in zip(numbers, ridged, z, strict=True)
     )
     periodogram = z[:, :, None] * z[:, None].conj()
-    assert whittle_score(spectrum, periodogram, numbers) == pytest.approx(wanted)
+    both = np.tile(numbers, (2, 1))
+    assert whittle_score(spectrum, periodogram, both) == pytest.approx(wanted)
+
+
+def test_an_output_with_fewer_numbers_counts_less_by_itself():
+    """The transform of an output at a quarter of the rate repeats itself: independent outputs have
+    the scores of each, by their own numbers."""
+    random, bands = np.random.default_rng(5), 40
+    expected = parts(bands)[:2]
+    power = random.chisquare(2, size=(bands, 2)) / 2
+    periodogram = power[:, :, None] * np.eye(2)
+    numbers = np.array([np.full(bands, 2.0), np.full(bands, 0.5)])
+    found = variance_components(expected, periodogram, numbers, sensors=2)
+    assert_allclose(found.variance, power.mean(axis=0), rtol=1e-3)
+    mean = found.variance + 1e-4
+    wanted = np.sum(numbers.T * (np.log(mean) + power / mean))
+    assert found.score == pytest.approx(wanted)
 
 
 def test_the_covariance_is_twice_the_inverse_of_the_information_by_differences():
     """At the expected periodogram the second derivatives of the score by the logarithms are the information."""
-    expected, numbers = parts(60), np.linspace(1.0, 3.0, 60)
+    expected, numbers = parts(60), np.tile(np.linspace(1.0, 3.0, 60), (2, 1))
     periodogram = np.tensordot(TRUTH, expected, 1)
     found = variance_components(expected, periodogram, numbers, sensors=2)
 
@@ -116,7 +132,7 @@ def test_parts_that_look_the_same_share_a_variance_and_have_finite_errors():
     expected = parts(60)
     twice = np.concatenate([expected, expected[2:]])
     periodogram = np.tensordot(TRUTH, expected, 1)
-    found = variance_components(twice, periodogram, np.full(60, 2.0), sensors=2)
+    found = variance_components(twice, periodogram, np.full((2, 60), 2.0), sensors=2)
     assert found.variance[2:].sum() == pytest.approx(TRUTH[2], rel=5e-3)
     assert np.abs(found.covariance).max() < 1
 
@@ -126,7 +142,7 @@ def test_a_periodogram_far_from_the_beginning_is_reached():
     expected = parts(200)
     truth = np.array([0.007, 20.0, 9.0])
     found = variance_components(
-        expected, np.tensordot(truth, expected, 1), np.full(200, 2.0), sensors=2
+        expected, np.tensordot(truth, expected, 1), np.full((2, 200), 2.0), sensors=2
     )
     assert_allclose(found.variance, truth, rtol=0.02)
 
@@ -136,6 +152,6 @@ def test_the_variance_of_what_is_not_there_is_positive_and_far_below_all_others(
     """Its logarithm is a number; a hundred-thousandth of an output's power is a tenth of what counts as none."""
     expected = parts(200)
     periodogram = np.tensordot(np.where(np.arange(3) == absent, 0.0, TRUTH), expected, 1)
-    found = variance_components(expected, periodogram, np.full(200, 2.0), sensors=2)
+    found = variance_components(expected, periodogram, np.full((2, 200), 2.0), sensors=2)
     assert 0 < found.variance[absent] < 1e-5
     assert np.isfinite(found.covariance).all()
