@@ -155,6 +155,7 @@ class SegmentedPart(Part):
         By default the nodes come from the data, see `initial_states`.
         """
         placed = self.place(z)
+        from_data = nodes is None
         nodes = self.initial_nodes(placed.q, placed.initial) if nodes is None else nodes
         segments, at = self.segments, (placed.q, placed.data)
         initial = placed.initial if placed.initial.ndim == 1 else placed.initial[segments.records]
@@ -172,7 +173,12 @@ class SegmentedPart(Part):
 
         # The products of several records have an axis of records.
         products = products[0] if segments.number == 1 else products
-        return Trajectory(z, nodes, ends, gaps, products, simulated, states, placed)
+        result = Trajectory(z, nodes, ends, gaps, products, simulated, states, placed)
+        if from_data and not simulated and not result.finite:
+            # Noise may put a concentration below zero, from where it runs away.
+            run = self.trajectory(z, simulated=True)
+            return self.trajectory(z, run.nodes) if run.finite else result
+        return result
 
     def residuals(self, trajectory: Trajectory) -> Array:
         """Return the residuals (k, samples) in the order of the samples, zero if missing."""
