@@ -78,8 +78,9 @@ class ImplicitIntegrator(Integrator):
         newton = ca.rootfinder(
             "stages", "newton", {"x": unknown, "p": arguments, "g": equations}, options
         )
+        # CasADi's largest absolute value leaves out NaN.
         judged = ca.Function(
-            "end", [unknown, arguments], [self.end(start, stages), ca.norm_inf(equations)]
+            "end", [unknown, arguments], [self.end(start, stages), ca.norm_1(equations)]
         )
 
         given = x, u, slope, p, h
@@ -90,6 +91,8 @@ class ImplicitIntegrator(Integrator):
         unit = ca.fmax(ca.fabs(x), LEAST_SIZE * largest + (largest == 0))
         values = ca.vertcat(*inputs, ca.stop_diff(unit, 1))
         end, residual = judged(newton(ca.MX.zeros(n * self.stages), values), values)
+        # It ends before a step of 1e-12, where stiff residuals may be a million times larger.
+        end = ca.if_else(residual <= 1e-6, end, ca.MX.nan(n))
         # Half a step with a jump is halved again, so that only steps near the jump are short.
         reached, half = ca.MX.sym("reached", n), h / 2
         whole = ca.Function("whole", [*inputs, reached], [reached])
@@ -99,8 +102,8 @@ class ImplicitIntegrator(Integrator):
             last = step(middle, u + slope * half, slope, p, half)
             halves = ca.Function("halves", [*inputs, reached], [last])
             chosen = ca.Function.if_else("chosen", whole, halves)
-            # It ends before a step of 1e-12, where stiff residuals may be a million times larger.
-            step = ca.Function("step", inputs, [chosen(residual <= 1e-6, *inputs, end)])
+            # Outside the domain of a formula, the residual is NaN and shorter steps are no help.
+            step = ca.Function("step", inputs, [chosen(1 - (residual > 1e-6), *inputs, end)])
         return step(*given)
 
 
