@@ -17,8 +17,8 @@ from greybox.modeling.realization import Dynamics
 # Size of a state over the largest one, or its change, below which its errors do not matter. From
 # zero, a state changes by up to 1e8 sizes, whose rounding is 1e-8, within what is accepted below.
 LEAST_SIZE = 1e-8
-# Lengths of a step, each half of the one before, until Newton's method converges. With 6 the longest
-# of Robertson's kinetics is lost, over 14 decades; with 21 it takes five times as long.
+# Lengths of a step, each half of the one before, until Newton's method converges. With 6, a fit
+# of Robertson's kinetics is lost; with 21 it takes five times as long.
 ATTEMPTS = 11
 
 
