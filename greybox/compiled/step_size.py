@@ -6,7 +6,6 @@ search will go. Whether that many substeps are accurate enough is judged at the 
 (`greybox.solve.discretization_error`).
 """
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -16,7 +15,7 @@ from greybox.compiled.record_model import RecordModel
 from greybox.compiled.sampled_data import SampledData
 from greybox.files.arrays import Array
 from greybox.formulation.problem import Problem
-from greybox.modeling.step_size import MOST_SUBSTEPS, stable_substeps
+from greybox.modeling.step_size import stable_substeps
 
 # Parameter vectors, the declared one first: with 17 a quartile is one of them, and a few odd draws
 # do not move it.
@@ -75,9 +74,7 @@ def substeps_and_segment(
     segment = method.segment or int(
         np.clip(SEGMENT_GROWTH / growth, SHORTEST_SEGMENT, LONGEST_SEGMENT)
     )
-    # Implicit steps of any length damp what decays, but only short ones follow what grows.
-    growing = math.ceil(min(growth, MOST_SUBSTEPS)) if integrator.implicit else 1
-    substeps = max(growing, *counts[:1], _upper_quartile(counts))
+    substeps = max(1, *counts[:1], _upper_quartile(counts))
     return integrator.substeps or int(substeps), segment
 
 

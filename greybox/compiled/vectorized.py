@@ -94,8 +94,6 @@ class Columns:
     def __call__(self, *inputs: Array) -> Sequence[Array]:
         """Return the outputs, (numel, m) each, for inputs (numel, m), shared ones (numel,)."""
         m = inputs[self._first].shape[1]
-        if 0 < m <= CHUNK:
-            return [value.copy() for value in self._layout(m).run(inputs)]
         outputs = [np.empty((size, m)) for size in self._sizes]
         # Equal shares need only one layout of the registers.
         width = math.ceil(m / math.ceil(m / CHUNK)) if m else 1

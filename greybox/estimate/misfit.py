@@ -267,9 +267,8 @@ class Misfit(Printed):
 class _Regression:
     """A part as a regression of its residuals on the parameters of the fit and on missing terms.
 
-    All columns have N rows; `changes` returns those (N, c) of terms. `at` returns the
-    residuals of a response and their slopes (N, 1 + p + 1) at other parameters and a factor on a
-    term, (p + 1,), here at `estimate` (p,) without it; `outputs` has the rows of every output
+    All columns have N rows; `changes` returns those (N, c) of terms. `separate` returns the
+    residuals and slopes of a response that is fitted alone; `outputs` has the rows of every output
     of a record, by stretches, and `signals` those over which the shape of a term is drawn. What
     parameters leave of a term is an error of the integration if it is less than `remains` of it.
     """
@@ -279,8 +278,7 @@ class _Regression:
     fitted: Array
     terms: Mapping[Key, Term]
     changes: Callable[[Sequence[Term]], Array]
-    at: Any = None
-    estimate: Any = ()
+    separate: Callable[[], tuple[Array, Array, Sequence[int]]] | None = None
     outputs: Outputs = ()
     causes: Sequence[Cause] = ()
     is_unstable: bool = False
@@ -388,34 +386,30 @@ def _of_group(parts: Sequence[_Regression]) -> Misfit:
         # Residuals without noise are whitened by what the misfit is like: slow parts count little.
         alone = score_tests(residuals[:, 0], fitted, best_columns)[0] / len(residuals)
         shares = np.maximum(shares, alone).tolist()
-    # Among responses, each family is as likely to be missing, whatever its number of terms.
-    tests = [tried.total() if outputs else len(tried) * tried[key[0]] for _, key, _ in ranked]
     p_common = 1.0
     p_values = p_correlated = [p_value for (_, p_value, *_), *_ in ranked]
     if outputs:
         p_values = autoregressive_p_values(residuals[:, 0], fitted, best_columns, outputs).tolist()
         p_correlated = p_values
     elif ranked:
-        used = [part for part in parts if len(part.residuals)]
-        fits = correlated_fits([_refitted(used)], best_columns)
+        # Real and imaginary parts follow one another in every response.
+        lengths = [n // 2 for part in parts if (n := len(part.residuals)) for _ in "ri"]
+        fits = correlated_fits([(residuals, fitted, lengths)], best_columns)
         p_correlated = p_values_of_fits(fits, fits)[1:]
         if len(parts) > 1:
             # Other values may be far from the common ones: each part is fitted by itself.
-            apart = correlated_fits([_refitted([part]) for part in used])
+            apart = correlated_fits([part.separate() for part in parts if part.separate])
             [p_common] = p_values_of_fits(fits, apart)
-        # What is far from the model is not a multiple of its effect to first order.
-        for k, (_, key, _) in enumerate(ranked[:NAMED]):
-            if OF_RESPONSES < tests[k] * p_correlated[k] < 1:
-                [p_value] = p_values_of_fits(fits, correlated_fits([_refitted(used, key)]))
-                p_correlated[k] = min(p_correlated[k], p_value)
 
     texts = [terms[key].described(test[2], test[3]) for test, key, _ in ranked]
     alike = _alike(beside(white_best, white_fitted), texts)
     causes = []
     for k, ((_, _, value, error), key, _) in enumerate(ranked):
+        # Among responses, each family is as likely to be missing, whatever its number of terms.
+        tests = tried.total() if outputs else len(tried) * tried[key[0]]
         # Errors that are correlated may hide a term, or look like one.
-        p_alone = tests[k] * min(p_values[k], p_correlated[k])
-        numbers = np.minimum([shares[k], p_alone, tests[k] * p_correlated[k]], 1.0).tolist()
+        p_alone = tests * min(p_values[k], p_correlated[k])
+        numbers = np.minimum([shares[k], p_alone, tests * p_correlated[k]], 1.0).tolist()
         term = terms[key]
         added = (term.b, term.added) if term.added else None
         causes.append(Cause(*texts[k], value, error, *numbers, alike=alike[k], added=added))
@@ -434,31 +428,6 @@ def _of_group(parts: Sequence[_Regression]) -> Misfit:
         _shape(parts, zip(ranked, causes, strict=True), white, white_residuals, white_fitted),
         FALSE_ALARMS if outputs else OF_RESPONSES,
     )
-
-
-def _refitted(
-    parts: Sequence[_Regression], key: Key | None = None
-) -> tuple[Array, Array, Sequence[int]]:
-    """Return residuals, slopes and lengths of responses, fitted again beside a factor on a term.
-
-    Real and imaginary parts follow one another in every response.
-    """
-    from scipy.optimize import least_squares  # noqa: PLC0415  (slow to import)
-
-    def columns(z: Array) -> Array:
-        return np.vstack([part.at(z, key) for part in parts])
-
-    lengths = [len(part.residuals) // 2 for part in parts for _ in "ri"]
-    z = least_squares(
-        lambda z: columns(z)[:, 0],
-        np.append(parts[0].estimate, 0.0),
-        lambda z: columns(z)[:, 1:],  # type: ignore[arg-type]  (a function may be given)
-        x_scale="jac",
-        max_nfev=REFIT,
-        ftol=ENOUGH / sum(lengths),
-    ).x
-    residuals, slopes = np.split(columns(z), [1], axis=1)
-    return residuals, slopes, lengths
 
 
 def _shares(
@@ -692,14 +661,25 @@ def _of_response(part: ResponsePart, values: Array, names: Sequence[str], free: 
         scaled = columns[order] / (at * size[order] / np.abs(at))[:, None]
         return real_and_imaginary(scaled)
 
-    def at(z: Array, key: Key | None = None) -> Array:
-        *x, c = z
-        values, change = np.append(x, others), np.zeros(1)
-        if key in terms:
-            change = terms[key].values
-        model, slopes, factor = part.response(values), part.sensitivity(values), 1 + c * change
-        columns = [data.response - factor * model, *(-factor * slopes.T[:free]), -change * model]
-        return rows(np.column_stack(columns))
+    def residuals(x: Array) -> Array:
+        return rows((data.response - part.response(np.append(x, others)))[:, None])
+
+    def slopes(x: Array) -> Array:
+        return rows(-part.sensitivity(np.append(x, others))[:, :free])
+
+    def separate() -> tuple[Array, Array, tuple[int, int]]:
+        from scipy.optimize import least_squares  # noqa: PLC0415  (slow to import)
+
+        jac: Any = slopes  # typed as a string
+        x = least_squares(
+            lambda x: residuals(x)[:, 0],
+            at_fit,
+            jac,
+            x_scale="jac",
+            max_nfev=REFIT,
+            ftol=ENOUGH / order.size,
+        ).x
+        return residuals(x), slopes(x), (order.size, order.size)
 
     at_fit, others = np.split(values, [free])
     # Where a response is zero, `used` leaves out what has no relative change.
@@ -727,17 +707,14 @@ def _of_response(part: ResponsePart, values: Array, names: Sequence[str], free: 
         0.0,
         0.0,
     )
-    measured = rows(data.response[:, None])
-    terms = _numbered([*terms_of_response(*data.omega.tolist()), *own]) if order.size else {}
-    left, fitted, _ = np.split(at(np.append(at_fit, 0.0)), [1, -1], axis=1)
+    measured, left = rows(data.response[:, None]), residuals(at_fit)
     return _Regression(
         measured,
         left,
-        fitted,
-        terms,
+        slopes(at_fit),
+        _numbered([*terms_of_response(*data.omega.tolist()), *own]) if order.size else {},
         lambda terms: rows(np.column_stack([response * term.values for term in terms])),
-        at,
-        at_fit,
+        separate if order.size else None,
         causes=() if np.sum(left**2) < np.sum(measured**2) / 2 else (path,),
     )
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.estimate.fit import SolverChoice, fit as fit_problem
+from greybox.estimate.fit import SolverChoice
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.fitted_problem import problem_of
 from greybox.estimate.result import Fit
@@ -31,16 +31,6 @@ class Likelihoods:
     criterion: Criterion
     originals: tuple[Fit, ...]
     least: tuple[float | None, ...]
-
-    def fit(self, number: int) -> Fit:
-        """Return the fit at the maximum next to an estimate; the original one if not known."""
-        fit, criterion = self.originals[number], self.criterion
-        if self.least[number] is None or _has_criterion(fit, criterion):
-            return fit
-        # One start at the estimate: another minimum would be another answer than the one compared.
-        start = {name: fit.estimate[name] for name in fit.free}
-        problem = problem_of(fit).with_(criterion=criterion)
-        return fit_problem(problem, [start], profiles=False, progress=False)
 
     @property
     def costs(self) -> list[float]:
@@ -68,17 +58,13 @@ def common_likelihood(fits: Sequence[Fit]) -> Likelihoods | None:
     return Likelihoods(criterion, tuple(fits), tuple(least))
 
 
-def _has_criterion(fit: Fit, criterion: Criterion) -> bool:
-    return all(part.criterion_class == criterion.class_path for part in fit.parts)
-
-
 @one_thread_at_a_time  # also frees what it compiles
 def _least_cost(fit: Fit, criterion: Criterion) -> float | None:
     """Return the cost at the minimum of this criterion next to the estimate, if it is found.
 
     A fit would judge the minimum too, which takes several times as long.
     """
-    if _has_criterion(fit, criterion):
+    if all(part.criterion_class == criterion.class_path for part in fit.parts):
         return fit.cost
     try:
         problem = problem_of(fit).with_(criterion=criterion)

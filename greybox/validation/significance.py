@@ -34,21 +34,16 @@ def verdicts(
 ) -> tuple[tuple[str, ...], list[NestedTest]]:
     """Return the sentences of a comparison, and the tests of nested models.
 
-    `predictions` are by kind of data, `comparable` says whether the costs are. Fits of responses by
-    different criteria are tested by their common `likelihoods`, and by their `aic` if they are not
-    nested.
+    `predictions` are by kind of data, `comparable` says whether the costs are. `likelihoods` are
+    those of fits of responses by other criteria, and `aic` their information criterion.
     """
     sentences: list[str] = []
     tests: list[NestedTest] = []
     for a, b in combinations(range(len(fits)), 2):
         names = (labels[a], labels[b])
         if same_data:
-            pair = fits[a], fits[b]
-            # Costs by different criteria have no ratio: both fits move to the common likelihood.
-            if likelihoods is not None and not have_one_criterion(pair):
-                pair = likelihoods.fit(a), likelihoods.fit(b)
             difference = aic[b] - aic[a] if aic else None
-            sentence, test = fit_verdict(pair, names, difference)
+            sentence, test = fit_verdict((fits[a], fits[b]), names, difference)
             sentences += [sentence] if sentence else []
             tests += [test] if test else []
         sentences += [
@@ -68,15 +63,15 @@ def fit_verdict(
 ) -> tuple[str, NestedTest | None]:
     """Say which of two fits describes better the data of both.
 
-    Nested models are compared by the ratio of their costs. Other models of responses are compared
-    by the `difference` of AIC, second less first; other models of records only by their
-    predictions.
+    Nested models are compared by the ratio of their costs if these are of one criterion. Other fits
+    of responses are compared by the `difference` of AIC, second less first; other models of records
+    only by their predictions.
     """
     # Only the fit with more free parameters may contain the other one.
     order = sorted((0, 1), key=lambda k: len(fits[k].free))
     (small, large), names = (fits[k] for k in order), (labels[order[0]], labels[order[1]])
     try:
-        if not other_samples(fits, labels):
+        if have_one_criterion(fits) and not other_samples(fits, labels):
             test = nested_test_at(nested_values(small, large, names), small, large, names)
             return f"{names[1]} contains {names[0]}, and {test}", test
     except (NotNestedError, LookupError):

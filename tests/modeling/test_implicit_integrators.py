@@ -75,3 +75,44 @@ def test_a_collocation_is_judged_as_it_was_solved(degree):
     assert_allclose(
         np.sqrt(np.mean(residual[:150] ** 2)), np.sqrt(found.records[0].noise[0, 0]), rtol=1e-6
     )
+
+
+class Relaxing(gb.StateSpace):
+    """Van der Pol's oscillator of mu = 50, which jumps within a fiftieth of a second."""
+
+    states, outputs = ("x", "v"), ("x",)
+    inputs = ("u",)
+
+    def derivative(self, x, u, p):
+        return (x.v, 50 * (1 - x.x**2) * x.v - x.x)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+def test_steps_across_jumps_are_halved():
+    rule = lambda t, x: (x[1], 50 * (1 - x[0] ** 2) * x[1] - x[0])  # noqa: E731
+    points = np.arange(30, 50, 0.5)
+    run = solve_ivp(rule, (0, 50), (2, 0), "Radau", points, rtol=1e-9, atol=1e-10).y
+    coarse, fine = (step_function(dynamics(Relaxing()), Radau(), n) for n in (1, 64))
+    assert np.all(np.isfinite(coarse(run, 0.0, 0.0, [], 5.0).full()))
+    jump = int(np.argmax(run[0, :-2] * run[0, 2:] < 0))
+    end = float(fine(run[:, jump], 0.0, 0.0, [], 1.0)[0])
+    assert end == pytest.approx(run[0, jump + 2], rel=0.01)
+
+
+class Draining(gb.StateSpace):
+    """A tank that is empty after a finite time, beyond which its formula has no value."""
+
+    states, inputs, outputs = ("level",), ("u",), ("level",)
+
+    def derivative(self, x, u, p):
+        return (-gb.sqrt(x.level) - 0.1,)
+
+    def output(self, x, u, p):
+        return (x.level,)
+
+
+def test_a_step_out_of_the_domain_of_a_formula_gives_nan():
+    drained = step_function(dynamics(Draining()), Radau(), 4)
+    assert np.isnan(float(drained(0.5, 0.0, 0.0, [], 20.0)))

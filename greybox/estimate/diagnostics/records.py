@@ -15,8 +15,9 @@ from greybox.compiled.response_part import ResponsePart
 from greybox.data.record import Record, share_samples
 from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.repeated import Finding, once
-from greybox.estimate.fitted_part import FittedPart, FittedRecord
+from greybox.estimate.fitted_part import FittedRecord
 from greybox.estimate.missing_terms import dynamic_equations
+from greybox.estimate.result import Fit
 from greybox.files.arrays import Array
 from greybox.files.grouping import grouped
 from greybox.files.text_table import listed, some
@@ -71,32 +72,30 @@ def repeated_data(nlp: CompiledProblem) -> Iterator[str]:
 
 
 def record_warnings(
-    nlp: CompiledProblem,
-    fitted: Sequence[FittedPart],
-    trajectories: Sequence[Trajectory],
-    accuracy: Accuracy,
-    *,
-    feedback: bool,
-    explained: bool,
-    unstable: bool,
+    nlp: CompiledProblem, answer: Fit, trajectories: Sequence[Trajectory], accuracy: Accuracy
 ) -> tuple[str, ...]:
     """Return the warnings about the records of a fit.
 
-    Residuals of a wrong model look like `feedback`, which is then not tested, and like gusts unless
-    the model has `explained` the data.
+    Residuals of a wrong model look like feedback, which is then not tested, and like gusts unless
+    the model explains the data.
     """
+    misfit = answer.misfit
     pairs = [
-        (part, answer)
-        for part, answer in zip(nlp.parts, fitted, strict=True)
-        if isinstance(part, RecordPart) and isinstance(answer, FittedRecord)
+        (part, fitted)
+        for part, fitted in zip(nlp.parts, answer.parts, strict=True)
+        if isinstance(part, RecordPart) and isinstance(fitted, FittedRecord)
     ]
     alone = len(pairs) == 1
 
     return (
         *once(_short(nlp, accuracy)),
         *once(finding for pair in pairs for finding in unexplained_outputs(*pair, alone=alone)),
-        *(biased_by_feedback(pairs, unstable=unstable) if feedback else ()),
-        *colored_predictions(pairs, explained=explained),
+        *(
+            ()
+            if misfit and misfit.is_large
+            else biased_by_feedback(pairs, unstable=bool(misfit and misfit.is_unstable))
+        ),
+        *colored_predictions(pairs, explained=not misfit or misfit.explains),
         *once(_bounded(nlp, trajectories, alone=alone)),
         *once(_flattened_inputs([part for part, _ in pairs])),
     )
@@ -163,31 +162,28 @@ def unexplained_outputs(
         percent = fitted.fit_percent(output)
         if not percent < 10:
             continue
-        record = fitted.data.name or fitted.name
-        name = output + _place(fitted.data, fitted.name, alone=alone)
-        text = f"the model reproduces almost none of the variation of {name} (fit {percent:.1f} %)"
-        if not fitted.data.has_time:  # the order of rows does not show the noise
-            yield (
-                f"{output} in rows",
-                record,
-                f"{text}: try other starts or another model structure, unless that variation is "
-                "noise.",
-            )
-            continue
         noise = noise_ratio([stretch.outputs[k] for stretch in part.data.stretches])
-        if noise.noisy:
-            cure = "and the measured signal looks like noise: excite it more, or leave it out."
-            yield f"{output} noisy", record, f"{text}, {cure}"
+        if not fitted.data.has_time:  # the order of rows does not show the noise
+            kind = "in rows"
+            cure = ": try other starts or another model structure, unless that variation is noise."
+        elif noise.noisy:
+            kind = "noisy"
+            cure = ", and the measured signal looks like noise: excite it more, or leave it out."
         elif percent < noise.attainable_fit_percent / 2:
-            cure = "try other starts, narrower start boxes, or another model structure"
+            kind, cure = "", "try other starts, narrower start boxes, or another model structure"
             if isinstance(part.problem.model, StateSpace) and part.problem.model.states:
                 cure = f"in turbulence, use {gust_criterion(part)}; else {cure}"
-            yield (
-                output,
-                record,
-                f"{text}, although its noise would allow about {noise.attainable_fit_percent:.0f} "
-                f"%: {cure}.",
-            )
+            attainable = f"{noise.attainable_fit_percent:.0f}"
+            cure = f", although its noise would allow about {attainable} %: {cure}."
+        else:
+            continue
+        name = output + _place(fitted.data, fitted.name, alone=alone)
+        yield (
+            f"{output} {kind}",
+            fitted.data.name or fitted.name,
+            f"the model reproduces almost none of the variation of {name} (fit {percent:.1f} %)"
+            + cure,
+        )
 
 
 def colored_predictions(
