@@ -117,7 +117,7 @@ def _iterated(
         looks = not nodes_alone and (count + 1) % 10 == 0
         # Steps along states that no output shows leave gaps beyond rounding.
         closed = parts.made_continuous(iterate, step) if looks and progress.is_exact else iterate
-        if looks and _is_within_noise(parts, closed, step, progress, gained):
+        if looks and _is_within_noise(parts, closed, progress, gained):
             return End(closed, CONVERGED, count, step.hessian)
 
         # Line search.
@@ -181,13 +181,17 @@ def _is_settled(
         return False
     if not progress.damping:
         return True
-    undamped = _undamped(parts, iterate, step, progress, states_only=states_only)
+    undamped = gauss_newton_step(
+        parts,
+        iterate,
+        step.linearizations,
+        replace(progress, damping=0.0),
+        states_only=states_only,
+    )
     return undamped.decrease <= progress.undamped_decrease
 
 
-def _is_within_noise(
-    parts: AllParts, iterate: Iterate, step: Step, progress: Progress, gained: float
-) -> bool:
+def _is_within_noise(parts: AllParts, iterate: Iterate, progress: Progress, gained: float) -> bool:
     """Return whether noise hides all that is left to gain, wherever bounds let a step go.
 
     A last step that `gained` more than is left belongs to a run that still converges.
@@ -204,7 +208,9 @@ def _is_within_noise(
         )
     ):
         return False
-    undamped = _undamped(parts, iterate, step, progress)
+    # The gaps of the last linearization are closed, which changes its residuals.
+    linearizations = parts.linearize(iterate, parts.residual_weights(iterate))
+    undamped = gauss_newton_step(parts, iterate, linearizations, replace(progress, damping=0.0))
     # A step that is not stopped by a bound decreases the cost by its `distance`, and continues to
     # converge.
     stopped = undamped.decrease > 2 * undamped.distance
@@ -213,14 +219,6 @@ def _is_within_noise(
     unknowns = len(iterate.z) + sum(part.unknown_initial_states for part in parts.parts)
     is_noise = undamped.distance <= 5e-3 and gained <= undamped.decrease <= 0.01 * unknowns / 2
     return stopped and is_noise
-
-
-def _undamped(
-    parts: AllParts, iterate: Iterate, step: Step, progress: Progress, *, states_only: bool = False
-) -> Step:
-    """Return the step from the same linearization without damping."""
-    undamped = replace(progress, damping=0.0)
-    return gauss_newton_step(parts, iterate, step.linearizations, undamped, states_only=states_only)
 
 
 def _delays_block(parts: AllParts, progress: Progress) -> bool:
