@@ -190,8 +190,8 @@ STOPS = (0.05, 0.15, 0.85, 0.95)
 JUMPS = (-0.25, 0.0, 0.25)  # of a parameter, over the samples from their middle
 CREEP = 0.2  # of the largest value of a signal, below which its sign counts less
 DAMPING = 0.05  # of modes in records
-# And in responses, where with the first alone a notch of 0.3 is seen in half of the cases, and with
-# both in 93 %.
+# And in responses: with the first alone, a notch of damping 0.3 is seen in half of the cases, and
+# with both in nine of ten.
 DAMPINGS = 0.05, 0.2
 MODES = 16  # frequencies of the modes that are tried in records
 # Fewest periods of such a mode in the record: a slower one looks like a drift of the errors.
