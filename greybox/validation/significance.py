@@ -17,7 +17,7 @@ from greybox.validation.comparison import EQUAL_AIC, IDENTIFICATION, SIGNIFICANT
 from greybox.validation.held_out import Predictions
 from greybox.validation.nested_models import NestedTest, nested_test_at
 from greybox.validation.nesting import NotNestedError, nested_values
-from greybox.validation.same_data import have_one_criterion, other_samples
+from greybox.validation.same_data import other_samples
 
 Labels = tuple[str, str]
 
@@ -71,7 +71,7 @@ def fit_verdict(
     order = sorted((0, 1), key=lambda k: len(fits[k].free))
     (small, large), names = (fits[k] for k in order), (labels[order[0]], labels[order[1]])
     try:
-        if have_one_criterion(fits) and not other_samples(fits, labels):
+        if not other_samples(fits, labels):
             test = nested_test_at(nested_values(small, large, names), small, large, names)
             return f"{names[1]} contains {names[0]}, and {test}", test
     except (NotNestedError, LookupError):

@@ -93,6 +93,14 @@ def test_the_verdict_names_the_true_structure(compared):
     assert len(str(found).splitlines()) < 60  # a page
 
 
+def test_costs_by_different_criteria_have_no_nested_test(data, compared):
+    (_, both, _), found = compared
+    assert not any("contains LagLagDelay" in s for s in found.statements)
+    with_zeros = fitted(Second(), data, SQUARED)
+    found = gb.compare(both, with_zeros)
+    assert any("Second contains LagLagDelay" in s for s in found.statements)
+
+
 def test_alike_structures_and_mistakes_are_told(data, compared):
     (_, both, _), _ = compared
     twice = gb.compare(both, fitted(LagLagDelay(), data), labels=("a", "b"))
