@@ -355,7 +355,7 @@ def assemble(
     if search.minima:
         trajectories = solver.profile(best, search.nodes).trajectories
         accuracy = assess(nlp, best, trajectories)
-        misfit = assessed_misfit(nlp, best, trajectories, {})
+        misfit = assessed_misfit(nlp, best, trajectories, accuracy.at_bound, {})
 
     values = nlp.all_values(best)
     estimate = dict(zip(nlp.names, values.tolist(), strict=True))

@@ -70,14 +70,17 @@ FEWEST = 500  # of each
 # Evaluations of a response by itself. A step or two suffice where its values are near the common
 # ones; of resonances a factor of 20 apart, p falls from 0.4 without a step to 1e-38 with five, and
 # below 1e-99 with thirty, which take three times as long.
-REFIT = 5
+REFIT = 10
+ENOUGH = 0.15  # change of log likelihood in one of these, far below what is significant
+STEP = 1e-6  # of the numbers of a term, for derivatives
 KNOTS = 11  # of the shape of a term over a signal
 # Share of the best determined combination of knots below which one counts as not determined: it is
 # what parameters explain, or has too few samples.
 DETERMINED = 0.02
-ENOUGH = 0.15  # change of log likelihood in one of these, far below what is significant
+NOTHING = Term("", np.zeros(1))
 
 Key = tuple[tuple[str, str, str], int]  # the family of a term, and its number in it
+Block = tuple[Array, Array, Sequence[int]]  # see `correlated_fits`
 
 
 @dataclass(frozen=True)
@@ -267,10 +270,10 @@ class Misfit(Printed):
 class _Regression:
     """A part as a regression of its residuals on the parameters of the fit and on missing terms.
 
-    All columns have N rows; `changes` returns those (N, c) of terms. `separate` returns the
-    residuals and slopes of a response that is fitted alone; `outputs` has the rows of every output
-    of a record, by stretches, and `signals` those over which the shape of a term is drawn. What
-    parameters leave of a term is an error of the integration if it is less than `remains` of it.
+    All columns have N rows; `changes` returns those (N, c) of terms. `outputs` has the rows of
+    every output of a record, by stretches, and `signals` those over which the shape of a term is
+    drawn. What parameters leave of a term is an error of the integration if it is less than
+    `remains` of it.
     """
 
     measured: Array
@@ -278,7 +281,7 @@ class _Regression:
     fitted: Array
     terms: Mapping[Key, Term]
     changes: Callable[[Sequence[Term]], Array]
-    separate: Callable[[], tuple[Array, Array, Sequence[int]]] | None = None
+    response: "_Response | None" = None
     outputs: Outputs = ()
     causes: Sequence[Cause] = ()
     is_unstable: bool = False
@@ -295,20 +298,60 @@ class _Regression:
         return values.T
 
 
+@dataclass(frozen=True, eq=False)
+class _Response:
+    """A response that can be fitted again, with a factor of a term on it.
+
+    Attributes
+    ----------
+    x : (p,) array
+        Parameters of the whole fit.
+    response, sensitivity : functions
+        Those of the model at parameters, (w,) and (w, p).
+    data : (w,) array
+    rows : function
+        Returns the rows (N, c) of columns (w, c).
+    """
+
+    x: Array
+    response: Callable[[Array], ComplexArray]
+    sensitivity: Callable[[Array], ComplexArray]
+    data: ComplexArray
+    rows: Callable[[ComplexArray], Array]
+
+    def residuals(self, values: Array, term: Term) -> Array:
+        """Return the residuals (N, 1) at parameters and numbers of a term, (p + q,)."""
+        x, numbers = np.split(values, [self.x.size])
+        return self.rows((self.data - self.response(x) * term.factor(numbers))[:, None])
+
+    def slopes(self, values: Array, term: Term) -> Array:
+        """Return the derivatives of the residuals, (N, p + q)."""
+        x, numbers = np.split(values, [self.x.size])
+        response, factor = self.response(x), term.factor(numbers)
+        by_term = [
+            response * (term.factor(numbers + change) - factor) / STEP
+            for change in STEP * np.eye(numbers.size)
+        ]
+        return -self.rows(np.column_stack([self.sensitivity(x) * factor[:, None], *by_term]))
+
+
 def assessed_misfit(
     nlp: CompiledProblem,
     x: Array,
     trajectories: Sequence[Trajectory],
+    at_bound: Sequence[str],
     candidates: Mapping[str, Formula],
 ) -> Misfit | None:
     """Return whether a model explains its data at `x` (p,); None where that cannot be decided.
 
-    `candidates` has the terms of the user.
+    Parameters that a bound holds, `at_bound`, absorb nothing. `candidates` has the terms of the
+    user.
     """
     responses, records = [], []
+    moves = ~np.isin(nlp.free, at_bound)
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
         if isinstance(part, ResponsePart):
-            responses.append(_of_response(part, nlp.all_values(x), nlp.names, x.size))
+            responses.append(_of_response(part, nlp.all_values(x), nlp.names, moves))
         elif isinstance(part, RecordPart) and part.model.has_time and not part.model.is_prior:
             records.append((part, trajectory))
 
@@ -318,7 +361,9 @@ def assessed_misfit(
         DisturbedRecord(*_on_excerpts(part, trajectory, most)) for part, trajectory in records
     ]
     regressions = [
-        _of_record(record, [*terms_of_record(record, candidates), *terms], len(records))
+        _of_record(
+            record, [*terms_of_record(record, at_bound, candidates), *terms], moves, len(records)
+        )
         for record, terms in zip(disturbed, repeated_residuals(disturbed), strict=True)
     ]
     groups = [
@@ -392,14 +437,20 @@ def _of_group(parts: Sequence[_Regression]) -> Misfit:
         p_values = autoregressive_p_values(residuals[:, 0], fitted, best_columns, outputs).tolist()
         p_correlated = p_values
     elif ranked:
-        # Real and imaginary parts follow one another in every response.
-        lengths = [n // 2 for part in parts if (n := len(part.residuals)) for _ in "ri"]
-        fits = correlated_fits([(residuals, fitted, lengths)], best_columns)
+        fits = correlated_fits([(residuals, fitted, _lengths(parts))], best_columns)
         p_correlated = p_values_of_fits(fits, fits)[1:]
         if len(parts) > 1:
             # Other values may be far from the common ones: each part is fitted by itself.
-            apart = correlated_fits([part.separate() for part in parts if part.separate])
+            apart = correlated_fits([_refitted([part]) for part in parts if part.response])
             [p_common] = p_values_of_fits(fits, apart)
+        tests = [len(tried) * tried[key[0]] for _, key, _ in ranked]
+        if np.min(np.multiply(tests, p_correlated)) > OF_RESPONSES:
+            for k, (_, key, _) in enumerate(ranked):
+                if tests[k] * p_correlated[k] < 1:
+                    # Numbers that are fitted are not tried.
+                    [p_value] = p_values_of_fits(fits, correlated_fits([_refitted(parts, key)]))
+                    p_value /= len(terms[key].start)
+                    p_correlated[k] = min(p_correlated[k], p_value)
 
     texts = [terms[key].described(test[2], test[3]) for test, key, _ in ranked]
     alike = _alike(beside(white_best, white_fitted), texts)
@@ -530,8 +581,10 @@ def _numbered(terms: Iterable[Term]) -> dict[Key, Term]:
     return numbered
 
 
-def _of_record(record: DisturbedRecord, terms: Iterable[Term], count: int) -> _Regression:
-    """Return the regression of one of `count` records."""
+def _of_record(
+    record: DisturbedRecord, terms: Iterable[Term], moves: BoolArray, count: int
+) -> _Regression:
+    """Return the regression of one of `count` records on the parameters that move, (p,)."""
     part, trajectory = record.part, record.trajectory
     weight, data = part.residual_weight(trajectory), part.data
     slopes = sensitivity(part, trajectory, weight)
@@ -555,7 +608,7 @@ def _of_record(record: DisturbedRecord, terms: Iterable[Term], count: int) -> _R
         # The initial states and straight lines of every stretch are fitted first.
         return np.vstack([*map(outside, stretches, taken)])
 
-    by_parameters = np.einsum("ab,bpn->apn", noise, slopes.weighted)
+    by_parameters = np.einsum("ab,bpn->apn", noise, slopes.weighted[:, moves])
     constants = [*constants_of_record(record)]
     effects = record.followed_by(term.place(term.values) for term in constants if term.place)
     with_effects = np.concatenate([record.residuals[:, None], effects], axis=1)
@@ -640,7 +693,10 @@ def _on_excerpts(
     return excerpt, excerpt.trajectory(trajectory.z, nodes)
 
 
-def _of_response(part: ResponsePart, values: Array, names: Sequence[str], free: int) -> _Regression:
+def _of_response(
+    part: ResponsePart, values: Array, names: Sequence[str], moves: BoolArray
+) -> _Regression:
+    free = moves.size
     response, criterion, data = part.response(values), part.criterion, part.data
     size = criterion.error_size(response, data)
     if criterion.known_noise and data.dof is not None:
@@ -661,27 +717,14 @@ def _of_response(part: ResponsePart, values: Array, names: Sequence[str], free: 
         scaled = columns[order] / (at * size[order] / np.abs(at))[:, None]
         return real_and_imaginary(scaled)
 
-    def residuals(x: Array) -> Array:
-        return rows((data.response - part.response(np.append(x, others)))[:, None])
-
-    def slopes(x: Array) -> Array:
-        return rows(-part.sensitivity(np.append(x, others))[:, :free])
-
-    def separate() -> tuple[Array, Array, tuple[int, int]]:
-        from scipy.optimize import least_squares  # noqa: PLC0415  (slow to import)
-
-        jac: Any = slopes  # typed as a string
-        x = least_squares(
-            lambda x: residuals(x)[:, 0],
-            at_fit,
-            jac,
-            x_scale="jac",
-            max_nfev=REFIT,
-            ftol=ENOUGH / order.size,
-        ).x
-        return residuals(x), slopes(x), (order.size, order.size)
-
     at_fit, others = np.split(values, [free])
+    again = _Response(
+        at_fit,
+        lambda x: part.response(np.append(x, others)),
+        lambda x: part.sensitivity(np.append(x, others))[:, :free] * moves,
+        data.response,
+        rows,
+    )
     # Where a response is zero, `used` leaves out what has no relative change.
     relative = part.sensitivity(values) / np.where(response == 0, np.inf, response)[:, None]
     states, sine = getattr(part.problem.model, "states", ()), part.problem.amplitude
@@ -695,7 +738,9 @@ def _of_response(part: ResponsePart, values: Array, names: Sequence[str], free: 
     own = [
         Term(kind, column * value, a=name, b=b)
         for k, (name, column) in enumerate(zip(names, relative.T, strict=True))
-        for kind, b, value in (orders if k < free else [("fixed", "", 1.0)])
+        for kind, b, value in (
+            [("fixed", "", 1.0)] if k >= free else orders if moves[k] else [("bound", "", 1.0)]
+        )
     ]
     # Where most of a response is left, no size or correlation of its errors excuses the model.
     path = Cause(
@@ -707,16 +752,49 @@ def _of_response(part: ResponsePart, values: Array, names: Sequence[str], free: 
         0.0,
         0.0,
     )
-    measured, left = rows(data.response[:, None]), residuals(at_fit)
+    measured, left = rows(data.response[:, None]), rows((data.response - response)[:, None])
     return _Regression(
         measured,
         left,
-        slopes(at_fit),
+        rows(-again.sensitivity(at_fit)),
         _numbered([*terms_of_response(*data.omega.tolist()), *own]) if order.size else {},
         lambda terms: rows(np.column_stack([response * term.values for term in terms])),
-        separate if order.size else None,
+        again if order.size else None,
         causes=() if np.sum(left**2) < np.sum(measured**2) / 2 else (path,),
     )
+
+
+def _refitted(parts: Sequence[_Regression], key: Key = (("", "", ""), 0)) -> Block:
+    """Return residuals, columns and lengths of responses that are fitted again, beside a term.
+
+    The levels of the term are fitted, too: a mode has its own frequency and damping.
+    """
+    from scipy.optimize import least_squares  # noqa: PLC0415  (slow to import)
+
+    fits = [(part.response, part.terms.get(key, NOTHING)) for part in parts if part.response]
+
+    def residuals(values: Array) -> Array:
+        return np.vstack([response.residuals(values, term) for response, term in fits])
+
+    def slopes(values: Array) -> Array:
+        return np.vstack([response.slopes(values, term) for response, term in fits])
+
+    response, term = fits[0]
+    jac: Any = slopes  # typed as a string
+    values = least_squares(
+        lambda values: residuals(values)[:, 0],
+        np.append(response.x, term.start),
+        jac,
+        x_scale="jac",
+        max_nfev=REFIT,
+        ftol=ENOUGH / sum(len(response.data) for response, _ in fits),
+    ).x
+    return residuals(values), slopes(values), _lengths(parts)
+
+
+def _lengths(parts: Sequence[_Regression]) -> list[int]:
+    """Return the numbers of real parts and of imaginary parts, which follow one another."""
+    return [n // 2 for part in parts if (n := len(part.residuals)) for _ in "ri"]
 
 
 def _chance(p_value: float) -> str:

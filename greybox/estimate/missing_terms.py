@@ -8,7 +8,7 @@ delays, modes and steps of the gain.
 import itertools
 import operator
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, lru_cache, partial
 from typing import Any
@@ -18,7 +18,7 @@ import numpy as np
 
 from greybox.compiled.disturbances import DisturbedRecord, Effect
 from greybox.compiled.record_part import RecordPart
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, ComplexArray
 from greybox.files.text_table import number
 from greybox.formulation.input_assumptions import is_stated
 from greybox.modeling.added_terms import Formula
@@ -128,6 +128,11 @@ TEXTS = {
         "a value of {a} that is smaller by {size} ± {error} than its fixed one",
         "free=['{a}'] in the problem, and no fixed value of it",
     ),
+    "bound": (
+        "a value of {a} that is larger by {size} ± {error} than its bound",
+        "a value of {a} that is smaller by {size} ± {error} than its bound",
+        "wider bounds of {a}",
+    ),
     "own": (
         "a value of {a} that is larger by {size} ± {error} in '{b}' than elsewhere",
         "a value of {a} that is smaller by {size} ± {error} in '{b}' than elsewhere",
@@ -225,6 +230,11 @@ class Term:
         Such a term as a model has it.
     outputs : mapping of str to float
         Outputs that have this derivative in them, such as accelerations, and its factor there.
+    shapes : function or None
+        Returns what a response may get, relative to it, (n,) each, if it has levels that a fit can
+        refine, such as a frequency and a damping.
+    levels : tuple of float
+        These levels, above zero.
     """
 
     kind: str
@@ -239,6 +249,20 @@ class Term:
     added: Formula | None = None
     code: str = ""
     outputs: Mapping[str, float] = field(default_factory=dict)
+    shapes: Callable[..., Sequence[ComplexArray]] | None = None
+    levels: tuple[float, ...] = ()
+
+    @property
+    def start(self) -> Array:
+        """Numbers of the term (q,) in a fit: factors of zero, and logarithms of the levels."""
+        factors = self.shapes(*self.levels) if self.shapes else [self.values]
+        return np.append(np.zeros(len(factors)), np.log(self.levels))
+
+    def factor(self, numbers: Array) -> ComplexArray:
+        """Return the factor (n,) on a response for such numbers."""
+        factors, levels = np.split(numbers, [len(numbers) - len(self.levels)])
+        shapes = self.shapes(*np.exp(levels)) if self.shapes else [self.values]
+        return 1 + factors @ np.array(shapes)
 
     @property
     def family(self) -> tuple[str, str, str]:
@@ -265,7 +289,9 @@ class Term:
         return text, code.format(**values) + "".join(also)
 
 
-def terms_of_record(record: DisturbedRecord, candidates: Mapping[str, Formula]) -> Iterator[Term]:
+def terms_of_record(
+    record: DisturbedRecord, at_bound: Sequence[str], candidates: Mapping[str, Formula]
+) -> Iterator[Term]:
     """Yield the terms that the model of a record may lack; `candidates` are the user's.
 
     Those in equations are functions of the simulated states. Measured ones have noise, which must
@@ -295,7 +321,7 @@ def terms_of_record(record: DisturbedRecord, candidates: Mapping[str, Formula]) 
         yield from _of_equations(record, candidates)
     else:
         yield from _of_feedback(record)
-    yield from _of_parameters(record)
+    yield from _of_parameters(record, at_bound)
 
 
 def constants_of_record(record: DisturbedRecord) -> Iterator[Term]:
@@ -316,7 +342,7 @@ def signals_of_record(record: DisturbedRecord) -> dict[str, Array]:
     return signals | {"time, s": part.data.at_samples(part.model.record.time)[0]}
 
 
-def _of_parameters(record: DisturbedRecord) -> Iterator[Term]:
+def _of_parameters(record: DisturbedRecord, at_bound: Sequence[str]) -> Iterator[Term]:
     part, log = record.part, record.part.model.record
     samples = np.linspace(-0.5, 0.5, part.samples)
     # Among several records, one may need different values.
@@ -331,10 +357,10 @@ def _of_parameters(record: DisturbedRecord) -> Iterator[Term]:
         # Gains correct what the model misses: they are not what it misses.
         if part.model.parameters[k] in gains:
             continue
-        for kind, row, b in changes:
-            yield Term(
-                kind, row, partial(record.by_parameter, place), part.model.outside_names[k], b
-            )
+        name = part.model.outside_names[k]
+        bound = [("bound", np.ones_like(samples), "")]
+        for kind, row, b in bound if name in at_bound else changes:
+            yield Term(kind, row, partial(record.by_parameter, place), name, b)
     for k in range(len(part.system.parameters)):
         if k not in part.model.active:
             by_formulas = partial(record.by_formulas, k)
@@ -526,15 +552,29 @@ def terms_of_response(*omega: float) -> tuple[Term, ...]:
     """Return the terms that the model of a response at these frequencies may lack."""
     at, low, high = np.array(omega), min(omega), max(omega)
     s = 1j * at
+
+    def delayed(T: float) -> Sequence[ComplexArray]:
+        return [np.exp(-s * T) - 1]
+
+    def lagged(a: float) -> Sequence[ComplexArray]:
+        return [1 / (1 + s / a) - 1]
+
+    def resonant(w: float, damping: float) -> Sequence[ComplexArray]:
+        below = s**2 + 2 * damping * w * s + w**2
+        return [w**2 / below, s * w / below]
+
     terms = [Term("zero", s / high)]
     for T in np.array([0.5, 1.0, 2.0]) / high:
         # A delay in the model absorbs the phase of a zero.
-        terms += Term("delay", np.exp(-s * T) - 1, scale=T), Term("zero", np.abs(1 + s * T) - 1)
+        terms.append(Term("zero", np.abs(1 + s * T) - 1))
+        terms.append(Term("delay", delayed(T)[0], scale=T, shapes=delayed, levels=(T,)))
     for a in np.geomspace(low / 2, 2 * high, 9):
-        terms.append(Term("pole", 1 / (1 + s / a) - 1, level=a))
+        terms.append(Term("pole", lagged(a)[0], level=a, shapes=lagged, levels=(a,)))
     for w, damping in itertools.product(np.geomspace(low, high, 16), DAMPINGS):
-        below = s**2 + 2 * damping * w * s + w**2
-        terms += [Term("mode", top / below, level=w) for top in (w**2, s * w)]
+        terms += [
+            Term("mode", shape, level=w, shapes=resonant, levels=(w, damping))
+            for shape in resonant(w, damping)
+        ]
     edges = np.sqrt(at[1:] * at[:-1])
     steps = edges[:: max(len(edges) // EDGES, 1)]
     return *terms, *(Term("step", 1.0 * (at > edge), level=edge) for edge in steps)

@@ -863,3 +863,58 @@ def test_too_few_points_do_not_judge_a_model(points):
     fit = gb.fit(gb.Problem(OneLag(), data), starts=4, progress=False)
     assert fit.misfit is None
     assert "explain" not in str(fit)
+
+
+class NarrowSpring(Spring):
+    """A spring whose bounds leave out its stiffness."""
+
+    k = gb.Parameter(40.0, bounds=(30, 200))
+
+
+def test_a_parameter_at_a_wrong_bound_needs_wider_ones():
+    s = 1j * np.geomspace(0.6, 30, 16)
+    noise = np.random.default_rng(7).normal(size=(16, 2)) @ [1, 1j]
+    measured = 25 / (s**2 + 2 * s + 25) * (1 + 0.02 * noise)
+    response = gb.Problem(NarrowSpring(), gb.FrequencyResponse(s.imag, measured, "u", "x"))
+    record = gb.Problem(NarrowSpring(), problem().record)
+    for of in (response, record):
+        misfit = gb.fit(of, starts=2, progress=False).misfit
+        [cause] = [cause for cause in misfit.causes if cause.code == "wider bounds of k"]
+        assert not misfit.explains
+        assert cause in misfit.likely
+        assert cause.text.startswith("a value of k that is smaller by ")
+        assert cause.value == pytest.approx(-5, rel=0.2)  # to first order
+
+
+class LeadLag(gb.TransferFunction):
+    """A gain that grows between two frequencies."""
+
+    K = gb.Parameter(1.0, bounds=(0.01, 100))
+    T_lead = gb.Parameter(0.5, bounds=(0.01, 5))
+    T_lag = gb.Parameter(0.1, bounds=(0.01, 5))
+
+    def response(self, s, p):
+        return p.K * (p.T_lead * s + 1) / (p.T_lag * s + 1)
+
+
+def test_a_lag_at_its_bound_does_not_hide_a_zero():
+    # The lag would have to be negative to stand for the second zero.
+    s, wrong = 1j * np.geomspace(0.5, 30, 8), 0
+    for seed in range(10):
+        noise = np.random.default_rng(seed).normal(size=(8, 2)) @ [1, 1j]
+        measured = 1.5 * (0.8 * s + 1) * (0.09 * s + 1) / (0.08 * s + 1) * (1 + 0.04 * noise)
+        data = gb.FrequencyResponse(s.imag, measured)
+        wrong += not gb.fit(gb.Problem(LeadLag(), data), starts=2, progress=False).misfit.explains
+    assert wrong >= 9
+
+
+def test_a_notch_between_the_frequencies_that_are_tried():
+    s, wrong = 1j * np.geomspace(0.5, 30, 16), 0
+    for seed in range(10):
+        random = np.random.default_rng(seed)
+        w, noise = random.uniform(3, 10), random.normal(size=(16, 2)) @ [1, 1j]
+        notch = (s**2 + 0.1 * w * s + w**2) / (s**2 + 0.6 * w * s + w**2)
+        measured = 25 / (s**2 + 2 * s + 25) * notch * (1 + 0.06 * noise)
+        of = gb.Problem(Spring(), gb.FrequencyResponse(s.imag, measured, "u", "x"))
+        wrong += not gb.fit(of, starts=2, progress=False).misfit.explains
+    assert wrong >= 9
