@@ -229,7 +229,8 @@ class Misfit(Printed):
     def verdict(self) -> str:
         """Whether the model explains the data, in a few words."""
         left = f"{percent(self.left)} % of their variance is left and follows"
-        noise = f"noise alone would leave about {percent(self.noise)} %"
+        noise = f"; noise alone would leave about {percent(self.noise)} %"
+        noise *= self.noise < self.left
         if self.is_drifting:
             return (
                 f"explains the data only if errors drift: {left} from earlier samples, but for "
@@ -238,7 +239,7 @@ class Misfit(Printed):
         if self.explains and self.likely:
             return (
                 "explains the data only if errors of neighboring points are correlated, or larger "
-                f"at one end: otherwise, {left} what drove the test; {noise}"
+                f"at one end: otherwise, {left} what drove the test{noise}"
             )
         if self.explains:
             size = f" ({percent(self.left)} % of the variance)" * (self.left > NOISY)
@@ -247,7 +248,7 @@ class Misfit(Printed):
             )
         common = self.p_common < self.level
         return (
-            f"does not explain the data: {left} what drove the test ({_chance(self.p_value)}); "
+            f"does not explain the data: {left} what drove the test ({_chance(self.p_value)})"
             f"{noise}{'; one set of values does not serve all parts' * common}"
         )
 
@@ -698,13 +699,14 @@ def _of_response(
 ) -> _Regression:
     free = moves.size
     response, criterion, data = part.response(values), part.criterion, part.data
-    size = criterion.error_size(response, data)
+    # Of a response of zero, all is misfit.
+    size = criterion.error_size(response if response.any() else data.response, data)
     if criterion.known_noise and data.dof is not None:
         # Over an estimated variance an error is Student's t, whose tails would look like a term.
         # Its weight is that of the likelihood, about the scale of all residuals.
         scale = data.dof * criterion.noise_ratio(response, data) + TINY
         size = np.sqrt(size**2 + 2 * np.abs(data.response - response) ** 2 / scale)
-    used = (size > 0) & (np.abs(response) > 0)
+    used = size > 0
     # A single outlier would look like a narrow mode.
     worst = largest_deviation(part, values, free)
     if worst and len(used) * worst.probability < SIZE:
@@ -713,9 +715,8 @@ def _of_response(
     order = order[used[order]]
 
     def rows(columns: ComplexArray) -> Array:
-        at = response[order]
-        scaled = columns[order] / (at * size[order] / np.abs(at))[:, None]
-        return real_and_imaginary(scaled)
+        turned = columns[order] * np.exp(-1j * np.angle(response[order]))[:, None]
+        return real_and_imaginary(turned / size[order, None])
 
     at_fit, others = np.split(values, [free])
     again = _Response(
@@ -725,7 +726,6 @@ def _of_response(
         data.response,
         rows,
     )
-    # Where a response is zero, `used` leaves out what has no relative change.
     relative = part.sensitivity(values) / np.where(response == 0, np.inf, response)[:, None]
     states, sine = getattr(part.problem.model, "states", ()), part.problem.amplitude
     orders = [("own", part.name, 1.0)]

@@ -822,14 +822,6 @@ def test_a_parameter_that_is_fixed_at_a_wrong_value_is_named():
     assert free.misfit.explains
 
 
-def test_a_response_of_zero_is_not_tested_and_that_is_said():
-    omega = np.geomspace(0.3, 30, 10)
-    data = gb.FrequencyResponse(omega, 2 / (0.3j * omega + 1), name="hover")
-    fit = gb.fit(gb.Problem(Lag(), data, fixed={"K": 0.0}), starts=2, progress=False)
-    assert fit.misfit is None
-    assert "not tested for missing terms in " in str(fit)
-
-
 @pytest.mark.parametrize("smooth", [True, False])
 def test_an_input_that_is_no_line_between_its_samples_is_named(smooth):
     random, time = np.random.default_rng(3), STEP * np.arange(SAMPLES)
@@ -918,3 +910,18 @@ def test_a_notch_between_the_frequencies_that_are_tried():
         of = gb.Problem(Spring(), gb.FrequencyResponse(s.imag, measured, "u", "x"))
         wrong += not gb.fit(of, starts=2, progress=False).misfit.explains
     assert wrong >= 9
+
+
+class Reversed(Spring):
+    """A spring with a gain of the wrong sign."""
+
+    b = gb.Parameter(-25.0, bounds=(-200, 0))
+
+
+def test_a_response_of_zero_explains_nothing():
+    s = 1j * np.geomspace(0.6, 30, 16)
+    data = gb.FrequencyResponse(s.imag, 25 / (s**2 + 2 * s + 25), "u", "x")
+    misfit = gb.fit(gb.Problem(Reversed(), data), starts=2, progress=False).misfit
+    assert misfit.verdict.startswith("does not explain the data: 100 % of their variance is left")
+    assert "noise alone" not in misfit.verdict
+    assert misfit.likely[0].code == "a path between both, or wider bounds"
