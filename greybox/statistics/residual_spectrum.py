@@ -245,11 +245,10 @@ def averaged(
     )
 
 
-def averaged_candidates(candidates: Iterable[AveragedSpectrum]) -> AveragedSpectrum:
-    """Return the average of spectra by their scores."""
-    fields = ("score", "density", "typical", "taken", "uncertainty")
-    values = zip(*map(attrgetter(*fields), candidates), strict=True)
-    return averaged(*map(np.array, values))
+def stacked(averages: Iterable[AveragedSpectrum]) -> Iterator[Array]:
+    """Return scores (m,), densities, geometric means, what was taken, and its uncertainties."""
+    fields = attrgetter("score", "density", "typical", "taken", "uncertainty")
+    return map(np.array, zip(*map(fields, averages), strict=True))
 
 
 def aicc_penalty(unknowns: float, n: float) -> float:
@@ -297,17 +296,13 @@ class ResidualSpectra:
     def periodogram(self) -> tuple[Array, ComplexArray]:
         """Autocovariances (lags, k), and band means (k, k, b) of the power, of the residuals."""
         scale = (self.deviation * np.sqrt(self.counts))[:, None]
-        transforms = [np.fft.rfft(e / scale, self.grid.size) for e in self.residuals]
-        k = len(self.counts)
-        lags, banded = self.grid.covariances(
-            lambda i, j: sum((z[i] * z[j].conj() for z in transforms), np.zeros((), complex)),
-            k,
-            self.highest_order,
-        )
+        transforms = [np.fft.rfft(e / scale, self.grid.size)[:, None] for e in self.residuals]
+        factors = [(z / 2, z.conj()) for z in transforms]
+        lags, banded = self.grid.covariances(factors, self.highest_order)
         # Outputs that are combinations of others have a singular covariance.
         lags[0] += ROUNDING
 
-        return lags, banded + ROUNDING * np.eye(k)[..., None]
+        return lags, banded + ROUNDING * np.eye(len(scale))[..., None]
 
     @property
     def highest_order(self) -> int:
@@ -318,13 +313,14 @@ class ResidualSpectra:
     @cached_property
     def power(self) -> ComplexArray:
         """Power (k, k, b) of the sensitivities; its mean product with a spectrum is `taken_by`."""
-
-        def banded(H: ComplexArray, rows: ComplexArray) -> list[ComplexArray]:
-            # One by one: together they take as much memory as an output's transforms.
-            products = (map(np.multiply, map(np.conj, H), row) for row in rows)
-            return [self.grid.banded(sum(terms, np.zeros(()))) for terms in products]
-
-        return np.sum([[banded(H, rows) for H in rows] for rows in self.transforms()], axis=0)
+        k = len(self.counts)
+        power = np.zeros((k, k, len(self.grid.omega)), dtype=complex)
+        for rows in self.transforms():
+            for i, j in np.ndindex(k, k):
+                # One by one: together they take as much memory as an output's transforms.
+                terms = map(np.multiply, map(np.conj, rows[i]), rows[j])
+                power[i, j] += self.grid.banded(sum(terms, np.zeros(())))
+        return power
 
     @cached_property
     def slow(self) -> Array:
@@ -368,33 +364,29 @@ class ResidualSpectra:
             candidates = [self.judged_on_residuals(average, banded) for average in candidates]
 
         shares = remaining_products(self.residuals)
-        return averaged_candidates(
-            replace(average, density=unmasked(average.density, shares, self.grid))
-            for average in candidates
-        )
+        score, density, *others = stacked(candidates)
+        density = np.array([unmasked(each, shares, self.grid) for each in density])
+        return averaged(score, density, *others)
 
     def with_process_noise(self, others: AveragedSpectrum) -> AveragedSpectrum:
         """Return the average with process noise; its score is the evidence for process noise."""
         process = self.white_process_noise
         if process is None:
             return replace(others, score=0.0)
-        average = averaged_candidates([others, process])
+        average = averaged(*stacked([others, process]))
         return replace(average, score=others.score - process.score)
 
     def independent_outputs(self, alone: Sequence[AveragedSpectrum]) -> AveragedSpectrum:
         """Return the joint spectrum of outputs whose errors are independent."""
-        k = len(alone)
-        density = np.zeros((k, k, len(self.grid.omega)), dtype=complex)
-        density[np.arange(k), np.arange(k)] = [average.density for average in alone]
-        taken = sum(average.taken for average in alone)
-        uncertainty = sum(average.uncertainty * average.taken**2 for average in alone)
+        score, density, typical, taken, uncertainty = stacked(alone)
+        total = float(taken.sum())
 
         return AveragedSpectrum(
-            density,
-            np.array([average.typical for average in alone]),
-            taken,
-            uncertainty / max(taken**2, TINY),
-            sum(average.score for average in alone),
+            density[:, None] * np.eye(len(density), dtype=complex)[..., None],
+            typical,
+            total,
+            float(uncertainty @ taken**2) / max(total**2, TINY),
+            float(score.sum()),
         )
 
     def judged_on_residuals(
@@ -593,11 +585,7 @@ class ResidualSpectra:
             half *= (e != 0)[:, None] / np.sqrt(self.counts)[:, None, None]
             pairs.append((first, np.fft.rfft(half, grid.size).conj()))
 
-        def product(i: int, j: int) -> ComplexArray:
-            parts = ((a[i] * b[j] + (a[j] * b[i]).conj()).sum(axis=0) for a, b in pairs)
-            return sum(parts, np.zeros((), dtype=complex))
-
-        return grid.covariances(product, len(size), self.highest_order)
+        return grid.covariances(pairs, self.highest_order)
 
     @cached_property
     def _bread(self) -> Array:
