@@ -60,7 +60,8 @@ class RecordPart(SegmentedPart):
         """Return the part on evenly spaced excerpts with about this total number of samples."""
         data = self.data.excerpts(samples)
         # The criterion stays behind when a part is sent to a worker.
-        return self._with(data, self.covariance.along(data.measured))
+        covariance = self.covariance.along(data.measured)
+        return RecordPart(self.model, data, self.substeps, covariance=covariance)
 
     def with_outputs(self, outputs: Sequence[Array]) -> "RecordPart":
         """Return the part with other measured outputs (k, n) of every stretch, NaN for gaps."""
@@ -68,8 +69,8 @@ class RecordPart(SegmentedPart):
         stretches = tuple(replace(stretch, outputs=values) for stretch, values in pairs)
         data = replace(self.data, stretches=stretches)
         # The spread only scales, and stays that of the original outputs.
-        counts = np.isfinite(data.measured).sum(axis=1)
-        return self._with(data, replace(self.covariance, counts=counts))
+        covariance = replace(self.covariance, counts=np.isfinite(data.measured).sum(axis=1))
+        return RecordPart(self.model, data, self.substeps, covariance=covariance)
 
     def with_bounded_errors(self, trajectory: Trajectory) -> "RecordPart":
         """Return the part with pseudo-values as outputs, if its large errors are bounded."""
@@ -80,16 +81,11 @@ class RecordPart(SegmentedPart):
         errors = bounded([stretch.outputs - y for stretch, y in stretches])
         return self.with_outputs([y + e for y, e in zip(model, errors, strict=True)])
 
-    def _with(
-        self, data: SampledData, covariance: ResidualCovariance, factor: int = 1
-    ) -> "RecordPart":
-        substeps = factor * self.substeps
-        return RecordPart(self.model, data, substeps, covariance=covariance)
-
     @one_thread_at_a_time
     def refined(self, factor: int) -> "RecordPart":
         """Return the part with `factor` times the substeps."""
-        return self._with(self.data, self.covariance, factor)
+        substeps = factor * self.substeps
+        return RecordPart(self.model, self.data, substeps, covariance=self.covariance)
 
     # --- facts
 

@@ -307,8 +307,6 @@ class Segments:
         They are those by the nodes and by disturbances, of which every sample has its share: A (v,
         n, columns) in the next state and C (v, k, columns) in the residuals.
         """
-        v, columns = len(A), A.shape[-1]
-        A, C = A.reshape(v * self.n, columns), C.reshape(v * self.k, columns)
         S, J = self._propagated(A, C, self.count)
         return S.transpose(2, 0, 1), J.transpose(3, 0, 1, 2)
 
@@ -362,12 +360,13 @@ class Segments:
 
         Returns those of ends (n, v, count) and rows (length, k, v, count).
 
-        A and C are the derivatives by the state at a sample and the parameters, as CasADi stacks
-        matrices, column by column.
+        A (v, n, columns) and C (v, k, columns) are the derivatives by the state at a sample and the
+        parameters; CasADi stacks them column by column.
         """
         n, k, length = self.n, self.k, self.length
-        v = len(C) // k
-        transitions, rows = A.reshape(v, n, length, count), C.reshape(v, k, length, count)
+        rows = C.reshape(-1, k, length, count)
+        v = len(rows)
+        transitions = A.reshape(v, n, length, count)
         J = np.empty((length, k, v, count))
         S = np.zeros((n, v, count))
         S[range(n), range(n)] = 1
