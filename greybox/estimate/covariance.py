@@ -157,7 +157,7 @@ def assess(
     parts = informations(nlp, x, trajectories)
     # A part alone pays for all parameters: its errors are then computed once.
     paid = p if len(parts) == 1 else 0
-    shares = [_share(part, p=p, correction=_correction(part, paid)) for part in parts]
+    shares = [_share(part, p, paid) for part in parts]
     jacobian = np.vstack([share.limit * share.root[:, :p] for share in shares])
     at_bound = _at_bound(nlp, x, shares, trajectories)
     active, holding = _active_constraints(nlp, x)
@@ -290,7 +290,7 @@ def prior_shares(nlp: CompiledProblem, accuracy: Accuracy) -> dict[str, float]:
     if accuracy.white is None:
         return dict.fromkeys(nlp.free, math.nan)
 
-    roots = [_share(part, p=p).root[:, :p] @ accuracy.white for part in accuracy.informations]
+    roots = [_share(part, p).root[:, :p] @ accuracy.white for part in accuracy.informations]
     information = np.array([np.sum(root**2, axis=0) for root in roots])
     share = information[is_prior].sum(axis=0) / np.maximum(information.sum(axis=0), 1e-300)
     share[np.isnan(propagate(accuracy, np.eye(p, len(nlp.names))))] = math.nan
@@ -347,11 +347,9 @@ def informations(
 ) -> list[Information]:
     """Return the information of every part on all values, at the unknowns `x` (p,)."""
     values = nlp.all_values(x)
-    uncertain = tuple(
-        k
-        for k, name in enumerate(nlp.names)
-        if k >= len(nlp.free) and name in nlp.problem.held_estimates
-    )
+    constants = enumerate(nlp.constants, len(nlp.free))
+    held = nlp.problem.held_estimates
+    uncertain = tuple(k for k, name in constants if name in held)
     slope = nlp.scaling.slope(x)
     pairs = zip(nlp.parts, trajectories or [None] * len(nlp.parts), strict=True)
 
@@ -392,16 +390,15 @@ def _corrected(part: Information, share: _Share, root: Array) -> PartAccuracy:
     # A whole number for a single part.
     paid = round(float(np.sum((share.root[:, :p] @ root) ** 2)), 9)
     numbers = max(part.numbers - paid, 0.5)
-    correction = _correction(part, paid)
     colored = part.colored and part.colored(math.sqrt(problem.weight) * root)
     if colored:
         meat = problem.weight * colored.meat
         return PartAccuracy(share, meat, colored.dof, meat, colored.dof, colored)
 
     dof = math.inf if problem.criterion.known_noise else numbers
-    share = _share(part, p=p, correction=correction)
+    share = _share(part, p, paid)
     meat = independent = root.T @ share.meat @ root
-    neighbors = part.correlated and part.correlated(correction, root, dof)
+    neighbors = part.correlated and part.correlated(_correction(part, paid), root, dof)
     if neighbors:
         meat = problem.weight**2 * root.T @ neighbors.meat[:p, :p] @ root
         dof = neighbors.dof
@@ -438,8 +435,9 @@ def determined_directions(jacobian: Array, active: Array, bounded: IntArray) -> 
     return basis @ rows[:rank].T, basis @ rows[rank:].T
 
 
-def _share(part: Information, *, p: int, correction: float = 1.0) -> _Share:
-    """Return the information of a part on `p` unknowns, its noise scaled by `correction`."""
+def _share(part: Information, p: int, paid: float = 0.0) -> _Share:
+    """Return the information of a part on `p` unknowns, its residuals having `paid` for them."""
+    correction = _correction(part, paid)
     scale, meat = part.spread(correction)
     weight = part.part.weight
     size = math.sqrt(weight * scale)

@@ -1,6 +1,5 @@
 """The result of a multistart: every run, and the distinct minima."""
 
-import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -105,15 +104,11 @@ class Multistart:
 def best_unfinished(runs: Sequence[Run]) -> Run | None:
     """Return the run with the lowest finite cost of those that did not converge, if any."""
     # A run on too coarse an integration has a cost that no finer one would have.
-    ended = [
-        run
-        for run in runs
-        if not run.converged and run.status != TOO_COARSE and math.isfinite(run.cost)
-    ]
-
+    runs = Runs.of(runs)
+    ended = runs[~runs.converged & (runs.status != TOO_COARSE) & np.isfinite(runs.cost)]
     # A start that was only compared has not been tried: it is the last choice.
-    ended = [run for run in ended if run.stage != SCREENED] or ended
-    return min(ended, key=lambda run: run.cost, default=None)
+    tried = ended[ended.stage != SCREENED] or ended
+    return tried[int(np.argmin(tried.cost))] if tried else None
 
 
 def agreeing_runs(
