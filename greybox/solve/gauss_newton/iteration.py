@@ -203,9 +203,7 @@ def _is_within_noise(parts: AllParts, iterate: Iterate, progress: Progress, gain
     if not (
         progress.is_exact
         and parts.is_continuous(iterate)
-        and all(
-            part.explains_data(t) for part, t in zip(parts.parts, iterate.trajectories, strict=True)
-        )
+        and all(part.explains_data(trajectory) for part, trajectory in parts.along(iterate))
     ):
         return False
     # The gaps of the last linearization are closed, which changes its residuals.
