@@ -32,7 +32,7 @@ from greybox.modeling.model import Model, pick_signals, require_known
 from greybox.modeling.one_thread import once, one_thread_at_a_time, traced_once
 from greybox.modeling.sine import MOST_HARMONICS, Sine
 from greybox.modeling.state_space import StateSpace
-from greybox.modeling.symbolic_reading import symbols, traced_derivative, traced_output
+from greybox.modeling.symbolic_reading import symbols, traced_column
 from greybox.modeling.trim import trim_of
 
 # Numbers of harmonics to try in turn: each about doubles the previous one.
@@ -232,9 +232,9 @@ def _equations(
     n = len(model.states)
     names = (*model.states, *model.inputs)
     point, p = symbols(model)
-    outputs = traced_output(model, point, p)
+    outputs = traced_column(model, "output", point, p)
     rows = [outputs[model.outputs.index(y)] for y in (output, signal) if y in model.outputs]
-    derivatives = traced_derivative(model, point, p)
+    derivatives = traced_column(model, "derivative", point, p)
     formulas = ca.vertcat(derivatives, *rows)
 
     # The width is that of the ramps of switches, relative to the final one.

@@ -10,7 +10,7 @@ from greybox.files.arrays import Array, ComplexArray, all_finite
 from greybox.files.text_table import one_line
 from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace
-from greybox.modeling.symbolic_reading import derivative_function, symbols, traced_output
+from greybox.modeling.symbolic_reading import derivative_function, symbols, traced_column
 from greybox.modeling.trim import trim_of
 
 
@@ -62,7 +62,7 @@ def jacobians(model: StateSpace) -> ca.Function:
     z, p = symbols(model)
     x, u = z[:n], z[n:]
     f = derivative_function(model)(z, p)
-    h = traced_output(model, z, p)
+    h = traced_column(model, "output", z, p)
     blocks = [ca.jacobian(f, x), ca.jacobian(f, u), ca.jacobian(h, x), ca.jacobian(h, u)]
 
     return ca.Function("jacobians", [p, x, u], blocks)

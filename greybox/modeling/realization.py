@@ -21,8 +21,7 @@ from greybox.modeling.symbolic_reading import (
     require_no_nan,
     symbols,
     traced,
-    traced_derivative,
-    traced_output,
+    traced_column,
 )
 from greybox.modeling.transfer_function import TransferFunction
 
@@ -126,7 +125,7 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
     delays = [
         p[names.index(model.delays[i])] if i in model.delays else ca.SX(0) for i in model.inputs
     ]
-    f = traced_derivative(model, z, p) if model.states else ca.SX(0, 1)
+    f = traced_column(model, "derivative", z, p) if model.states else ca.SX(0, 1)
 
     return _with_pade_states(
         Dynamics(
@@ -134,7 +133,7 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
             inputs=tuple(model.inputs),
             outputs=tuple(model.outputs),
             parameters=tuple(names),
-            **_functions(x, u, p, f, traced_output(model, z, p), ca.vertcat(*delays)),
+            **_functions(x, u, p, f, traced_column(model, "output", z, p), ca.vertcat(*delays)),
         ),
         pade,
     )
