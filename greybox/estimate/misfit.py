@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -269,8 +270,9 @@ class _Regression:
 
     All columns have N rows; `changes` returns those (N, c) of terms. `separate` returns the
     residuals and slopes of a response that is fitted alone; `outputs` has the rows of every output
-    of a record, by stretches, and `signals` those over which the shape of a term is drawn. What
-    parameters leave of a term is an error of the integration if it is less than `remains` of it.
+    of a record, by stretches, and `signals` returns those over which the shape of a term is drawn.
+    What parameters leave of a term is an error of the integration if it is less than `remains` of
+    it.
     """
 
     measured: Array
@@ -283,7 +285,7 @@ class _Regression:
     causes: Sequence[Cause] = ()
     is_unstable: bool = False
     remains: float = REMAINS
-    signals: Mapping[str, Array] = field(default_factory=dict)
+    signals: Callable[[], Mapping[str, Array]] = dict
 
     def columns(self, keys: Sequence[Key]) -> Array:
         """Return the columns (N, c) of terms, zero for those that this part does not have."""
@@ -464,8 +466,9 @@ def _shape(
     best, least = None, np.inf
     # A value that one record needs has no place in the others.
     terms = [part.terms[key] for part in parts if key in part.terms]
-    for name in parts[0].signals if len(terms) == len(parts) else ():
-        signals = [part.signals[name] for part in parts]
+    by_part = [part.signals() for part in parts] if len(terms) == len(parts) else [{}]
+    for name in by_part[0]:
+        signals = [of_part[name] for of_part in by_part]
         knots = np.linspace(np.min(np.hstack(signals)), np.max(np.hstack(signals)) + TINY, KNOTS)
         hats = np.eye(KNOTS)
         columns = [
@@ -581,7 +584,7 @@ def _of_record(record: DisturbedRecord, terms: Iterable[Term], count: int) -> _R
         is_unstable=record.growth > GROWN,
         # From known initial states, terms grow as parameters do, and differ by what does not grow.
         remains=max(REMAINS * np.exp(-record.growth * part.known_states.any()), DEPENDENT),
-        signals=signals_of_record(record),
+        signals=partial(signals_of_record, record),
     )
 
 

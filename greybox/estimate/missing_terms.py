@@ -20,7 +20,6 @@ from greybox.compiled.disturbances import DisturbedRecord, Effect
 from greybox.compiled.record_part import RecordPart
 from greybox.files.arrays import Array
 from greybox.files.text_table import number
-from greybox.formulation.input_assumptions import is_stated
 from greybox.modeling.added_terms import Formula
 from greybox.modeling.colored_disturbance import undisturbed
 from greybox.modeling.functions import maximum, minimum, tanh
@@ -352,7 +351,8 @@ def _delays(record: DisturbedRecord, row: Array) -> Iterator[tuple[Array, float]
 def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Term]:
     step = record.part.data.stretches[0].step
     model = record.part.model
-    half_step = np.inf if is_stated(model.criterion.inputs, a, model.record) else step / 2
+    is_unstated = model.criterion.inputs == "record" and a not in model.record.hold
+    half_step = step / 2 if is_unstated else np.inf
 
     by_input = partial(record.by_input, j)
 

@@ -141,12 +141,9 @@ def _whitened(series: list[Array]) -> tuple[list[Array], Array]:
     """Return series less their common mean, filtered by their autoregression, and the latter."""
     mean = float(np.nanmean(np.concatenate(series)))
     a = autoregression([np.nan_to_num(s - mean) for s in series])
-    return [_filtered(s - mean, a) for s in series], a
-
-
-def _filtered(values: Array, a: Array) -> Array:
-    """Return Σ a_k e(t - k), NaN where a term is missing."""
-    return np.convolve(np.append(np.full(a.size - 1, np.nan), values), a, mode="valid")
+    # Σ a_k e(t - k) is NaN where a term is missing, as before the first sample.
+    before = np.full(a.size - 1, np.nan)
+    return [np.convolve(np.append(before, s - mean), a, mode="valid") for s in series], a
 
 
 def _present(values: ArrayLike) -> Array:

@@ -394,10 +394,10 @@ class ResidualSpectra:
     ) -> AveragedSpectrum:
         """Replace the likelihood of the errors by that of the residuals; the penalty remains."""
         # Process noise is compared with the residuals as they are, so the others must be, too.
-        errors = whittle_score(average.density.T, banded.T, self._numbers)
+        errors, *_ = whittle_score(average.density.T, banded.T, self._numbers)
         penalty = average.score - errors + self._numbers.sum()
         likely = self._left(average.density, self.grid.spread_out(average.density))
-        score = whittle_score(likely, self.periodogram[1].T, self._numbers)
+        score, *_ = whittle_score(likely, self.periodogram[1].T, self._numbers)
         return replace(average, score=penalty + score)
 
     @cached_property
