@@ -131,10 +131,12 @@ class DisturbedRecord:
         # No residual follows where nothing was measured.
         present = part.segments.columns(self.present.astype(float))
         A, C = (slope[:n] for slope in self._slopes)
-        ends, J = part.segments.disturbed(
+        ends, J = part.segments.propagated(
             np.stack([*A, *(-following for following, _ in effects)]),
             np.stack([*C, *(outputs * present for _, outputs in effects)]),
+            part.segments.count,
         )
+        J = J.transpose(3, 0, 1, 2)
         if n:
             weight, linearization = self._linearized
             rows = np.einsum("ab,slbv->slav", weight, J).reshape(len(J), -1, J.shape[-1])
@@ -146,7 +148,7 @@ class DisturbedRecord:
                 linearization.transition,
                 part.data.coupled,
                 cross,
-                -ends[:, :, n:],
+                -ends.transpose(2, 0, 1)[:, :, n:],
                 np.zeros(n),
             )
             # Known initial states cannot compensate for a term.

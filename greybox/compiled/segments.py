@@ -288,7 +288,7 @@ class Segments:
 
         q = q[:, batch] if self._own else q
         A, C, e = _finite(self._evaluate("derivatives", chosen(states), q, chosen(data)))
-        S, J = self._propagated(A, C, count)
+        S, J = self.propagated(A, C, count)
         return S, J, e.reshape(self.k, length, count).transpose(1, 0, 2)
 
     def sample_derivatives(self, states: Array, q: Array, data: Array) -> tuple[Array, Array]:
@@ -300,15 +300,6 @@ class Segments:
         columns = data.shape[1]
         v = self.n + len(self.active)
         return A.reshape(v, self.n, columns), C.reshape(v, self.k, columns)
-
-    def disturbed(self, A: Array, C: Array) -> tuple[Array, Array]:
-        """Return derivatives of ends (s, n, v) and residuals (s, length, k, v).
-
-        They are those by the nodes and by disturbances, of which every sample has its share: A (v,
-        n, columns) in the next state and C (v, k, columns) in the residuals.
-        """
-        S, J = self._propagated(A, C, self.count)
-        return S.transpose(2, 0, 1), J.transpose(3, 0, 1, 2)
 
     def output_sensitivities(self, states: Array, q: Array, data: Array) -> Array:
         """Return the derivatives (s, length, k, v) of the simulated outputs at all samples.
@@ -322,7 +313,7 @@ class Segments:
                 states
             ).all(axis=0)
             A[:, lost], C[:, lost] = self._differences(states, q, data, np.flatnonzero(lost))
-        return np.ascontiguousarray(self._propagated(A, C, self.count)[1].transpose(3, 0, 1, 2))
+        return np.ascontiguousarray(self.propagated(A, C, self.count)[1].transpose(3, 0, 1, 2))
 
     def _differences(
         self, states: Array, q: Array, data: Array, columns: IntArray
@@ -355,7 +346,7 @@ class Segments:
         A, C = (np.concatenate(parts) for parts in zip(*slopes, strict=True))
         return A, C
 
-    def _propagated(self, A: Array, C: Array, count: int) -> tuple[Array, Array]:
+    def propagated(self, A: Array, C: Array, count: int) -> tuple[Array, Array]:
         """Carry the derivatives of every sample through the segments.
 
         Returns those of ends (n, v, count) and rows (length, k, v, count).

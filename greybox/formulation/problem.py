@@ -454,11 +454,6 @@ class Problem(Addable, metaclass=_OneOrSeveral):
         """The problem itself, as the only part."""
         return (self,)
 
-    @property
-    def as_added(self) -> tuple["Problem", ...]:
-        """The problem itself."""
-        return self.parts
-
     def outside(self, name: str) -> str:
         """Return the name of a parameter in the answer."""
         return self.rename.get(name, name)

@@ -1,7 +1,6 @@
 """Problems that are solved together: costs add, parameters with the same name are shared."""
 
 import itertools
-from abc import abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,9 +26,9 @@ class Addable:
     """What `+` and the built-in `sum` join to a `Sum`."""
 
     @property
-    @abstractmethod
-    def as_added(self) -> tuple[Any, ...]:
+    def as_added(self: Any) -> tuple[Any, ...]:
         """The parts as they were added, with their own criteria and unnumbered biases."""
+        return self.parts
 
     def parts_with(self: Any, kind: Any) -> list[Any]:
         """Return the parts with data of a kind, such as `Record`."""
