@@ -225,7 +225,7 @@ class AveragedSpectrum:
 
 
 def averaged(
-    score: Array, density: Array, typical: Array, taken: Array, within: Array
+    score: Array, density: NDArray[Any], typical: Array, taken: Array, within: Array
 ) -> AveragedSpectrum:
     """Return the average of m spectra by their scores (m,), -2 log of their likelihoods.
 
@@ -245,7 +245,7 @@ def averaged(
     )
 
 
-def stacked(averages: Iterable[AveragedSpectrum]) -> Iterator[Array]:
+def stacked(averages: Iterable[AveragedSpectrum]) -> Iterator[NDArray[Any]]:
     """Return scores (m,), densities, geometric means, what was taken, and its uncertainties."""
     fields = attrgetter("score", "density", "typical", "taken", "uncertainty")
     return map(np.array, zip(*map(fields, averages), strict=True))
@@ -365,7 +365,7 @@ class ResidualSpectra:
 
         shares = remaining_products(self.residuals)
         score, density, *others = stacked(candidates)
-        density = np.array([unmasked(each, shares, self.grid) for each in density])
+        density = np.array([unmasked(spectrum, shares, self.grid) for spectrum in density])
         return averaged(score, density, *others)
 
     def with_process_noise(self, others: AveragedSpectrum) -> AveragedSpectrum:
