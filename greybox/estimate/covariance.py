@@ -224,10 +224,11 @@ def _with_covariance(
 ) -> Accuracy:
     """Return the accuracy with a covariance within a basis (p, r) of the determined directions."""
     p, k = len(nlp.free), len(nlp.names)
-    first = _root_of_inverse(shares, basis)
+    stacked = np.vstack([share.root[:, :p] for share in shares])
+    first = _root_of_inverse(stacked, basis)
     pairs = zip(accuracy.informations, shares, strict=True)
     parts = tuple(_corrected(part, share, first) for part, share in pairs)
-    root = _root_of_inverse([part.share for part in parts], basis)
+    root = _root_of_inverse(np.vstack([part.share.root[:, :p] for part in parts]), basis)
     inverse = root @ root.T
 
     # How the estimate follows the constants, from the optimality condition: -B⁻¹ Bᵪ.
@@ -236,7 +237,6 @@ def _with_covariance(
     for part in parts:
         slope[:p, p:] -= root @ (root.T @ part.share.root[:, :p].T) @ part.share.root[:, p:]
 
-    stacked = np.vstack([share.root[:, :p] for share in shares])
     turned = np.eye(k, p) @ (root @ ((stacked @ root).T @ (stacked @ first)))
     earlier = known_covariances(nlp)
     terms = [(turned @ part.meat @ turned.T, part.dof) for part in parts]
@@ -411,11 +411,10 @@ def _correction(part: Information, paid: float) -> float:
     return math.sqrt(max(part.numbers, numbers) / numbers)
 
 
-def _root_of_inverse(shares: Sequence[_Share], basis: Array) -> Array:
-    """Return a square root (p, r) of B⁻¹ within `basis` (p, r), accurate where B itself is not."""
+def _root_of_inverse(jacobian: Array, basis: Array) -> Array:
+    """Return a square root (p, r) of B⁻¹ within `basis` (p, r), for a root (n, p) of B."""
     # B itself has the squares of the singular values: it loses the digits that a root keeps.
-    stacked = np.vstack([share.root[:, : len(basis)] for share in shares])
-    return basis @ np.linalg.inv(np.linalg.qr(stacked @ basis, mode="r")).astype(float)
+    return basis @ np.linalg.inv(np.linalg.qr(jacobian @ basis, mode="r")).astype(float)
 
 
 def determined_directions(jacobian: Array, active: Array, bounded: IntArray) -> tuple[Array, Array]:
