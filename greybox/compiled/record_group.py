@@ -65,10 +65,7 @@ class RecordGroup(SegmentedPart):
         distinct = {part.model.expressions: part.model for part in self.parts}
         numbers = {key: k for k, key in enumerate(distinct)}
         [z] = self.model.locate.sx_in()
-        results: list[list[Any]] = []
-        for model in distinct.values():
-            q, slope, delay = model.locate(z)
-            results.append([q, slope, delay, *model.initial(q)])
+        results: list[Any] = [model.locate(z) for model in distinct.values()]
 
         sides = (ca.horzcat, ca.vertcat, ca.horzcat, ca.horzcat, ca.vertcat)
         pairs = zip(sides, zip(*results, strict=True), strict=True)

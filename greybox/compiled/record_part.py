@@ -116,8 +116,8 @@ class RecordPart(SegmentedPart):
 
     def place(self, z: Array) -> Placed:
         """Return the parameters and the data at z (p,)."""
-        q, slope, delay = (value.full() for value in self.model.locate(z))
-        initial, initial_slope = (value.full() for value in self.model.initial(q))
+        located = (value.full() for value in self.model.locate(z))
+        q, slope, delay, initial, initial_slope = located
         q, steady = q.ravel(), None
         if self.noise_model is not None:
             steady = self.noise_model.at(q)
