@@ -39,7 +39,7 @@ class DisturbedRecord:
         # The future of a predictor contains its errors of today.
         self.is_predicted = bool(part.gains)
         self.inputs = segments.in_order(data[m : 4 * m])[1::3]
-        self.present = segments.in_order(data[-1 - k : -1]) > 0
+        self.present = segments.in_order(data[-1 - k : -1])
         self.parameters = self._placed.q
 
     @property
@@ -58,7 +58,7 @@ class DisturbedRecord:
 
     def by_output(self, place: int, values: Array) -> Effect:
         """Return the effect of values (samples,) that add to an output."""
-        outputs = np.zeros_like(self.present, dtype=float)
+        outputs = np.zeros_like(self.present)
         outputs[place] = values
         return np.zeros_like(self.trajectory.states), self.part.segments.columns(outputs)
 
@@ -129,7 +129,7 @@ class DisturbedRecord:
     def _followed_by(self, effects: Sequence[Effect]) -> Array:
         part, n = self.part, self.part.states
         # No residual follows where nothing was measured.
-        present = part.segments.columns(self.present.astype(float))
+        present = part.segments.columns(self.present)
         A, C = (slope[:n] for slope in self._slopes)
         ends, J = part.segments.propagated(
             np.stack([*A, *(-following for following, _ in effects)]),

@@ -539,7 +539,7 @@ def _of_record(record: DisturbedRecord, terms: Iterable[Term], count: int) -> _R
     weight, data = part.residual_weight(trajectory), part.data
     slopes = sensitivity(part, trajectory, weight)
     noise = np.linalg.inv(weight.T @ weight)
-    present = [row > 0 for row in data.unpadded(record.present.astype(float))]
+    present = [row > 0 for row in data.unpadded(record.present)]
 
     def rows_of_stretch(values: Array, measured: BoolArray) -> Array:
         result = np.where(measured, weight @ values.swapaxes(0, 1), 0.0)
