@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -14,7 +14,7 @@ from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.intersample import Intersample
 from greybox.data.record import Record
-from greybox.files.arrays import Array, BoolArray, IntArray
+from greybox.files.arrays import Array, BoolArray, IntArray, frozen
 from greybox.formulation.input_assumptions import between_samples
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import TimeCriterion
@@ -25,7 +25,7 @@ from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.symbolic_reading import called, dense_jacobian
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class RecordModel(Portable):
     """A record and its model, independent of segments and substeps.
 

@@ -9,14 +9,13 @@ output directly, the sampled output jumps at whole samples, and so does the cost
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.record import JITTER, Record
-from greybox.files.arrays import Array, BoolArray, IntArray
+from greybox.files.arrays import Array, BoolArray, IntArray, frozen
 from greybox.files.text_table import listed
 from greybox.statistics.noise_ratio import noise_ratio
 
@@ -37,7 +36,7 @@ SHORTEST = 3
 REST = 5
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Stretch:
     """Samples without a gap, in the mean `step` s apart.
 
@@ -67,7 +66,7 @@ class Stretch:
         return self.inputs.shape[1]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class SampledData:
     """All stretches of a record, one after the other, in segments of `segment_length` samples.
 

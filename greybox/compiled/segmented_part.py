@@ -1,7 +1,7 @@
 """Records cut into segments: what one record and a group of them have in common."""
 
 from abc import abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from greybox.compiled.riccati import SteadyFilter
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization, Segments
-from greybox.files.arrays import Array, BoolArray, of_diagonal
+from greybox.files.arrays import Array, BoolArray, frozen, of_diagonal
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.metrics import whiteness
@@ -26,7 +26,7 @@ from greybox.statistics.metrics import whiteness
 JUMP = 3.0 / ASSUMED_ERROR
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Placed:
     """The parameters and data of records at one point z of the solver.
 

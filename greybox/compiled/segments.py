@@ -11,7 +11,6 @@ Columns run over segments, sample by sample: column i · s + j is sample i of se
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -20,7 +19,7 @@ import numpy as np
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.substep_derivatives import SubstepDerivatives
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, frozen
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import dense_jacobian
 
@@ -32,7 +31,7 @@ BATCH = 20_000
 LARGE = 12
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Linearization:
     """Linearization of r records: s nodes (n,), q active parameters, weighted residuals e.
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from greybox.estimate.undetermined import (
     collinear_groups,
     invisible_groups,
 )
-from greybox.files.arrays import Array, IntArray, all_finite, positive_or_one
+from greybox.files.arrays import Array, IntArray, all_finite, frozen, positive_or_one
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.discretization_error import quadratic_model
 
@@ -26,7 +26,7 @@ DEAD = 1e-7
 ROUNDING = 1e-12
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Accuracy:
     """The covariance of an estimate and what it leaves open.
 
@@ -94,7 +94,7 @@ class Accuracy:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _Share:
     """The information of one part: a root (n, k) of its bread by all values, and its meat (p, p).
 
@@ -110,7 +110,7 @@ class _Share:
     pull: Array
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class PartAccuracy:
     """The information of a part, its noise larger for the parameters that the noise pays for.
 

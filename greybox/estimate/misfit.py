@@ -23,7 +23,7 @@ from greybox.estimate.missing_terms import (
     terms_of_response,
 )
 from greybox.estimate.repeated_inputs import repeated_residuals
-from greybox.files.arrays import Array, BoolArray, ComplexArray, real_and_imaginary
+from greybox.files.arrays import Array, BoolArray, ComplexArray, frozen, real_and_imaginary
 from greybox.files.html_text import Printed
 from greybox.files.text_table import number, percent, some, text_table, with_error
 from greybox.modeling.added_terms import Formula
@@ -264,7 +264,7 @@ class Misfit(Printed):
         return f"The model {self.verdict}.\n\n{text_table(header, rows, (0, 5))}"
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _Regression:
     """A part as a regression of its residuals on the parameters of the fit and on missing terms.
 

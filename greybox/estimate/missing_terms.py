@@ -9,7 +9,7 @@ import itertools
 import operator
 import re
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache, lru_cache, partial
 from typing import Any
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from greybox.compiled.disturbances import DisturbedRecord, Effect
 from greybox.compiled.record_part import RecordPart
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.files.text_table import number
 from greybox.modeling.added_terms import Formula
 from greybox.modeling.colored_disturbance import undisturbed
@@ -200,7 +200,7 @@ LARGE = 10  # states and inputs beyond which an equation is tried with its own a
 EDGES = 32
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Term:
     """A term that a model may lack.
 

@@ -17,14 +17,14 @@ by half a per cent of its compliance.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, complex_array
+from greybox.files.arrays import Array, ComplexArray, complex_array, frozen
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.formula_structure import has_switches, interval_means, walk
 from greybox.modeling.functions import exp
@@ -106,7 +106,7 @@ def check_sine(model: Model, sine: Sine, input: str, omega: Array) -> None:
     sine.amplitudes(omega)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class HarmonicBalance:
     """The periodic motions of a model under a `sine` of the frequencies `omega`.
 

@@ -1,12 +1,11 @@
 """Linearization of an ODE about an operating point: A, B, C, D and the delays of the inputs."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, all_finite
+from greybox.files.arrays import Array, ComplexArray, all_finite, frozen
 from greybox.files.text_table import one_line
 from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace
@@ -14,7 +13,7 @@ from greybox.modeling.symbolic_reading import derivative_function, symbols, trac
 from greybox.modeling.trim import trim_of
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class LinearSystem:
     """``x' = A x + B u(t - delay)``, ``y = C x + D u(t - delay)`` about an operating point.
 

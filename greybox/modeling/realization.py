@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, all_finite
+from greybox.files.arrays import Array, all_finite, frozen
 from greybox.modeling.model import Model
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import MOST_EXACT, pade_rows, pade_steady, pade_step
@@ -28,7 +28,7 @@ from greybox.modeling.transfer_function import TransferFunction
 NO_POLE = 1e-9  # rad/s: within rounding errors of the roots, a slower pole is an integrator
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Dynamics:
     """``x' = derivative(x, u(t - delay), p)``, ``y = output(x, u(t - delay), p)``.
 
@@ -59,8 +59,8 @@ class Dynamics:
     output: ca.Function
     delay: ca.Function
     undelayed: "Dynamics | None" = None
-    delay_step: ca.Function = ca.Function()  # noqa: RUF009  (empty, and never changed)
-    delay_rest: ca.Function = ca.Function()  # noqa: RUF009
+    delay_step: ca.Function = ca.Function()
+    delay_rest: ca.Function = ca.Function()
 
     @property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX]:

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import ResponsePart
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, frozen
 from greybox.files.text_table import counted, one_line
 from greybox.formulation.frequency_criteria import cost_of_zero
 from greybox.solve.runs import SCREENED, TOO_COARSE, Run, Runs
@@ -28,7 +27,7 @@ Signatures = Sequence[NDArray[np.floating] | None] | NDArray[np.floating]
 """Signatures of the responses of all runs, see `Part.signature`."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Minimum:
     """One distinct minimum: a cost and a model response that a group of runs shares.
 
@@ -59,7 +58,7 @@ class Minimum:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Multistart:
     """All runs of a problem, in the order of their starts, and its minima, best first.
 

@@ -2,13 +2,12 @@
 
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.files.arrays import Array, ComplexArray, IntArray
+from greybox.files.arrays import Array, ComplexArray, IntArray, frozen
 from greybox.statistics.residual_autocorrelation import HIGHEST_ORDER
 
 LOWEST = 256  # lowest frequencies; each one is a band
@@ -16,7 +15,7 @@ MOST_PADDING = 50_000  # zeros after records of up to 200 000 samples; after lon
 COLUMNS = 16384  # frequencies at once in memory: 6 MB for three outputs and eight parameters
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class FrequencyGrid:
     """Frequencies of a transform of `size` samples, and the bands (b,) of spectra.
 

@@ -5,12 +5,11 @@ They take measured and predicted values, or residuals, as arrays with NaN for mi
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, frozen
 from greybox.statistics.residual_autocorrelation import autoregression
 
 LAGS = 25  # Ljung (1999), section 16.6, takes 20 to 30
@@ -31,7 +30,7 @@ def fit_percent(measured: ArrayLike, predicted: ArrayLike) -> float:
     return 100 * (1 - float(np.linalg.norm(y - p)) / spread) if spread > 0 else math.nan
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class CorrelationTest:
     """A statistic with its degrees of freedom, and the probability of a larger one by chance.
 

@@ -20,7 +20,7 @@ than the errors, by what the fit took from them).
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from operator import attrgetter
 from typing import Any
@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, frozen
 from greybox.statistics.error_spectrum import ROUNDING, ErrorSpectrum
 from greybox.statistics.frequency_grid import (
     FrequencyGrid,
@@ -64,7 +64,7 @@ UNLIKELY = 18.0
 TINY = 1e-300
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class ColoredInformation:
     """The covariance of the score of an estimate under correlated errors.
 
@@ -200,7 +200,7 @@ def _corrected_mixture(spectra: "ResidualSpectra") -> "tuple[AveragedSpectrum, b
     return spectra.with_process_noise(others), True
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class AveragedSpectrum:
     """An average of spectra.
 
@@ -256,7 +256,7 @@ def aicc_penalty(unknowns: float, n: float) -> float:
     return 2 * unknowns * n / max(n - unknowns - 1, 1e-3)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class ResidualSpectra:
     """Spectra that the residuals may have, in units of every output's deviation.
 

@@ -11,12 +11,11 @@ Biometrika 106; Harville (1977), Maximum likelihood approaches to variance compo
 JASA 72.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, frozen
 
 # Share of the first part in the variance at the beginning; any from 0.1 to 0.9 ends at the same
 # variances.
@@ -36,7 +35,7 @@ LEAST = 1e-4
 UNSEEN = 1e-8
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class VarianceComponents:
     """Variances of c parts of the errors.
 
