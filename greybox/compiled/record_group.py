@@ -53,8 +53,7 @@ class RecordGroup(SegmentedPart):
             np.array([c.known for c in covariances]) if has_known else None,
             covariances[0].full,
         )
-        model, substeps = first.model, first.substeps
-        super().__init__(model, data, substeps, first.step, segments, covariance)
+        super().__init__(first.model, data, segments, covariance)
 
     # --- placement
 

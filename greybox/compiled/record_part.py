@@ -45,8 +45,6 @@ class RecordPart(SegmentedPart):
         super().__init__(
             model,
             data,
-            substeps,
-            step,
             Segments(step, data.segments, data.segment_length, model.active),
             covariance or residual_covariance_of(model.criterion, model.outputs, data.measured),
         )

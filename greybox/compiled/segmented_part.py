@@ -14,7 +14,6 @@ from greybox.compiled.record_linearization import (
 from greybox.compiled.record_model import RecordModel
 from greybox.compiled.residual_covariance import ResidualCovariance, diagonal
 from greybox.compiled.riccati import SteadyFilter
-from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization, Segments
 from greybox.files.arrays import Array, BoolArray, frozen, of_diagonal
@@ -73,8 +72,6 @@ class SegmentedPart(Part):
         self,
         model: RecordModel,
         data: SampledData,
-        substeps: int,
-        step: SampleStep,
         segments: Segments,
         covariance: ResidualCovariance,
     ) -> None:
@@ -82,15 +79,15 @@ class SegmentedPart(Part):
         self.name, self.weight = model.name, model.weight
         self.model = model
         self.data = data
-        self.step = step
         self.segments = segments
+        self.step = segments.step
         self.covariance = covariance
         self.system = model.system
         self.outputs = model.outputs
         self.states = len(model.system.states)
         # The states of delays, which come last, follow from the inputs alone.
         self.driven = len((model.system.undelayed or model.system).states)
-        self.substeps = substeps
+        self.substeps = self.step.substeps
         self.samples = data.samples  # padding of segments included
         self.numbers = int(covariance.counts.sum())
         self.unknown_initial_states = int((~self.known_states[data.begins_stretch]).sum())

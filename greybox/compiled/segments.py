@@ -73,7 +73,7 @@ class Segments:
         own: bool = False,
     ) -> None:
         """Prepare the functions of `step`."""
-        self._step = step
+        self.step = step
         self.count = count
         self.length = length
         self.active = active
@@ -96,19 +96,19 @@ class Segments:
         """
         # Excerpts and refits share the step, and so the functions that take longest to build.
         key = (name, tuple(self.active.tolist()), self._own)
-        built = self._step.built
+        built = self.step.built
         shared = () if self._own else (1,)
-        if key not in built and self._step.repeats and name not in ("advance", "output"):
+        if key not in built and self.step.repeats and name not in ("advance", "output"):
             built[key] = SubstepDerivatives(
-                self._step, self.active.tolist(), simulated=name != "derivatives", shared=shared
+                self.step, self.active.tolist(), simulated=name != "derivatives", shared=shared
             )
         if key not in built:
-            x, q, d = self._step.symbols()
+            x, q, d = self.step.symbols()
             if name == "output":
-                x, q, d = self._step.measurement.sx_in()
-                results: Any = self._step.measurement(x, q, d)[3:]
+                x, q, d = self.step.measurement.sx_in()
+                results: Any = self.step.measurement(x, q, d)[3:]
             elif name == "advance":
-                results = [self._step.function(x, q, d)[0]]
+                results = [self.step.function(x, q, d)[0]]
             else:
                 # One vector of all free variables: an integrator repeats its steps for every
                 # Jacobian, not for every column.
@@ -117,7 +117,7 @@ class Segments:
                 values = type(x)(q)
                 if places:
                     values[places] = free[self.n :]
-                of_free = self._step.function(free[: self.n], values, d)
+                of_free = self.step.function(free[: self.n], values, d)
                 slopes = [of_free[0], of_free[1] if name == "derivatives" else of_free[2]]
                 derivatives = [dense_jacobian(slope, free) for slope in slopes]
                 at_free = ca.Function("at_free", [free, q, d], [*derivatives, of_free[1]])
@@ -195,7 +195,7 @@ class Segments:
         for count in counts:
             samples = slice(first * self.length, (first + count) * self.length)
             at = q if q.ndim == 1 else q[:, first]
-            run, residuals = self._step.simulate(nodes[first], at, rows[samples])
+            run, residuals = self.step.simulate(nodes[first], at, rows[samples])
             states[samples] = run[:-1]
             ends[first : first + count] = run[self.length :: self.length]
             products[self.records[first]] += residuals.T @ residuals
