@@ -269,7 +269,13 @@ def compile_records(
     """
     models: list[RecordModel] = []
     for problem in problems:
-        models.append(record_model(problem, expressions, z, method, models))
+        model = record_model(problem, expressions, z, method, models)
+        if model.criterion.corrects_states and model.record.is_irregular:
+            raise ValueError(
+                f"{problem.name!r} corrects its states by a constant gain, and its record is not "
+                "uniformly sampled: prepare the record with rate=..., which resamples it."
+            )
+        models.append(model)
     data = [
         sampled_data(
             model.record,
@@ -282,12 +288,6 @@ def compile_records(
         for model in models
     ]
 
-    for model in models:
-        if model.criterion.corrects_states and model.record.is_irregular:
-            raise ValueError(
-                f"{model.problem.name!r} corrects its states by a constant gain, and its record is "
-                "not uniformly sampled: prepare the record with rate=..., which resamples it."
-            )
     longest = [
         float(sampled.steps.max()) if model.record.is_irregular else model.record.step
         for model, sampled in zip(models, data, strict=True)
