@@ -111,7 +111,7 @@ class KalmanGain:
         noise = self.part.noise_model
         covariance = self.part.covariance.covariance(trajectory.products)
         # In units of the measurement noise, as the equation of the filter needs them.
-        root = np.linalg.inv(np.linalg.cholesky(covariance))
+        root = self.part.covariance.weight(trajectory.products)
         corrected = np.isin(np.arange(len(F)), self.states)
 
         filters: list[Array | None] = []
