@@ -1,7 +1,7 @@
 """The compiled problem: its parts and constraints as functions of the solver's variables."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, TypeVar
 
 import casadi as ca
@@ -21,7 +21,7 @@ from greybox.compiled.vectorized import Columns
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, frozen
 from greybox.formulation.prior_part import with_priors
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
@@ -33,7 +33,7 @@ PartKind = TypeVar("PartKind", bound=Part)
 NOTHING = Columns(ca.Function("nothing", [], []))
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class CompiledProblem(Portable):
     """A problem ready for a solver.
 

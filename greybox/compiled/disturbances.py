@@ -39,7 +39,7 @@ class DisturbedRecord:
         # The future of a predictor contains its errors of today.
         self.is_predicted = bool(part.gains)
         self.inputs = segments.in_order(data[m : 4 * m])[1::3]
-        self.present = segments.in_order(data[-1 - k : -1]) > 0
+        self.present = segments.in_order(data[-1 - k : -1])
         self.parameters = self._placed.q
 
     @property
@@ -58,7 +58,7 @@ class DisturbedRecord:
 
     def by_output(self, place: int, values: Array) -> Effect:
         """Return the effect of values (samples,) that add to an output."""
-        outputs = np.zeros_like(self.present, dtype=float)
+        outputs = np.zeros_like(self.present)
         outputs[place] = values
         return np.zeros_like(self.trajectory.states), self.part.segments.columns(outputs)
 
@@ -129,12 +129,14 @@ class DisturbedRecord:
     def _followed_by(self, effects: Sequence[Effect]) -> Array:
         part, n = self.part, self.part.states
         # No residual follows where nothing was measured.
-        present = part.segments.columns(self.present.astype(float))
+        present = part.segments.columns(self.present)
         A, C = (slope[:n] for slope in self._slopes)
-        ends, J = part.segments.disturbed(
+        ends, J = part.segments.propagated(
             np.stack([*A, *(-following for following, _ in effects)]),
             np.stack([*C, *(outputs * present for _, outputs in effects)]),
+            part.segments.count,
         )
+        J = J.transpose(3, 0, 1, 2)
         if n:
             weight, linearization = self._linearized
             rows = np.einsum("ab,slbv->slav", weight, J).reshape(len(J), -1, J.shape[-1])
@@ -146,7 +148,7 @@ class DisturbedRecord:
                 linearization.transition,
                 part.data.coupled,
                 cross,
-                -ends[:, :, n:],
+                -ends.transpose(2, 0, 1)[:, :, n:],
                 np.zeros(n),
             )
             # Known initial states cannot compensate for a term.

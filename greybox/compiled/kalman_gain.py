@@ -7,7 +7,6 @@ not diverge, and no nodes are needed in between.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -16,11 +15,11 @@ from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.riccati import reached, steady_state_gain
 from greybox.compiled.segmented_part import Placed
-from greybox.files.arrays import Array, IntArray, all_finite
+from greybox.files.arrays import Array, IntArray, all_finite, frozen
 from greybox.modeling.one_thread import cached_property
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class KalmanGain:
     """The gain K (n, k) of one record.
 
@@ -112,7 +111,7 @@ class KalmanGain:
         noise = self.part.noise_model
         covariance = self.part.covariance.covariance(trajectory.products)
         # In units of the measurement noise, as the equation of the filter needs them.
-        root = np.linalg.inv(np.linalg.cholesky(covariance))
+        root = self.part.covariance.weight(trajectory.products)
         corrected = np.isin(np.arange(len(F)), self.states)
 
         filters: list[Array | None] = []

@@ -14,13 +14,13 @@ nodes), the covariance of the estimate (`information`), the diagnostics (the pro
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, ClassVar
 
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, all_finite
+from greybox.files.arrays import Array, all_finite, frozen
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.error_spectrum import ErrorSpectrum
@@ -32,7 +32,7 @@ NO_NODES = np.zeros((0, 0))
 ASSUMED_ERROR = 0.1
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Trajectory:
     """A part at one point z of the solver, with what follows from its nodes.
 
@@ -72,7 +72,7 @@ class Trajectory:
         return all_finite(self.gaps, self.products)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Condensed:
     """The Gauss-Newton system of a part with its nodes eliminated: a quadratic model in dz alone.
 
@@ -113,7 +113,7 @@ class Condensed:
         return 0.5 * float((self.damping * (moved**2 - self.node_step**2)).sum())
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class ColoredErrors:
     """The effect of errors that are correlated in time on the accuracy of an estimate.
 
@@ -147,7 +147,7 @@ class ColoredErrors:
     process_noise: Callable[[], float]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class CorrelatedPoints:
     """The effect of errors that are correlated along frequency on the accuracy of an estimate.
 
@@ -169,7 +169,7 @@ class CorrelatedPoints:
     errors: NeighborCorrelation
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Information:
     """The information of a part on all values x (k,), for the covariance of the estimate.
 

@@ -53,8 +53,7 @@ class RecordGroup(SegmentedPart):
             np.array([c.known for c in covariances]) if has_known else None,
             covariances[0].full,
         )
-        model, substeps = first.model, first.substeps
-        super().__init__(model, data, substeps, first.step, segments, covariance)
+        super().__init__(first.model, data, segments, covariance)
 
     # --- placement
 
@@ -65,10 +64,7 @@ class RecordGroup(SegmentedPart):
         distinct = {part.model.expressions: part.model for part in self.parts}
         numbers = {key: k for k, key in enumerate(distinct)}
         [z] = self.model.locate.sx_in()
-        results: list[list[Any]] = []
-        for model in distinct.values():
-            q, slope, delay = model.locate(z)
-            results.append([q, slope, delay, *model.initial(q)])
+        results: list[Any] = [model.locate(z) for model in distinct.values()]
 
         sides = (ca.horzcat, ca.vertcat, ca.horzcat, ca.horzcat, ca.vertcat)
         pairs = zip(sides, zip(*results, strict=True), strict=True)
@@ -112,10 +108,10 @@ class Groups:
         """Group the parts; a record with a Kalman gain stays alone, because it must be stable."""
         self._all: Any = tuple(parts)
         self._lots = grouped(range(len(parts)), lambda k: _kind(parts[k], k))
-        self.parts: tuple[Part, ...] = tuple(
-            RecordGroup([self._all[k] for k in lot]) if len(lot) > 1 else parts[lot[0]]
-            for lot in self._lots
-        )
+        self.parts: list[Part] = []
+        for lot in self._lots:
+            members = [self._all[k] for k in lot]
+            self.parts.append(RecordGroup(members) if len(lot) > 1 else members[0])
 
     def joined(self, nodes: Sequence[Array]) -> list[Array]:
         """Return the nodes of every group, given those of every part."""
@@ -132,13 +128,11 @@ class Groups:
     def split(self, trajectories: Sequence[Trajectory]) -> list[Trajectory]:
         """Return the trajectories of every part, given those of every group."""
         nodes = self.nodes_by_part([t.nodes for t in trajectories])
-        result = {}
+        result = dict[int, Trajectory]()
         for lot, t in zip(self._lots, trajectories, strict=True):
-            result |= (
-                {lot[0]: t}
-                if len(lot) == 1
-                else {k: self._all[k].trajectory(t.z, nodes[k], simulated=t.simulated) for k in lot}
-            )
+            for k in lot:
+                is_alone = len(lot) == 1
+                result[k] = t if is_alone else self._all[k].trajectory(t.z, nodes[k])
         return [result[k] for k in range(len(self._all))]
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -14,7 +14,7 @@ from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.transcription.method import Transcription
 from greybox.data.intersample import Intersample
 from greybox.data.record import Record
-from greybox.files.arrays import Array, BoolArray, IntArray
+from greybox.files.arrays import Array, BoolArray, IntArray, frozen
 from greybox.formulation.input_assumptions import between_samples
 from greybox.formulation.problem import Problem
 from greybox.formulation.time_criteria import TimeCriterion
@@ -25,7 +25,7 @@ from greybox.modeling.realization import Dynamics, dynamics
 from greybox.modeling.symbolic_reading import called, dense_jacobian
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class RecordModel(Portable):
     """A record and its model, independent of segments and substeps.
 
@@ -57,7 +57,8 @@ class RecordModel(Portable):
     is_prior : bool
         Whether the record stands for a-priori knowledge, and not for data.
     locate : casadi.Function
-        (z) -> values of the declared parameters, derivatives of the active ones by z, delays.
+        (z) -> values of the declared parameters, derivatives of the active ones by z, delays, and
+        what `initial` returns for these values.
     initial : casadi.Function
         (declared parameters) -> known initial states, and their derivatives by the active
         parameters.
@@ -142,8 +143,10 @@ def record_model(
     active = [i for i in range(q.numel()) if slope[i, :].nnz() or i in following]
     delay = kin.system.delay(q[: len(kin.system.parameters)])
     symbol = ca.SX.sym("q", q.numel())
-    initial = kin.initial.call([symbol])[0]
-    by_active = dense_jacobian(initial, symbol[active])
+    known = kin.initial.call([symbol])[0]
+    by_active = dense_jacobian(known, symbol[active])
+    initial = ca.Function("initial", [symbol], [known, by_active])
+    located = (q, slope[active, :], delay)
     begin = problem.local_values({name: p.start for name, p in problem.parameters.items()})
 
     return replace(
@@ -156,8 +159,8 @@ def record_model(
         has_time=problem.record.has_time,
         outside_names=tuple(map(problem.outside, kin.parameters)),
         active=np.array(active, dtype=int),
-        locate=ca.Function("locate", [z], [q, ca.densify(slope[active, :]), ca.densify(delay)]),
-        initial=ca.Function("initial", [symbol], [initial, by_active]),
+        locate=ca.Function("locate", [z], [*map(ca.densify, located), *initial(q)]),
+        initial=initial,
         expressions=tuple(str(q[i]) for i in range(q.numel())),
     )
 

@@ -45,8 +45,6 @@ class RecordPart(SegmentedPart):
         super().__init__(
             model,
             data,
-            substeps,
-            step,
             Segments(step, data.segments, data.segment_length, model.active),
             covariance or residual_covariance_of(model.criterion, model.outputs, data.measured),
         )
@@ -60,7 +58,8 @@ class RecordPart(SegmentedPart):
         """Return the part on evenly spaced excerpts with about this total number of samples."""
         data = self.data.excerpts(samples)
         # The criterion stays behind when a part is sent to a worker.
-        return self._with(data, self.covariance.along(data.measured))
+        covariance = self.covariance.along(data.measured)
+        return RecordPart(self.model, data, self.substeps, covariance=covariance)
 
     def with_outputs(self, outputs: Sequence[Array]) -> "RecordPart":
         """Return the part with other measured outputs (k, n) of every stretch, NaN for gaps."""
@@ -68,8 +67,8 @@ class RecordPart(SegmentedPart):
         stretches = tuple(replace(stretch, outputs=values) for stretch, values in pairs)
         data = replace(self.data, stretches=stretches)
         # The spread only scales, and stays that of the original outputs.
-        counts = np.isfinite(data.measured).sum(axis=1)
-        return self._with(data, replace(self.covariance, counts=counts))
+        covariance = replace(self.covariance, counts=np.isfinite(data.measured).sum(axis=1))
+        return RecordPart(self.model, data, self.substeps, covariance=covariance)
 
     def with_bounded_errors(self, trajectory: Trajectory) -> "RecordPart":
         """Return the part with pseudo-values as outputs, if its large errors are bounded."""
@@ -80,16 +79,11 @@ class RecordPart(SegmentedPart):
         errors = bounded([stretch.outputs - y for stretch, y in stretches])
         return self.with_outputs([y + e for y, e in zip(model, errors, strict=True)])
 
-    def _with(
-        self, data: SampledData, covariance: ResidualCovariance, factor: int = 1
-    ) -> "RecordPart":
-        substeps = factor * self.substeps
-        return RecordPart(self.model, data, substeps, covariance=covariance)
-
     @one_thread_at_a_time
     def refined(self, factor: int) -> "RecordPart":
         """Return the part with `factor` times the substeps."""
-        return self._with(self.data, self.covariance, factor)
+        substeps = factor * self.substeps
+        return RecordPart(self.model, self.data, substeps, covariance=self.covariance)
 
     # --- facts
 
@@ -120,8 +114,8 @@ class RecordPart(SegmentedPart):
 
     def place(self, z: Array) -> Placed:
         """Return the parameters and the data at z (p,)."""
-        q, slope, delay = (value.full() for value in self.model.locate(z))
-        initial, initial_slope = (value.full() for value in self.model.initial(q))
+        located = (value.full() for value in self.model.locate(z))
+        q, slope, delay, initial, initial_slope = located
         q, steady = q.ravel(), None
         if self.noise_model is not None:
             steady = self.noise_model.at(q)
@@ -275,7 +269,13 @@ def compile_records(
     """
     models: list[RecordModel] = []
     for problem in problems:
-        models.append(record_model(problem, expressions, z, method, models))
+        model = record_model(problem, expressions, z, method, models)
+        if model.criterion.corrects_states and model.record.is_irregular:
+            raise ValueError(
+                f"{problem.name!r} corrects its states by a constant gain, and its record is not "
+                "uniformly sampled: prepare the record with rate=..., which resamples it."
+            )
+        models.append(model)
     data = [
         sampled_data(
             model.record,
@@ -288,12 +288,6 @@ def compile_records(
         for model in models
     ]
 
-    for model in models:
-        if model.criterion.corrects_states and model.record.is_irregular:
-            raise ValueError(
-                f"{model.problem.name!r} corrects its states by a constant gain, and its record is "
-                "not uniformly sampled: prepare the record with rate=..., which resamples it."
-            )
     longest = [
         float(sampled.steps.max()) if model.record.is_irregular else model.record.step
         for model, sampled in zip(models, data, strict=True)

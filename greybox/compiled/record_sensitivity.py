@@ -1,7 +1,6 @@
 """Derivatives of the weighted residuals by the parameters, with the initial states fitted too."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -12,11 +11,11 @@ from greybox.compiled.record_linearization import filter_information
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Linearization
-from greybox.files.arrays import Array, of_diagonal
+from greybox.files.arrays import Array, frozen, of_diagonal
 from greybox.statistics.residual_spectrum import LONGEST_CORRECTED
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Sensitivity:
     """Derivatives of the weighted residuals of a record by p parameters.
 

@@ -2,11 +2,11 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from greybox.files.arrays import Array, IntArray, all_finite, of_diagonal, positive_or_one
+from greybox.files.arrays import Array, IntArray, all_finite, frozen, of_diagonal, positive_or_one
 from greybox.files.text_table import listed
 from greybox.formulation.time_criteria import TimeCriterion
 
@@ -41,7 +41,7 @@ def require_independent(outputs: tuple[str, ...], measured: Array) -> None:
     )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class ResidualCovariance:
     """The covariance that turns sums of residual products (..., k, k) into a cost.
 

@@ -1,7 +1,6 @@
 """A frequency response with its model: cost, exact derivatives, and real residuals."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
@@ -18,7 +17,7 @@ from greybox.compiled.part import (
     Trajectory,
 )
 from greybox.compiled.shared_response import SharedSystem, SineTest
-from greybox.files.arrays import Array, ComplexArray, complex_array, real_and_imaginary
+from greybox.files.arrays import Array, ComplexArray, complex_array, frozen, real_and_imaginary
 from greybox.formulation.frequency_criteria import Criterion
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
@@ -38,7 +37,7 @@ SMOOTHING = 1e-8
 OWN = 0.1
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class ResponseFunctions:
     """The functions of a frequency response, whatever its data.
 

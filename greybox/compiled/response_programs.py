@@ -14,7 +14,7 @@ those of small problems with equal models and options are not traced again.
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import field
 from itertools import groupby
 from typing import Any
 
@@ -34,7 +34,7 @@ from greybox.compiled.shared_response import (
 )
 from greybox.compiled.vectorized import CHUNK, Columns
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.formulation.frequency_criteria import Criterion, cost_of_zero
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
@@ -60,7 +60,7 @@ LARGE = 2500
 _stored = Stored(64)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class CostProgram:
     """What a solver of frequency responses minimizes.
 

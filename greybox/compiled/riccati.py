@@ -7,7 +7,6 @@ P = F (P - K C P) Fᵀ + Q: Riccati's equation. Source: Maine and Iliff (1981), 
 Applied Mathematics 41(3); Simon (2006), Optimal State Estimation.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -16,7 +15,7 @@ import numpy as np
 from greybox.compiled.record_model import RecordModel
 from greybox.compiled.residual_covariance import diagonal
 from greybox.compiled.sample_step import SampleStep
-from greybox.files.arrays import Array, BoolArray, IntArray, all_finite, of_diagonal
+from greybox.files.arrays import Array, BoolArray, IntArray, all_finite, frozen, of_diagonal
 from greybox.modeling.symbolic_reading import dense_jacobian
 
 
@@ -72,7 +71,7 @@ def steady_state_gain(F: Array, C: Array, process: Array) -> Array:
     return np.linalg.solve(C @ P @ C.T + np.eye(len(C)), C @ P).T.astype(float)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class SteadyFilter:
     """A steady Kalman filter at some parameters.
 
@@ -90,7 +89,7 @@ class SteadyFilter:
     covariance_slope: Array
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class NoiseModel:
     """The linear model of a record over a sample, and the places of its noise among the parameters.
 

@@ -6,14 +6,13 @@ This is the one function that simulation, linearization, transcription and predi
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from greybox.compiled.sampled_data import input_over_step
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.formulation.time_criteria import TimeCriterion
 from greybox.modeling.integrators import Integrator, step_function, substep_function
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
@@ -24,7 +23,7 @@ from greybox.modeling.symbolic_reading import input_symbols
 RUN = 100
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class SampleStep:
     """One sample in CasADi, of states x (n,), all parameters q and data d.
 

@@ -9,14 +9,13 @@ output directly, the sampled output jumps at whole samples, and so does the cost
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.record import JITTER, Record
-from greybox.files.arrays import Array, BoolArray, IntArray
+from greybox.files.arrays import Array, BoolArray, IntArray, frozen
 from greybox.files.text_table import listed
 from greybox.statistics.noise_ratio import noise_ratio
 
@@ -37,7 +36,7 @@ SHORTEST = 3
 REST = 5
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Stretch:
     """Samples without a gap, in the mean `step` s apart.
 
@@ -67,7 +66,7 @@ class Stretch:
         return self.inputs.shape[1]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class SampledData:
     """All stretches of a record, one after the other, in segments of `segment_length` samples.
 
@@ -303,26 +302,23 @@ def gapless(
     ValueError
         If an input is delayed and a stretch is not uniformly sampled.
     """
-    stretches, first_row = [], 0
-    leads = np.broadcast_to(np.asarray(lead, dtype=float), (len(inputs),))
-    for piece in record.pieces:
-        u = np.array([piece[name] for name in inputs]).reshape(len(inputs), len(piece))
-        y = np.array([piece[name] for name in outputs]).reshape(len(outputs), len(piece))
-        y = np.where(np.all(np.isfinite(y), axis=0), y, np.nan) if complete else y
-        complete_inputs = np.all(np.isfinite(u), axis=0)
-        # Rows without a time have no neighbors: a row that lacks an input is no gap.
-        if not record.has_time:
-            rows = np.flatnonzero(complete_inputs)
-            return [Stretch(u[:, rows], y[:, rows], rows, record.step)] if rows.size else []
-        missing = math.inf if record.is_irregular else MISSING * record.step
-        ends = (np.diff(complete_inputs.astype(int)) != 0) | (np.diff(piece.time) > missing)
-        for rows in np.split(np.arange(len(piece)), np.flatnonzero(ends) + 1):
-            if complete_inputs[rows[0]] and rows.size >= shortest:
-                values = piece.time[rows], u[:, rows], y[:, rows], first_row + rows
-                stretches.append(_stretch(*values, leads, record.step))
-        first_row += len(piece)
+    u = np.array([record[name] for name in inputs]).reshape(len(inputs), len(record))
+    y = np.array([record[name] for name in outputs]).reshape(len(outputs), len(record))
+    y = np.where(np.all(np.isfinite(y), axis=0), y, np.nan) if complete else y
+    complete_inputs = np.all(np.isfinite(u), axis=0)
+    # Rows without a time have no neighbors: a row that lacks an input is no gap.
+    if not record.has_time:
+        rows = np.flatnonzero(complete_inputs)
+        return [Stretch(u[:, rows], y[:, rows], rows, record.step)] if rows.size else []
 
-    return stretches
+    leads = np.broadcast_to(np.asarray(lead, dtype=float), (len(inputs),))
+    missing = math.inf if record.is_irregular else MISSING * record.step
+    ends = (np.diff(complete_inputs.astype(int)) != 0) | (np.diff(record.time) > missing)
+    return [
+        _stretch(record.time[rows], u[:, rows], y[:, rows], rows, leads, record.step)
+        for rows in np.split(np.arange(len(record)), np.flatnonzero(ends) + 1)
+        if complete_inputs[rows[0]] and rows.size >= shortest
+    ]
 
 
 def _called(record: Record) -> str:

@@ -2,17 +2,16 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, BoolArray
+from greybox.files.arrays import Array, BoolArray, frozen
 from greybox.modeling.parameter import Parameter
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Scaling:
     """Parameters x and the solver's variables z, (..., p) each: x = factor · z, or x = exp(z)."""
 

@@ -1,7 +1,7 @@
 """Records cut into segments: what one record and a group of them have in common."""
 
 from abc import abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,10 +14,9 @@ from greybox.compiled.record_linearization import (
 from greybox.compiled.record_model import RecordModel
 from greybox.compiled.residual_covariance import ResidualCovariance, diagonal
 from greybox.compiled.riccati import SteadyFilter
-from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization, Segments
-from greybox.files.arrays import Array, BoolArray, of_diagonal
+from greybox.files.arrays import Array, BoolArray, frozen, of_diagonal
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.metrics import whiteness
@@ -26,7 +25,7 @@ from greybox.statistics.metrics import whiteness
 JUMP = 3.0 / ASSUMED_ERROR
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Placed:
     """The parameters and data of records at one point z of the solver.
 
@@ -73,8 +72,6 @@ class SegmentedPart(Part):
         self,
         model: RecordModel,
         data: SampledData,
-        substeps: int,
-        step: SampleStep,
         segments: Segments,
         covariance: ResidualCovariance,
     ) -> None:
@@ -82,15 +79,15 @@ class SegmentedPart(Part):
         self.name, self.weight = model.name, model.weight
         self.model = model
         self.data = data
-        self.step = step
         self.segments = segments
+        self.step = segments.step
         self.covariance = covariance
         self.system = model.system
         self.outputs = model.outputs
         self.states = len(model.system.states)
         # The states of delays, which come last, follow from the inputs alone.
         self.driven = len((model.system.undelayed or model.system).states)
-        self.substeps = substeps
+        self.substeps = self.step.substeps
         self.samples = data.samples  # padding of segments included
         self.numbers = int(covariance.counts.sum())
         self.unknown_initial_states = int((~self.known_states[data.begins_stretch]).sum())

@@ -11,7 +11,6 @@ Columns run over segments, sample by sample: column i · s + j is sample i of se
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -20,7 +19,7 @@ import numpy as np
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.substep_derivatives import SubstepDerivatives
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, frozen
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.modeling.symbolic_reading import dense_jacobian
 
@@ -32,7 +31,7 @@ BATCH = 20_000
 LARGE = 12
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Linearization:
     """Linearization of r records: s nodes (n,), q active parameters, weighted residuals e.
 
@@ -74,7 +73,7 @@ class Segments:
         own: bool = False,
     ) -> None:
         """Prepare the functions of `step`."""
-        self._step = step
+        self.step = step
         self.count = count
         self.length = length
         self.active = active
@@ -97,19 +96,19 @@ class Segments:
         """
         # Excerpts and refits share the step, and so the functions that take longest to build.
         key = (name, tuple(self.active.tolist()), self._own)
-        built = self._step.built
+        built = self.step.built
         shared = () if self._own else (1,)
-        if key not in built and self._step.repeats and name not in ("advance", "output"):
+        if key not in built and self.step.repeats and name not in ("advance", "output"):
             built[key] = SubstepDerivatives(
-                self._step, self.active.tolist(), simulated=name != "derivatives", shared=shared
+                self.step, self.active.tolist(), simulated=name != "derivatives", shared=shared
             )
         if key not in built:
-            x, q, d = self._step.symbols()
+            x, q, d = self.step.symbols()
             if name == "output":
-                x, q, d = self._step.measurement.sx_in()
-                results: Any = self._step.measurement(x, q, d)[3:]
+                x, q, d = self.step.measurement.sx_in()
+                results: Any = self.step.measurement(x, q, d)[3:]
             elif name == "advance":
-                results = [self._step.function(x, q, d)[0]]
+                results = [self.step.function(x, q, d)[0]]
             else:
                 # One vector of all free variables: an integrator repeats its steps for every
                 # Jacobian, not for every column.
@@ -118,7 +117,7 @@ class Segments:
                 values = type(x)(q)
                 if places:
                     values[places] = free[self.n :]
-                of_free = self._step.function(free[: self.n], values, d)
+                of_free = self.step.function(free[: self.n], values, d)
                 slopes = [of_free[0], of_free[1] if name == "derivatives" else of_free[2]]
                 derivatives = [dense_jacobian(slope, free) for slope in slopes]
                 at_free = ca.Function("at_free", [free, q, d], [*derivatives, of_free[1]])
@@ -196,7 +195,7 @@ class Segments:
         for count in counts:
             samples = slice(first * self.length, (first + count) * self.length)
             at = q if q.ndim == 1 else q[:, first]
-            run, residuals = self._step.simulate(nodes[first], at, rows[samples])
+            run, residuals = self.step.simulate(nodes[first], at, rows[samples])
             states[samples] = run[:-1]
             ends[first : first + count] = run[self.length :: self.length]
             products[self.records[first]] += residuals.T @ residuals
@@ -288,7 +287,7 @@ class Segments:
 
         q = q[:, batch] if self._own else q
         A, C, e = _finite(self._evaluate("derivatives", chosen(states), q, chosen(data)))
-        S, J = self._propagated(A, C, count)
+        S, J = self.propagated(A, C, count)
         return S, J, e.reshape(self.k, length, count).transpose(1, 0, 2)
 
     def sample_derivatives(self, states: Array, q: Array, data: Array) -> tuple[Array, Array]:
@@ -300,17 +299,6 @@ class Segments:
         columns = data.shape[1]
         v = self.n + len(self.active)
         return A.reshape(v, self.n, columns), C.reshape(v, self.k, columns)
-
-    def disturbed(self, A: Array, C: Array) -> tuple[Array, Array]:
-        """Return derivatives of ends (s, n, v) and residuals (s, length, k, v).
-
-        They are those by the nodes and by disturbances, of which every sample has its share: A (v,
-        n, columns) in the next state and C (v, k, columns) in the residuals.
-        """
-        v, columns = len(A), A.shape[-1]
-        A, C = A.reshape(v * self.n, columns), C.reshape(v * self.k, columns)
-        S, J = self._propagated(A, C, self.count)
-        return S.transpose(2, 0, 1), J.transpose(3, 0, 1, 2)
 
     def output_sensitivities(self, states: Array, q: Array, data: Array) -> Array:
         """Return the derivatives (s, length, k, v) of the simulated outputs at all samples.
@@ -324,7 +312,7 @@ class Segments:
                 states
             ).all(axis=0)
             A[:, lost], C[:, lost] = self._differences(states, q, data, np.flatnonzero(lost))
-        return np.ascontiguousarray(self._propagated(A, C, self.count)[1].transpose(3, 0, 1, 2))
+        return np.ascontiguousarray(self.propagated(A, C, self.count)[1].transpose(3, 0, 1, 2))
 
     def _differences(
         self, states: Array, q: Array, data: Array, columns: IntArray
@@ -357,17 +345,18 @@ class Segments:
         A, C = (np.concatenate(parts) for parts in zip(*slopes, strict=True))
         return A, C
 
-    def _propagated(self, A: Array, C: Array, count: int) -> tuple[Array, Array]:
+    def propagated(self, A: Array, C: Array, count: int) -> tuple[Array, Array]:
         """Carry the derivatives of every sample through the segments.
 
         Returns those of ends (n, v, count) and rows (length, k, v, count).
 
-        A and C are the derivatives by the state at a sample and the parameters, as CasADi stacks
-        matrices, column by column.
+        A (v, n, columns) and C (v, k, columns) are the derivatives by the state at a sample and the
+        parameters; CasADi stacks them column by column.
         """
         n, k, length = self.n, self.k, self.length
-        v = len(C) // k
-        transitions, rows = A.reshape(v, n, length, count), C.reshape(v, k, length, count)
+        rows = C.reshape(-1, k, length, count)
+        v = len(rows)
+        transitions = A.reshape(v, n, length, count)
         J = np.empty((length, k, v, count))
         S = np.zeros((n, v, count))
         S[range(n), range(n)] = 1

@@ -14,14 +14,21 @@ small where the residuals are, and may be indefinite far away from a minimum.
 
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, real_and_imaginary
+from greybox.files.arrays import (
+    Array,
+    BoolArray,
+    ComplexArray,
+    IntArray,
+    frozen,
+    real_and_imaginary,
+)
 from greybox.formulation.problem import Problem
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.harmonic_balance import HarmonicBalance, compiled_balance
@@ -41,7 +48,7 @@ STEPS = 4
 CLOSE = 1e-6
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class SharedSystem:
     """One state space at one operating point, for some of the responses of a problem.
 

@@ -18,7 +18,6 @@ which depends on the parameters.
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -31,6 +30,7 @@ from greybox.files.arrays import (
     Array,
     ComplexArray,
     all_finite,
+    frozen,
     positive_or_one,
     real_and_imaginary,
 )
@@ -67,7 +67,7 @@ STRONG = 6.0
 LEAST_LEFT = 0.1
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Along:
     """What follows from the parameters of the model.
 

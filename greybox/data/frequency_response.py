@@ -13,7 +13,7 @@ from greybox.data.checked_array import checked_array, finite_array, require, req
 from greybox.data.intersample import HOLD, NO_HOLD
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.data.units import known_unit, to_si
-from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, all_finite
+from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, all_finite, frozen
 from greybox.files.text_table import counted, one_line, printable, write_out
 
 COLUMNS = ("omega", "response", "coherence", "variance", "dof")
@@ -42,7 +42,7 @@ class Stretch:
         vars(self).update(checksum=checksum, start=float(self.start), end=float(self.end))
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class FrequencyResponse:
     """The complex response alpha + j beta of one input-output pair at the frequencies `omega`.
 

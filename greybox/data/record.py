@@ -3,7 +3,7 @@
 import hashlib
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any, Self
 
 import numpy as np
@@ -18,7 +18,7 @@ from greybox.data.checked_array import (
 )
 from greybox.data.intersample import checked_hold
 from greybox.data.pandas_frames import Frame, columns_of, frame_of, require_frame, times_of
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, frozen
 from greybox.files.text_table import all_printable, alternatives, counted, one_line, some, write_out
 
 # A step longer than this number of median steps is a gap, across which nothing is interpolated. One
@@ -34,7 +34,7 @@ SAME_MEASUREMENT = 0.5
 NOT_STORED = {"stored": False}  # in the file of a fit
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Record:
     """One experiment: named signals on one time base, or rows without one.
 
@@ -319,7 +319,7 @@ class Record:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Recording(Mapping[str, Record]):
     """The contents of one log file: a `Record` for every kind of message, on its own time base.
 

@@ -2,17 +2,17 @@
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
 from greybox.data.checked_array import finite_array, require_size
 from greybox.data.frequency_response import Stretch
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, frozen
 from greybox.files.text_table import one_line, printable, write_out
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class TransientSpectrum:
     """Fourier integrals of the signals of one manoeuvre, at multiples of 2π over its duration.
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from greybox.estimate.undetermined import (
     collinear_groups,
     invisible_groups,
 )
-from greybox.files.arrays import Array, IntArray, all_finite, positive_or_one
+from greybox.files.arrays import Array, IntArray, all_finite, frozen, positive_or_one
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.discretization_error import quadratic_model
 
@@ -26,7 +26,7 @@ DEAD = 1e-7
 ROUNDING = 1e-12
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Accuracy:
     """The covariance of an estimate and what it leaves open.
 
@@ -94,7 +94,7 @@ class Accuracy:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _Share:
     """The information of one part: a root (n, k) of its bread by all values, and its meat (p, p).
 
@@ -110,7 +110,7 @@ class _Share:
     pull: Array
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class PartAccuracy:
     """The information of a part, its noise larger for the parameters that the noise pays for.
 
@@ -157,7 +157,7 @@ def assess(
     parts = informations(nlp, x, trajectories)
     # A part alone pays for all parameters: its errors are then computed once.
     paid = p if len(parts) == 1 else 0
-    shares = [_share(part, p=p, correction=_correction(part, paid)) for part in parts]
+    shares = [_share(part, p, paid) for part in parts]
     jacobian = np.vstack([share.limit * share.root[:, :p] for share in shares])
     at_bound = _at_bound(nlp, x, shares, trajectories)
     active, holding = _active_constraints(nlp, x)
@@ -224,10 +224,11 @@ def _with_covariance(
 ) -> Accuracy:
     """Return the accuracy with a covariance within a basis (p, r) of the determined directions."""
     p, k = len(nlp.free), len(nlp.names)
-    first = _root_of_inverse(shares, basis)
+    stacked = np.vstack([share.root[:, :p] for share in shares])
+    first = _root_of_inverse(stacked, basis)
     pairs = zip(accuracy.informations, shares, strict=True)
     parts = tuple(_corrected(part, share, first) for part, share in pairs)
-    root = _root_of_inverse([part.share for part in parts], basis)
+    root = _root_of_inverse(np.vstack([part.share.root[:, :p] for part in parts]), basis)
     inverse = root @ root.T
 
     # How the estimate follows the constants, from the optimality condition: -B⁻¹ Bᵪ.
@@ -236,7 +237,6 @@ def _with_covariance(
     for part in parts:
         slope[:p, p:] -= root @ (root.T @ part.share.root[:, :p].T) @ part.share.root[:, p:]
 
-    stacked = np.vstack([share.root[:, :p] for share in shares])
     turned = np.eye(k, p) @ (root @ ((stacked @ root).T @ (stacked @ first)))
     earlier = known_covariances(nlp)
     terms = [(turned @ part.meat @ turned.T, part.dof) for part in parts]
@@ -290,7 +290,7 @@ def prior_shares(nlp: CompiledProblem, accuracy: Accuracy) -> dict[str, float]:
     if accuracy.white is None:
         return dict.fromkeys(nlp.free, math.nan)
 
-    roots = [_share(part, p=p).root[:, :p] @ accuracy.white for part in accuracy.informations]
+    roots = [_share(part, p).root[:, :p] @ accuracy.white for part in accuracy.informations]
     information = np.array([np.sum(root**2, axis=0) for root in roots])
     share = information[is_prior].sum(axis=0) / np.maximum(information.sum(axis=0), 1e-300)
     share[np.isnan(propagate(accuracy, np.eye(p, len(nlp.names))))] = math.nan
@@ -347,11 +347,9 @@ def informations(
 ) -> list[Information]:
     """Return the information of every part on all values, at the unknowns `x` (p,)."""
     values = nlp.all_values(x)
-    uncertain = tuple(
-        k
-        for k, name in enumerate(nlp.names)
-        if k >= len(nlp.free) and name in nlp.problem.held_estimates
-    )
+    constants = enumerate(nlp.constants, len(nlp.free))
+    held = nlp.problem.held_estimates
+    uncertain = tuple(k for k, name in constants if name in held)
     slope = nlp.scaling.slope(x)
     pairs = zip(nlp.parts, trajectories or [None] * len(nlp.parts), strict=True)
 
@@ -392,16 +390,15 @@ def _corrected(part: Information, share: _Share, root: Array) -> PartAccuracy:
     # A whole number for a single part.
     paid = round(float(np.sum((share.root[:, :p] @ root) ** 2)), 9)
     numbers = max(part.numbers - paid, 0.5)
-    correction = _correction(part, paid)
     colored = part.colored and part.colored(math.sqrt(problem.weight) * root)
     if colored:
         meat = problem.weight * colored.meat
         return PartAccuracy(share, meat, colored.dof, meat, colored.dof, colored)
 
     dof = math.inf if problem.criterion.known_noise else numbers
-    share = _share(part, p=p, correction=correction)
+    share = _share(part, p, paid)
     meat = independent = root.T @ share.meat @ root
-    neighbors = part.correlated and part.correlated(correction, root, dof)
+    neighbors = part.correlated and part.correlated(_correction(part, paid), root, dof)
     if neighbors:
         meat = problem.weight**2 * root.T @ neighbors.meat[:p, :p] @ root
         dof = neighbors.dof
@@ -414,11 +411,10 @@ def _correction(part: Information, paid: float) -> float:
     return math.sqrt(max(part.numbers, numbers) / numbers)
 
 
-def _root_of_inverse(shares: Sequence[_Share], basis: Array) -> Array:
-    """Return a square root (p, r) of B⁻¹ within `basis` (p, r), accurate where B itself is not."""
+def _root_of_inverse(jacobian: Array, basis: Array) -> Array:
+    """Return a square root (p, r) of B⁻¹ within `basis` (p, r), for a root (n, p) of B."""
     # B itself has the squares of the singular values: it loses the digits that a root keeps.
-    stacked = np.vstack([share.root[:, : len(basis)] for share in shares])
-    return basis @ np.linalg.inv(np.linalg.qr(stacked @ basis, mode="r")).astype(float)
+    return basis @ np.linalg.inv(np.linalg.qr(jacobian @ basis, mode="r")).astype(float)
 
 
 def determined_directions(jacobian: Array, active: Array, bounded: IntArray) -> tuple[Array, Array]:
@@ -438,8 +434,9 @@ def determined_directions(jacobian: Array, active: Array, bounded: IntArray) -> 
     return basis @ rows[:rank].T, basis @ rows[rank:].T
 
 
-def _share(part: Information, *, p: int, correction: float = 1.0) -> _Share:
-    """Return the information of a part on `p` unknowns, its noise scaled by `correction`."""
+def _share(part: Information, p: int, paid: float = 0.0) -> _Share:
+    """Return the information of a part on `p` unknowns, its residuals having `paid` for them."""
+    correction = _correction(part, paid)
     scale, meat = part.spread(correction)
     weight = part.part.weight
     size = math.sqrt(weight * scale)

@@ -5,7 +5,6 @@ Begin with `draws`.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from string import Template
 
@@ -14,7 +13,7 @@ import numpy as np
 from greybox.data.pandas_frames import Frame, frame_of
 from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, positive_or_one
+from greybox.files.arrays import Array, frozen, positive_or_one
 from greybox.files.html_text import Printed
 from greybox.files.safe_files import write_text
 from greybox.files.text_table import alternatives, counted, number, one_line, some, text_table
@@ -25,7 +24,7 @@ from greybox.solve.gauss_newton.driver import GaussNewton
 LONGEST = 4.0
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Draws(Printed):
     """Parameter sets from the distribution of an estimate, made by `draws`; they print themselves.
 

@@ -8,7 +8,7 @@ from itertools import combinations, product
 import numpy as np
 
 from greybox.estimate.undetermined import BLIND
-from greybox.files.arrays import Array, BoolArray
+from greybox.files.arrays import Array, BoolArray, frozen
 from greybox.files.html_text import Printed
 from greybox.files.text_table import counted, number, one_line, text_table, with_error
 
@@ -32,7 +32,7 @@ MEMBERS = 4
 CANDIDATES = 8
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class KnownDirections:
     """The information of the data on parameters, also where they leave directions open.
 
@@ -120,7 +120,7 @@ class DeterminedCombination:
         return f"{self.formula} = {value} ± {error}"
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Identifiability(Printed):
     """How well the data determine each parameter; printed, it is CIFER's table.
 

@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,7 @@ from greybox.estimate.missing_terms import (
     terms_of_response,
 )
 from greybox.estimate.repeated_inputs import repeated_residuals
-from greybox.files.arrays import Array, BoolArray, ComplexArray, real_and_imaginary
+from greybox.files.arrays import Array, BoolArray, ComplexArray, frozen, real_and_imaginary
 from greybox.files.html_text import Printed
 from greybox.files.text_table import number, percent, some, text_table, with_error
 from greybox.modeling.added_terms import Formula
@@ -267,12 +268,12 @@ class Misfit(Printed):
         return f"The model {self.verdict}.\n\n{text_table(header, rows, (0, 5))}"
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _Regression:
     """A part as a regression of its residuals on the parameters of the fit and on missing terms.
 
     All columns have N rows; `changes` returns those (N, c) of terms. `outputs` has the rows of
-    every output of a record, by stretches, and `signals` those over which the shape of a term is
+    every output of a record, by stretches, and `signals` returns those over which the shape of a term is
     drawn. What parameters leave of a term is an error of the integration if it is less than
     `remains` of it.
     """
@@ -287,7 +288,7 @@ class _Regression:
     causes: Sequence[Cause] = ()
     is_unstable: bool = False
     remains: float = REMAINS
-    signals: Mapping[str, Array] = field(default_factory=dict)
+    signals: Callable[[], Mapping[str, Array]] = dict
 
     def columns(self, keys: Sequence[Key]) -> Array:
         """Return the columns (N, c) of terms, zero for those that this part does not have."""
@@ -299,7 +300,7 @@ class _Regression:
         return values.T
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _Response:
     """A response that can be fitted again, with a factor of a term on it.
 
@@ -516,8 +517,9 @@ def _shape(
     best, least = None, np.inf
     # A value that one record needs has no place in the others.
     terms = [part.terms[key] for part in parts if key in part.terms]
-    for name in parts[0].signals if len(terms) == len(parts) else ():
-        signals = [part.signals[name] for part in parts]
+    by_part = [part.signals() for part in parts] if len(terms) == len(parts) else [{}]
+    for name in by_part[0]:
+        signals = [of_part[name] for of_part in by_part]
         knots = np.linspace(np.min(np.hstack(signals)), np.max(np.hstack(signals)) + TINY, KNOTS)
         hats = np.eye(KNOTS)
         columns = [
@@ -590,7 +592,7 @@ def _of_record(
     weight, data = part.residual_weight(trajectory), part.data
     slopes = sensitivity(part, trajectory, weight)
     noise = np.linalg.inv(weight.T @ weight)
-    present = [row > 0 for row in data.unpadded(record.present.astype(float))]
+    present = [row > 0 for row in data.unpadded(record.present)]
 
     def rows_of_stretch(values: Array, measured: BoolArray) -> Array:
         result = np.where(measured, weight @ values.swapaxes(0, 1), 0.0)
@@ -635,7 +637,7 @@ def _of_record(
         is_unstable=record.growth > GROWN,
         # From known initial states, terms grow as parameters do, and differ by what does not grow.
         remains=max(REMAINS * np.exp(-record.growth * part.known_states.any()), DEPENDENT),
-        signals=signals_of_record(record),
+        signals=partial(signals_of_record, record),
     )
 
 

@@ -9,7 +9,7 @@ import itertools
 import operator
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cache, lru_cache, partial
 from typing import Any
 
@@ -18,9 +18,8 @@ import numpy as np
 
 from greybox.compiled.disturbances import DisturbedRecord, Effect
 from greybox.compiled.record_part import RecordPart
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, frozen
 from greybox.files.text_table import number
-from greybox.formulation.input_assumptions import is_stated
 from greybox.modeling.added_terms import Formula
 from greybox.modeling.colored_disturbance import undisturbed
 from greybox.modeling.functions import maximum, minimum, tanh
@@ -206,7 +205,7 @@ LARGE = 10  # states and inputs beyond which an equation is tried with its own a
 EDGES = 32
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Term:
     """A term that a model may lack.
 
@@ -378,7 +377,8 @@ def _delays(record: DisturbedRecord, row: Array) -> Iterator[tuple[Array, float]
 def _of_input(record: DisturbedRecord, j: int, u: Array, a: str) -> Iterator[Term]:
     step = record.part.data.stretches[0].step
     model = record.part.model
-    half_step = np.inf if is_stated(model.criterion.inputs, a, model.record) else step / 2
+    is_unstated = model.criterion.inputs == "record" and a not in model.record.hold
+    half_step = step / 2 if is_unstated else np.inf
 
     by_input = partial(record.by_input, j)
 

@@ -11,7 +11,7 @@ One solver is used for all parameters, and one program for each other quantity.
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -26,7 +26,7 @@ from greybox.estimate.profiles import End, ProfileOf, Profiles
 from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import require_level, t_quantile
 from greybox.estimate.result import Fit, Quantity
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.files.progress import bar
 from greybox.files.text_table import as_names, number
 from greybox.formulation.starts import Sobol
@@ -193,7 +193,7 @@ Held = int | ca.Function
 """What is held: the parameter at this place, or a quantity (z) -> value."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Point:
     """A minimum with something held at a value.
 
@@ -388,7 +388,7 @@ def likelihood_factor(accuracy: Accuracy, gradient: Array) -> float:
 # --- the search along one quantity
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _Search:
     """What the points of one profile share.
 

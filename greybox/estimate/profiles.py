@@ -1,10 +1,9 @@
 """Profiles of a fit as values that print themselves; `profile` computes them."""
 
 import math
-from dataclasses import dataclass
 from typing import Any, Literal
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.files.html_text import Printed
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import alternatives, number, one_line
@@ -12,7 +11,7 @@ from greybox.files.text_table import alternatives, number, one_line
 End = Literal["crossed", "bound", "flat", "failed"]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class ProfileOf:
     """The profile of one parameter or derived quantity.
 
@@ -89,7 +88,7 @@ class ProfileOf:
         return one_line(self, self.name, str(self))
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Profiles(Printed):
     """Profiles of one fit. Printing them gives a line for each.
 

@@ -1,7 +1,6 @@
 """The confidence band of a fitted response, to first order in the errors of the parameters."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
@@ -9,7 +8,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.identifiability import KnownDirections
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, frozen
 from greybox.files.text_table import counted, one_line
 from greybox.modeling.harmonic_balance import compiled_balance, enough_harmonics
 from greybox.modeling.linear_response import response_formulas
@@ -19,7 +18,7 @@ from greybox.modeling.pade_delay import delay_order
 from greybox.modeling.sine import Sine
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class ResponseBand:
     """A fitted frequency response with its errors, which follow from those of the parameters.
 

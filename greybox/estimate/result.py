@@ -32,7 +32,7 @@ from greybox.estimate.response_band import (
     t_quantile,
 )
 from greybox.estimate.summary import summary
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.files.html_text import Printed
 from greybox.files.text_table import counted, one_line, with_error
 from greybox.formulation.frequency_criteria import evaluate
@@ -86,7 +86,7 @@ class Quantity:
         return one_line(self, f"{self.name} = {value} ± {error} {self.unit}", self.kind)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Fit(Printed):
     """The answer to a problem: estimates with their errors, all runs, warnings. It prints itself.
 

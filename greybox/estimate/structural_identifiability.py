@@ -1,7 +1,7 @@
 """Which parameters of a model structure data could determine, by the rank of sensitivities."""
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,7 +15,7 @@ from greybox.data.record import Record
 from greybox.estimate.covariance import informations
 from greybox.estimate.identifiability import KnownDirections, identifiability
 from greybox.estimate.undetermined import Combination, invisible_groups
-from greybox.files.arrays import Array, BoolArray, all_finite, positive_or_one
+from greybox.files.arrays import Array, BoolArray, all_finite, frozen, positive_or_one
 from greybox.files.text_table import as_names, counted, listed, one_line
 from greybox.formulation.frequency_criteria import SquaredRelativeError
 from greybox.formulation.problem import Problem
@@ -44,7 +44,7 @@ LARGEST = 30.0  # state, in sizes that are plausible for SI units
 SEEN = 1e-10
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class StructuralIdentifiability:
     """Which parameters a structure can determine. Printing it names those that it cannot separate.
 
@@ -200,7 +200,7 @@ def structural_identifiability(
     )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _Sensitivity:
     """How what is measured follows the free parameters at one point.
 

@@ -2,14 +2,14 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from greybox.data.record import Record
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.files.text_table import one_line
 
 NOTHING: Mapping[str, float] = MappingProxyType({})  # where no noise, limit or start is given
@@ -33,7 +33,7 @@ class Maneuver(NamedTuple):
     offset: float
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Excitation:
     """A test signal to be flown, or several at once.
 

@@ -1,13 +1,12 @@
 """The standard errors that a test would give, before it is flown."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import assess, propagate
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.files.text_table import text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
@@ -15,7 +14,7 @@ from greybox.modeling.model import require_known
 from greybox.solve.multistart import solver_for
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class ExpectedErrors:
     """The standard errors that a test would give; printed, they are a table.
 

@@ -5,13 +5,13 @@ Begin with `loop_numbers`.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from greybox.experiment.sampled_loop import SampledLoop
-from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
+from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, frozen
 
 POINTS = 400  # in four decades below the Nyquist frequency
 TOP = 0.999  # of the Nyquist frequency
@@ -40,7 +40,7 @@ Numbers = dict[str, Located]
 LoopNumbers = Callable[[SampledLoop, Array], Numbers]  # at frequencies (n,)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Crossings:
     """Where the curves of many plants change their sign: one row for each crossing.
 

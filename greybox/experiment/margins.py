@@ -26,7 +26,7 @@ from greybox.experiment.loop_numbers import (
     refined,
 )
 from greybox.experiment.sampled_loop import DOT, SampledLoop
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, frozen
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import listed, number, one_line, text_table
 from greybox.modeling.model import Model, require_known
@@ -91,7 +91,7 @@ class Margin:
     group: str = ""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Margins:
     """The margins of a loop broken at one signal. It prints itself, the verdict first.
 

@@ -8,7 +8,7 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from greybox.experiment.controller import Controller
 from greybox.experiment.drawn_loops import drawn_loops
 from greybox.experiment.loop_numbers import loop_frequencies, margin_numbers
 from greybox.experiment.sampled_loop import SampledLoop, linear_controller
-from greybox.files.arrays import Array, BoolArray
+from greybox.files.arrays import Array, BoolArray, frozen
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import listed, number, one_line, text_table
 from greybox.modeling.model import Names, require_known
@@ -45,7 +45,7 @@ PROMISE = (
 )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class SafeGains:
     """Sets of gains on a grid, and whether they meet the requirements. It prints its verdict first.
 

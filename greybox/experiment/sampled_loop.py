@@ -6,7 +6,7 @@ the parameters.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from typing import Literal, NamedTuple
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.experiment.controller import Controller, connected, run_controllers, sensors_of
-from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray
+from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, frozen
 from greybox.modeling.held_inputs import held_response
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -47,7 +47,7 @@ class LinearController(NamedTuple):
         return self.H @ states + self.J
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class SampledLoop:
     """Many plants, each in a loop with the same controllers.
 

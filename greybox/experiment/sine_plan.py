@@ -5,7 +5,7 @@ Begin with `plan_sines`.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import NamedTuple
 
 import numpy as np
@@ -19,7 +19,7 @@ from greybox.experiment.excitation import NOTHING, Excitation
 from greybox.experiment.optimal_design import require_determined, shares, time_needed
 from greybox.experiment.sampled_loop import sampled_loop
 from greybox.experiment.sines import sine_schedule
-from greybox.files.arrays import Array, ComplexArray, IntArray
+from greybox.files.arrays import Array, ComplexArray, IntArray, frozen
 from greybox.files.text_table import text_table
 from greybox.formulation.frequency_criteria import MaximumLikelihood
 from greybox.formulation.problem import Problem
@@ -47,7 +47,7 @@ class _Card(NamedTuple):
         return duration, float(np.sum(duration + settling + self.pause)) + self.pause
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class SinePlan:
     """Sines to be flown one after another; printed, it is a table.
 

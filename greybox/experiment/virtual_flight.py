@@ -5,7 +5,7 @@ Begin with `virtual_flight`.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -18,7 +18,7 @@ from greybox.data.record import Record
 from greybox.experiment.controller import Controller, connected, run_controllers, sensors_of
 from greybox.experiment.excitation import NOTHING, Excitation
 from greybox.experiment.sampled_loop import measured_signal
-from greybox.files.arrays import Array, all_finite
+from greybox.files.arrays import Array, all_finite, frozen
 from greybox.modeling.integrators import RungeKutta
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -172,7 +172,7 @@ def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experi
     )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _Loop:
     """The plant with its true values, and what is connected to what."""
 

@@ -1,6 +1,7 @@
-"""Types of numpy arrays for annotations, tests and parts of arrays, and divisors."""
+"""Types of numpy arrays and of values with arrays; tests and parts of arrays, and divisors."""
 
-from typing import Any
+from dataclasses import dataclass, field
+from typing import Any, TypeVar, dataclass_transform
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,17 @@ Array = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.integer]
+
+Kind = TypeVar("Kind")
+
+
+@dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(field,))
+def frozen(kind: type[Kind]) -> type[Kind]:
+    """Make a class a frozen dataclass without an equality of its own.
+
+    Values with arrays have none: whether two arrays are equal is an array, too.
+    """
+    return dataclass(frozen=True, eq=False)(kind)
 
 
 def all_finite(*arrays: Any) -> bool:

@@ -12,12 +12,12 @@ import io
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.files.safe_files import write_text
 from greybox.files.text_table import counted, is_number
 
@@ -33,7 +33,7 @@ THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")  # 1,000 is a thousand or 
 GROUPED = re.compile(r"[+-]?\d{1,3}((,\d{3})+\.\d+|(\.\d{3})+,\d+|(,\d{3}){2,})")
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class DelimitedText:
     """The lines of a table of numbers, without comments and blank lines.
 

@@ -8,14 +8,13 @@ M = Jᵀ diag(meat) J.
 
 import math
 from abc import abstractmethod
-from dataclasses import dataclass
 from typing import Any, ClassVar, Literal
 
 import casadi as ca
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, ComplexArray, real_and_imaginary
+from greybox.files.arrays import Array, ComplexArray, frozen, real_and_imaginary
 from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.relative_score import ROUNDING, relative_score
 from greybox.modeling.complex_arithmetic import Complex
@@ -134,7 +133,7 @@ class Criterion(AnyCriterion):
         return float(self.cost(Complex(model.real, model.imag), data)) / len(data)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _Relative(Criterion):
     """Sum of |e|^`power` of the relative errors e = (P - P̂) / |P̂|, or over |P|."""
 
@@ -186,7 +185,7 @@ class _Relative(Criterion):
         return relative_score(noise, points, self.power, self.normalized).gain_bias
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class RelativeError(_Relative):
     """Sum of relative errors, Σ |P - P̂| / |P̂|, with P the model and P̂ the measurement.
 
@@ -230,7 +229,7 @@ class RelativeError(_Relative):
         return np.where(k < 1e-4, math.pi / 4 * k, (ellipe(k**2) - K_term) / k)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class SquaredRelativeError(_Relative):
     """Sum of squared relative errors: Σ |P - P̂|² / |P̂|².
 
@@ -249,7 +248,7 @@ class SquaredRelativeError(_Relative):
         return total(squared_magnitude(self.errors(model, data)))
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class RelativeLikelihood(Criterion):
     """Maximum likelihood for circular complex normal errors of one unknown relative variance.
 
@@ -295,7 +294,7 @@ class RelativeLikelihood(Criterion):
         return bread, np.full(2 * len(data), correction**2 * bread)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class MagnitudePhase(Criterion):
     """Magnitude and phase errors weighted by coherence, the cost of CIFER.
 
@@ -375,7 +374,7 @@ class MagnitudePhase(Criterion):
         return common * _DB_PER_NEPER, common * math.sqrt(_PHASE_WEIGHT) * _DEGREES_PER_RADIAN
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class MaximumLikelihood(Criterion):
     """Maximum likelihood for circular normal errors of given variance: Σ |P - P̂|² / E|P̂ - P|².
 

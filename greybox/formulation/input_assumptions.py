@@ -45,11 +45,6 @@ def between_samples(
     return tuple(intersample(hold, record.step) for hold in holds)
 
 
-def is_stated(inputs: Inputs, name: str, record: Record) -> bool:
-    """Whether the user or the record states how an input runs between samples."""
-    return inputs != "record" or name in record.hold
-
-
 def described_inputs(inputs: Inputs, names: Sequence[str], record: Record) -> dict[str, str]:
     """Return how every input runs between its samples, in words, and who states it."""
     if not record.has_time:

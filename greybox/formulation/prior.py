@@ -1,12 +1,11 @@
 """A-priori knowledge of parameters: normal distributions, or an earlier fit."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.files.text_table import listed
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
 from greybox.formulation.time_criteria import TimeCriterion
@@ -17,7 +16,7 @@ Knowledge = tuple[float, float] | HeldEstimate
 """Mean and standard deviation of a parameter, or an earlier fit with estimate and covariance."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Prior(TimeCriterion):
     """The negative logarithm of a normal density: it makes a likelihood a posterior."""
 
@@ -32,7 +31,7 @@ class Prior(TimeCriterion):
         return self.rule
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class NormalPrior:
     """A normal density of some parameters.
 

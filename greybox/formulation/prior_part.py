@@ -24,9 +24,6 @@ def with_priors(problem: Problem | Sum[Problem]) -> Problem | Sum[Problem]:
     ValueError
         If two parts have different priors of one parameter.
     """
-    # The priors are a part of the sum already.
-    if any(isinstance(part.criterion, Prior) for part in problem.parts):
-        return problem
     priors = stated_priors(problem)
     if not priors:
         return problem

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property, partial
 from inspect import Signature, signature
 from itertools import combinations
@@ -15,6 +15,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.transient_spectrum import TransientSpectrum
+from greybox.files.arrays import frozen
 from greybox.files.text_table import one_line
 from greybox.formulation.frequency_criteria import Criterion, RelativeError
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
@@ -86,7 +87,7 @@ class _OneOrSeveral(type):
         return Sum(tuple(parts))
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Problem(Addable, metaclass=_OneOrSeveral):
     """One model, one set of data, one criterion.
 
@@ -453,11 +454,6 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     def parts(self) -> tuple["Problem", ...]:
         """The problem itself, as the only part."""
         return (self,)
-
-    @property
-    def as_added(self) -> tuple["Problem", ...]:
-        """The problem itself."""
-        return self.parts
 
     def outside(self, name: str) -> str:
         """Return the name of a parameter in the answer."""

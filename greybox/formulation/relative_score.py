@@ -10,13 +10,12 @@ zero.
 """
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 
 # Smaller relative errors are rounding errors, of data that a model reproduces exactly.
 ROUNDING = float(np.finfo(float).eps)
@@ -24,7 +23,7 @@ ROUNDING = float(np.finfo(float).eps)
 NODES = np.polynomial.legendre.leggauss(12)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class RelativeScore:
     """Statistics of one point of a sum of relative errors, by the logarithm of the response.
 

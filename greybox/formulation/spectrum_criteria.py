@@ -1,10 +1,10 @@
 """Criteria for the Fourier integrals of a manoeuvre: `EquationError` and `OutputError`."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
+from greybox.files.arrays import frozen
 from greybox.formulation.time_criteria import OutputError, TimeCriterion, modeled_outputs
 from greybox.modeling.colored_disturbance import gust_time
 from greybox.modeling.model import Model
@@ -12,7 +12,7 @@ from greybox.modeling.parameter import Parameter
 from greybox.modeling.realization import dynamics
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class EquationError(TimeCriterion):
     """Maximum likelihood with all errors in the differential equation, such as turbulence.
 

@@ -1,9 +1,7 @@
 """Problems that are solved together: costs add, parameters with the same name are shared."""
 
 import itertools
-from abc import abstractmethod
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Generic, TypeVar
 
@@ -12,6 +10,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse, Stretch
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
+from greybox.files.arrays import frozen
 from greybox.files.html_text import preformatted
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.formulation.frequency_criteria import RelativeLikelihood
@@ -27,9 +26,9 @@ class Addable:
     """What `+` and the built-in `sum` join to a `Sum`."""
 
     @property
-    @abstractmethod
-    def as_added(self) -> tuple[Any, ...]:
+    def as_added(self: Any) -> tuple[Any, ...]:
         """The parts as they were added, with their own criteria and unnumbered biases."""
+        return self.parts
 
     def parts_with(self: Any, kind: Any) -> list[Any]:
         """Return the parts with data of a kind, such as `Record`."""
@@ -54,7 +53,7 @@ class Addable:
         return preformatted(f"{self!r}\n\n{text_table(header, rows, (0, 2, 4))}")
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Sum(Addable, Generic[Part]):
     """Several problems solved together: costs add, parameters with the same name are shared.
 

@@ -2,13 +2,14 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 
 from greybox.data.record import Record, require_time
 from greybox.data.transient_spectrum import TransientSpectrum
+from greybox.files.arrays import frozen
 from greybox.formulation.criterion import AnyCriterion
 from greybox.formulation.input_assumptions import Inputs, require_inputs
 from greybox.modeling.colored_disturbance import ColoredDisturbance, gust_on, undisturbed
@@ -23,7 +24,7 @@ SPECTRUM_CONDITION = (
 )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class TimeCriterion(AnyCriterion):
     """The likelihood of normal errors of the outputs, which all criteria in time share.
 
@@ -177,7 +178,7 @@ class TimeCriterion(AnyCriterion):
         return ()
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class OutputError(TimeCriterion):
     """Maximum likelihood with all errors in the measured outputs; the model is simulated.
 
@@ -228,7 +229,7 @@ class OutputError(TimeCriterion):
         return self.condition if data.has_time else ROWS_CONDITION
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class PredictionError(TimeCriterion):
     """Maximum likelihood with process noise (wind): the model predicts one sample ahead.
 

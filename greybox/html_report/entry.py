@@ -2,14 +2,15 @@
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from functools import cached_property
 from typing import Any
 
 from greybox.estimate.result import Fit
+from greybox.files.arrays import frozen
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Entry:
     """One result on the page.
 

@@ -4,7 +4,7 @@ Begin with `identify`.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -15,6 +15,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording
 from greybox.estimate.fit import fit
 from greybox.estimate.result import Fit
+from greybox.files.arrays import frozen
 from greybox.files.text_table import one_line
 from greybox.identification.choices import Choice, choose
 from greybox.identification.measurement import Measurement, measure
@@ -31,7 +32,7 @@ from greybox.spectral.test_quality import COHERENCE, Finding
 STARTS = 20
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Identification:
     """A model from logs; printed, it explains every choice and the comparison of structures.
 

@@ -2,12 +2,12 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
+from greybox.files.arrays import frozen
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.identification.loop import controller_in, loop_text
 from greybox.identification.measurement import named_signals
@@ -17,7 +17,7 @@ from greybox.spectral.orthogonal_multisines import response_matrix
 SETTLED = 2.0  # s, as long as sines settle by default
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class MatrixMeasurement:
     """The measurement of several inputs at once.
 

@@ -17,6 +17,7 @@ from greybox.data.intersample import HOLD
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment, segment_table
 from greybox.data.units import known_unit
+from greybox.files.arrays import frozen
 from greybox.files.text_table import counted, number, one_line
 from greybox.identification.loop import controller_in, loop_text
 from greybox.identification.orders import LinearFit, Orders, best_response, linear_fits
@@ -177,7 +178,7 @@ def named_signals(texts: Sequence[str]) -> dict[str, str]:
     return signals
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Measurement:
     """A measurement from a log; printed, it is a report.
 

@@ -2,11 +2,12 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from greybox.estimate.result import Fit
+from greybox.files.arrays import frozen
 from greybox.files.text_table import counted, listed, number, one_line, text_table
 from greybox.validation.measures import relative_rms
 from greybox.validation.parsimony import parsimony
@@ -29,7 +30,7 @@ UNSTABLE = "unstable pole"
 STRONG = 6.0
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Candidate:
     """A fitted structure.
 
@@ -79,7 +80,7 @@ class Candidate:
         return all(self.noise <= factor or beyond_noise <= share for factor, share in LIMITS)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Selection:
     """Structures that were fitted to the same data. Printing it gives the table and the verdict.
 

@@ -5,14 +5,14 @@ Begin with `systematic_errors`.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.test_segment import Segment
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, frozen
 from greybox.logs.ardupilot.motors import motor_outputs, pwm_of_control, rounding_error, saturation
 from greybox.logs.flight_controllers import axis_of
 from greybox.logs.loop_rate import thinning, thinning_error
@@ -23,7 +23,7 @@ from greybox.spectral.test_quality import SATURATED, Finding, graded
 NEGLIGIBLE = 1e-3
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class SystematicError:
     """One error: its cause, its standard deviation relative to the response (n,), and a finding.
 

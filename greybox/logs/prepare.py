@@ -10,7 +10,7 @@ import numpy as np
 from greybox.data.intersample import HELD, intersample
 from greybox.data.record import GAP, Record, Recording, median_step, require_time, runs_between_gaps
 from greybox.data.units import to_si
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.files.text_table import as_names, counted
 from greybox.logs.ardupilot.truncated_angles import untruncated
 from greybox.logs.flight_controllers import passed_filters
@@ -182,7 +182,7 @@ def prepare(
     )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _Source:
     """One field of one message, in SI units and unwrapped, without missing samples."""
 

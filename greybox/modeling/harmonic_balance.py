@@ -17,14 +17,14 @@ by half a per cent of its compliance.
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, complex_array
+from greybox.files.arrays import Array, ComplexArray, complex_array, frozen
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.formula_structure import has_switches, interval_means, walk
 from greybox.modeling.functions import exp
@@ -32,7 +32,7 @@ from greybox.modeling.model import Model, pick_signals, require_known
 from greybox.modeling.one_thread import once, one_thread_at_a_time, traced_once
 from greybox.modeling.sine import MOST_HARMONICS, Sine
 from greybox.modeling.state_space import StateSpace
-from greybox.modeling.symbolic_reading import symbols, traced_derivative, traced_output
+from greybox.modeling.symbolic_reading import symbols, traced_column
 from greybox.modeling.trim import trim_of
 
 # Numbers of harmonics to try in turn: each about doubles the previous one.
@@ -106,7 +106,7 @@ def check_sine(model: Model, sine: Sine, input: str, omega: Array) -> None:
     sine.amplitudes(omega)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class HarmonicBalance:
     """The periodic motions of a model under a `sine` of the frequencies `omega`.
 
@@ -232,9 +232,9 @@ def _equations(
     n = len(model.states)
     names = (*model.states, *model.inputs)
     point, p = symbols(model)
-    outputs = traced_output(model, point, p)
+    outputs = traced_column(model, "output", point, p)
     rows = [outputs[model.outputs.index(y)] for y in (output, signal) if y in model.outputs]
-    derivatives = traced_derivative(model, point, p)
+    derivatives = traced_column(model, "derivative", point, p)
     formulas = ca.vertcat(derivatives, *rows)
 
     # The width is that of the ramps of switches, relative to the final one.

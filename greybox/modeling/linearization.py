@@ -1,20 +1,19 @@
 """Linearization of an ODE about an operating point: A, B, C, D and the delays of the inputs."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, all_finite
+from greybox.files.arrays import Array, ComplexArray, all_finite, frozen
 from greybox.files.text_table import one_line
 from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace
-from greybox.modeling.symbolic_reading import derivative_function, symbols, traced_output
+from greybox.modeling.symbolic_reading import derivative_function, symbols, traced_column
 from greybox.modeling.trim import trim_of
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class LinearSystem:
     """``x' = A x + B u(t - delay)``, ``y = C x + D u(t - delay)`` about an operating point.
 
@@ -62,7 +61,7 @@ def jacobians(model: StateSpace) -> ca.Function:
     z, p = symbols(model)
     x, u = z[:n], z[n:]
     f = derivative_function(model)(z, p)
-    h = traced_output(model, z, p)
+    h = traced_column(model, "output", z, p)
     blocks = [ca.jacobian(f, x), ca.jacobian(f, u), ca.jacobian(h, x), ca.jacobian(h, u)]
 
     return ca.Function("jacobians", [p, x, u], blocks)

@@ -32,7 +32,7 @@ class Names(Mapping[str, Any]):
 
     def __getitem__(self, name: str) -> Any:
         # A mapping raises KeyError, an attribute the sentence above.
-        return getattr(self, name) if name in self.__dict__ else self.__dict__[name]
+        return self.__dict__[name]
 
     def __setattr__(self, name: str, value: Any) -> None:
         raise AttributeError(f"{name!r} cannot be set: these values are read-only.")

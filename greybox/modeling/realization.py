@@ -2,13 +2,13 @@
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, all_finite
+from greybox.files.arrays import Array, all_finite, frozen
 from greybox.modeling.model import Model
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.pade_delay import MOST_EXACT, pade_rows, pade_steady, pade_step
@@ -21,15 +21,14 @@ from greybox.modeling.symbolic_reading import (
     require_no_nan,
     symbols,
     traced,
-    traced_derivative,
-    traced_output,
+    traced_column,
 )
 from greybox.modeling.transfer_function import TransferFunction
 
 NO_POLE = 1e-9  # rad/s: within rounding errors of the roots, a slower pole is an integrator
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Dynamics:
     """``x' = derivative(x, u(t - delay), p)``, ``y = output(x, u(t - delay), p)``.
 
@@ -60,8 +59,8 @@ class Dynamics:
     output: ca.Function
     delay: ca.Function
     undelayed: "Dynamics | None" = None
-    delay_step: ca.Function = ca.Function()  # noqa: RUF009  (empty, and never changed)
-    delay_rest: ca.Function = ca.Function()  # noqa: RUF009
+    delay_step: ca.Function = ca.Function()
+    delay_rest: ca.Function = ca.Function()
 
     @property
     def symbols(self) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -126,7 +125,7 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
     delays = [
         p[names.index(model.delays[i])] if i in model.delays else ca.SX(0) for i in model.inputs
     ]
-    f = traced_derivative(model, z, p) if model.states else ca.SX(0, 1)
+    f = traced_column(model, "derivative", z, p) if model.states else ca.SX(0, 1)
 
     return _with_pade_states(
         Dynamics(
@@ -134,7 +133,7 @@ def dynamics(model: Model, pade: int | None = None) -> Dynamics:
             inputs=tuple(model.inputs),
             outputs=tuple(model.outputs),
             parameters=tuple(names),
-            **_functions(x, u, p, f, traced_output(model, z, p), ca.vertcat(*delays)),
+            **_functions(x, u, p, f, traced_column(model, "output", z, p), ca.vertcat(*delays)),
         ),
         pade,
     )

@@ -1,19 +1,19 @@
 """A sine test: which signal is sinusoidal, and its amplitude."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.files.text_table import counted, one_line
 
 # Five times the number that a strong kink needs, see `Sine`.
 MOST_HARMONICS = 50
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Sine:
     """A sine test of finite amplitude: one signal is its mean plus ``amplitude * cos(omega t)``.
 

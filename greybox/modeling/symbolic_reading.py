@@ -4,7 +4,7 @@ import re
 import threading
 import warnings
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -89,21 +89,11 @@ def called(what: str, function: ParameterFormula, p: Any) -> Any:
         raise ValueError(f"{what}: {error}") from error
 
 
-def traced_derivative(model: StateSpace, z: ca.SX, p: ca.SX) -> ca.SX:
-    """Evaluate `model.derivative` on expressions, (n, 1)."""
-    return _traced_column(model, "derivative", model.states, z, p)
-
-
-def traced_output(model: StateSpace, z: ca.SX, p: ca.SX) -> ca.SX:
-    """Evaluate `model.output` on expressions, (k, 1)."""
-    return _traced_column(model, "output", model.outputs, z, p)
-
-
 @once
 def derivative_function(model: StateSpace) -> ca.Function:
     """Return the CasADi function (states and inputs, parameters) -> derivative."""
     z, p = symbols(model)
-    return ca.Function("derivative", [z, p], [traced_derivative(model, z, p)])
+    return ca.Function("derivative", [z, p], [traced_column(model, "derivative", z, p)])
 
 
 def as_list(result: Any) -> list[Any]:
@@ -139,10 +129,12 @@ def require_no_nan(owner: str, expression: ca.SX) -> ca.SX:
     return expression
 
 
-def _traced_column(
-    model: StateSpace, formula: str, names: Sequence[str], z: ca.SX, p: ca.SX
+def traced_column(
+    model: StateSpace, formula: Literal["derivative", "output"], z: ca.SX, p: ca.SX
 ) -> ca.SX:
+    """Evaluate the derivative (n, 1) or the output (k, 1) of a model on expressions."""
     owner = f"{model.label}.{formula}"
+    names = model.states if formula == "derivative" else model.outputs
     arguments = *split(model, z), parameter_names(model, p)
     values = as_list(traced(owner, getattr(model, formula), *arguments))
     if len(values) != len(names):

@@ -1,13 +1,12 @@
 """The operating point of an ODE, where its derivative is zero, as a function of the parameters."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, frozen
 from greybox.modeling.model import Names, require_known
 from greybox.modeling.one_thread import once
 from greybox.modeling.parameter import is_finite_number, start_values
@@ -24,7 +23,7 @@ from greybox.modeling.symbolic_reading import (
 TOLERANCE = 1e-9  # on the derivative at a trim, relative to the states and inputs there
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Trimmed:
     """A function of an operating point in two steps; only the first needs an iteration.
 

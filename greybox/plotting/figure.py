@@ -1,12 +1,12 @@
 """A figure as a value, which matplotlib (`matplotlib_figure`) and the page of a report draw."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, frozen
 from greybox.files.text_table import number
 
 Limits = tuple[float, float]
@@ -17,7 +17,7 @@ CROSS = -1  # marker of what failed
 ANGLES = (1, 2, 5, 15, 30, 45, 90, 180, 360, 720)  # natural steps of an axis in degrees
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Series:
     """Lines, points or areas of one color.
 
@@ -77,7 +77,7 @@ def rule(y: float = 0.0, name: str = "", style: int = 0) -> Series:
     return Series(name, "rule", np.zeros(1), np.array([y]), GRAY, style)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Panel:
     """One vertical axis with its series.
 
@@ -110,7 +110,7 @@ class Panel:
     ticks: Sequence[str] = ()
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Figure:
     """Panels below one another, over one horizontal axis.
 

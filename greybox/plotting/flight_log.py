@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from greybox.data.record import Record, Recording, runs_between_gaps
+from greybox.data.record import Record, Recording, median_step, runs_between_gaps
 from greybox.data.test_segment import Segment
 from greybox.files.arrays import Array
 from greybox.plotting.figure import GRAY, Figure, Panel, Series
@@ -123,8 +123,7 @@ def recording(
 def signal_line(name: str, time: Array, values: Array, color: int) -> Series:
     """Return a signal over time; gaps of more than ten median steps interrupt the line."""
     # Raw logs drop single messages: with a smaller limit a lossy log would be dots, not lines.
-    gap = 10.0 * float(np.median(np.diff(time))) if time.size > 2 else math.inf
-    x, y = drawn_line(time, values, runs_between_gaps(time, gap))
+    x, y = drawn_line(time, values, runs_between_gaps(time, 10.0 * median_step(time)))
     return Series(name, "line", x, y, color)
 
 

@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.response_band import ResponseBand
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.files.text_table import in_greek
 from greybox.plotting.figure import GRAY, INK, Series
 from greybox.plotting.signals import distinct_labels
@@ -21,7 +20,7 @@ Pair = tuple[str, str]
 """Names of input and output."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class DrawnResponse:
     """A measured or a fitted response with its look.
 
@@ -63,7 +62,7 @@ class DrawnResponse:
         return Series(self.label, kind, x, y, self.color, self.style, low, high, **more)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _Part:
     """Data and curve of one part of a fit; a response alone is one of both."""
 

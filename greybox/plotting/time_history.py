@@ -1,13 +1,12 @@
 """Time histories: measured, fitted or predicted outputs, their residuals, and the inputs."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from greybox.data.record import Record
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, frozen
 from greybox.plotting.figure import GRAY, INK, Figure, Panel, Series, band, rule
 from greybox.plotting.long_lines import COLUMNS, drawn_line
 from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
@@ -26,7 +25,7 @@ BANDS = (
 DOTS = 400  # measured samples up to which each is a dot: more would touch
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class History:
     """The signals of a fit or a prediction that a figure shows.
 

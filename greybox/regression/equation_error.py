@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.data.record import Record, require_time
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.files.text_table import number, one_line, text_table
 from greybox.formulation.input_assumptions import (
     Inputs,
@@ -47,7 +47,7 @@ class UsedEquation:
     residual: float
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class EquationErrorEstimate:
     """The result of `equation_error`; printing it shows estimates and equations.
 

@@ -1,10 +1,8 @@
 """Linear least squares over several equations, with bounds."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from greybox.files.arrays import Array, IntArray, positive_or_one
+from greybox.files.arrays import Array, IntArray, frozen, positive_or_one
 
 # Singular value of the matrix with unit columns, below which a combination is undetermined: about
 # the root of the rounding error, where normal equations would lose it.
@@ -15,7 +13,7 @@ PART = 1e-3
 ROUNDING = 1e-24  # of the power of a target: smaller squares of residuals are rounding errors
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Rows:
     """Rows of regressions, ``target = base + slopes @ unknowns``.
 

@@ -9,13 +9,11 @@ where (2.13) sets the highest coefficient to 1). Sanathanan and Koerner, Transfe
 as a ratio of two complex polynomials, IEEE Trans. Automatic Control 8 (1963) 56-58.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, ComplexArray, positive_or_one, real_and_imaginary
+from greybox.files.arrays import Array, ComplexArray, frozen, positive_or_one, real_and_imaginary
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.formulation.frequency_criteria import RelativeError, evaluate
 from greybox.modeling.factored_form import factored, upper_half
@@ -27,7 +25,7 @@ from greybox.regression.poles_and_zeros import NearPair, near_pairs, root_text
 RANK = 1e-12
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class RationalFit:
     """A rational function (2.13) fitted by `levy`.
 

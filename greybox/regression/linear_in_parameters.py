@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 import casadi as ca
 
+from greybox.files.arrays import frozen
 from greybox.modeling.formula_structure import has_switches
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
@@ -16,7 +17,7 @@ Source = tuple[str, ca.SX, Literal["signal", "derivative"]]
 """A name, the row of the model that it equals, and whether it is a signal or a derivative."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class KnownState:
     """How the time history of a state is obtained.
 
@@ -49,7 +50,7 @@ class Equation:
         return f"{self.target}'" if self.kind == "derivative" else self.target
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Equations:
     """The regressions that a model and a record allow.
 

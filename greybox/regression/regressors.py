@@ -2,13 +2,12 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from greybox.data.intersample import Intersample
 from greybox.data.record import Record, median_step
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.regression.least_squares import Rows
 from greybox.regression.linear_in_parameters import Equations
 from greybox.regression.smoothing import (
@@ -27,7 +26,7 @@ SHARE = 0.5
 FEWEST = 4  # remaining rows of a stretch: fewer add nothing to the thousands of a record
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Regressors:
     """The regressions of a record.
 

@@ -14,19 +14,18 @@ were equal. Splines of order two and three were worse on smooth signals and litt
 """
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from greybox.data.record import GAP, median_step, runs_between_gaps
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, frozen
 
 POWER = 8  # twice the order of the smoothing spline
 # Samples of a stretch: its 10 sines leave a few above any cutoff, from which the noise follows.
 SHORTEST = 12
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Smoothed:
     """A smoothed signal.
 

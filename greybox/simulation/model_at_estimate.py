@@ -1,13 +1,13 @@
 """A model at one estimate: values, their covariance, and the assumptions of the fit."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
 from greybox.data.record import Record, require_time
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, frozen
 from greybox.formulation.input_assumptions import Inputs, between_samples
 from greybox.formulation.time_criteria import OutputError, PredictionError, TimeCriterion
 from greybox.modeling.model import Model, require_known
@@ -26,7 +26,7 @@ class Estimate(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class ModelAtEstimate:
     """A model with values, ready to be simulated.
 

@@ -11,12 +11,12 @@ Source: Tischler and Remple (2012), Aircraft and Rotorcraft System Identificatio
 import contextlib
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from greybox.compiled.sampled_data import gapless
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, frozen
 from greybox.files.text_table import counted, listed, with_error
 from greybox.formulation.time_criteria import bias_parameter
 from greybox.modeling.integrators import Integrator
@@ -108,7 +108,7 @@ def _note(
     )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _Estimate:
     """A model with the values at `places`, and the normal equations of these there.
 

@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from statistics import NormalDist
 
 import numpy as np
 
 from greybox.data.record import Record
-from greybox.files.arrays import Array, BoolArray, IntArray
+from greybox.files.arrays import Array, BoolArray, IntArray, frozen
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.simulation.windows import seconds
 from greybox.statistics.metrics import fit_percent, rms
@@ -33,7 +33,7 @@ def reported_shares(horizons: Sequence[int]) -> list[float]:
     ]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Prediction:
     """Predictions of k outputs over w windows of h samples; printing it shows their quality.
 

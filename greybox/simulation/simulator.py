@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -11,7 +11,7 @@ from greybox.compiled.initial_states import InitialStates
 from greybox.compiled.sample_step import SampleStep, sample_step
 from greybox.compiled.sampled_data import SampledData, Stretch
 from greybox.compiled.segments import Segments
-from greybox.files.arrays import Array, BoolArray, IntArray, all_finite
+from greybox.files.arrays import Array, BoolArray, IntArray, all_finite, frozen
 from greybox.modeling.implicit_integrators import Radau
 from greybox.modeling.integrators import Integrator, RungeKutta
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -43,7 +43,7 @@ DIVERGED = 1e20  # counts of cells and pressures exceed 1e9; an unstable model s
 ERROR = "_error"
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class WindowSimulations:
     """Windows run from the states that their lead-ins give; every sample, lead-ins included.
 
@@ -77,7 +77,7 @@ class WindowSimulations:
         return self.initial.not_finite | ~np.all(np.isfinite(self.outputs), axis=(1, 2))
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _Run:
     """A run of segments from initial states (s, n), driven by data (width, columns)."""
 

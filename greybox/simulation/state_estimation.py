@@ -12,11 +12,10 @@ Statistical Society B 39.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
-from greybox.files.arrays import Array, BoolArray, of_diagonal
+from greybox.files.arrays import Array, BoolArray, frozen, of_diagonal
 
 Outputs = Callable[[Array], Array]  # initial states (w, n) -> outputs (w, samples, k)
 # Initial states (w, n) -> outputs' derivatives by them (w, samples, k, n).
@@ -26,7 +25,7 @@ ROUNDING = 1e-9  # share of an output's spread: smaller noise would make the inf
 TINY = 1e-300  # instead of a division by zero
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class StateEstimates:
     """States of all windows at the first sample of their lead-ins, with their prior.
 
@@ -162,7 +161,7 @@ def one_step_errors(
     return result
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _LeadIns:
     """Residuals e and sensitivities S of the lead-ins as functions of the first states (w, n)."""
 

@@ -2,14 +2,13 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from greybox.compiled.sampled_data import SampledData, gapless
 from greybox.data.record import Record
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, frozen
 from greybox.modeling.parameter import is_finite_number
 
 # Samples of a default length: two or more for each state of the models here, which have 2 to 5.
@@ -20,7 +19,7 @@ DELAYS = 2.0
 ROUNDING = 1e-6  # of a sample, by which a length may be shorter: times are rounded
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Windows:
     """The samples of a record in every window; the predicted parts follow one another.
 

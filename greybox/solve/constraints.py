@@ -1,17 +1,17 @@
 """Bounds and constraints of a problem with records, and the way back to them."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, BoolArray
+from greybox.files.arrays import Array, BoolArray, frozen
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.symbolic_reading import dense_jacobian
 from greybox.solve.quadratic_program import solve_small_qp
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Limits:
     """What the solver's point z (p,) must satisfy: low <= z <= high, and constraints(z) >= 0.
 

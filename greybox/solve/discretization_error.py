@@ -9,13 +9,13 @@ the implicit steps of its polynomials.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Part, Trajectory
-from greybox.files.arrays import Array, all_finite, positive_or_one
+from greybox.files.arrays import Array, all_finite, frozen, positive_or_one
 from greybox.modeling.step_size import MOST_SUBSTEPS, substep_growth
 from greybox.solve.interruption import stop_requested
 from greybox.solve.local_solver import LocalSolver
@@ -35,7 +35,7 @@ NEGLIGIBLE_SHIFT = 0.1
 ALIAS = 1.0
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class DiscretizationError:
     """The change of the estimate by steps of half the length.
 

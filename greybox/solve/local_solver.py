@@ -2,17 +2,16 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, frozen
 from greybox.solve.minima import Minimum, Multistart
 from greybox.solve.runs import Outcome, Runs
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Profile:
     """The best hidden unknowns of every part at given parameters: those of the smallest cost."""
 
@@ -46,7 +45,7 @@ class Runner(ABC):
         return [self.run(start) for start in starts]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Screened:
     """Starts that were compared before any of them is run.
 

@@ -1,9 +1,7 @@
 """The result of a multistart: every run, and the distinct minima."""
 
-import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +9,7 @@ from numpy.typing import NDArray
 
 from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import ResponsePart
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, frozen
 from greybox.files.text_table import counted, one_line
 from greybox.formulation.frequency_criteria import cost_of_zero
 from greybox.solve.runs import SCREENED, TOO_COARSE, Run, Runs
@@ -29,7 +27,7 @@ Signatures = Sequence[NDArray[np.floating] | None] | NDArray[np.floating]
 """Signatures of the responses of all runs, see `Part.signature`."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Minimum:
     """One distinct minimum: a cost and a model response that a group of runs shares.
 
@@ -60,7 +58,7 @@ class Minimum:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Multistart:
     """All runs of a problem, in the order of their starts, and its minima, best first.
 
@@ -105,15 +103,11 @@ class Multistart:
 def best_unfinished(runs: Sequence[Run]) -> Run | None:
     """Return the run with the lowest finite cost of those that did not converge, if any."""
     # A run on too coarse an integration has a cost that no finer one would have.
-    ended = [
-        run
-        for run in runs
-        if not run.converged and run.status != TOO_COARSE and math.isfinite(run.cost)
-    ]
-
+    runs = Runs.of(runs)
+    ended = runs[~runs.converged & (runs.status != TOO_COARSE) & np.isfinite(runs.cost)]
     # A start that was only compared has not been tried: it is the last choice.
-    ended = [run for run in ended if run.stage != SCREENED] or ended
-    return min(ended, key=lambda run: run.cost, default=None)
+    tried = ended[ended.stage != SCREENED] or ended
+    return tried[int(np.argmin(tried.cost))] if tried else None
 
 
 def agreeing_runs(

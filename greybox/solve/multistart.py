@@ -3,13 +3,13 @@
 import math
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.modeling.fingerprint import value_fingerprint
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 from greybox.solve.executors import run_all
@@ -182,7 +182,7 @@ def _certified(
             outcomes[k] = outcome
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class FiniteStarts:
     """Starts (p,) by number; those without a finite model move toward the first with one.
 

@@ -11,7 +11,7 @@ from typing import Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.files.arrays import Array, BoolArray, IntArray
+from greybox.files.arrays import Array, BoolArray, IntArray, frozen
 from greybox.files.text_table import counted, one_line
 
 # Statuses of a run besides those of its solver: it could not begin, ended where the integration
@@ -140,7 +140,7 @@ def spent(outcome: Outcome, earlier: Outcome | Run) -> Outcome:
     )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Runs(Sequence[Run]):
     """Runs in the order of their starts; an item is a `Run`.
 

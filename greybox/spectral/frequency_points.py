@@ -7,7 +7,7 @@ import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.test_segment import Segment
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.files.text_table import counted, number, one_line, text_table
 
 # Harmonics over fundamental. For a cubic nonlinearity, y = x + k x³, harmonics of a share h mean
@@ -76,7 +76,7 @@ class FrequencyPoint:
     unexplained: float = math.nan
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class FiniteFrequency:
     """The measured response, the point of each test, and the tests left out with the reason."""
 

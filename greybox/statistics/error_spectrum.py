@@ -7,17 +7,16 @@ Bootstrap Methods and their Application, section 8.2.3 (post-blackening); Kirch 
 TFT-bootstrap, Annals of Statistics 39 (by the spectrum, back in time).
 """
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, frozen
 
 ROUNDING = 1e-9  # of spectra, in units of an output's variance: lower values are rounding
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class ErrorSpectrum:
     """A spectrum of the errors of k outputs.
 

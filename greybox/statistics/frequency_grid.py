@@ -1,14 +1,13 @@
 """Frequencies of a Fourier transform, and the bands over which spectra are compared."""
 
 import math
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.files.arrays import Array, ComplexArray, IntArray
+from greybox.files.arrays import Array, ComplexArray, IntArray, frozen
 from greybox.statistics.residual_autocorrelation import HIGHEST_ORDER
 
 LOWEST = 256  # lowest frequencies; each one is a band
@@ -16,7 +15,7 @@ MOST_PADDING = 50_000  # zeros after records of up to 200 000 samples; after lon
 COLUMNS = 16384  # frequencies at once in memory: 6 MB for three outputs and eight parameters
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class FrequencyGrid:
     """Frequencies of a transform of `size` samples, and the bands (b,) of spectra.
 
@@ -92,21 +91,25 @@ class FrequencyGrid:
         return result
 
     def covariances(
-        self, density: Callable[[int, int], ComplexArray], k: int, order: int
+        self, factors: Sequence[tuple[ComplexArray, ComplexArray]], order: int
     ) -> tuple[Array, ComplexArray]:
         """Return autocovariances (order + 1, k) and band means (k, k, b) of a periodogram.
 
-        `density(i, j)` is its value for two outputs at all frequencies, the conjugate of (j, i).
+        It is the sum of the products a bᵀ of its factors, (k, p, frequencies) each, and of their
+        adjoints.
         """
+        k = len(factors[0][0])
         lags = np.zeros((order + 1, k))
         banded = np.zeros((k, k, len(self.starts)), dtype=complex)
-        for i in range(k):
-            for j in range(i + 1):
-                values = density(i, j)
-                if i == j:
-                    lags[:, i] = np.fft.irfft(values, self.size)[: order + 1]
-                banded[i, j] = self.banded(values)
-                banded[j, i] = banded[i, j].conj()
+        # Output by output: all products together would fill the memory of long records.
+        for i, j in zip(*np.tril_indices(k), strict=True):
+            values = np.zeros(len(self.weight), dtype=complex)
+            for a, b in factors:
+                values += (a[i] * b[j] + (a[j] * b[i]).conj()).sum(axis=0)
+            banded[i, j] = self.banded(values)
+            banded[j, i] = banded[i, j].conj()
+            if i == j:
+                lags[:, i] = np.fft.irfft(values, self.size)[: order + 1]
 
         return lags, banded
 

@@ -5,12 +5,11 @@ They take measured and predicted values, or residuals, as arrays with NaN for mi
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, frozen
 from greybox.statistics.residual_autocorrelation import autoregression
 
 LAGS = 25  # Ljung (1999), section 16.6, takes 20 to 30
@@ -31,7 +30,7 @@ def fit_percent(measured: ArrayLike, predicted: ArrayLike) -> float:
     return 100 * (1 - float(np.linalg.norm(y - p)) / spread) if spread > 0 else math.nan
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class CorrelationTest:
     """A statistic with its degrees of freedom, and the probability of a larger one by chance.
 
@@ -141,12 +140,9 @@ def _whitened(series: list[Array]) -> tuple[list[Array], Array]:
     """Return series less their common mean, filtered by their autoregression, and the latter."""
     mean = float(np.nanmean(np.concatenate(series)))
     a = autoregression([np.nan_to_num(s - mean) for s in series])
-    return [_filtered(s - mean, a) for s in series], a
-
-
-def _filtered(values: Array, a: Array) -> Array:
-    """Return Σ a_k e(t - k), NaN where a term is missing."""
-    return np.convolve(np.append(np.full(a.size - 1, np.nan), values), a, mode="valid")
+    # Σ a_k e(t - k) is NaN where a term is missing, as before the first sample.
+    before = np.full(a.size - 1, np.nan)
+    return [np.convolve(np.append(before, s - mean), a, mode="valid") for s in series], a
 
 
 def _present(values: ArrayLike) -> Array:

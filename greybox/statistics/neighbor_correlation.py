@@ -21,13 +21,12 @@ Raftery and Volinsky (1999), Bayesian Model Averaging: A Tutorial, Statistical S
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, all_finite
+from greybox.files.arrays import Array, ComplexArray, all_finite, frozen
 from greybox.statistics.column_space import column_basis
 
 # Posterior probability above which errors count as independent. Intervals then change by less than
@@ -56,7 +55,7 @@ LEVELS = (0.6827, 0.95)
 BISECTIONS = 40
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class NeighborCorrelation:
     """The distribution of the correlation of neighboring errors.
 

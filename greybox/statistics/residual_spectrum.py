@@ -20,7 +20,7 @@ than the errors, by what the fit took from them).
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from operator import attrgetter
 from typing import Any
@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, frozen
 from greybox.statistics.error_spectrum import ROUNDING, ErrorSpectrum
 from greybox.statistics.frequency_grid import (
     FrequencyGrid,
@@ -64,7 +64,7 @@ UNLIKELY = 18.0
 TINY = 1e-300
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class ColoredInformation:
     """The covariance of the score of an estimate under correlated errors.
 
@@ -200,7 +200,7 @@ def _corrected_mixture(spectra: "ResidualSpectra") -> "tuple[AveragedSpectrum, b
     return spectra.with_process_noise(others), True
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class AveragedSpectrum:
     """An average of spectra.
 
@@ -225,7 +225,7 @@ class AveragedSpectrum:
 
 
 def averaged(
-    score: Array, density: Array, typical: Array, taken: Array, within: Array
+    score: Array, density: NDArray[Any], typical: Array, taken: Array, within: Array
 ) -> AveragedSpectrum:
     """Return the average of m spectra by their scores (m,), -2 log of their likelihoods.
 
@@ -245,11 +245,10 @@ def averaged(
     )
 
 
-def averaged_candidates(candidates: Iterable[AveragedSpectrum]) -> AveragedSpectrum:
-    """Return the average of spectra by their scores."""
-    fields = ("score", "density", "typical", "taken", "uncertainty")
-    values = zip(*map(attrgetter(*fields), candidates), strict=True)
-    return averaged(*map(np.array, values))
+def stacked(averages: Iterable[AveragedSpectrum]) -> Iterator[NDArray[Any]]:
+    """Return scores (m,), densities, geometric means, what was taken, and its uncertainties."""
+    fields = attrgetter("score", "density", "typical", "taken", "uncertainty")
+    return map(np.array, zip(*map(fields, averages), strict=True))
 
 
 def aicc_penalty(unknowns: float, n: float) -> float:
@@ -257,7 +256,7 @@ def aicc_penalty(unknowns: float, n: float) -> float:
     return 2 * unknowns * n / max(n - unknowns - 1, 1e-3)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class ResidualSpectra:
     """Spectra that the residuals may have, in units of every output's deviation.
 
@@ -297,17 +296,13 @@ class ResidualSpectra:
     def periodogram(self) -> tuple[Array, ComplexArray]:
         """Autocovariances (lags, k), and band means (k, k, b) of the power, of the residuals."""
         scale = (self.deviation * np.sqrt(self.counts))[:, None]
-        transforms = [np.fft.rfft(e / scale, self.grid.size) for e in self.residuals]
-        k = len(self.counts)
-        lags, banded = self.grid.covariances(
-            lambda i, j: sum((z[i] * z[j].conj() for z in transforms), np.zeros((), complex)),
-            k,
-            self.highest_order,
-        )
+        transforms = [np.fft.rfft(e / scale, self.grid.size)[:, None] for e in self.residuals]
+        factors = [(z / 2, z.conj()) for z in transforms]
+        lags, banded = self.grid.covariances(factors, self.highest_order)
         # Outputs that are combinations of others have a singular covariance.
         lags[0] += ROUNDING
 
-        return lags, banded + ROUNDING * np.eye(k)[..., None]
+        return lags, banded + ROUNDING * np.eye(len(scale))[..., None]
 
     @property
     def highest_order(self) -> int:
@@ -318,13 +313,14 @@ class ResidualSpectra:
     @cached_property
     def power(self) -> ComplexArray:
         """Power (k, k, b) of the sensitivities; its mean product with a spectrum is `taken_by`."""
-
-        def banded(H: ComplexArray, rows: ComplexArray) -> list[ComplexArray]:
-            # One by one: together they take as much memory as an output's transforms.
-            products = (map(np.multiply, map(np.conj, H), row) for row in rows)
-            return [self.grid.banded(sum(terms, np.zeros(()))) for terms in products]
-
-        return np.sum([[banded(H, rows) for H in rows] for rows in self.transforms()], axis=0)
+        k = len(self.counts)
+        power = np.zeros((k, k, len(self.grid.omega)), dtype=complex)
+        for rows in self.transforms():
+            for i, j in np.ndindex(k, k):
+                # One by one: together they take as much memory as an output's transforms.
+                terms = map(np.multiply, map(np.conj, rows[i]), rows[j])
+                power[i, j] += self.grid.banded(sum(terms, np.zeros(())))
+        return power
 
     @cached_property
     def slow(self) -> Array:
@@ -368,33 +364,29 @@ class ResidualSpectra:
             candidates = [self.judged_on_residuals(average, banded) for average in candidates]
 
         shares = remaining_products(self.residuals)
-        return averaged_candidates(
-            replace(average, density=unmasked(average.density, shares, self.grid))
-            for average in candidates
-        )
+        score, density, *others = stacked(candidates)
+        density = np.array([unmasked(spectrum, shares, self.grid) for spectrum in density])
+        return averaged(score, density, *others)
 
     def with_process_noise(self, others: AveragedSpectrum) -> AveragedSpectrum:
         """Return the average with process noise; its score is the evidence for process noise."""
         process = self.white_process_noise
         if process is None:
             return replace(others, score=0.0)
-        average = averaged_candidates([others, process])
+        average = averaged(*stacked([others, process]))
         return replace(average, score=others.score - process.score)
 
     def independent_outputs(self, alone: Sequence[AveragedSpectrum]) -> AveragedSpectrum:
         """Return the joint spectrum of outputs whose errors are independent."""
-        k = len(alone)
-        density = np.zeros((k, k, len(self.grid.omega)), dtype=complex)
-        density[np.arange(k), np.arange(k)] = [average.density for average in alone]
-        taken = sum(average.taken for average in alone)
-        uncertainty = sum(average.uncertainty * average.taken**2 for average in alone)
+        score, density, typical, taken, uncertainty = stacked(alone)
+        total = float(taken.sum())
 
         return AveragedSpectrum(
-            density,
-            np.array([average.typical for average in alone]),
-            taken,
-            uncertainty / max(taken**2, TINY),
-            sum(average.score for average in alone),
+            density[:, None] * np.eye(len(density), dtype=complex)[..., None],
+            typical,
+            total,
+            float(uncertainty @ taken**2) / max(total**2, TINY),
+            float(score.sum()),
         )
 
     def judged_on_residuals(
@@ -402,10 +394,10 @@ class ResidualSpectra:
     ) -> AveragedSpectrum:
         """Replace the likelihood of the errors by that of the residuals; the penalty remains."""
         # Process noise is compared with the residuals as they are, so the others must be, too.
-        errors = whittle_score(average.density.T, banded.T, self._numbers)
+        errors, *_ = whittle_score(average.density.T, banded.T, self._numbers)
         penalty = average.score - errors + self._numbers.sum()
         likely = self._left(average.density, self.grid.spread_out(average.density))
-        score = whittle_score(likely, self.periodogram[1].T, self._numbers)
+        score, *_ = whittle_score(likely, self.periodogram[1].T, self._numbers)
         return replace(average, score=penalty + score)
 
     @cached_property
@@ -593,11 +585,7 @@ class ResidualSpectra:
             half *= (e != 0)[:, None] / np.sqrt(self.counts)[:, None, None]
             pairs.append((first, np.fft.rfft(half, grid.size).conj()))
 
-        def product(i: int, j: int) -> ComplexArray:
-            parts = ((a[i] * b[j] + (a[j] * b[i]).conj()).sum(axis=0) for a, b in pairs)
-            return sum(parts, np.zeros((), dtype=complex))
-
-        return grid.covariances(product, len(size), self.highest_order)
+        return grid.covariances(pairs, self.highest_order)
 
     @cached_property
     def _bread(self) -> Array:

@@ -11,12 +11,11 @@ Biometrika 106; Harville (1977), Maximum likelihood approaches to variance compo
 JASA 72.
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, frozen
 
 # Share of the first part in the variance at the beginning; any from 0.1 to 0.9 ends at the same
 # variances.
@@ -36,7 +35,7 @@ LEAST = 1e-4
 UNSEEN = 1e-8
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class VarianceComponents:
     """Variances of c parts of the errors.
 
@@ -55,19 +54,15 @@ class VarianceComponents:
     score: float
 
 
-def whittle_score(spectrum: ComplexArray, periodogram: ComplexArray, numbers: Array) -> float:
-    """Return -2 log likelihood of a periodogram (b, k, k) of `numbers` (k, b), given its mean."""
-    return _likelihood(spectrum, periodogram, numbers)[0]
-
-
-def _likelihood(
+def whittle_score(
     spectrum: ComplexArray, periodogram: ComplexArray, numbers: Array
 ) -> tuple[float, ComplexArray, ComplexArray, Array]:
-    """Return -2 log likelihood, the inverse of the mean, and its product with the periodogram.
+    """Return -2 log likelihood of a periodogram (b, k, k) of `numbers` (k, b), given its mean.
 
-    All outputs count as if they had the most numbers: the transform of one that is measured at
-    every fourth sample repeats itself four times. Its repetitions are taken off, and their slopes
-    (b, k) by its own mean follow.
+    Also returned are the inverse of the mean, and its product with the periodogram. All outputs
+    count as if they had the most numbers: the transform of one that is measured at every fourth
+    sample repeats itself four times. Its repetitions are taken off, and their slopes (b, k) by its
+    own mean are returned last.
     """
     spectrum = spectrum + LEAST * np.eye(spectrum.shape[1])
     inverse = np.linalg.inv(spectrum)
@@ -115,7 +110,7 @@ def variance_components(
         information = (rows @ parts.swapaxes(2, 3).reshape(len(parts), -1).T).real
         return gradient, information * variance * variance[:, None]
 
-    score, *products = _likelihood(spectrum(variance), periodogram, numbers)
+    score, *products = whittle_score(spectrum(variance), periodogram, numbers)
     gradient, information = slopes(variance, *products)
     damping = DAMPING
     for _ in range(ITERATIONS):
@@ -125,7 +120,7 @@ def variance_components(
         step = np.clip(-np.linalg.solve(curvature, gradient), -LONGEST_STEP, LONGEST_STEP)
         # Steps of the logarithm keep variances positive.
         trial = np.maximum(variance * np.exp(step), LEAST**2)
-        new, *products = _likelihood(spectrum(trial), periodogram, numbers)
+        new, *products = whittle_score(spectrum(trial), periodogram, numbers)
         if not new < score:
             damping *= 5
             if damping > NO_STEP:

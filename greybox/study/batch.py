@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import suppress
-from dataclasses import dataclass, field, fields
+from dataclasses import field, fields
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.fit import SolverChoice, fingerprint, fit_keeping
 from greybox.estimate.storage import to_bytes
 from greybox.estimate.summary import summary
+from greybox.files.arrays import frozen
 from greybox.files.error_place import error_place
 from greybox.files.progress import bar
 from greybox.files.text_table import counted, printable
@@ -57,7 +58,7 @@ from greybox.study.study import Study, read_study
 SENTENCES = (ValueError, TypeError, RuntimeError)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Member:
     """One fit of a batch: a problem, and the other arguments of `greybox.fit`.
 

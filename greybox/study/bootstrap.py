@@ -10,7 +10,6 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor
 from contextlib import nullcontext
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from greybox.estimate.fitted_problem import compiled_again
 from greybox.estimate.quantities import quantity_function
 from greybox.estimate.response_band import t_quantile
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.files.html_text import Printed
 from greybox.files.json_numbers import finite, plain
 from greybox.files.progress import bar
@@ -45,7 +44,7 @@ from greybox.study.response_replicates import ResponseReplicates, response_draws
 from greybox.study.store import StoredRuns, locked
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Bootstrap(Printed):
     """Replicates of an estimate; printed, they are a table of errors and intervals.
 

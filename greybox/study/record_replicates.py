@@ -4,7 +4,7 @@ import math
 import time
 from collections.abc import Sequence
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,14 +12,14 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
 from greybox.estimate.covariance import Accuracy
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.solve.gauss_newton.driver import GaussNewton
 from greybox.solve.runs import Outcome
 from greybox.statistics.error_spectrum import ErrorSpectrum
 from greybox.study.replicates import Draws, Replicates
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class DrawnRecord:
     """The fitted outputs of one part, and the errors of its data.
 
@@ -116,7 +116,7 @@ def _centered(stretches: Sequence[Array]) -> Array:
     return values - np.nansum(values, axis=1, keepdims=True) / np.maximum(counts, 1)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class RecordReplicates(Replicates):
     """Gauss-Newton steps from the estimate, for records with drawn outputs.
 

@@ -5,17 +5,17 @@ result does not depend on how many workers there are.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.solve.local_solver import Runner
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Draws:
     """How the data of replicates are drawn.
 
@@ -44,7 +44,7 @@ class Draws:
         return constants, (part.drawn(random) for part in self.parts)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Replicates(Runner):
     """The runner that refits replicates of a compiled problem.
 

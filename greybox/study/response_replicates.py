@@ -2,7 +2,7 @@
 
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ from greybox.compiled.part import CorrelatedPoints, Part
 from greybox.compiled.response_part import SMOOTHING, ResponsePart
 from greybox.compiled.response_programs import fits_a_batch
 from greybox.estimate.covariance import Accuracy, known_covariances
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, frozen
 from greybox.modeling.one_thread import cached_property
 from greybox.solve.batched_newton import BatchedNewton
 from greybox.solve.interruption import reason_to_end
@@ -26,7 +26,7 @@ from greybox.study.replicates import Draws, Replicates
 LEAST_LEFT = 0.1
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class DrawnResponse:
     """The fitted response of one part, and the errors of its data.
 
@@ -147,7 +147,7 @@ def _drawn_part(
     )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class ResponseReplicates(Replicates):
     """Newton's method on many data sets at once from the estimate; IPOPT where it fails."""
 

@@ -19,14 +19,13 @@ import warnings
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Literal
 
 from greybox.estimate.result import Fit
 from greybox.estimate.stored_values import read, write
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.files.packed import packed, unpacked
 from greybox.files.text_table import counted, one_line, printable
 from greybox.solve.interruption import Response, responding
@@ -114,7 +113,7 @@ def locked(folder: Path) -> Iterator[None]:
         lock.release()
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class StudyMember:
     """One fit of a study.
 

@@ -7,12 +7,13 @@ import csv
 import io
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 from greybox.data.pandas_frames import Frame
+from greybox.files.arrays import frozen
 from greybox.files.grouping import grouped
 from greybox.files.html_text import Printed
 from greybox.files.optional_package import required
@@ -32,7 +33,7 @@ from greybox.study.store import FACTORS, Status, StudyMember, read_members
 from greybox.validation.comparison import Comparison
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Study(Printed):
     """Members of a study, in their order; printed, it is a table that compares them."""
 

@@ -1,7 +1,6 @@
 """One likelihood for fits of frequency responses by different criteria, for AIC and BIC."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -9,12 +8,13 @@ from greybox.estimate.fit import SolverChoice
 from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.fitted_problem import problem_of
 from greybox.estimate.result import Fit
+from greybox.files.arrays import frozen
 from greybox.formulation.frequency_criteria import Criterion, MaximumLikelihood, RelativeLikelihood
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.multistart import multistart
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Likelihoods:
     """The fits of a comparison on the scale of one likelihood.
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from greybox.files.arrays import frozen
 from greybox.files.html_text import Printed
 from greybox.files.text_table import counted, number, one_line, text_table
 from greybox.simulation.prediction import Prediction
@@ -42,7 +43,7 @@ class Row:
     values: tuple[float | None, ...]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Comparison(Printed):
     """Several fits side by side. Printing it gives the verdict, its reasons, and the table.
 

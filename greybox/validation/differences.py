@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.estimate.result import Fit, Quantity
+from greybox.files.arrays import frozen
 from greybox.files.text_table import counted, listed, one_line, text_table, with_error
 from greybox.modeling.model import require_known
 from greybox.validation.comparison import SIGNIFICANT, p_text
@@ -41,7 +42,7 @@ class Difference:
         return self.p_of_all < SIGNIFICANT
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Differences:
     """All parameters that two fits share. Printing it gives the verdict and the table."""
 

@@ -18,6 +18,7 @@ from greybox.compiled.compiled_problem import AnyProblem
 from greybox.estimate.fit import fit as fit_problem
 from greybox.estimate.misfit import Misfit
 from greybox.estimate.result import Fit
+from greybox.files.arrays import frozen
 from greybox.files.text_table import counted, listed, number, one_line, text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Sobol
@@ -60,7 +61,7 @@ class Trial:
     why_not: str = ""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class StepwiseSelection:
     """The terms that the data support. Printing it shows every step.
 
@@ -219,7 +220,7 @@ def _with_causes(problem: AnyProblem, misfit: Misfit) -> tuple[AnyProblem, list[
     return problem.with_parts(parts), [*terms]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class _Fits:
     """Fits of a problem with some of its terms, each made once."""
 

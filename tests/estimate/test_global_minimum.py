@@ -16,7 +16,7 @@ from greybox.estimate.diagnostics.global_minimum import (
 )
 from greybox.models.rate import DampedRate
 from greybox.problems import pitch_hover
-from greybox.solve.runs import TOO_COARSE
+from greybox.solve.runs import TOO_COARSE, Run
 
 
 def said(is_likelihood, *costs):
@@ -112,9 +112,7 @@ def test_a_tenth_of_the_starts_shall_agree_and_a_half_converge(agreeing, converg
 
 def test_the_lowest_end_that_did_not_converge_is_named():
     def run(index, cost, status="iterations exceeded", converged=False):
-        return SimpleNamespace(
-            index=index, cost=cost, status=status, converged=converged, stage="polished"
-        )
+        return Run(index, np.zeros(1), np.zeros(1), cost, status, converged)
 
     brought = [
         run(0, 5.0, "converged", True),

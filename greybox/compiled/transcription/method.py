@@ -9,13 +9,13 @@ import casadi as ca
 
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.files.text_table import counted
 from greybox.modeling.implicit_integrators import Radau
 from greybox.modeling.integrators import Integrator, RungeKutta
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Transcribed:
     """One record for a solver of nonlinear programs.
 

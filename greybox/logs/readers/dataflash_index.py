@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.DFReader import FORMAT_TO_STRUCT
 
-from greybox.files.arrays import IntArray
+from greybox.files.arrays import IntArray, frozen
 
 Bytes = bytes | mmap.mmap
 HEAD = b"\xa3\x95"  # before every message; the number of its type follows
@@ -51,7 +51,7 @@ FMT_LAYOUT = Layout(
 )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Index:
     """Offsets of all sound messages, in the order of the file, and its damage.
 

@@ -2,19 +2,19 @@
 
 import hashlib
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from itertools import chain
 from pathlib import Path
 
 import numpy as np
 
 from greybox.data.record import GAP, Record
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, frozen
 from greybox.files.text_table import counted
 from greybox.logs.readers import time_stamps
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Messages:
     """All messages of one type, column by column.
 

@@ -66,7 +66,7 @@ class AllParts:
         zipped = zip(self.parts, nodes or [None] * len(self.parts), flags, strict=True)
         return Iterate(z, tuple(part.trajectory(z, n, simulated=flag) for part, n, flag in zipped))
 
-    def _along(self, iterate: Iterate, *others: Sequence[Any]) -> Iterator[Any]:
+    def along(self, iterate: Iterate, *others: Sequence[Any]) -> Iterator[Any]:
         """Yield every part with its trajectory, and with its member of the others."""
         return zip(self.parts, iterate.trajectories, *others, strict=True)
 
@@ -93,7 +93,7 @@ class AllParts:
     def signature(self, iterate: Iterate) -> Array:
         """Return numbers by which runs are distinguished, see `Part.signature`."""
         return np.concatenate(
-            [part.signature(trajectory) for part, trajectory in self._along(iterate)]
+            [part.signature(trajectory) for part, trajectory in self.along(iterate)]
         )
 
     # --- cost
@@ -102,11 +102,11 @@ class AllParts:
         """Return the cost, infinite where anything diverges."""
         if not iterate.finite:
             return math.inf
-        return float(sum(part.weight * part.cost(t, smoothing) for part, t in self._along(iterate)))
+        return float(sum(part.weight * part.cost(t, smoothing) for part, t in self.along(iterate)))
 
     def gap_cost(self, iterate: Iterate, multipliers: Sequence[Array]) -> float:
         """Return the l1 penalty of the gaps, with multipliers (n,) for every state."""
-        pairs = self._along(iterate, multipliers)
+        pairs = self.along(iterate, multipliers)
         return sum(part.weight * float((np.abs(t.gaps) * m).sum()) for part, t, m in pairs)
 
     def squared_cost(
@@ -118,20 +118,20 @@ class AllParts:
         the next step closes, do not count.
         """
         total = 0.0
-        for part, t, weight, v in self._along(iterate, residual_weights, variances):
+        for part, t, weight, v in self.along(iterate, residual_weights, variances):
             gaps = float((t.gaps[:, v > 0] ** 2 / v[v > 0]).sum()) / 2
             total += part.weight * (part.squared_cost(t, weight, SMOOTHING) + gaps)
         return total
 
     def residual_weights(self, iterate: Iterate) -> list[Array]:
         """Return square roots of the inverse residual covariances at an iterate."""
-        return [part.residual_weight(trajectory) for part, trajectory in self._along(iterate)]
+        return [part.residual_weight(trajectory) for part, trajectory in self.along(iterate)]
 
     # --- linearization and steps
 
     def linearize(self, iterate: Iterate, weights: Sequence[Array]) -> list[Any]:
         """Return the linearization of every part."""
-        return [part.linearize(t, weight) for part, t, weight in self._along(iterate, weights)]
+        return [part.linearize(t, weight) for part, t, weight in self.along(iterate, weights)]
 
     def moved(self, iterate: Iterate, step: Step, length: float) -> Iterate:
         """Return the iterate after the share `length` of a step."""
@@ -153,7 +153,7 @@ class AllParts:
         for _ in range(GAP_CLOSINGS):
             if not iterate.finite or penalty <= enough:
                 break
-            pairs = self._along(iterate, step.linearizations)
+            pairs = self.along(iterate, step.linearizations)
             nodes = [part.close_gaps(linearization, t) for part, t, linearization in pairs]
             closer = self.at(iterate.z, nodes, iterate)
             closer_penalty = self.gap_cost(closer, step.multipliers)

@@ -110,8 +110,8 @@ class GaussNewton(LocalSolver):
 
         # Only where it matters: exact derivatives take as long as several iterations.
         # Workers lack the information of some parts, and results must be the same in every process.
-        can_sharpen = all(part.travels_whole for part in nlp.parts)
-        if status == CONVERGED and can_sharpen and is_blurred(end.hessian):
+        is_inexact = status == CONVERGED and is_blurred(end.hessian)
+        if is_inexact and all(part.travels_whole for part in nlp.parts):
             iterate = sharpened(nlp, self._parts, iterate)
         if status == CONVERGED and self.limits.violation(iterate.z) > 0:
             status = "constraints violated"

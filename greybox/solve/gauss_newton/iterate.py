@@ -12,17 +12,17 @@ times each.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 from greybox.compiled.part import Condensed, Trajectory
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 
 Nodes = Sequence[Array]
 """The nodes (s, n) of every part."""
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Iterate:
     """The solver's variables z (p,), and the trajectory of every part."""
 
@@ -40,7 +40,7 @@ class Iterate:
         return [trajectory.nodes for trajectory in self.trajectories]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Step:
     """A step from an iterate, with the quadratic model that it minimizes.
 
@@ -111,7 +111,7 @@ def after_failure(damping: float) -> float:
 KEPT_PROMISE = 0.1
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Progress:
     """What one iteration hands to the next.
 

@@ -4,12 +4,12 @@ A stalled run begins once more, with its parameters and with nodes from the data
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, frozen
 from greybox.solve.gauss_newton.all_parts import COST_ROUNDING, AllParts, with_rounding
 from greybox.solve.gauss_newton.iterate import (
     LARGEST_DAMPING,
@@ -28,7 +28,7 @@ CONVERGED, STALLED = "converged", "stalled"
 SINGULAR = "singular"  # the nodes of a record are not determined
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class End:
     """Where an iteration ended.
 
@@ -203,9 +203,7 @@ def _is_within_noise(parts: AllParts, iterate: Iterate, progress: Progress, gain
     if not (
         progress.is_exact
         and parts.is_continuous(iterate)
-        and all(
-            part.explains_data(t) for part, t in zip(parts.parts, iterate.trajectories, strict=True)
-        )
+        and all(part.explains_data(trajectory) for part, trajectory in parts.along(iterate))
     ):
         return False
     # The gaps of the last linearization are closed, which changes its residuals.

@@ -29,16 +29,16 @@ def gauss_newton_step(
     p = len(iterate.z)
     exact = [None] * len(parts.parts)
     variances = exact if progress.is_exact else progress.continuity_variance
-    systems = [
-        part.condense(linearization, trajectory, variance, progress.damping)
-        for part, linearization, trajectory, variance in zip(
-            parts.parts, linearizations, iterate.trajectories, variances, strict=True
-        )
-    ]
-    weighted = [(part.weight, system) for part, system in zip(parts.parts, systems, strict=True)]
-    hessian = sum((w * system.hessian for w, system in weighted), np.zeros((p, p)))
-    gradient = sum((w * system.gradient for w, system in weighted), np.zeros(p))
-    decrease = sum(w * system.decrease for w, system in weighted)
+    systems: list[Any] = []
+    hessian, gradient, decrease = np.zeros((p, p)), np.zeros(p), 0.0
+    for part, trajectory, linearization, variance in parts.along(
+        iterate, linearizations, variances
+    ):
+        system = part.condense(linearization, trajectory, variance, progress.damping)
+        hessian += part.weight * system.hessian
+        gradient += part.weight * system.gradient
+        decrease += part.weight * system.decrease
+        systems.append(system)
 
     dz = np.zeros(p)
     distance, penalty = 0.0, progress.constraint_penalty
@@ -61,7 +61,8 @@ def gauss_newton_step(
         penalty = max(penalty, EXACTNESS * multiplier)
         distance = 0.5 * float(dz @ hessian @ dz)
         decrease += penalty * parts.limits.violation(iterate.z) - float(gradient @ dz) - distance
-        decrease += sum(w * system.damping_penalty(dz) for w, system in weighted)
+        for part, system in zip(parts.parts, systems, strict=True):
+            decrease += part.weight * system.damping_penalty(dz)
 
     multipliers: list[Array] = []
     if progress.is_exact:

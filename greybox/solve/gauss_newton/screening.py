@@ -19,7 +19,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.record_part import RecordPart
 from greybox.compiled.segments import Segments
 from greybox.compiled.transient_part import TransientPart
-from greybox.files.arrays import Array, BoolArray
+from greybox.files.arrays import Array, BoolArray, of_diagonal
 from greybox.solve.constraints import Limits
 from greybox.solve.interruption import reason_to_end
 
@@ -206,7 +206,7 @@ def _select(flags: BoolArray, these: Array, others: Array) -> Array:
 
 def _damped(hessian: Array, damping: Array) -> Array:
     """Return regular Hessians (..., p, p), with damping (...) relative to their diagonal."""
-    diagonal = np.diagonal(hessian, axis1=-2, axis2=-1)
+    diagonal = of_diagonal(hessian)
     largest = np.max(np.abs(diagonal), axis=-1, keepdims=True, initial=0.0)
     # The ridge, 1e-12 of the largest entry, is for what short segments do not show.
     added = damping[..., None] * diagonal + 1e-12 * largest + (largest == 0)

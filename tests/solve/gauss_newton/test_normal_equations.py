@@ -219,6 +219,7 @@ def test_damping_of_nodes_shortens_a_step_and_is_no_part_of_what_it_promises():
         ],
         is_discontinuous=np.zeros(1, dtype=bool),
         gains=[None, None],
+        along=lambda *others: zip(parts.parts, [None, None], *others[1:], strict=True),
         limits=SimpleNamespace(
             linearized=lambda *_: (np.zeros((0, 1)), np.zeros(0)), violation=lambda _: 0.0
         ),
