@@ -23,7 +23,14 @@ from greybox.estimate.missing_terms import (
     terms_of_response,
 )
 from greybox.estimate.repeated_inputs import repeated_residuals
-from greybox.files.arrays import Array, BoolArray, ComplexArray, frozen, real_and_imaginary
+from greybox.files.arrays import (
+    Array,
+    BoolArray,
+    ComplexArray,
+    frozen,
+    positive_or_one,
+    real_and_imaginary,
+)
 from greybox.files.html_text import Printed
 from greybox.files.text_table import number, percent, some, text_table, with_error
 from greybox.modeling.added_terms import Formula
@@ -73,6 +80,8 @@ FEWEST = 500  # of each
 # below 1e-99 with thirty, which take three times as long.
 REFIT = 10
 ENOUGH = 0.15  # change of log likelihood in one of these, far below what is significant
+# Share of what both groups know of a combination of parameters below which one knows nothing of it.
+ELSEWHERE = 0.1
 STEP = 1e-6  # of the numbers of a term, for derivatives
 KNOTS = 11  # of the shape of a term over a signal
 # Share of the best determined combination of knots below which one counts as not determined: it is
@@ -273,9 +282,9 @@ class _Regression:
     """A part as a regression of its residuals on the parameters of the fit and on missing terms.
 
     All columns have N rows; `changes` returns those (N, c) of terms. `outputs` has the rows of
-    every output of a record, by stretches, and `signals` returns those over which the shape of a term is
-    drawn. What parameters leave of a term is an error of the integration if it is less than
-    `remains` of it.
+    every output of a record, by stretches, and `signals` returns those over which the shape of a
+    term is drawn. What parameters leave of a term is an error of the integration if it is less
+    than `remains` of it.
     """
 
     measured: Array
@@ -306,35 +315,30 @@ class _Response:
 
     Attributes
     ----------
-    x : (p,) array
-        Parameters of the whole fit.
     response, sensitivity : functions
-        Those of the model at parameters, (w,) and (w, p).
+        Those of the model, (w,) and (w, d), at changes (d,) of the parameters.
     data : (w,) array
     rows : function
         Returns the rows (N, c) of columns (w, c).
     """
 
-    x: Array
     response: Callable[[Array], ComplexArray]
     sensitivity: Callable[[Array], ComplexArray]
     data: ComplexArray
     rows: Callable[[ComplexArray], Array]
 
-    def residuals(self, values: Array, term: Term) -> Array:
-        """Return the residuals (N, 1) at parameters and numbers of a term, (p + q,)."""
-        x, numbers = np.split(values, [self.x.size])
-        return self.rows((self.data - self.response(x) * term.factor(numbers))[:, None])
+    def residuals(self, change: Array, numbers: Array, term: Term) -> Array:
+        """Return the residuals (N, 1) at a change (d,) and numbers (q,) of a term."""
+        return self.rows((self.data - self.response(change) * term.factor(numbers))[:, None])
 
-    def slopes(self, values: Array, term: Term) -> Array:
-        """Return the derivatives of the residuals, (N, p + q)."""
-        x, numbers = np.split(values, [self.x.size])
-        response, factor = self.response(x), term.factor(numbers)
+    def slopes(self, change: Array, numbers: Array, term: Term) -> Array:
+        """Return the derivatives of the residuals, (N, d + q)."""
+        response, factor = self.response(change), term.factor(numbers)
         by_term = [
-            response * (term.factor(numbers + change) - factor) / STEP
-            for change in STEP * np.eye(numbers.size)
+            response * (term.factor(numbers + row) - factor) / STEP
+            for row in STEP * np.eye(numbers.size)
         ]
-        return -self.rows(np.column_stack([self.sensitivity(x) * factor[:, None], *by_term]))
+        return -self.rows(np.column_stack([self.sensitivity(change) * factor[:, None], *by_term]))
 
 
 def assessed_misfit(
@@ -368,9 +372,8 @@ def assessed_misfit(
         )
         for record, terms in zip(disturbed, repeated_residuals(disturbed), strict=True)
     ]
-    groups = [
-        _of_group(parts) for parts in (responses, regressions) if any(part.terms for part in parts)
-    ]
+    tested = [group for group in (responses, regressions) if any(part.terms for part in group)]
+    groups = [*map(_of_group, tested, _determined(tested, int(moves.sum())))]
     if not any(group.causes for group in groups):
         return None
 
@@ -394,16 +397,8 @@ def assessed_misfit(
     )
 
 
-def _of_group(parts: Sequence[_Regression]) -> Misfit:
-    """Return the misfit of all records or of all responses, in which a term is missing alike."""
-    # With two parts, either one may need another value; a single part has no counterpart.
-    either = parts[0].terms if len(parts) < 3 else {}
-    terms = {
-        key: term
-        for part in parts
-        for key, term in part.terms.items()
-        if term.kind != "own" or key not in either
-    }
+def _stacked(parts: Sequence[_Regression]) -> tuple[Array, Array, Outputs, list[Array]]:
+    """Return residuals (N, 1), columns (N, d), rows of all outputs, and their whitening filters."""
     residuals = np.vstack([part.residuals for part in parts])
     fitted = np.vstack([part.fitted for part in parts])
     firsts = np.cumsum([0, *(len(part.residuals) for part in parts)]).tolist()
@@ -412,7 +407,46 @@ def _of_group(parts: Sequence[_Regression]) -> Misfit:
         for first, part in zip(firsts, parts, strict=False)
         for stretches in part.outputs
     ]
-    filters = whitening_filters(residuals[:, 0], outputs)
+    return residuals, fitted, outputs, whitening_filters(residuals[:, 0], outputs)
+
+
+def _determined(groups: Sequence[Sequence[_Regression]], count: int) -> list[Array]:
+    """Return the combinations (d, k) of d parameters that each group may change.
+
+    Combinations that the other group knows much better cannot excuse a misfit.
+    """
+    if len(groups) < 2:
+        return [np.eye(count)] * len(groups)
+    rows = []
+    for parts in groups:
+        residuals, fitted, outputs, filters = _stacked(parts)
+        both = np.hstack([residuals, fitted])
+        both = whitened(both, filters, outputs) if outputs else both
+        rows.append(both[:, 1:] / (np.sqrt(np.mean(both[:, 0] ** 2)) + TINY))
+    scale = positive_or_one(np.linalg.norm(np.vstack(rows), axis=0))
+    _, singular, axes = np.linalg.svd(np.vstack(rows) / scale, full_matrices=False)
+    seen = singular > DEPENDENT * singular.max()
+    to_unit = axes[seen].T / singular[seen] / scale[:, None]
+    pairs = [np.linalg.svd(each @ to_unit, full_matrices=False)[1:] for each in rows]
+    return [to_unit @ axes[share**2 > ELSEWHERE].T for share, axes in pairs]
+
+
+def _of_group(parts: Sequence[_Regression], determined: Array) -> Misfit:
+    """Return the misfit of all records or of all responses, in which a term is missing alike.
+
+    The columns of `determined` (d, k) are what its fit can change.
+    """
+    # With two parts, either one may need another value; a single part has no counterpart.
+    is_whole = determined.shape[1] == len(determined)
+    either = parts[0].terms if len(parts) < 3 and is_whole else {}
+    terms = {
+        key: term
+        for part in parts
+        for key, term in part.terms.items()
+        if term.kind != "own" or key not in either
+    }
+    residuals, fitted, outputs, filters = _stacked(parts)
+    fitted = fitted @ determined
 
     def white(values: Array) -> Array:
         return whitened(values, filters, outputs) if outputs else values
@@ -433,36 +467,26 @@ def _of_group(parts: Sequence[_Regression]) -> Misfit:
         # Residuals without noise are whitened by what the misfit is like: slow parts count little.
         alone = score_tests(residuals[:, 0], fitted, best_columns)[0] / len(residuals)
         shares = np.maximum(shares, alone).tolist()
+    # Among responses, each family is as likely to be missing, whatever its number of terms.
+    tests = [tried.total() if outputs else len(tried) * tried[key[0]] for _, key, _ in ranked]
     p_common = 1.0
     p_values = p_correlated = [p_value for (_, p_value, *_), *_ in ranked]
     if outputs:
         p_values = autoregressive_p_values(residuals[:, 0], fitted, best_columns, outputs).tolist()
         p_correlated = p_values
     elif ranked:
-        fits = correlated_fits([(residuals, fitted, _lengths(parts))], best_columns)
-        p_correlated = p_values_of_fits(fits, fits)[1:]
-        if len(parts) > 1:
-            # Other values may be far from the common ones: each part is fitted by itself.
-            apart = correlated_fits([_refitted([part]) for part in parts if part.response])
-            [p_common] = p_values_of_fits(fits, apart)
-        tests = [len(tried) * tried[key[0]] for _, key, _ in ranked]
-        if np.min(np.multiply(tests, p_correlated)) > OF_RESPONSES:
-            for k, (_, key, _) in enumerate(ranked):
-                if tests[k] * p_correlated[k] < 1:
-                    # Numbers that are fitted are not tried.
-                    [p_value] = p_values_of_fits(fits, correlated_fits([_refitted(parts, key)]))
-                    p_value /= len(terms[key].start)
-                    p_correlated[k] = min(p_correlated[k], p_value)
+        block = residuals, fitted, _lengths(parts)
+        p_correlated, p_common = _p_of_responses(
+            parts, determined, block, best_columns, [key for _, key, _ in ranked], tests
+        )
 
     texts = [terms[key].described(test[2], test[3]) for test, key, _ in ranked]
     alike = _alike(beside(white_best, white_fitted), texts)
     causes = []
     for k, ((_, _, value, error), key, _) in enumerate(ranked):
-        # Among responses, each family is as likely to be missing, whatever its number of terms.
-        tests = tried.total() if outputs else len(tried) * tried[key[0]]
         # Errors that are correlated may hide a term, or look like one.
-        p_alone = tests * min(p_values[k], p_correlated[k])
-        numbers = np.minimum([shares[k], p_alone, tests * p_correlated[k]], 1.0).tolist()
+        p_alone = tests[k] * min(p_values[k], p_correlated[k])
+        numbers = np.minimum([shares[k], p_alone, tests[k] * p_correlated[k]], 1.0).tolist()
         term = terms[key]
         added = (term.b, term.added) if term.added else None
         causes.append(Cause(*texts[k], value, error, *numbers, alike=alike[k], added=added))
@@ -699,7 +723,7 @@ def _on_excerpts(
 def _of_response(
     part: ResponsePart, values: Array, names: Sequence[str], moves: BoolArray
 ) -> _Regression:
-    free = moves.size
+    free, places = moves.size, np.flatnonzero(moves)
     response, criterion, data = part.response(values), part.criterion, part.data
     # Of a response of zero, all is misfit.
     size = criterion.error_size(response if response.any() else data.response, data)
@@ -720,11 +744,14 @@ def _of_response(
         turned = columns[order] * np.exp(-1j * np.angle(response[order]))[:, None]
         return real_and_imaginary(turned / size[order, None])
 
-    at_fit, others = np.split(values, [free])
+    def changed(change: Array) -> Array:
+        result = values.copy()
+        result[places] += change
+        return result
+
     again = _Response(
-        at_fit,
-        lambda x: part.response(np.append(x, others)),
-        lambda x: part.sensitivity(np.append(x, others))[:, :free] * moves,
+        lambda change: part.response(changed(change)),
+        lambda change: part.sensitivity(changed(change))[:, places],
         data.response,
         rows,
     )
@@ -758,7 +785,7 @@ def _of_response(
     return _Regression(
         measured,
         left,
-        rows(-again.sensitivity(at_fit)),
+        rows(-part.sensitivity(values)[:, places]),
         _numbered([*terms_of_response(*data.omega.tolist()), *own]) if order.size else {},
         lambda terms: rows(np.column_stack([response * term.values for term in terms])),
         again if order.size else None,
@@ -766,7 +793,39 @@ def _of_response(
     )
 
 
-def _refitted(parts: Sequence[_Regression], key: Key = (("", "", ""), 0)) -> Block:
+def _p_of_responses(
+    parts: Sequence[_Regression],
+    determined: Array,
+    block: Block,
+    columns: Array,
+    keys: Sequence[Key],
+    tests: Sequence[int],
+) -> tuple[list[float], float]:
+    """Return the probabilities of terms, with columns (N, c), and of values common to all parts.
+
+    Terms that may be significant are fitted unless one is to first order.
+    """
+    fits = correlated_fits([block], columns)
+    p_values, p_common = p_values_of_fits(fits, fits)[1:], 1.0
+    whole = np.eye(len(determined))
+    if len(parts) > 1 or determined.shape != whole.shape:
+        # Other values may be far from the common ones: each part is fitted by itself.
+        apart = correlated_fits([_refitted([part], whole) for part in parts if part.response])
+        [p_common] = p_values_of_fits(fits, apart)
+    if np.min(np.multiply(tests, p_values)) > OF_RESPONSES:
+        for k, key in enumerate(keys):
+            if tests[k] * p_values[k] < 1:
+                again = _refitted(parts, determined, key)
+                [p_value] = p_values_of_fits(fits, correlated_fits([again]))
+                # A fit of q numbers stands for as many terms.
+                q = again[1].shape[1] - determined.shape[1]
+                p_values[k] = min(p_values[k], p_value / q)
+    return p_values, p_common
+
+
+def _refitted(
+    parts: Sequence[_Regression], determined: Array, key: Key = (("", "", ""), 0)
+) -> Block:
     """Return residuals, columns and lengths of responses that are fitted again, beside a term.
 
     The levels of the term are fitted, too: a mode has its own frequency and damping.
@@ -774,18 +833,21 @@ def _refitted(parts: Sequence[_Regression], key: Key = (("", "", ""), 0)) -> Blo
     from scipy.optimize import least_squares  # noqa: PLC0415  (slow to import)
 
     fits = [(part.response, part.terms.get(key, NOTHING)) for part in parts if part.response]
+    d, k = determined.shape
 
     def residuals(values: Array) -> Array:
-        return np.vstack([response.residuals(values, term) for response, term in fits])
+        change, numbers = determined @ values[:k], values[k:]
+        return np.vstack([response.residuals(change, numbers, term) for response, term in fits])
 
     def slopes(values: Array) -> Array:
-        return np.vstack([response.slopes(values, term) for response, term in fits])
+        change, numbers = determined @ values[:k], values[k:]
+        rows = np.vstack([response.slopes(change, numbers, term) for response, term in fits])
+        return np.hstack([rows[:, :d] @ determined, rows[:, d:]])
 
-    response, term = fits[0]
     jac: Any = slopes  # typed as a string
     values = least_squares(
         lambda values: residuals(values)[:, 0],
-        np.append(response.x, term.start),
+        np.append(np.zeros(k), fits[0][1].start),
         jac,
         x_scale="jac",
         max_nfev=REFIT,

@@ -925,3 +925,19 @@ def test_a_response_of_zero_explains_nothing():
     assert misfit.verdict.startswith("does not explain the data: 100 % of their variance is left")
     assert "noise alone" not in misfit.verdict
     assert misfit.likely[0].code == "a path between both, or wider bounds"
+
+
+@pytest.mark.parametrize("gain", [1.0, 1.3])
+def test_a_response_that_contradicts_a_record_is_named(gain):
+    # By itself, either is explained by some values.
+    s = 1j * np.geomspace(0.6, 30, 12)
+    noise = np.random.default_rng(7).normal(size=(12, 2)) @ [1, 1j]
+    measured = gain * 25 / (s**2 + 2 * s + 25) * (1 + 0.02 * noise)
+    response = gb.Problem(Spring(), gb.FrequencyResponse(s.imag, measured, "u", "x"), name="sweep")
+    misfit = gb.fit(problem() + response, starts=2, progress=False).misfit
+    assert misfit.explains == (gain == 1.0)
+    if gain > 1:
+        assert "one set of values does not serve all parts" in misfit.verdict
+        assert re.match(
+            r"a value of b that is larger by 7\.\d .* in 'sweep'", misfit.likely[0].text
+        )
