@@ -318,8 +318,8 @@ def assessed_misfit(
         DisturbedRecord(*_on_excerpts(part, trajectory, most)) for part, trajectory in records
     ]
     regressions = [
-        _of_record(record, [*terms_of_record(record, candidates), *terms], len(records))
-        for record, terms in zip(disturbed, repeated_residuals(disturbed), strict=True)
+        _of_record(record, [*terms_of_record(record, candidates), *terms], is_new, len(records))
+        for record, (terms, is_new) in zip(disturbed, repeated_residuals(disturbed), strict=True)
     ]
     groups = [
         _of_group(parts) for parts in (responses, regressions) if any(part.terms for part in parts)
@@ -389,7 +389,11 @@ def _of_group(parts: Sequence[_Regression]) -> Misfit:
     p_common = 1.0
     p_values = p_correlated = [p_value for (_, p_value, *_), *_ in ranked]
     if outputs:
-        p_values = autoregressive_p_values(residuals[:, 0], fitted, best_columns, outputs).tolist()
+        # Records of unlike outputs count as if the errors of their outputs were independent.
+        widths = {len(part.outputs) for part in parts}
+        p_values = autoregressive_p_values(
+            residuals[:, 0], fitted, best_columns, outputs, max(widths) if len(widths) < 2 else 1
+        ).tolist()
         p_correlated = p_values
     elif ranked:
         # Real and imaginary parts follow one another in every response.
@@ -530,17 +534,19 @@ def _numbered(terms: Iterable[Term]) -> dict[Key, Term]:
     return numbered
 
 
-def _of_record(record: DisturbedRecord, terms: Iterable[Term], count: int) -> _Regression:
-    """Return the regression of one of `count` records."""
+def _of_record(
+    record: DisturbedRecord, terms: Iterable[Term], is_new: Array, count: int
+) -> _Regression:
+    """Return the regression of the new samples (outputs, samples) of one of `count` records."""
     part, trajectory = record.part, record.trajectory
     weight, data = part.residual_weight(trajectory), part.data
     slopes = sensitivity(part, trajectory, weight)
     noise = np.linalg.inv(weight.T @ weight)
-    present = [row > 0 for row in data.unpadded(record.present.astype(float))]
+    present = [row > 0 for row in data.unpadded(record.present * is_new)]
 
     def rows_of_stretch(values: Array, measured: BoolArray) -> Array:
         result = np.where(measured, weight @ values.swapaxes(0, 1), 0.0)
-        return result.reshape(len(result), measured.size).T
+        return result.swapaxes(1, 2).reshape(len(result), measured.size).T
 
     by_initial = data.unpadded(np.einsum("ab,bmn->amn", noise, slopes.by_initial))
     starts = [*map(rows_of_stretch, by_initial, present)]
@@ -562,7 +568,7 @@ def _of_record(record: DisturbedRecord, terms: Iterable[Term], count: int) -> _R
     firsts = np.cumsum([0, *(row.size for row in present[:-1])])
     outputs = [
         [
-            first + k * row.shape[1] + np.flatnonzero(row[k])
+            first + k + len(row) * np.flatnonzero(row[k])
             for first, row in zip(firsts, present, strict=True)
         ]
         for k in range(len(present[0]))
@@ -618,10 +624,10 @@ def _offsets(
 
 
 def _lines(measured: BoolArray) -> Array:
-    """Return a constant and a straight line (k n, 2 k) for every output of a stretch (k, n)."""
+    """Return a constant and a straight line (n k, 2 k) for every output of a stretch (k, n)."""
     outputs, samples = measured.shape
     line = np.vander(np.linspace(-1, 1, samples), 2)
-    return np.asarray(np.kron(np.eye(outputs), line) * measured.reshape(-1, 1), dtype=float)
+    return np.asarray(np.kron(line, np.eye(outputs)) * measured.T.reshape(-1, 1), dtype=float)
 
 
 def _on_excerpts(

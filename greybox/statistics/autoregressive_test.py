@@ -9,6 +9,9 @@ An estimated autoregression is too short-lived if the errors drift through the w
 slow term would then look significant. So the differences of the samples are tested, too, for which
 such a drift is short: the larger probability counts.
 
+Process noise reaches several outputs, which then show a term, or what looks like one, alike: their
+likelihoods do not simply add up.
+
 Sources: Cochrane and Orcutt (1949), Application of least squares regression to relationships
 containing auto-correlated error terms, Journal of the American Statistical Association 44;
 Vogelsang (1999), Sources of nonmonotonic power when testing for a shift in mean of a dynamic time
@@ -23,7 +26,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from greybox.files.arrays import Array, IntArray
-from greybox.statistics.column_space import column_basis, outside
+from greybox.statistics.column_space import beside, column_basis, outside
 from greybox.statistics.score_test import chance
 
 ORDER = 20
@@ -53,8 +56,30 @@ def whitened(values: Array, filters: Sequence[Array], outputs: Outputs) -> Array
     return np.vstack([values[:0], *pieces])
 
 
+def _shared(
+    values: Array, factors: Array, filters: Sequence[Array], outputs: Outputs, width: int
+) -> float:
+    """Return by how much the errors that outputs share raise the variance of the last factor.
+
+    The filters make the errors of every output white, but process noise reaches several outputs.
+    The columns (N, c) are those of the residuals, of the parameters, and of the term.
+    """
+    white = whitened(values, filters, outputs)
+    effects = beside(white[:, -1:], white[:, 1:-1])[:, 0]
+    signals = np.zeros((3, len(values)))
+    rows = [rows[len(w) - 1 :] for w, each in zip(filters, outputs, strict=True) for rows in each]
+    signals[:, np.concatenate(rows)] = np.array([white @ factors, effects, effects != 0])
+    signals = signals.reshape(3, -1, width)
+    shared = 0.0
+    for lag in range(ORDER + 1):
+        sums = signals[:, lag:].swapaxes(1, 2) @ signals[:, : signals.shape[1] - lag]
+        products = sums[0] * sums[1] / np.maximum(sums[2], 1)
+        shared += (2 if lag else 1) * float(products.sum() - np.trace(products))
+    return 1 + max(shared / float(effects @ effects), 0.0)
+
+
 def autoregressive_p_values(
-    residuals: Array, fitted: Array, terms: Array, outputs: Outputs
+    residuals: Array, fitted: Array, terms: Array, outputs: Outputs, width: int = 1
 ) -> Array:
     """Return the probabilities (c,) that terms (N, c) explain so much of errors by chance.
 
@@ -65,7 +90,10 @@ def autoregressive_p_values(
         What the fit may have taken from them.
     terms : (N, c) array
         What unit terms would add to the model's outputs.
-    outputs : sequence of sequence of (n,) arrays of int
+    outputs : sequence of sequences of (n,) arrays of int
+    width : int
+        Number of neighboring rows of one moment, each of another output, whose errors may be
+        correlated.
     """
     # Columns that nearly depend on each other would have large factors, and errors of rounding.
     basis = column_basis(fitted)
@@ -76,7 +104,7 @@ def autoregressive_p_values(
     used = np.hstack([np.ones((count + 1, first)), np.eye(count + 1, count)])
     used = used[..., None] * used[:, None]
     squares = values.T @ values + TINY * np.eye(values.shape[1])
-    p_values, factors = list[Array](), _least(squares, used)
+    p_values, factors, shared = list[Array](), _least(squares, used), [1.0] * count
     counts, whole = zip(
         *[_products([values[rows] for rows in stretches]) for stretches in outputs], strict=True
     )
@@ -100,6 +128,13 @@ def autoregressive_p_values(
         scores = -2 * np.array(counts) @ np.log([w[:, 0] for w in filters])
         # A probability near one depends on the root of the decrease, which may be all rounding.
         decrease = np.maximum(scores[-1] - scores[:-1] - UNCHANGED, 0.0)
+        if width > 1 and not times:
+            shared = [
+                _shared(values[:, rows], factors[k, rows], [w[k] for w in filters], outputs, width)
+                for k in range(count)
+                for rows in [[*range(first), first + k]]
+            ]
+        decrease /= shared
         remaining = sum(counts) - first - sum(w.shape[1] for w in filters)
         p_values.append(chance(np.exp(-decrease / sum(counts)), remaining))
     return np.max(p_values, axis=0)
