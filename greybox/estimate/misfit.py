@@ -389,10 +389,10 @@ def _of_group(parts: Sequence[_Regression]) -> Misfit:
     p_common = 1.0
     p_values = p_correlated = [p_value for (_, p_value, *_), *_ in ranked]
     if outputs:
-        # Records of unlike outputs count as if the errors of their outputs were independent.
-        widths = {len(part.outputs) for part in parts}
+        # Where records have unlike outputs, errors of outputs count as independent.
+        width = len(parts[0].outputs) if len({len(part.outputs) for part in parts}) == 1 else 1
         p_values = autoregressive_p_values(
-            residuals[:, 0], fitted, best_columns, outputs, max(widths) if len(widths) < 2 else 1
+            residuals[:, 0], fitted, best_columns, outputs, width
         ).tolist()
         p_correlated = p_values
     elif ranked:

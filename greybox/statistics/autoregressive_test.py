@@ -26,7 +26,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from greybox.files.arrays import Array, IntArray
-from greybox.statistics.column_space import beside, column_basis, outside
+from greybox.statistics.column_space import column_basis, outside
 from greybox.statistics.score_test import chance
 
 ORDER = 20
@@ -56,26 +56,24 @@ def whitened(values: Array, filters: Sequence[Array], outputs: Outputs) -> Array
     return np.vstack([values[:0], *pieces])
 
 
-def _shared(
-    values: Array, factors: Array, filters: Sequence[Array], outputs: Outputs, width: int
-) -> float:
-    """Return by how much the errors that outputs share raise the variance of the last factor.
+def _shared(columns: Array, filters: Sequence[Array], outputs: Outputs, width: int) -> Array:
+    """Return by how much errors that outputs share raise the variances of the factors of c terms.
 
-    The filters make the errors of every output white, but process noise reaches several outputs.
-    The columns (N, c) are those of the residuals, of the parameters, and of the term.
+    The columns (N, 1 + c) are those of the errors and of the terms. The filters make the errors of
+    every output white, but process noise reaches several outputs.
     """
-    white = whitened(values, filters, outputs)
-    effects = beside(white[:, -1:], white[:, 1:-1])[:, 0]
-    signals = np.zeros((3, len(values)))
+    signals = np.zeros((columns.shape[1], len(columns)))
     rows = [rows[len(w) - 1 :] for w, each in zip(filters, outputs, strict=True) for rows in each]
-    signals[:, np.concatenate(rows)] = np.array([white @ factors, effects, effects != 0])
-    signals = signals.reshape(3, -1, width)
-    shared = 0.0
+    signals[:, np.concatenate(rows)] = whitened(columns, filters, outputs).T
+    signals = signals.reshape(len(signals), -1, width)
+    signals = np.append(signals, signals[:1] != 0, axis=0)
+    shared, others = 0.0, 1 - np.eye(width)
     for lag in range(ORDER + 1):
         sums = signals[:, lag:].swapaxes(1, 2) @ signals[:, : signals.shape[1] - lag]
-        products = sums[0] * sums[1] / np.maximum(sums[2], 1)
-        shared += (2 if lag else 1) * float(products.sum() - np.trace(products))
-    return 1 + max(shared / float(effects @ effects), 0.0)
+        # A later sample of either output counts.
+        covariances = (1 + (lag > 0)) * others * sums[0] / np.maximum(sums[-1], 1)
+        shared = shared + np.tensordot(sums[1:-1], covariances)
+    return 1 + np.maximum(shared / np.sum(signals[1:-1] ** 2, axis=(1, 2)), 0.0)
 
 
 def autoregressive_p_values(
@@ -104,7 +102,7 @@ def autoregressive_p_values(
     used = np.hstack([np.ones((count + 1, first)), np.eye(count + 1, count)])
     used = used[..., None] * used[:, None]
     squares = values.T @ values + TINY * np.eye(values.shape[1])
-    p_values, factors, shared = list[Array](), _least(squares, used), [1.0] * count
+    p_values, factors, shared = list[Array](), _least(squares, used), np.ones(count)
     counts, whole = zip(
         *[_products([values[rows] for rows in stretches]) for stretches in outputs], strict=True
     )
@@ -129,11 +127,8 @@ def autoregressive_p_values(
         # A probability near one depends on the root of the decrease, which may be all rounding.
         decrease = np.maximum(scores[-1] - scores[:-1] - UNCHANGED, 0.0)
         if width > 1 and not times:
-            shared = [
-                _shared(values[:, rows], factors[k, rows], [w[k] for w in filters], outputs, width)
-                for k in range(count)
-                for rows in [[*range(first), first + k]]
-            ]
+            columns = np.column_stack([values @ factors[-1], values[:, first:]])
+            shared = _shared(columns, [w[-1] for w in filters], outputs, width)
         decrease /= shared
         remaining = sum(counts) - first - sum(w.shape[1] for w in filters)
         p_values.append(chance(np.exp(-decrease / sum(counts)), remaining))
