@@ -368,9 +368,13 @@ def assessed_misfit(
     ]
     regressions = [
         _of_record(
-            record, [*terms_of_record(record, at_bound, candidates), *terms], moves, len(records)
+            record,
+            [*terms_of_record(record, at_bound, candidates), *terms],
+            moves,
+            is_new,
+            len(records),
         )
-        for record, terms in zip(disturbed, repeated_residuals(disturbed), strict=True)
+        for record, (terms, is_new) in zip(disturbed, repeated_residuals(disturbed), strict=True)
     ]
     tested = [group for group in (responses, regressions) if any(part.terms for part in group)]
     groups = [*map(_of_group, tested, _determined(tested, int(moves.sum())))]
@@ -472,7 +476,11 @@ def _of_group(parts: Sequence[_Regression], determined: Array) -> Misfit:
     p_common = 1.0
     p_values = p_correlated = [p_value for (_, p_value, *_), *_ in ranked]
     if outputs:
-        p_values = autoregressive_p_values(residuals[:, 0], fitted, best_columns, outputs).tolist()
+        # Where records have unlike outputs, errors of outputs count as independent.
+        width = len(parts[0].outputs) if len({len(part.outputs) for part in parts}) == 1 else 1
+        p_values = autoregressive_p_values(
+            residuals[:, 0], fitted, best_columns, outputs, width
+        ).tolist()
         p_correlated = p_values
     elif ranked:
         block = residuals, fitted, _lengths(parts)
@@ -609,18 +617,21 @@ def _numbered(terms: Iterable[Term]) -> dict[Key, Term]:
 
 
 def _of_record(
-    record: DisturbedRecord, terms: Iterable[Term], moves: BoolArray, count: int
+    record: DisturbedRecord, terms: Iterable[Term], moves: BoolArray, is_new: Array, count: int
 ) -> _Regression:
-    """Return the regression of one of `count` records on the parameters that move, (p,)."""
+    """Return the regression of one of `count` records.
+
+    It is that of the new samples (outputs, samples) on the parameters that move, (p,).
+    """
     part, trajectory = record.part, record.trajectory
     weight, data = part.residual_weight(trajectory), part.data
     slopes = sensitivity(part, trajectory, weight)
     noise = np.linalg.inv(weight.T @ weight)
-    present = [row > 0 for row in data.unpadded(record.present)]
+    present = [row > 0 for row in data.unpadded(record.present * is_new)]
 
     def rows_of_stretch(values: Array, measured: BoolArray) -> Array:
         result = np.where(measured, weight @ values.swapaxes(0, 1), 0.0)
-        return result.reshape(len(result), measured.size).T
+        return result.swapaxes(1, 2).reshape(len(result), measured.size).T
 
     by_initial = data.unpadded(np.einsum("ab,bmn->amn", noise, slopes.by_initial))
     starts = [*map(rows_of_stretch, by_initial, present)]
@@ -642,7 +653,7 @@ def _of_record(
     firsts = np.cumsum([0, *(row.size for row in present[:-1])])
     outputs = [
         [
-            first + k * row.shape[1] + np.flatnonzero(row[k])
+            first + k + len(row) * np.flatnonzero(row[k])
             for first, row in zip(firsts, present, strict=True)
         ]
         for k in range(len(present[0]))
@@ -698,10 +709,10 @@ def _offsets(
 
 
 def _lines(measured: BoolArray) -> Array:
-    """Return a constant and a straight line (k n, 2 k) for every output of a stretch (k, n)."""
+    """Return a constant and a straight line (n k, 2 k) for every output of a stretch (k, n)."""
     outputs, samples = measured.shape
     line = np.vander(np.linspace(-1, 1, samples), 2)
-    return np.asarray(np.kron(np.eye(outputs), line) * measured.reshape(-1, 1), dtype=float)
+    return np.asarray(np.kron(line, np.eye(outputs)) * measured.T.reshape(-1, 1), dtype=float)
 
 
 def _on_excerpts(

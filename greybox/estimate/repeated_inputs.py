@@ -1,5 +1,8 @@
 """Tests that are repeated with the same inputs: noise does not repeat with these, a misfit does.
 
+The errors of a coarse sensor repeat, too: where residuals are no more than these, a repeated test
+shows nothing new.
+
 Source: Pintelon and Schoukens (2012), System Identification: A Frequency Domain Approach, 2nd ed.,
 section 4.3 (periodic inputs separate noise from nonlinear distortions).
 """
@@ -13,14 +16,18 @@ from greybox.compiled.disturbances import DisturbedRecord
 from greybox.estimate.missing_terms import Term
 from greybox.files.arrays import Array
 from greybox.statistics.autoregressive_test import ORDER
+from greybox.statistics.resolution import is_resolved
 
 ROUNDING = 1e-6  # of the range of an input, within which it is the same
 
 
-def repeated_residuals(records: Sequence[DisturbedRecord]) -> Iterator[list[Term]]:
+def repeated_residuals(
+    records: Sequence[DisturbedRecord],
+) -> Iterator[tuple[list[Term], Array]]:
     """Yield terms for every record: its residuals in the last test before with the same inputs.
 
-    That is the period before, or an earlier stretch, also of another record.
+    That is the period before, or an earlier stretch, also of another record. The second value is
+    zero for samples (outputs, samples) that only repeat those of that test.
     """
     earlier: list[tuple[tuple[str, ...], Array, Array]] = []
     for record in records:
@@ -37,10 +44,14 @@ def repeated_residuals(records: Sequence[DisturbedRecord]) -> Iterator[list[Term
             if u.shape[1] > ORDER:
                 earlier.append((outputs, u, e))
         values = data.padded(rows, 0.0)
-        yield [
+        terms = [
             Term("repeated", values[k], partial(record.by_output, k), b=b)
             for k, b in enumerate(outputs)
         ]
+        resolved = [
+            [is_resolved(*pair)] for pair in zip(record.residuals, data.measured, strict=True)
+        ]
+        yield terms, np.maximum(values == 0, resolved)
 
 
 def _period(inputs: Array) -> int:

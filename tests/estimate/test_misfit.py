@@ -134,6 +134,18 @@ def test_what_repeats_with_the_inputs_is_no_noise(plant, flights, periods):
     assert ("of unknown form, which repeats with the inputs" in str(fit)) == (plant is Wavy)
 
 
+@pytest.mark.parametrize("plant", [Spring, Wavy])
+def test_rounding_that_repeats_with_the_inputs_is_no_misfit(plant):
+    time = STEP * np.arange(600)
+    doublet = np.select([time % 8 < 1, time % 8 < 2, time % 8 < 3], [0.0, 1.0, -1.0])
+    flight = gb.Record(time, {"u": doublet}, hold={"u": np.inf})
+    x = gb.simulate(plant(), {"k": 9.0, "d": 1.5, "b": 10.0}, flight)["x"]
+    coarse = flight.with_signals(x=0.02 * np.round(x / 0.02))
+    fit = gb.fit(gb.Problem(Spring(), coarse), starts=1, progress=False)
+    assert fit.misfit.explains == (plant is Spring)
+    assert plant is Wavy or not [text for text in fit.warnings if "one start" not in text]
+
+
 def test_a_parameter_that_follows_an_operating_signal_is_named():
     # k rises by 0.25 per m/s of an airspeed that the model does not know.
     parts = [problem(seed=n, k=24.0 + n, airspeed=10.0 + 4 * n) for n in range(4)]

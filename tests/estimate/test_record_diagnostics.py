@@ -346,6 +346,20 @@ def test_prediction_errors_of_signals_that_were_smoothed_are_told_not_to_be_whit
     assert "low-pass filtered" in said
 
 
+def test_gusts_that_process_noise_does_not_fit_are_told_in_short_records():
+    told = []
+    for seed in range(4):
+        random, n, step = np.random.default_rng(seed), 300, 0.04
+        u = np.sign(np.sin(0.8 * step * np.arange(n)))
+        shocks = random.normal(size=n + 100)
+        gust = 0.3 * lfilter([np.sqrt(1 - 0.92**2)], [1, -0.92], shocks)[100:]
+        x = lfilter([0, step], [1, 3 * step - 1], 3 * u + gust) + 0.02 * random.normal(size=n)
+        record = gb.Record(step * np.arange(n), {"u": u, "x": x})
+        criterion = gb.PredictionError(process_noise=("x",), inputs="held")
+        told.append(any("as in gusts" in text for text in colors(record, criterion)[1]))
+    assert sum(told) >= 3
+
+
 def test_a_predictor_at_the_limit_of_its_stability_is_told():
     """Of a record without noise of the state, from which the gain can learn nothing."""
     random, n = np.random.default_rng(3), 300
@@ -404,7 +418,9 @@ def fitted_with(residuals, *, white=True, inputs=None, time=True, name="one"):
         is_static=False,
         system=SimpleNamespace(inputs=tuple(signals)),
     )
-    data = Signals(signals, has_time=time, name=name, samples=len(next(iter(residuals.values()))))
+    data = Signals(
+        signals | residuals, has_time=time, name=name, samples=len(next(iter(residuals.values())))
+    )
     return part, SimpleNamespace(
         outputs=tuple(residuals),
         residual=residuals.__getitem__,

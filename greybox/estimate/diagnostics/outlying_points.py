@@ -28,6 +28,7 @@ from greybox.files.arrays import Array, ComplexArray, real_and_imaginary
 from greybox.files.text_table import listed, number
 from greybox.statistics.bounded_errors import bounded, robust_deviation
 from greybox.statistics.column_space import column_basis
+from greybox.statistics.resolution import is_resolved
 
 # Share of fits to clean data in which any point is called an outlier.
 SIZE = 0.01
@@ -122,9 +123,9 @@ def outlying_samples(parts: Sequence[FittedPart]) -> Iterator[Finding]:
             shown = np.isfinite(residual[0])
             fitted = np.abs(part.simulated[output])[shown]
             r, chance = _rank_correlation(size[shown], fitted)
-            # Rounding errors grow with what is rounded.
-            is_noise = np.nanmax(residual) > ROUNDING * fitted.max()
-            if is_noise and r > FOLLOWS and chance < SIZE / len(part.outputs):
+            # Rounding follows what is rounded.
+            follows = r > FOLLOWS and chance < SIZE / len(part.outputs)
+            if follows and is_resolved(residual[0], part.data[output]):
                 yield (
                     f"{output} sizes",
                     part.name,
