@@ -20,6 +20,8 @@ from greybox.files.arrays import Array, BoolArray, all_finite, of_diagonal
 # Curvature, relative to that of the outputs, that keeps states in place which no output shows.
 RIDGE = 1e-10
 
+BARELY = 1e-6
+
 
 def condense(
     b: Linearization,
@@ -177,7 +179,8 @@ def _state_sizes(hessian: Array, transition: Array) -> Array:
     curvature = np.abs(of_diagonal(hessian)).mean(axis=0)
     passed_on = (transition**2).mean(axis=0).T
     for _ in range(len(curvature)):
-        curvature = np.where(curvature > 0, curvature, passed_on @ curvature)
+        later = passed_on @ curvature
+        curvature = np.where(curvature > BARELY * later, curvature, later)
     # Square roots and products of these stay within double range.
     usable = (curvature > 1e-200) & (curvature < 1e200)
     return 1 / np.sqrt(np.where(usable, curvature, 1.0))

@@ -12,6 +12,7 @@ import numpy as np
 from greybox.files.arrays import Array
 from greybox.solve.gauss_newton.all_parts import COST_ROUNDING, AllParts, with_rounding
 from greybox.solve.gauss_newton.iterate import (
+    EXACT,
     LARGEST_DAMPING,
     Iterate,
     Progress,
@@ -60,21 +61,15 @@ def descend(
 
     A stalled run begins once more near the data, with the parameters that it reached.
     """
-    if not iterate.finite:
-        return End(iterate, NOT_FINITE, 0)
-    try:
-        end = _iterated(parts, iterate, progress, iterations, states_only=states_only)
-    except np.linalg.LinAlgError:
-        return End(iterate, SINGULAR, 0)
-    # Without the restart 5 of 189 runs are lost and none is won (chain, guarded tanks, thrust).
-    if end.status != STALLED or states_only or not restarts:
+    end = _iterated(parts, iterate, progress, iterations, states_only=states_only)
+    if end.status not in (NOT_FINITE, SINGULAR, STALLED) or not restarts:
         return end
-
     later = descend(
         parts,
-        parts.at(end.iterate.z),
-        parts.first_progress(),
+        parts.simulated(iterate.z),
+        EXACT,
         iterations - end.iterations,
+        states_only=states_only,
         restarts=False,
     )
     better = later if later.status == CONVERGED else end
@@ -84,6 +79,8 @@ def descend(
 def _iterated(
     parts: AllParts, iterate: Iterate, progress: Progress, iterations: int, *, states_only: bool
 ) -> End:
+    if not iterate.finite:
+        return End(iterate, NOT_FINITE, 0)
     settings = parts.settings
     weights, linearizations, gained = list[Array](), list[Any](), 0.0
     for count in range(iterations):
@@ -101,7 +98,12 @@ def _iterated(
             linearizations = parts.linearize(iterate, weights)
             progress = _with_gap_variance(parts, linearizations, progress)
         nodes_alone = states_only or progress.state_iterations > 0
-        step = gauss_newton_step(parts, iterate, linearizations, progress, states_only=nodes_alone)
+        try:
+            step = gauss_newton_step(
+                parts, iterate, linearizations, progress, states_only=nodes_alone
+            )
+        except np.linalg.LinAlgError:
+            return End(iterate, SINGULAR, count)
         progress = progress.with_penalties(step)
         merit = merit_function(parts, weights, progress)
         start = merit(iterate)
