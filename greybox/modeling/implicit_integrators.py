@@ -52,9 +52,11 @@ class ImplicitIntegrator(Integrator):
         The other arguments are those of `advance`.
         """
 
-    def defect(
-        self, system: Dynamics, x: Any, stages: Any, u: Any, slope: Any, p: Any, h: Any
-    ) -> Any:
+    def defect(self, x: Any, stages: Any, rate: Any) -> Any:
+        """Return what the slope at the beginning, times h, misses of the model's `rate` (n,).
+
+        A filtered share of it estimates the error of a step; zero is no estimate.
+        """
         return 0 * x
 
     @abstractmethod
@@ -65,17 +67,18 @@ class ImplicitIntegrator(Integrator):
     def advance(self, system: Dynamics, x: Any, u: Any, slope: Any, p: Any, h: Any) -> Any:
         """Return x one step later, with exact derivatives; NaN where Newton's method fails.
 
-        A step that it does not solve, or whose error is too large, is halved, up to eleven times.
+        A step that it does not solve is halved, up to eleven times. So is one with too large an
+        error, unless the number of steps was chosen.
         """
         # Newton's method is compiled from SX symbols and called with MX arguments.
         n, m = len(system.states), len(system.inputs)
-        symbols = [ca.SX.sym("v", size) for size in (n, m, m, len(system.parameters), 1)]
-        start, at, ramp, parameters, span = symbols
+        given = ca.SX.sym("v", n + 2 * m + len(system.parameters) + 1)
         unit, change = ca.SX.sym("unit", n), ca.SX.sym("change", n, self.stages)
-        units = ca.repmat(unit, 1, self.stages)
-        stages = ca.repmat(start, 1, self.stages) + units * change
-        equations = self.equations(system, start, stages, at, ramp, parameters, span)
-        equations, unknown = ca.vec(equations / units), ca.vec(change)
+        places = [0, n, n + m, n + 2 * m, given.numel() - 1, given.numel()]
+        start, *rest = ca.vertsplit(given, places)
+        stages = ca.repmat(start, 1, self.stages) + ca.repmat(unit, 1, self.stages) * change
+        equations = self.equations(system, start, stages, *rest)
+        equations = ca.vec(equations / ca.repmat(unit, 1, self.stages))
         # A step that is short enough takes three or four iterations. They are plain, as usual with
         # stiff models: a search along the residuals would follow the fastest state alone.
         options = {
@@ -85,72 +88,65 @@ class ImplicitIntegrator(Integrator):
             "abstol": 1e-13,
             "max_iter": 30,
         }
-        given = ca.vertcat(*symbols)
-        arguments = ca.vertcat(given, unit)
+        unknown, arguments = ca.vec(change), ca.vertcat(given, unit)
         newton = ca.rootfinder(
             "stages", "newton", {"x": unknown, "p": arguments, "g": equations}, options
         )
-        missed = self.defect(system, start, stages, at, ramp, parameters, span)
-        rate = system.derivative(start, at + ramp * span, parameters)
-        filtering = ca.SX.eye(n) - FILTER * span * ca.jacobian(rate, start)
-        # CasADi's largest absolute value leaves out NaN.
+        at, ramp, parameters, span = rest
+        rate = span * system.derivative(start, at, parameters)
         end = self.end(start, stages)
-        judged = ca.Function(
-            "judged",
-            [unknown, arguments],
-            [end, ca.norm_1(equations), FILTER * missed, filtering],
-        )
-        slopes = ca.Function(
-            "slopes",
-            [unknown, arguments],
-            [ca.jacobian(f, v) for f in (equations, end) for v in (unknown, given)],
-        )
-
+        results = [
+            end,
+            *(ca.jacobian(f, by) for f in (end, equations) for by in (given, unknown)),
+            # CasADi's largest absolute value leaves out NaN.
+            ca.norm_1(equations),
+            FILTER * self.defect(start, stages, rate),
+            ca.SX.eye(n) - FILTER * ca.jacobian(rate, start),
+        ]
+        solved = ca.Function("solved", [unknown, arguments], results)
         # Its tolerances are absolute, so every state is measured by its own size.
-        largest = ca.norm_inf(ca.vertcat(start, span * rate))
-        unit = ca.fmax(ca.fabs(start), LEAST_SIZE * largest + (largest < 1e-200))
-        sizes = ca.Function("sizes", [given], [ca.vertcat(given, unit)])
+        last = span * system.derivative(start, at + ramp * span, parameters)
+        largest = ca.norm_inf(ca.vertcat(start, last))
+        size = ca.fmax(ca.fabs(start), LEAST_SIZE * largest + (largest < 1e-200))
+        with_sizes = ca.Function("sizes", [given], [ca.vertcat(given, size)])
 
-        v, changes = ca.MX.sym("v", given.numel()), ca.MX.sym("change", unknown.numel())
-        values = sizes(v)
-        solution = newton(ca.MX.zeros(n * self.stages), values)
-        end, residual, missed, filtering = judged(solution, values)
-        size = ca.fmax(ca.fabs(end), values[-n:])
-        error = ca.norm_1(ca.solve(filtering, ca.solve(filtering, missed)) / size)
+        v, change = ca.MX.sym("v", given.numel()), ca.MX.sym("change", unknown.numel())
+        values = with_sizes(v)
+        solution = newton(ca.MX.zeros(unknown.numel()), values)
+        end, *_, residual, missed, matrix = solved(solution, values)
+        error = ca.solve(matrix, ca.solve(matrix, missed)) / ca.fmax(ca.fabs(end), values[-n:])
         # It ends before a step of 1e-12, where stiff residuals may be a million times larger.
-        is_solved = residual <= 1e-6
+        solution += ca.if_else(residual <= 1e-6, 0, ca.MX.nan(1))
+        is_coarse = ca.norm_1(error) > (TOLERANCE if self.substeps is None else ca.inf)
         # Outside the domain of a formula, the residual is NaN and shorter steps are no help.
-        accepted = 1 - ca.logic_or(residual > 1e-6, error > TOLERANCE)
+        is_short = 1 - ca.logic_or(residual > 1e-6, is_coarse)
+        end, by_given, by_change, *equations, _, _, _ = solved(change, values)
+        whole = [end, by_given - by_change @ ca.solve(equations[1], equations[0])]
 
-        by_change, by_given, end_by_change, end_by_given = slopes(changes, values)
-        reached = judged(changes, values)[0]
-        by_whole = end_by_given - end_by_change @ ca.solve(by_change, by_given)
-        whole = [reached, ca.densify(by_whole)]
-        state, span = v[:n], v[-1] / 2
-        first = ca.vertcat(v[:-1], span)
-        rest = ca.vertcat(v[n : n + m] + v[n + m : n + 2 * m] * span, v[n + m : -1], span)
+        # Halves of a step: the second begins with the inputs in the middle.
+        _, at, ramp, parameters, span = ca.vertsplit(v, places)
+        first = ca.vertcat(v[:-1], span / 2)
+        second = ca.vertcat(at + ramp * span / 2, ramp, parameters, span / 2)
         steps = []
+        # Alone and with derivatives: those by CasADi itself would solve every step repeatedly.
         for count in (1, 2):
-            taken = ca.Function("whole", [v, changes], whole[:count])
-            unsolved = ca.if_else(is_solved, 0, ca.MX.nan(1))
-            step = ca.Function("step", [v], [r + unsolved for r in taken.call([v, solution])])
+            taken = ca.Function("taken", [v, change], whole[:count])
+            step = ca.Function("step", [v], taken.call([v, solution]))
             # Half a step with a jump is halved again, so that only steps near the jump are short.
             for _ in range(ATTEMPTS):
                 middle, *by_first = step.call([first])
-                last, *by_second = step.call([ca.vertcat(middle, rest)])
+                end, *by_second = step.call([ca.vertcat(middle, second)])
                 chain = [
-                    b @ ca.vertcat(a @ ca.jacobian(first, v), ca.jacobian(rest, v))
-                    for a, b in zip(by_first, by_second)
+                    b @ ca.vertcat(a @ ca.jacobian(first, v), ca.jacobian(second, v))
+                    for a, b in zip(by_first, by_second, strict=True)
                 ]
-                halves = ca.Function("halves", [v, changes], [last, *chain])
+                halves = ca.Function("halves", [v, change], [end, *chain])
                 chosen = ca.Function.if_else("chosen", taken, halves)
-                step = ca.Function("step", [v], chosen.call([accepted, v, solution]))
+                step = ca.Function("step", [v], chosen.call([is_short, v, solution]))
             steps.append(step)
-        out = ca.MX.sym("out", n)
-        jacobian = ca.Function("jac_step", [v, out], [steps[1].call([v])[1]])
-        options = {"custom_jacobian": jacobian, "jac_penalty": 0, "never_inline": True}
-        step = ca.Function("step", [v], steps[0].call([v]), options)
-        return step(ca.vertcat(x, u, slope, p, h))
+        jacobian = ca.Function("jac_step", [v, ca.MX.sym("out", n)], steps[1].call([v])[1:])
+        options = {"custom_jacobian": jacobian, "jac_penalty": 0}
+        return ca.Function("step", [v], steps[0].call([v]), options)(ca.vertcat(x, u, slope, p, h))
 
 
 @dataclass(frozen=True)
@@ -202,12 +198,10 @@ class Radau(ImplicitIntegrator):
         ]
         return ca.horzcat(*rows)
 
-    def defect(
-        self, system: Dynamics, x: Any, stages: Any, u: Any, slope: Any, p: Any, h: Any
-    ) -> Any:
-        points = ca.collocation_points(self.degree, "radau")
-        slopes, _ = ca.collocation_interpolators(points)
-        return ca.horzcat(x, stages) @ ca.DM(slopes)[0, :].T - h * system.derivative(x, u, p)
+    def defect(self, x: Any, stages: Any, rate: Any) -> Any:
+        """Return the slope of the polynomial at the beginning, times h, less the rate."""
+        slopes, _ = ca.collocation_interpolators(ca.collocation_points(self.degree, "radau"))
+        return ca.horzcat(x, stages) @ ca.DM(slopes)[0, :].T - rate
 
     def end(self, x: Any, stages: Any) -> Any:
         """Return the last stage, which lies at the end."""

@@ -264,7 +264,9 @@ def test_what_finer_steps_change_in_the_eighth_digit_is_rounding(moved, is_round
     coarse = SimpleNamespace(states=nodes.T, ends=ends)
     change = np.array([[0.0, 0.0], moved, [0.0, 0.0]])
     assert _is_rounding(coarse, SimpleNamespace(states=nodes.T, ends=ends + change)) is is_rounding
-    assert _is_rounding(coarse, SimpleNamespace(states=nodes.T + change.T, ends=ends)) is is_rounding
+    assert (
+        _is_rounding(coarse, SimpleNamespace(states=nodes.T + change.T, ends=ends)) is is_rounding
+    )
     none = SimpleNamespace(states=np.zeros((0, 2)), ends=np.zeros((2, 0)))
     assert _is_rounding(none, none)
     still = SimpleNamespace(states=np.zeros((2, 3)), ends=ends)

@@ -68,8 +68,7 @@ class AllParts:
 
     def simulated(self, z: Array) -> Iterate:
         """Return the iterate at z whose nodes are simulated from the first ones."""
-        runs = [part.trajectory(z, simulated=part.has_nodes) for part in self.parts]
-        return self.at(z, [run.nodes for run in runs])
+        return self.at(z, [part.trajectory(z, simulated=True).nodes for part in self.parts])
 
     def _along(self, iterate: Iterate, *others: Sequence[Any]) -> Iterator[Any]:
         """Yield every part with its trajectory, and with its member of the others."""

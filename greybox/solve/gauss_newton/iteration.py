@@ -1,6 +1,6 @@
 """The Gauss-Newton iteration: linearize, condense, step, line search, until it has converged.
 
-A stalled run begins once more, with its parameters and with nodes from the data.
+A run that fails begins once more, at its start, with nodes that are simulated.
 """
 
 from collections.abc import Sequence
@@ -59,9 +59,16 @@ def descend(
 ) -> End:
     """Iterate from a start; with `states_only` the parameters are held.
 
-    A stalled run begins once more near the data, with the parameters that it reached.
+    A run that fails begins once more at its start, with nodes that are simulated: where states
+    die away or jump, noise in nodes from the data may lead anywhere (a flame, van der Pol's
+    oscillator, Robertson's kinetics over 14 decades).
     """
-    end = _iterated(parts, iterate, progress, iterations, states_only=states_only)
+    end = End(iterate, NOT_FINITE, 0)
+    if iterate.finite:
+        try:
+            end = _iterated(parts, iterate, progress, iterations, states_only=states_only)
+        except np.linalg.LinAlgError:
+            end = End(iterate, SINGULAR, 0)
     if end.status not in (NOT_FINITE, SINGULAR, STALLED) or not restarts:
         return end
     later = descend(
@@ -79,8 +86,6 @@ def descend(
 def _iterated(
     parts: AllParts, iterate: Iterate, progress: Progress, iterations: int, *, states_only: bool
 ) -> End:
-    if not iterate.finite:
-        return End(iterate, NOT_FINITE, 0)
     settings = parts.settings
     weights, linearizations, gained = list[Array](), list[Any](), 0.0
     for count in range(iterations):
@@ -98,12 +103,7 @@ def _iterated(
             linearizations = parts.linearize(iterate, weights)
             progress = _with_gap_variance(parts, linearizations, progress)
         nodes_alone = states_only or progress.state_iterations > 0
-        try:
-            step = gauss_newton_step(
-                parts, iterate, linearizations, progress, states_only=nodes_alone
-            )
-        except np.linalg.LinAlgError:
-            return End(iterate, SINGULAR, count)
+        step = gauss_newton_step(parts, iterate, linearizations, progress, states_only=nodes_alone)
         progress = progress.with_penalties(step)
         merit = merit_function(parts, weights, progress)
         start = merit(iterate)
