@@ -127,26 +127,21 @@ class ImplicitIntegrator(Integrator):
         _, at, ramp, parameters, span = ca.vertsplit(v, places)
         first = ca.vertcat(v[:-1], span / 2)
         second = ca.vertcat(at + ramp * span / 2, ramp, parameters, span / 2)
-        steps = []
-        # Alone and with derivatives: those by CasADi itself would solve every step repeatedly.
-        for count in (1, 2):
-            taken = ca.Function("taken", [v, change], whole[:count])
-            step = ca.Function("step", [v], taken.call([v, solution]))
-            # Half a step with a jump is halved again, so that only steps near the jump are short.
-            for _ in range(ATTEMPTS):
-                middle, *by_first = step.call([first])
-                end, *by_second = step.call([ca.vertcat(middle, second)])
-                chain = [
-                    b @ ca.vertcat(a @ ca.jacobian(first, v), ca.jacobian(second, v))
-                    for a, b in zip(by_first, by_second, strict=True)
-                ]
-                halves = ca.Function("halves", [v, change], [end, *chain])
-                chosen = ca.Function.if_else("chosen", taken, halves)
-                step = ca.Function("step", [v], chosen.call([is_short, v, solution]))
-            steps.append(step)
-        jacobian = ca.Function("jac_step", [v, ca.MX.sym("out", n)], steps[1].call([v])[1:])
+        taken = ca.Function("taken", [v, change], whole)
+        step = ca.Function("step", [v], taken.call([v, solution]))
+        # Half a step with a jump is halved again, so that only steps near the jump are short.
+        for _ in range(ATTEMPTS):
+            middle, by_first = step(first)
+            end, by_second = step(ca.vertcat(middle, second))
+            by_both = ca.vertcat(by_first @ ca.jacobian(first, v), ca.jacobian(second, v))
+            halves = ca.Function("halves", [v, change], [end, by_second @ by_both])
+            chosen = ca.Function.if_else("chosen", taken, halves)
+            step = ca.Function("step", [v], chosen.call([is_short, v, solution]))
+        end, slopes = step(v)
+        # CasADi's own derivatives would solve every step repeatedly.
+        jacobian = ca.Function("jac_step", [v, ca.MX.sym("out", n)], [slopes])
         options = {"custom_jacobian": jacobian, "jac_penalty": 0}
-        return ca.Function("step", [v], steps[0].call([v]), options)(ca.vertcat(x, u, slope, p, h))
+        return ca.Function("step", [v], [end], options)(ca.vertcat(x, u, slope, p, h))
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,5 @@
 """Steps from sample to sample, held against solve_ivp and against the orders that the schemes promise."""
 
-import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -121,47 +120,6 @@ def test_a_stiff_model():
         found[scheme.order] = x
     assert_allclose(found[5], wanted[:, 1], rtol=1e-5)
     assert not np.all(np.abs(found[4]) < 10)  # the explicit scheme has run away
-
-
-class VanDerPol(gb.StateSpace):
-    """It rests for long and then jumps, stiff with a damping of 50."""
-
-    states, inputs, outputs = ("x", "v"), (), ("x",)
-    mu = gb.Parameter(50.0)
-
-    def derivative(self, x, u, p):
-        return (x.v, p.mu * (1 - x.x**2) * x.v - x.x)
-
-    def output(self, x, u, p):
-        return (x.x,)
-
-
-@pytest.mark.parametrize("end", [40.0, 48.0])
-def test_implicit_steps_follow_a_jump_and_their_derivatives_are_their_own(end):
-    """Newton's method converges in long steps, too, which jump at another time."""
-
-    def slope(t, x):
-        return (x[1], 50 * (1 - x[0] ** 2) * x[1] - x[0])
-
-    def reached(mu):
-        return step((2.0, 0.0), [], [], mu, end).full().ravel()
-
-    wanted = solve_ivp(slope, (0, end), (2.0, 0.0), "LSODA", rtol=1e-11, atol=1e-13).y[:, -1]
-    step = step_function(dynamics(VanDerPol()), gb.Radau(), 8)
-    assert_allclose(reached(50), wanted, rtol=1e-4)
-    mu = ca.MX.sym("mu")
-    slopes = ca.Function("slopes", [mu], [ca.jacobian(step((2, 0), [], [], mu, end), mu)])
-    differences = (reached(50 + 1e-5) - reached(50 - 1e-5)) / 2e-5
-    assert_allclose(slopes(50).full().ravel(), differences, rtol=1e-5, atol=1e-7)
-
-
-def test_a_chosen_number_of_implicit_steps_stays():
-    """As many as a collocation has, whose equations they solve."""
-    end = {
-        n: step_function(dynamics(VanDerPol()), gb.Radau(n), 1)((2, 0), [], [], 50, 39.0).full()
-        for n in (None, 1)
-    }
-    assert abs(end[1] - end[None]).max() > 1e-3
 
 
 def test_a_static_model_stays_without_states():
