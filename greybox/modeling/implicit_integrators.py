@@ -92,8 +92,7 @@ class ImplicitIntegrator(Integrator):
         newton = ca.rootfinder(
             "stages", "newton", {"x": unknown, "p": arguments, "g": equations}, options
         )
-        at, ramp, parameters, span = rest
-        rate = span * system.derivative(start, at, parameters)
+        rate = rest[3] * system.derivative(start, rest[0], rest[2])
         end = self.end(start, stages)
         results = [
             end,
@@ -104,32 +103,31 @@ class ImplicitIntegrator(Integrator):
             ca.SX.eye(n) - FILTER * ca.jacobian(rate, start),
         ]
         solved = ca.Function("solved", [unknown, arguments], results)
+
+        v, change = ca.MX.sym("v", given.numel()), ca.MX.sym("change", unknown.numel())
+        start, at, ramp, parameters, span = ca.vertsplit(v, places)
         # Its tolerances are absolute, so every state is measured by its own size.
         last = span * system.derivative(start, at + ramp * span, parameters)
         largest = ca.norm_inf(ca.vertcat(start, last))
-        size = ca.fmax(ca.fabs(start), LEAST_SIZE * largest + (largest < 1e-200))
-        with_sizes = ca.Function("sizes", [given], [ca.vertcat(given, size)])
-
-        v, change = ca.MX.sym("v", given.numel()), ca.MX.sym("change", unknown.numel())
-        values = with_sizes(v)
+        unit = ca.fmax(ca.fabs(start), LEAST_SIZE * largest + (largest < 1e-200))
+        values = ca.vertcat(v, unit)
         solution = newton(ca.MX.zeros(unknown.numel()), values)
         end, *_, residual, missed, matrix = solved(solution, values)
         # Twice filtered, as at the first step of RADAU5: what is much faster than a step does not
         # count (Hairer and Wanner, IV.8).
-        error = ca.solve(matrix, ca.solve(matrix, missed)) / ca.fmax(ca.fabs(end), values[-n:])
+        error = ca.solve(matrix, ca.solve(matrix, missed)) / ca.fmax(ca.fabs(end), unit)
         # It ends before a step of 1e-12, where stiff residuals may be a million times larger.
         solution += ca.if_else(residual <= 1e-6, 0, ca.MX.nan(1))
         is_coarse = ca.norm_1(error) > (TOLERANCE if self.substeps is None else ca.inf)
         # Outside the domain of a formula, the residual is NaN and shorter steps are no help.
         is_short = 1 - ca.logic_or(residual > 1e-6, is_coarse)
         end, by_given, by_change, *equations, _, _, _ = solved(change, values)
-        whole = [end, by_given - by_change @ ca.solve(equations[1], equations[0])]
+        slopes = by_given - by_change @ ca.solve(equations[1], equations[0])
+        taken = ca.Function("taken", [v, change], [end, slopes])
 
         # Halves of a step: the second begins with the inputs in the middle.
-        _, at, ramp, parameters, span = ca.vertsplit(v, places)
         first = ca.vertcat(v[:-1], span / 2)
         second = ca.vertcat(at + ramp * span / 2, ramp, parameters, span / 2)
-        taken = ca.Function("taken", [v, change], whole)
         step = ca.Function("step", [v], taken.call([v, solution]))
         # Half a step with a jump is halved again, so that only steps near the jump are short.
         for _ in range(ATTEMPTS):
