@@ -135,7 +135,7 @@ def solve_continuity(
     s, n, r = stationarity.shape
     if n == 0:
         return np.zeros((s, 0, r)), np.zeros((s, 0, r))
-    size = _state_sizes(hessian, transition)
+    size = state_sizes(hessian, transition)
     linked = coupled[:, None, None]
     transition = np.where(linked, transition * size / size[:, None], 0.0)
     gaps = np.where(linked, continuity / size[:, None], 0.0)
@@ -169,11 +169,16 @@ def solve_continuity(
     return solution[:, :n] * size[:, None], solution[:, n:] / size[:, None]
 
 
-def _state_sizes(hessian: Array, transition: Array) -> Array:
+def state_sizes(hessian: Array, transition: Array) -> Array:
     """Return the change (n,) of each state that changes the outputs by one, at once or later.
 
-    Sizes of what is shown at once alone would spread over 26 decades in a chain of 40 masses, and
-    no digit of its nodes would be right. A state that changes no output has size 1.
+    By what is shown within a segment alone, sizes in a chain of 40 masses spread over 26 decades:
+    no digit of its nodes is right. A state that changes no output has size 1.
+
+    Parameters
+    ----------
+    hessian, transition : (s, n, n) arrays
+        As in `solve_continuity`.
     """
     curvature = np.abs(of_diagonal(hessian)).mean(axis=0)
     passed_on = (transition**2).mean(axis=0).T

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from greybox.compiled.condensing import condense, solve_continuity
+from greybox.compiled.condensing import condense, solve_continuity, state_sizes
 from greybox.compiled.part import ASSUMED_ERROR, Condensed, Part, Trajectory
 from greybox.compiled.record_linearization import (
     with_filter_covariance,
@@ -17,7 +17,7 @@ from greybox.compiled.riccati import SteadyFilter
 from greybox.compiled.sample_step import SampleStep
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization, Segments
-from greybox.files.arrays import Array, BoolArray, of_diagonal
+from greybox.files.arrays import Array, BoolArray
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.metrics import whiteness
@@ -253,11 +253,8 @@ class SegmentedPart(Part):
     def continuity_variance(self, linearization: Linearization) -> Array:
         """Return the variances (n,) of state jumps that move a segment's outputs by `JUMP`."""
         samples = self.data.segment_length * len(self.outputs)
-        diagonals = of_diagonal(linearization.node_hessian)
-        curvature = np.nan_to_num(np.mean(diagonals, axis=0))
-        # A state that no output shows has no such scale: any will do.
-        visible = np.maximum(curvature, 1e-200)
-        variance = np.where(curvature > 1e-200, JUMP**2 * samples / visible, 1.0)
+        sizes = state_sizes(linearization.node_hessian, linearization.transition)
+        variance = JUMP**2 * samples * sizes**2
         # With gaps, the states of a delay would be another input.
         variance[self.driven :] = 0
         return variance
