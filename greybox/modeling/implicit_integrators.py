@@ -21,7 +21,7 @@ LEAST_SIZE = 1e-8
 # of Robertson's kinetics is lost; with 21 it takes five times as long.
 ATTEMPTS = 11
 # Error of a step, in sizes of the states, above which it is halved. The estimate is that of a
-# scheme of order three: 1e-5 stands for a tolerance of 1e-6 in RADAU5. With 1e-4 estimates of 14
+# scheme of order three: 1e-5 stands for a tolerance of 1e-6 in RADAU5. With 1e-4 estimates of nine
 # stiff models are up to 5e-4 standard errors off, with 1e-5 up to 3e-5, in 1.7 times the time.
 TOLERANCE = 1e-5
 # γ of the error estimate: RADAU5's, one over the real eigenvalue of its matrix.
