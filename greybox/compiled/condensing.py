@@ -135,7 +135,7 @@ def solve_continuity(
     s, n, r = stationarity.shape
     if n == 0:
         return np.zeros((s, 0, r)), np.zeros((s, 0, r))
-    size = _state_sizes(hessian, transition)
+    size = state_sizes(hessian, transition)
     linked = coupled[:, None, None]
     transition = np.where(linked, transition * size / size[:, None], 0.0)
     gaps = np.where(linked, continuity / size[:, None], 0.0)
@@ -169,15 +169,24 @@ def solve_continuity(
     return solution[:, :n] * size[:, None], solution[:, n:] / size[:, None]
 
 
-def _state_sizes(hessian: Array, transition: Array) -> Array:
+def state_sizes(hessian: Array, transition: Array) -> Array:
     """Return the change (n,) of each state that changes the outputs by one, at once or later.
 
-    A state that changes no output has size 1.
+    By what is shown within a segment alone, sizes in a chain of 40 masses spread over 26 decades:
+    no digit of its nodes is right. A state that changes no output has size 1.
+
+    Parameters
+    ----------
+    hessian, transition : (s, n, n) arrays
+        As in `solve_continuity`.
     """
     curvature = np.abs(of_diagonal(hessian)).mean(axis=0)
     passed_on = (transition**2).mean(axis=0).T
     for _ in range(len(curvature)):
-        curvature = np.where(curvature > 0, curvature, passed_on @ curvature)
+        later = passed_on @ curvature
+        # An unstable state counts no more than what the outputs show at once.
+        share = min(curvature.max() / max(later.max(), 1e-300), 1.0)
+        curvature = np.maximum(curvature, share * later)
     # Square roots and products of these stay within double range.
     usable = (curvature > 1e-200) & (curvature < 1e200)
     return 1 / np.sqrt(np.where(usable, curvature, 1.0))

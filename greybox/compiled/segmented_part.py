@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from greybox.compiled.condensing import condense, solve_continuity
+from greybox.compiled.condensing import condense, solve_continuity, state_sizes
 from greybox.compiled.part import ASSUMED_ERROR, Condensed, Part, Trajectory
 from greybox.compiled.record_linearization import (
     with_filter_covariance,
@@ -16,7 +16,7 @@ from greybox.compiled.residual_covariance import ResidualCovariance, diagonal
 from greybox.compiled.riccati import SteadyFilter
 from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization, Segments
-from greybox.files.arrays import Array, BoolArray, frozen, of_diagonal
+from greybox.files.arrays import Array, BoolArray, frozen
 from greybox.formulation.problem import Problem
 from greybox.modeling.one_thread import cached_property
 from greybox.statistics.metrics import whiteness
@@ -250,11 +250,8 @@ class SegmentedPart(Part):
     def continuity_variance(self, linearization: Linearization) -> Array:
         """Return the variances (n,) of state jumps that move a segment's outputs by `JUMP`."""
         samples = self.data.segment_length * len(self.outputs)
-        diagonals = of_diagonal(linearization.node_hessian)
-        curvature = np.nan_to_num(np.mean(diagonals, axis=0))
-        # A state that no output shows has no such scale: any will do.
-        visible = np.maximum(curvature, 1e-200)
-        variance = np.where(curvature > 1e-200, JUMP**2 * samples / visible, 1.0)
+        sizes = state_sizes(linearization.node_hessian, linearization.transition)
+        variance = JUMP**2 * samples * sizes**2
         # With gaps, the states of a delay would be another input.
         variance[self.driven :] = 0
         return variance

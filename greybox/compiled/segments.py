@@ -117,7 +117,7 @@ class Segments:
                 values = type(x)(q)
                 if places:
                     values[places] = free[self.n :]
-                of_free = self.step.function(free[: self.n], values, d)
+                of_free = self.step.function.call([free[: self.n], values, d], True, False)
                 slopes = [of_free[0], of_free[1] if name == "derivatives" else of_free[2]]
                 derivatives = [dense_jacobian(slope, free) for slope in slopes]
                 at_free = ca.Function("at_free", [free, q, d], [*derivatives, of_free[1]])

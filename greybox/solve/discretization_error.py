@@ -223,10 +223,11 @@ def quadratic_model(part: Part, trajectory: Trajectory, weight: Array) -> tuple[
 
 
 def _is_rounding(trajectory: Trajectory, finer: Trajectory) -> bool:
+    # Not at the ends of the segments alone: what an input excites may have died away there.
     # Relative to the largest value, since a state may pass through zero.
-    size = np.abs(trajectory.nodes).max(axis=0, initial=0.0)
-    moved = np.abs(finer.ends - trajectory.ends).max(axis=0, initial=0.0)
-    return bool(np.all(moved <= 1e-7 * size))
+    size = np.abs(trajectory.states).max(axis=1, initial=0.0)
+    changes = np.hstack([finer.states - trajectory.states, (finer.ends - trajectory.ends).T])
+    return bool(np.all(np.abs(changes).max(axis=1, initial=0.0) <= 1e-7 * size))
 
 
 def _in_standard_errors(hessian: Array, change: Array) -> Array:

@@ -107,6 +107,20 @@ def test_states_of_very_different_size(size):
     assert_allclose(found / scale[:, None], plain, rtol=1e-6, atol=1e-8 * np.abs(plain).max())
 
 
+def test_states_that_outputs_show_ever_later_follow_the_first_node():
+    """In a chain, an output shows the masses far from it by ever smaller shares of a segment."""
+    s, n = 12, 30
+    system = made(s, n, 1, [1] * (s - 1) + [0])
+    system["hessian"] = np.tile(np.diag(10.0 ** (-2 * np.arange(n))), (s, 1, 1))
+    system["transition"] = np.tile(0.6 * np.eye(n) + 0.3 * np.eye(n, k=1), (s, 1, 1))
+    system["transition"][0] = 0  # the first node is known
+    x, _ = solve_continuity(**system, variance=np.zeros(n))
+    wanted = -system["continuity"][0]
+    for j in range(1, s - 1):
+        assert_allclose(x[j], wanted, rtol=1e-6, atol=1e-8)
+        wanted = system["transition"][j] @ wanted - system["continuity"][j]
+
+
 def test_a_singular_system_says_so():
     system = made(3, 2, 1, [1, 1, 0], definite=False)
     with pytest.raises(np.linalg.LinAlgError):

@@ -261,13 +261,16 @@ def test_what_finer_steps_change_in_the_eighth_digit_is_rounding(moved, is_round
         np.array([[1.0, 0.1], [-2.0, 0.5], [0.5, -0.2]]),
         np.array([[3.0, 0.3], [1.0, 9.0], [0.0, 0.0]]),
     )
-    coarse = SimpleNamespace(nodes=nodes, ends=ends)
-    finer = SimpleNamespace(ends=ends + np.array([[0.0, 0.0], moved, [0.0, 0.0]]))
-    assert _is_rounding(coarse, finer) is is_rounding
-    none = SimpleNamespace(nodes=np.zeros((2, 0)), ends=np.zeros((2, 0)))
+    coarse = SimpleNamespace(states=nodes.T, ends=ends)
+    change = np.array([[0.0, 0.0], moved, [0.0, 0.0]])
+    assert _is_rounding(coarse, SimpleNamespace(states=nodes.T, ends=ends + change)) is is_rounding
+    assert (
+        _is_rounding(coarse, SimpleNamespace(states=nodes.T + change.T, ends=ends)) is is_rounding
+    )
+    none = SimpleNamespace(states=np.zeros((0, 2)), ends=np.zeros((2, 0)))
     assert _is_rounding(none, none)
-    still = SimpleNamespace(nodes=np.zeros((3, 2)), ends=ends)
-    assert not _is_rounding(still, SimpleNamespace(ends=ends + 1e-12))
+    still = SimpleNamespace(states=np.zeros((2, 3)), ends=ends)
+    assert not _is_rounding(still, SimpleNamespace(states=np.zeros((2, 3)), ends=ends + 1e-12))
 
 
 def decaying(seed, samples):

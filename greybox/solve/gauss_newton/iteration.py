@@ -1,6 +1,6 @@
 """The Gauss-Newton iteration: linearize, condense, step, line search, until it has converged.
 
-A stalled run begins once more, with its parameters and with nodes from the data.
+A run that fails begins once more, at its start, with nodes that are simulated.
 """
 
 from collections.abc import Sequence
@@ -12,6 +12,7 @@ import numpy as np
 from greybox.files.arrays import Array, frozen
 from greybox.solve.gauss_newton.all_parts import COST_ROUNDING, AllParts, with_rounding
 from greybox.solve.gauss_newton.iterate import (
+    EXACT,
     LARGEST_DAMPING,
     Iterate,
     Progress,
@@ -58,23 +59,25 @@ def descend(
 ) -> End:
     """Iterate from a start; with `states_only` the parameters are held.
 
-    A stalled run begins once more near the data, with the parameters that it reached.
+    A run that fails begins once more at its start, with nodes that are simulated.
     """
-    if not iterate.finite:
-        return End(iterate, NOT_FINITE, 0)
-    try:
-        end = _iterated(parts, iterate, progress, iterations, states_only=states_only)
-    except np.linalg.LinAlgError:
-        return End(iterate, SINGULAR, 0)
-    # Without the restart 5 of 189 runs are lost and none is won (chain, guarded tanks, thrust).
-    if end.status != STALLED or states_only or not restarts:
+    # Where states die away or jump, noise of nodes from the data leads anywhere: without this, five
+    # of 25 stiff or large models have no run from the true parameters (a flame, the Oregonator). Of
+    # 156 runs of 29 hard problems, 72 % reach the best minimum, 71 % if they begin near the data.
+    end = End(iterate, NOT_FINITE, 0)
+    if iterate.finite:
+        try:
+            end = _iterated(parts, iterate, progress, iterations, states_only=states_only)
+        except np.linalg.LinAlgError:
+            end = End(iterate, SINGULAR, 0)
+    if end.status not in (NOT_FINITE, SINGULAR, STALLED) or not restarts:
         return end
-
     later = descend(
         parts,
-        parts.at(end.iterate.z),
-        parts.first_progress(),
+        parts.simulated(iterate.z),
+        EXACT,
         iterations - end.iterations,
+        states_only=states_only,
         restarts=False,
     )
     better = later if later.status == CONVERGED else end
