@@ -28,7 +28,6 @@ from greybox.files.arrays import (
     BoolArray,
     ComplexArray,
     frozen,
-    positive_or_one,
     real_and_imaginary,
 )
 from greybox.files.html_text import Printed
@@ -427,12 +426,10 @@ def _determined(groups: Sequence[Sequence[_Regression]], count: int) -> list[Arr
         both = np.hstack([residuals, fitted])
         both = whitened(both, filters, outputs) if outputs else both
         rows.append(both[:, 1:] / (np.sqrt(np.mean(both[:, 0] ** 2)) + TINY))
-    scale = positive_or_one(np.linalg.norm(np.vstack(rows), axis=0))
-    _, singular, axes = np.linalg.svd(np.vstack(rows) / scale, full_matrices=False)
-    seen = singular > DEPENDENT * singular.max()
-    to_unit = axes[seen].T / singular[seen] / scale[:, None]
-    pairs = [np.linalg.svd(each @ to_unit, full_matrices=False)[1:] for each in rows]
-    return [to_unit @ axes[share**2 > ELSEWHERE].T for share, axes in pairs]
+    # In directions that both determine equally well, whatever the units.
+    unit = np.linalg.pinv(np.linalg.qr(np.vstack(rows), mode="r"))
+    pairs = [np.linalg.svd(each @ unit, full_matrices=False)[1:] for each in rows]
+    return [unit @ axes[share**2 > ELSEWHERE].T for share, axes in pairs]
 
 
 def _of_group(parts: Sequence[_Regression], determined: Array) -> Misfit:

@@ -564,9 +564,9 @@ def terms_of_response(*omega: float) -> tuple[Term, ...]:
         return [w**2 / below, s * w / below]
 
     terms = [Term("zero", s / high)]
+    # A delay in the model absorbs the phase of a zero.
+    terms.append(Term("zero", np.abs(1 + s / high) - 1))
     for T in np.array([0.5, 1.0, 2.0]) / high:
-        # A delay in the model absorbs the phase of a zero.
-        terms.append(Term("zero", np.abs(1 + s * T) - 1))
         terms.append(Term("delay", delayed(T)[0], scale=T, shapes=delayed, levels=(T,)))
     for a in np.geomspace(low / 2, 2 * high, 9):
         terms.append(Term("pole", lagged(a)[0], level=a, shapes=lagged, levels=(a,)))

@@ -20,9 +20,7 @@ from greybox.solve.process_noise_start import FIRST, STAGES, ProcessNoise
 from greybox.solve.response_solver import FEW, NO_OPTIONS, ResponseSolver
 from greybox.solve.runs import Outcome, Run, Runs
 
-# Iterations of a start that did not move, over those of the others where they are at a minimum, and
-# of any start at most: some take 250, and their time would be that of the whole fit.
-TIMES, MOST = 4, 100
+MOST = 100  # iterations of a start: some take 250, and their time would be that of the whole fit
 STAGE = 40  # iterations with one ratio of process noise: of seven starts, five take 3 to 36
 ROUGH = 1e-5  # tolerance on the projected gradient of a stage
 UNFINISHED = "Maximum_Iterations_Exceeded"
@@ -85,13 +83,8 @@ class SharedSolver(ResponseSolver):
         if moved.any():
             limits = {"max_iterations": min(self.limits["max_iterations"], MOST)} | limits
         for columns in (moved, ~moved):
-            if not columns.any():
-                continue
             ends = super().improved(whole.z[:, columns], **limits, from_near=columns is moved)
             whole.put(columns, ends)
-            if ends.at_minimum.any():
-                typical = int(np.median(whole.iterations[columns][ends.at_minimum]))
-                limits = {"max_iterations": min(TIMES * typical, MOST)}
         return whole
 
     def again(
