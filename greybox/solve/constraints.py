@@ -5,7 +5,7 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array, BoolArray, frozen
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.symbolic_reading import dense_jacobian
 from greybox.solve.quadratic_program import solve_small_qp
@@ -57,15 +57,18 @@ class Limits:
         below = -value.ravel()
         return float(np.where(below > rounding, below, 0.0).sum())
 
-    def linearized(self, z: Array) -> tuple[Array, Array]:
+    def linearized(self, z: Array, held: BoolArray | None = None) -> tuple[Array, Array]:
         """Return normals (n, p) and limits (n,) of a step dz from z: normals · dz >= limits.
 
-        Constraints are linearized, so that a step leads back to one that is violated.
+        Variables that are `held` (p,) do not move. Constraints are linearized, so that a step leads
+        back to one that is violated.
         """
         value, normal = (result.full() for result in self.constraints(z))
 
         # A point may lie beyond a bound by rounding: no step need lead back.
         low, high = np.minimum(self.low - z, 0.0), np.minimum(z - self.high, 0.0)
+        if held is not None:
+            low, high = np.where(held, 0.0, low), np.where(held, 0.0, high)
         eye = np.eye(len(z))
         rows, limits = np.vstack([eye, -eye, normal]), np.concatenate([low, high, -value.ravel()])
         finite = np.isfinite(limits)

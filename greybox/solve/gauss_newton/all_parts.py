@@ -31,8 +31,10 @@ class AllParts:
     Records that can be evaluated together are one part here; `groups` translates.
     """
 
-    def __init__(self, parts: Sequence[Part], limits: Limits, settings: Settings) -> None:
-        """Group the parts."""
+    def __init__(
+        self, parts: Sequence[Part], free: Sequence[str], limits: Limits, settings: Settings
+    ) -> None:
+        """Group the parts; `free` are the names of the solver's variables."""
         self.groups = Groups(parts)
         self.parts = self.groups.parts
         self.gains = [kalman_gain(part) for part in self.parts]
@@ -40,6 +42,10 @@ class AllParts:
             gain and np.isin(gain.unknowns, gain.part.model.active).any() for gain in self.gains
         )
         self.samples = sum(part.samples for part in self.parts)
+        self.is_discontinuous = np.array(
+            [any(name in part.discontinuous_delays for part in parts) for name in free],
+            dtype=bool,
+        )
         self.limits = limits
         self.settings = settings
 

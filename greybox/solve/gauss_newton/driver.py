@@ -54,7 +54,7 @@ class GaussNewton(LocalSolver):
         """
         self.nlp = nlp
         self.settings = settings
-        self._parts = parts or AllParts(nlp.parts, _limits(nlp), settings)
+        self._parts = parts or AllParts(nlp.parts, nlp.free, _limits(nlp), settings)
         self.limits = self._parts.limits
 
     def __reduce__(self) -> tuple[Callable[..., "GaussNewton"], tuple[Any, ...]]:

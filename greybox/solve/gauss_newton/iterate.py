@@ -135,6 +135,8 @@ class Progress:
     undamped_decrease : float
         Predicted decrease of an undamped step below which a run counts as converged once damped
         steps have come to rest. The default is half the square of a thirtieth of a standard error.
+    delays_held : bool
+        True where delays at which the cost jumps keep their values: the cost is least at the jump.
     """
 
     stages: tuple[float, ...] = (0.0,)
@@ -147,6 +149,7 @@ class Progress:
     # enough.
     full_damping: float = 1e-2 * FIRST_DAMPING
     undamped_decrease: float = 5e-4
+    delays_held: bool = False
 
     @property
     def is_exact(self) -> bool:

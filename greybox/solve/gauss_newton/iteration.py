@@ -131,6 +131,9 @@ def _iterated(
         if trial is None and progress.damping <= LARGEST_DAMPING:
             progress = replace(progress, damping=after_failure(progress.damping))
             continue
+        if _delays_block(parts, progress):
+            progress = replace(progress, delays_held=True, damping=0.0)
+            continue
         if progress.is_exact and (trial is None or progress.damping > LARGEST_DAMPING):
             return End(iterate, STALLED, count)
 
@@ -217,6 +220,20 @@ def _is_within_noise(parts: AllParts, iterate: Iterate, progress: Progress, gain
     unknowns = len(iterate.z) + sum(part.unknown_initial_states for part in parts.parts)
     is_noise = undamped.distance <= 5e-3 and gained <= undamped.decrease <= 0.01 * unknowns / 2
     return stopped and is_noise
+
+
+def _delays_block(parts: AllParts, progress: Progress) -> bool:
+    """Return whether delays at which the cost jumps block the steps: heavy damping has not helped.
+
+    Held, they halve the time where a held input reaches an output directly. Otherwise a run whose
+    minimum lies at a jump may take 2000 iterations without an end, and the fit another minimum.
+    """
+    return (
+        progress.is_exact
+        and not progress.delays_held
+        and progress.damping >= 1e2
+        and bool(parts.is_discontinuous.any())
+    )
 
 
 def _predicting(

@@ -45,7 +45,8 @@ def gauss_newton_step(
     if not states_only:
         # The ridge, far below what data determine, holds parameters that the data do not show.
         damped = hessian + 1e-10 * np.eye(p) + progress.damping * np.diag(np.diag(hessian))
-        normals, bounds = parts.limits.linearized(iterate.z)
+        held = parts.is_discontinuous & progress.delays_held
+        normals, bounds = parts.limits.linearized(iterate.z, held)
         dz = solve_small_qp(damped, gradient, normals, bounds)
 
         # Most steps keep predictors stable, and derivatives of poles take long.
