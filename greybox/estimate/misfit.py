@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -280,10 +280,12 @@ class Misfit(Printed):
 class _Regression:
     """A part as a regression of its residuals on the parameters of the fit and on missing terms.
 
-    All columns have N rows; `changes` returns those (N, c) of terms. `outputs` has the rows of
-    every output of a record, by stretches, and `signals` returns those over which the shape of a
-    term is drawn. What parameters leave of a term is an error of the integration if it is less
-    than `remains` of it.
+    All columns have N rows; `changes` returns those (N, c) of terms. `again` returns the residuals
+    and slopes (N, 1 + d + q) of a response at changes (d,) of the parameters, multiplied by the
+    first of (1 + q, n) factors; the others are those at the next numbers of a term. `outputs` has
+    the rows of every output of a record, by stretches, and `signals` returns those over which the
+    shape of a term is drawn. What parameters leave of a term is an error of the integration if it
+    is less than `remains` of it.
     """
 
     measured: Array
@@ -291,7 +293,7 @@ class _Regression:
     fitted: Array
     terms: Mapping[Key, Term]
     changes: Callable[[Sequence[Term]], Array]
-    response: "_Response | None" = None
+    again: Callable[[Array, ComplexArray], Array] | None = None
     outputs: Outputs = ()
     causes: Sequence[Cause] = ()
     is_unstable: bool = False
@@ -306,38 +308,6 @@ class _Regression:
             values[present] = self.changes([self.terms[keys[k]] for k in present]).T
         # Samples of a column are neighbors in memory, as filters need them.
         return values.T
-
-
-@frozen
-class _Response:
-    """A response that can be fitted again, with a factor of a term on it.
-
-    Attributes
-    ----------
-    response, sensitivity : functions
-        Those of the model, (w,) and (w, d), at changes (d,) of the parameters.
-    data : (w,) array
-    rows : function
-        Returns the rows (N, c) of columns (w, c).
-    """
-
-    response: Callable[[Array], ComplexArray]
-    sensitivity: Callable[[Array], ComplexArray]
-    data: ComplexArray
-    rows: Callable[[ComplexArray], Array]
-
-    def residuals(self, change: Array, numbers: Array, term: Term) -> Array:
-        """Return the residuals (N, 1) at a change (d,) and numbers (q,) of a term."""
-        return self.rows((self.data - self.response(change) * term.factor(numbers))[:, None])
-
-    def slopes(self, change: Array, numbers: Array, term: Term) -> Array:
-        """Return the derivatives of the residuals, (N, d + q)."""
-        response, factor = self.response(change), term.factor(numbers)
-        by_term = [
-            response * (term.factor(numbers + row) - factor) / STEP
-            for row in STEP * np.eye(numbers.size)
-        ]
-        return -self.rows(np.column_stack([self.sensitivity(change) * factor[:, None], *by_term]))
 
 
 def assessed_misfit(
@@ -752,17 +722,14 @@ def _of_response(
         turned = columns[order] * np.exp(-1j * np.angle(response[order]))[:, None]
         return real_and_imaginary(turned / size[order, None])
 
-    def changed(change: Array) -> Array:
-        result = values.copy()
-        result[places] += change
-        return result
+    def again(change: Array, factors: ComplexArray) -> Array:
+        x = values.copy()
+        x[places] += change
+        model, slopes = part.response(x), part.sensitivity(x)[:, places]
+        by_term = model * (factors[1:] - factors[0]) / STEP
+        columns = -np.vstack([slopes.T * factors[0], by_term])
+        return rows(np.column_stack([data.response - model * factors[0], *columns]))
 
-    again = _Response(
-        lambda change: part.response(changed(change)),
-        lambda change: part.sensitivity(changed(change))[:, places],
-        data.response,
-        rows,
-    )
     relative = part.sensitivity(values) / np.where(response == 0, np.inf, response)[:, None]
     states, sine = getattr(part.problem.model, "states", ()), part.problem.amplitude
     orders = [("own", part.name, 1.0)]
@@ -818,7 +785,7 @@ def _p_of_responses(
     whole = np.eye(len(determined))
     if len(parts) > 1 or determined.shape != whole.shape:
         # Other values may be far from the common ones: each part is fitted by itself.
-        apart = correlated_fits([_refitted([part], whole) for part in parts if part.response])
+        apart = correlated_fits([_refitted([part], whole) for part in parts if part.again])
         [p_common] = p_values_of_fits(fits, apart)
     if np.min(np.multiply(tests, p_values)) > OF_RESPONSES:
         for k, key in enumerate(keys):
@@ -840,28 +807,31 @@ def _refitted(
     """
     from scipy.optimize import least_squares  # noqa: PLC0415  (slow to import)
 
-    fits = [(part.response, part.terms.get(key, NOTHING)) for part in parts if part.response]
-    d, k = determined.shape
+    fits = [(part.again, part.terms.get(key, NOTHING)) for part in parts if part.again]
+    (d, k), start, lengths = determined.shape, fits[0][1].start, _lengths(parts)
 
-    def residuals(values: Array) -> Array:
-        change, numbers = determined @ values[:k], values[k:]
-        return np.vstack([response.residuals(change, numbers, term) for response, term in fits])
+    @lru_cache(1)
+    def table(*values: float) -> Array:
+        numbers = np.array(values[k:]) + STEP * np.eye(start.size + 1, start.size, -1)
+        rows = np.vstack(
+            [
+                again(determined @ values[:k], np.array([*map(term.factor, numbers)]))
+                for again, term in fits
+            ]
+        )
+        return np.hstack([rows[:, :1], rows[:, 1 : d + 1] @ determined, rows[:, d + 1 :]])
 
-    def slopes(values: Array) -> Array:
-        change, numbers = determined @ values[:k], values[k:]
-        rows = np.vstack([response.slopes(change, numbers, term) for response, term in fits])
-        return np.hstack([rows[:, :d] @ determined, rows[:, d:]])
-
-    jac: Any = slopes  # typed as a string
+    jac: Any = lambda values: table(*values)[:, 1:]  # noqa: E731  (typed as a string)
     values = least_squares(
-        lambda values: residuals(values)[:, 0],
-        np.append(np.zeros(k), fits[0][1].start),
+        lambda values: table(*values)[:, 0],
+        np.append(np.zeros(k), start),
         jac,
         x_scale="jac",
         max_nfev=REFIT,
-        ftol=ENOUGH / sum(len(response.data) for response, _ in fits),
+        ftol=2 * ENOUGH / sum(lengths),
     ).x
-    return residuals(values), slopes(values), _lengths(parts)
+    residuals, slopes = np.split(table(*values), [1], axis=1)
+    return residuals, slopes, lengths
 
 
 def _lengths(parts: Sequence[_Regression]) -> list[int]:
