@@ -59,18 +59,14 @@ POSSIBLE = 0.05  # and where drift alone would
 NAMED = 3  # causes that are printed with a fit
 # Terms that together explain all of the misfit: more would fit noise.
 TOGETHER = 5
-# Families of terms, the best ones, that are tested beside the color of the errors.
-FAMILIES = 12
 ALIKE = 0.95  # correlation of effects beyond which two terms count as one
 # Correlation time of the residuals, as in tanks that overflow or a drive with friction: sensors are
 # seldom so slow. And of the output, what a reader would see.
 DRIFTING, NOTICED = 0.99, 0.01
-PIECES = 10  # of a record, whose means show an offset
 GROWN = 4.6  # growth of errors of the states over a record, a hundredfold: an unstable model
 LARGE = 10  # times what noise leaves, beyond which a model describes nothing
 NOISY = 0.25  # of the variance: residuals of half the standard deviation of an output
 TINY = 1e-300
-COLUMNS = 600_000  # numbers in memory for terms at once: new pages of memory take time, too
 # Samples of all records that are tested, in excerpts: with more, a fit would wait for the test.
 MOST = 3000
 FEWEST = 500  # of each
@@ -79,8 +75,6 @@ FEWEST = 500  # of each
 # below 1e-99 with thirty, which take three times as long.
 REFIT = 10
 ENOUGH = 0.15  # change of log likelihood in one of these, far below what is significant
-# Share of what both groups know of a combination of parameters below which one knows nothing of it.
-ELSEWHERE = 0.1
 STEP = 1e-6  # of the numbers of a term, for derivatives
 KNOTS = 11  # of the shape of a term over a signal
 # Share of the best determined combination of knots below which one counts as not determined: it is
@@ -393,13 +387,13 @@ def _determined(groups: Sequence[Sequence[_Regression]], count: int) -> list[Arr
     rows = []
     for parts in groups:
         residuals, fitted, outputs, filters = _stacked(parts)
-        both = np.hstack([residuals, fitted])
-        both = whitened(both, filters, outputs) if outputs else both
+        both = whitened(np.hstack([residuals, fitted]), filters, outputs)
         rows.append(both[:, 1:] / (np.sqrt(np.mean(both[:, 0] ** 2)) + TINY))
     # In directions that both determine equally well, whatever the units.
     unit = np.linalg.pinv(np.linalg.qr(np.vstack(rows), mode="r"))
     pairs = [np.linalg.svd(each @ unit, full_matrices=False)[1:] for each in rows]
-    return [unit @ axes[share**2 > ELSEWHERE].T for share, axes in pairs]
+    # Where a group has less than a tenth of the information, the other one knows the values.
+    return [unit @ axes[share**2 > 0.1].T for share, axes in pairs]
 
 
 def _of_group(parts: Sequence[_Regression], determined: Array) -> Misfit:
@@ -408,8 +402,7 @@ def _of_group(parts: Sequence[_Regression], determined: Array) -> Misfit:
     The columns of `determined` (d, k) are what its fit can change.
     """
     # With two parts, either one may need another value; a single part has no counterpart.
-    is_whole = determined.shape[1] == len(determined)
-    either = parts[0].terms if len(parts) < 3 and is_whole else {}
+    either = parts[0].terms if len(parts) < 3 and np.equal(*determined.shape) else {}
     terms = {
         key: term
         for part in parts
@@ -418,10 +411,7 @@ def _of_group(parts: Sequence[_Regression], determined: Array) -> Misfit:
     }
     residuals, fitted, outputs, filters = _stacked(parts)
     fitted = fitted @ determined
-
-    def white(values: Array) -> Array:
-        return whitened(values, filters, outputs) if outputs else values
-
+    white = partial(whitened, filters=filters, outputs=outputs)
     white_residuals, white_fitted = white(residuals), white(fitted)
     tried, ranked = _ranked(parts, [*terms], white, white_residuals[:, 0], white_fitted)
     best_columns = np.hstack([residuals[:, :0], *(column for *_, column in ranked)])
@@ -443,16 +433,12 @@ def _of_group(parts: Sequence[_Regression], determined: Array) -> Misfit:
     p_common = 1.0
     p_values = p_correlated = [p_value for (_, p_value, *_), *_ in ranked]
     if outputs:
-        # Where records have unlike outputs, errors of outputs count as independent.
-        width = len(parts[0].outputs) if len({len(part.outputs) for part in parts}) == 1 else 1
-        p_values = autoregressive_p_values(
-            residuals[:, 0], fitted, best_columns, outputs, width
-        ).tolist()
+        p_values = autoregressive_p_values(residuals[:, 0], fitted, best_columns, outputs).tolist()
         p_correlated = p_values
     elif ranked:
         block = residuals, fitted, _lengths(parts)
         p_correlated, p_common = _p_of_responses(
-            parts, determined, block, best_columns, [key for _, key, _ in ranked], tests
+            parts, determined, block, best_columns, ranked, tests
         )
 
     texts = [terms[key].described(test[2], test[3]) for test, key, _ in ranked]
@@ -558,19 +544,16 @@ def _ranked(
     """
     best, tried = {}, Counter[Any]()
     remains = min(part.remains for part in parts)
-    size = COLUMNS // (len(residuals) + 1) + 1
-    for first in range(0, len(keys), size):
-        chosen = keys[first : first + size]
-        columns = np.vstack([part.columns(chosen) for part in parts])
-        tests = score_tests(residuals, fitted, white(columns), remains).T.tolist()
-        for k, test in enumerate(tests):
-            # The probability is NaN where nothing of a term is left.
-            if test[1] <= 1:
-                family = chosen[k][0]
-                tried[family] += 1
-                if test > best.get(family, [[]])[0]:
-                    best[family] = test, chosen[k], columns[:, [k]]
-    return tried, sorted(best.values(), key=lambda test: -round(test[0][0], 9))[:FAMILIES]
+    columns = np.vstack([part.columns(keys) for part in parts])
+    tests = score_tests(residuals, fitted, white(columns), remains).T.tolist()
+    for k, (test, key) in enumerate(zip(tests, keys, strict=True)):
+        # The probability is NaN where nothing of a term is left.
+        if test[1] <= 1:
+            tried[key[0]] += 1
+            if test > best.get(key[0], [[]])[0]:
+                best[key[0]] = test, key, columns[:, [k]]
+    # The best twelve are tested beside the color of the errors.
+    return tried, sorted(best.values(), key=lambda test: -round(test[0][0], 9))[:12]
 
 
 def _numbered(terms: Iterable[Term]) -> dict[Key, Term]:
@@ -598,7 +581,7 @@ def _of_record(
 
     def rows_of_stretch(values: Array, measured: BoolArray) -> Array:
         result = np.where(measured, weight @ values.swapaxes(0, 1), 0.0)
-        return result.swapaxes(1, 2).reshape(len(result), measured.size).T
+        return result.reshape(len(result), measured.size).T
 
     by_initial = data.unpadded(np.einsum("ab,bmn->amn", noise, slopes.by_initial))
     starts = [*map(rows_of_stretch, by_initial, present)]
@@ -620,7 +603,7 @@ def _of_record(
     firsts = np.cumsum([0, *(row.size for row in present[:-1])])
     outputs = [
         [
-            first + k + len(row) * np.flatnonzero(row[k])
+            first + k * row.shape[1] + np.flatnonzero(row[k])
             for first, row in zip(firsts, present, strict=True)
         ]
         for k in range(len(present[0]))
@@ -659,7 +642,7 @@ def _offsets(
     columns = beside(columns, fitted)
     pieces = np.zeros(len(columns), dtype=int)
     for rows in map(np.concatenate, outputs):
-        pieces[rows] = np.arange(len(rows)) * PIECES // len(rows)
+        pieces[rows] = np.arange(len(rows)) * 10 // len(rows)
     for term, (decrease, p_one, value, _), column in zip(terms, tests, columns.T[1:], strict=True):
         if np.isnan(p_one):
             continue
@@ -676,10 +659,10 @@ def _offsets(
 
 
 def _lines(measured: BoolArray) -> Array:
-    """Return a constant and a straight line (n k, 2 k) for every output of a stretch (k, n)."""
+    """Return a constant and a straight line (k n, 2 k) for every output of a stretch (k, n)."""
     outputs, samples = measured.shape
     line = np.vander(np.linspace(-1, 1, samples), 2)
-    return np.asarray(np.kron(line, np.eye(outputs)) * measured.T.reshape(-1, 1), dtype=float)
+    return np.asarray(np.kron(np.eye(outputs), line) * measured.reshape(-1, 1), dtype=float)
 
 
 def _on_excerpts(
@@ -743,7 +726,7 @@ def _of_response(
         Term(kind, column * value, a=name, b=b)
         for k, (name, column) in enumerate(zip(names, relative.T, strict=True))
         for kind, b, value in (
-            [("fixed", "", 1.0)] if k >= free else orders if moves[k] else [("bound", "", 1.0)]
+            orders if k < free and moves[k] else [("bound" if k < free else "fixed", "", 1.0)]
         )
     ]
     # Where most of a response is left, no size or correlation of its errors excuses the model.
@@ -773,12 +756,12 @@ def _p_of_responses(
     determined: Array,
     block: Block,
     columns: Array,
-    keys: Sequence[Key],
+    ranked: Sequence[Any],
     tests: Sequence[int],
 ) -> tuple[list[float], float]:
     """Return the probabilities of terms, with columns (N, c), and of values common to all parts.
 
-    Terms that may be significant are fitted unless one is to first order.
+    Terms that may be significant are fitted unless they are to first order.
     """
     fits = correlated_fits([block], columns)
     p_values, p_common = p_values_of_fits(fits, fits)[1:], 1.0
@@ -787,20 +770,17 @@ def _p_of_responses(
         # Other values may be far from the common ones: each part is fitted by itself.
         apart = correlated_fits([_refitted([part], whole) for part in parts if part.again])
         [p_common] = p_values_of_fits(fits, apart)
-    if np.min(np.multiply(tests, p_values)) > OF_RESPONSES:
-        for k, key in enumerate(keys):
-            if tests[k] * p_values[k] < 1:
-                again = _refitted(parts, determined, key)
-                [p_value] = p_values_of_fits(fits, correlated_fits([again]))
-                # A fit of q numbers stands for as many terms.
-                q = again[1].shape[1] - determined.shape[1]
-                p_values[k] = min(p_values[k], p_value / q)
+    for k, (_, key, _) in enumerate(ranked):
+        if OF_RESPONSES < tests[k] * p_values[k] < 1:
+            again = _refitted(parts, determined, key)
+            [p_value] = p_values_of_fits(fits, correlated_fits([again]))
+            # A fit of q numbers stands for as many terms.
+            q = again[1].shape[1] - determined.shape[1]
+            p_values[k] = min(p_values[k], p_value / q)
     return p_values, p_common
 
 
-def _refitted(
-    parts: Sequence[_Regression], determined: Array, key: Key = (("", "", ""), 0)
-) -> Block:
+def _refitted(parts: Sequence[_Regression], determined: Array, key: Any = None) -> Block:
     """Return residuals, columns and lengths of responses that are fitted again, beside a term.
 
     The levels of the term are fitted, too: a mode has its own frequency and damping.
@@ -821,11 +801,10 @@ def _refitted(
         )
         return np.hstack([rows[:, :1], rows[:, 1 : d + 1] @ determined, rows[:, d + 1 :]])
 
-    jac: Any = lambda values: table(*values)[:, 1:]  # noqa: E731  (typed as a string)
     values = least_squares(
         lambda values: table(*values)[:, 0],
         np.append(np.zeros(k), start),
-        jac,
+        lambda values: table(*values)[:, 1:],  # pyright: ignore[reportArgumentType]
         x_scale="jac",
         max_nfev=REFIT,
         ftol=2 * ENOUGH / sum(lengths),

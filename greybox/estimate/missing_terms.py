@@ -547,33 +547,32 @@ def _filtered(piece: Array, step: float, b: Any, a: Any) -> Array:
     return np.asarray(tbsv(len(a) - 1, bands, moved, lower=1))
 
 
+# What a response gets at s (n,), relative to it, with levels that a fit can refine.
+SHAPES: dict[str, Callable[..., list[ComplexArray]]] = {
+    "delay": lambda s, T: [np.exp(-s * T) - 1],
+    "pole": lambda s, a: [1 / (1 + s / a) - 1],
+    "mode": lambda s, w, z: [b / (s**2 + 2 * z * w * s + w**2) for b in (w**2, s * w)],
+}
+
+
 @lru_cache(4)  # responses of a study mostly have the same frequencies
 def terms_of_response(*omega: float) -> tuple[Term, ...]:
     """Return the terms that the model of a response at these frequencies may lack."""
     at, low, high = np.array(omega), min(omega), max(omega)
     s = 1j * at
 
-    def delayed(T: float) -> Sequence[ComplexArray]:
-        return [np.exp(-s * T) - 1]
-
-    def lagged(a: float) -> Sequence[ComplexArray]:
-        return [1 / (1 + s / a) - 1]
-
-    def resonant(w: float, damping: float) -> Sequence[ComplexArray]:
-        below = s**2 + 2 * damping * w * s + w**2
-        return [w**2 / below, s * w / below]
-
-    terms = [Term("zero", s / high)]
     # A delay in the model absorbs the phase of a zero.
-    terms.append(Term("zero", np.abs(1 + s / high) - 1))
-    for T in np.array([0.5, 1.0, 2.0]) / high:
-        terms.append(Term("delay", delayed(T)[0], scale=T, shapes=delayed, levels=(T,)))
-    for a in np.geomspace(low / 2, 2 * high, 9):
-        terms.append(Term("pole", lagged(a)[0], level=a, shapes=lagged, levels=(a,)))
-    for w, damping in itertools.product(np.geomspace(low, high, 16), DAMPINGS):
+    terms = [Term("zero", s / high), Term("zero", np.abs(1 + s / high) - 1)]
+    tried = [
+        *(("delay", (T,)) for T in np.array([0.5, 1.0, 2.0]) / high),
+        *(("pole", (a,)) for a in np.geomspace(low / 2, 2 * high, 9)),
+        *(("mode", pair) for pair in itertools.product(np.geomspace(low, high, 16), DAMPINGS)),
+    ]
+    for kind, levels in tried:
+        shapes = partial(SHAPES[kind], s)
         terms += [
-            Term("mode", shape, level=w, shapes=resonant, levels=(w, damping))
-            for shape in resonant(w, damping)
+            Term(kind, shape, level=levels[0], scale=levels[0], shapes=shapes, levels=levels)
+            for shape in shapes(*levels)
         ]
     edges = np.sqrt(at[1:] * at[:-1])
     steps = edges[:: max(len(edges) // EDGES, 1)]

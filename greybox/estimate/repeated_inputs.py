@@ -16,7 +16,7 @@ from greybox.compiled.disturbances import DisturbedRecord
 from greybox.estimate.missing_terms import Term
 from greybox.files.arrays import Array
 from greybox.statistics.autoregressive_test import ORDER
-from greybox.statistics.resolution import is_resolved
+from greybox.statistics.metrics import is_resolved
 
 ROUNDING = 1e-6  # of the range of an input, within which it is the same
 

@@ -8,7 +8,6 @@ time.
 | `metrics` | measures of fit; tests of whiteness, of correlation with the input, and of feedback |
 | `bounded_errors` | large errors bounded, for robust estimates |
 | `noise_ratio` | whether a signal is smooth or noise |
-| `resolution` | whether residuals exceed the steps of a sensor |
 | `residual_autocorrelation` | autoregressions of one series |
 | `error_spectrum` | a spectrum of errors: residuals made white, errors drawn |
 | `frequency_grid` | transforms, and the bands in which spectra are compared |

@@ -9,9 +9,6 @@ An estimated autoregression is too short-lived if the errors drift through the w
 slow term would then look significant. So the differences of the samples are tested, too, for which
 such a drift is short: the larger probability counts.
 
-Process noise reaches several outputs, which then show a term, or what looks like one, alike: their
-likelihoods do not simply add up.
-
 Sources: Cochrane and Orcutt (1949), Application of least squares regression to relationships
 containing auto-correlated error terms, Journal of the American Statistical Association 44;
 Vogelsang (1999), Sources of nonmonotonic power when testing for a shift in mean of a dynamic time
@@ -45,8 +42,11 @@ Outputs = Sequence[Sequence[IntArray]]
 def whitened(values: Array, filters: Sequence[Array], outputs: Outputs) -> Array:
     """Return rows (M, c) of values (N, c) less what the samples before them predict.
 
-    Each stretch loses as many rows at its beginning as its filter (q + 1,) has orders.
+    Each stretch loses as many rows at its beginning as its filter (q + 1,) has orders. Without
+    outputs, all rows are white.
     """
+    if not outputs:
+        return values
     pieces = [
         sliding_window_view(values[rows], len(weights), axis=0) @ weights[::-1]
         for weights, stretches in zip(filters, outputs, strict=True)
@@ -56,28 +56,8 @@ def whitened(values: Array, filters: Sequence[Array], outputs: Outputs) -> Array
     return np.vstack([values[:0], *pieces])
 
 
-def _shared(columns: Array, filters: Sequence[Array], outputs: Outputs, width: int) -> Array:
-    """Return by how much errors that outputs share raise the variances of the factors of c terms.
-
-    The columns (N, 1 + c) are those of the errors and of the terms. The filters make the errors of
-    every output white, but process noise reaches several outputs.
-    """
-    signals = np.zeros((columns.shape[1], len(columns)))
-    rows = [rows[len(w) - 1 :] for w, each in zip(filters, outputs, strict=True) for rows in each]
-    signals[:, np.concatenate(rows)] = whitened(columns, filters, outputs).T
-    signals = signals.reshape(len(signals), -1, width)
-    signals = np.append(signals, signals[:1] != 0, axis=0)
-    shared, others = 0.0, 1 - np.eye(width)
-    for lag in range(ORDER + 1):
-        sums = signals[:, lag:].swapaxes(1, 2) @ signals[:, : signals.shape[1] - lag]
-        # A later sample of either output counts.
-        covariances = (1 + (lag > 0)) * others * sums[0] / np.maximum(sums[-1], 1)
-        shared = shared + np.tensordot(sums[1:-1], covariances)
-    return 1 + np.maximum(shared / np.sum(signals[1:-1] ** 2, axis=(1, 2)), 0.0)
-
-
 def autoregressive_p_values(
-    residuals: Array, fitted: Array, terms: Array, outputs: Outputs, width: int = 1
+    residuals: Array, fitted: Array, terms: Array, outputs: Outputs
 ) -> Array:
     """Return the probabilities (c,) that terms (N, c) explain so much of errors by chance.
 
@@ -88,10 +68,7 @@ def autoregressive_p_values(
         What the fit may have taken from them.
     terms : (N, c) array
         What unit terms would add to the model's outputs.
-    outputs : sequence of sequences of (n,) arrays of int
-    width : int
-        Number of neighboring rows of one moment, each of another output, whose errors may be
-        correlated.
+    outputs : sequence of sequence of (n,) arrays of int
     """
     # Columns that nearly depend on each other would have large factors, and errors of rounding.
     basis = column_basis(fitted)
@@ -102,7 +79,7 @@ def autoregressive_p_values(
     used = np.hstack([np.ones((count + 1, first)), np.eye(count + 1, count)])
     used = used[..., None] * used[:, None]
     squares = values.T @ values + TINY * np.eye(values.shape[1])
-    p_values, factors, shared = list[Array](), _least(squares, used), np.ones(count)
+    p_values, factors = list[Array](), _least(squares, used)
     counts, whole = zip(
         *[_products([values[rows] for rows in stretches]) for stretches in outputs], strict=True
     )
@@ -126,10 +103,6 @@ def autoregressive_p_values(
         scores = -2 * np.array(counts) @ np.log([w[:, 0] for w in filters])
         # A probability near one depends on the root of the decrease, which may be all rounding.
         decrease = np.maximum(scores[-1] - scores[:-1] - UNCHANGED, 0.0)
-        if width > 1 and not times:
-            columns = np.column_stack([values @ factors[-1], values[:, first:]])
-            shared = _shared(columns, [w[-1] for w in filters], outputs, width)
-        decrease /= shared
         remaining = sum(counts) - first - sum(w.shape[1] for w in filters)
         p_values.append(chance(np.exp(-decrease / sum(counts)), remaining))
     return np.max(p_values, axis=0)

@@ -30,6 +30,20 @@ def fit_percent(measured: ArrayLike, predicted: ArrayLike) -> float:
     return 100 * (1 - float(np.linalg.norm(y - p)) / spread) if spread > 0 else math.nan
 
 
+def is_resolved(residuals: Array, measured: Array) -> bool:
+    """Return whether residuals (n,) of measured values (n,) are more than rounding.
+
+    Rounding follows the signal, unlike noise.
+    Source: Widrow and Kollár (2008), Quantization Noise, chapters 3 and 9.
+    """
+    present = np.isfinite(measured)
+    steps = np.diff(np.unique(measured[present]))
+    steps = steps[steps > 1e-6 * steps.sum()]  # closer values are the same
+    # Rounding alone leaves 0.29 of a step (rms), and half a step beside so much noise that its
+    # errors no longer follow the signal.
+    return rms(residuals[present]) > 0.5 * float(steps.min(initial=np.inf))
+
+
 @frozen
 class CorrelationTest:
     """A statistic with its degrees of freedom, and the probability of a larger one by chance.

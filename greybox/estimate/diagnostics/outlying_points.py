@@ -28,7 +28,7 @@ from greybox.files.arrays import Array, ComplexArray, real_and_imaginary
 from greybox.files.text_table import listed, number
 from greybox.statistics.bounded_errors import bounded, robust_deviation
 from greybox.statistics.column_space import column_basis
-from greybox.statistics.resolution import is_resolved
+from greybox.statistics.metrics import is_resolved
 
 # Share of fits to clean data in which any point is called an outlier.
 SIZE = 0.01

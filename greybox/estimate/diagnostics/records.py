@@ -23,15 +23,11 @@ from greybox.files.grouping import grouped
 from greybox.files.text_table import listed, some
 from greybox.modeling.colored_disturbance import undisturbed
 from greybox.modeling.state_space import StateSpace
-from greybox.statistics.metrics import cross_correlation, whiteness
+from greybox.statistics.metrics import cross_correlation, is_resolved, whiteness
 from greybox.statistics.noise_ratio import noise_ratio
-from greybox.statistics.resolution import is_resolved
 
 # Share of fits with a false alarm about feedback, and about colored prediction errors.
 FALSE_ALARMS = 0.01
-# Samples for which the filter leaves gusts of 0.15 to 2 s in the prediction errors. With 8 or 25,
-# up to a tenth fewer of these fits are found.
-LAGS = 12
 # Correlation of prediction errors below which no gust is worth another criterion: it biases the
 # estimates by a fraction of a standard error.
 NOTICEABLE = 0.1
@@ -202,7 +198,9 @@ def colored_predictions(
     for part, fitted in tested:
         for output in fitted.outputs:
             errors = _by_piece(fitted.data, fitted.residual(output))
-            test = whiteness(errors, LAGS, fitted.innovation_parameters(output))
+            # So long a filter leaves gusts of 0.15 to 2 s in the prediction errors. With 8 or 25
+            # lags, up to a tenth fewer of these fits are found.
+            test = whiteness(errors, 12, fitted.innovation_parameters(output))
             lag = int(np.argmax(np.abs(test.correlations)))
             r = float(test.correlations[lag])
             if test.p_value < FALSE_ALARMS / outputs and abs(r) > NOTICEABLE:

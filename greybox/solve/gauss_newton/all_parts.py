@@ -66,10 +66,6 @@ class AllParts:
         zipped = zip(self.parts, nodes or [None] * len(self.parts), flags, strict=True)
         return Iterate(z, tuple(part.trajectory(z, n, simulated=flag) for part, n, flag in zipped))
 
-    def simulated(self, z: Array) -> Iterate:
-        """Return the iterate at z whose nodes are simulated from the first ones."""
-        return self.at(z, [part.trajectory(z, simulated=True).nodes for part in self.parts])
-
     def along(self, iterate: Iterate, *others: Sequence[Any]) -> Iterator[Any]:
         """Yield every part with its trajectory, and with its member of the others."""
         return zip(self.parts, iterate.trajectories, *others, strict=True)

@@ -72,9 +72,10 @@ def descend(
             end = End(iterate, SINGULAR, 0)
     if end.status not in (NOT_FINITE, SINGULAR, STALLED) or not restarts:
         return end
+    nodes = [part.trajectory(iterate.z, simulated=True).nodes for part in parts.parts]
     later = descend(
         parts,
-        parts.simulated(iterate.z),
+        parts.at(iterate.z, nodes),
         EXACT,
         iterations - end.iterations,
         states_only=states_only,
