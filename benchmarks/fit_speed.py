@@ -66,7 +66,7 @@ def main():
         "ipopt": {"print_level": 0, "sb": "yes", "max_iter": 500},
     }
     z, smoothing = ca.SX.sym("z", len(nlp.free)), ca.SX.sym("smoothing")
-    cost, limits = nlp.program(z, smoothing, nlp.data)
+    cost, limits = nlp.programs[-1].explicit(z, smoothing, nlp.data)
     solver = ca.nlpsol("bare", "ipopt", {"x": z, "p": smoothing, "f": cost, "g": limits}, quiet)
     points = gb.solve.Sobol(options.starts).draw(
         {name: problem.parameters[name] for name in nlp.free}

@@ -120,7 +120,7 @@ class Bare:
     def __init__(self, problem):
         self.problem = problem
         nlp = compile_problem(problem)
-        kind = ca.SX if nlp.program.is_a("SXFunction") else ca.MX
+        kind = ca.SX if nlp.programs[-1].function.is_a("SXFunction") else ca.MX
         x = kind.sym("x", len(nlp.free))
         values = ca.vertcat(x, *nlp.constant_values.tolist())
         cost = 0
