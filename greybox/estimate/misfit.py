@@ -23,13 +23,7 @@ from greybox.estimate.missing_terms import (
     terms_of_response,
 )
 from greybox.estimate.repeated_inputs import repeated_residuals
-from greybox.files.arrays import (
-    Array,
-    BoolArray,
-    ComplexArray,
-    frozen,
-    real_and_imaginary,
-)
+from greybox.files.arrays import Array, BoolArray, ComplexArray, frozen, real_and_imaginary
 from greybox.files.html_text import Printed
 from greybox.files.text_table import number, percent, some, text_table, with_error
 from greybox.modeling.added_terms import Formula
@@ -60,31 +54,24 @@ POSSIBLE = 0.05  # and where drift alone would
 NAMED = 3  # causes that are printed with a fit
 # Terms that together explain all of the misfit: more would fit noise.
 TOGETHER = 5
-ALIKE = 0.95  # correlation of effects beyond which two terms count as one
 # Correlation time of the residuals, as in tanks that overflow or a drive with friction: sensors are
 # seldom so slow. And of the output, what a reader would see.
 DRIFTING, NOTICED = 0.99, 0.01
-GROWN = 4.6  # growth of errors of the states over a record, a hundredfold: an unstable model
 LARGE = 10  # times what noise leaves, beyond which a model describes nothing
 NOISY = 0.25  # of the variance: residuals of half the standard deviation of an output
 TINY = 1e-300
 # Samples of all records that are tested, in excerpts: with more, a fit would wait for the test.
 MOST = 3000
 FEWEST = 500  # of each
-# Evaluations of a response by itself. A step or two suffice where its values are near the common
-# ones; of resonances a factor of 20 apart, p falls from 0.4 without a step to 1e-38 with five, and
-# below 1e-99 with thirty, which take three times as long.
-REFIT = 10
-ENOUGH = 0.15  # change of log likelihood in one of these, far below what is significant
 STEP = 1e-6  # of the numbers of a term, for derivatives
 KNOTS = 11  # of the shape of a term over a signal
 # Share of the best determined combination of knots below which one counts as not determined: it is
 # what parameters explain, or has too few samples.
 DETERMINED = 0.02
-NOTHING = Term("", np.zeros(1))
 
 Key = tuple[tuple[str, str, str], int]  # the family of a term, and its number in it
 Block = tuple[Array, Array, Sequence[int]]  # see `correlated_fits`
+Stack = tuple[Array, Array, Outputs, list[Array]]  # see `_stacked`
 
 
 @dataclass(frozen=True)
@@ -341,7 +328,8 @@ def assessed_misfit(
         for record, (terms, is_new) in zip(disturbed, repeated_residuals(disturbed), strict=True)
     ]
     tested = [group for group in (responses, regressions) if any(part.terms for part in group)]
-    groups = [*map(_of_group, tested, _determined(tested, int(moves.sum())))]
+    stacks = [*map(_stacked, tested)]
+    groups = [*map(_of_group, tested, stacks, _determined(stacks))]
     if not any(group.causes for group in groups):
         return None
 
@@ -365,7 +353,7 @@ def assessed_misfit(
     )
 
 
-def _stacked(parts: Sequence[_Regression]) -> tuple[Array, Array, Outputs, list[Array]]:
+def _stacked(parts: Sequence[_Regression]) -> Stack:
     """Return residuals (N, 1), columns (N, d), rows of all outputs, and their whitening filters."""
     residuals = np.vstack([part.residuals for part in parts])
     fitted = np.vstack([part.fitted for part in parts])
@@ -378,16 +366,15 @@ def _stacked(parts: Sequence[_Regression]) -> tuple[Array, Array, Outputs, list[
     return residuals, fitted, outputs, whitening_filters(residuals[:, 0], outputs)
 
 
-def _determined(groups: Sequence[Sequence[_Regression]], count: int) -> list[Array]:
+def _determined(stacks: Sequence[Stack]) -> list[Array]:
     """Return the combinations (d, k) of d parameters that each group may change.
 
     Combinations that the other group knows much better cannot excuse a misfit.
     """
-    if len(groups) < 2:
-        return [np.eye(count)] * len(groups)
+    if len(stacks) < 2:
+        return [np.eye(fitted.shape[1]) for _, fitted, *_ in stacks]
     rows = []
-    for parts in groups:
-        residuals, fitted, outputs, filters = _stacked(parts)
+    for residuals, fitted, outputs, filters in stacks:
         both = whitened(np.hstack([residuals, fitted]), filters, outputs)
         rows.append(both[:, 1:] / (np.sqrt(np.mean(both[:, 0] ** 2)) + TINY))
     # In directions that both determine equally well, whatever the units.
@@ -397,7 +384,7 @@ def _determined(groups: Sequence[Sequence[_Regression]], count: int) -> list[Arr
     return [unit @ axes[share**2 > 0.1].T for share, axes in pairs]
 
 
-def _of_group(parts: Sequence[_Regression], determined: Array) -> Misfit:
+def _of_group(parts: Sequence[_Regression], stack: Stack, determined: Array) -> Misfit:
     """Return the misfit of all records or of all responses, in which a term is missing alike.
 
     The columns of `determined` (d, k) are what its fit can change.
@@ -410,7 +397,7 @@ def _of_group(parts: Sequence[_Regression], determined: Array) -> Misfit:
         for key, term in part.terms.items()
         if term.kind != "own" or key not in either
     }
-    residuals, fitted, outputs, filters = _stacked(parts)
+    residuals, fitted, outputs, filters = stack
     fitted = fitted @ determined
     white = partial(whitened, filters=filters, outputs=outputs)
     white_residuals, white_fitted = white(residuals), white(fitted)
@@ -528,7 +515,7 @@ def _shape(
 def _alike(effects: Array, texts: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
     """Return for every term those whose effects (N, c) are nearly the same."""
     unit = effects / np.linalg.norm(effects, axis=0)
-    is_alike = np.abs(unit.T @ unit) - np.eye(len(texts)) > ALIKE
+    is_alike = np.abs(unit.T @ unit) - np.eye(len(texts)) > 0.95
     return [tuple(texts[j][0] for j in np.flatnonzero(row).tolist()) for row in is_alike]
 
 
@@ -545,14 +532,19 @@ def _ranked(
     """
     best, tried = {}, Counter[Any]()
     remains = min(part.remains for part in parts)
-    columns = np.vstack([part.columns(keys) for part in parts])
-    tests = score_tests(residuals, fitted, white(columns), remains).T.tolist()
-    for k, (test, key) in enumerate(zip(tests, keys, strict=True)):
-        # The probability is NaN where nothing of a term is left.
-        if test[1] <= 1:
-            tried[key[0]] += 1
-            if test > best.get(key[0], [[]])[0]:
-                best[key[0]] = test, key, columns[:, [k]]
+    # With all 1059 terms of a chain of eight states in memory at once, a test takes a quarter more
+    # time and 370 MB.
+    size = 600_000 // (len(residuals) + 1) + 1
+    for first in range(0, len(keys), size):
+        chosen = keys[first : first + size]
+        columns = np.vstack([part.columns(chosen) for part in parts])
+        tests = score_tests(residuals, fitted, white(columns), remains).T.tolist()
+        for k, (test, key) in enumerate(zip(tests, chosen, strict=True)):
+            # The probability is NaN where nothing of a term is left.
+            if test[1] <= 1:
+                tried[key[0]] += 1
+                if test > best.get(key[0], [[]])[0]:
+                    best[key[0]] = test, key, columns[:, [k]]
     # The best twelve are tested beside the color of the errors.
     return tried, sorted(best.values(), key=lambda test: -round(test[0][0], 9))[:12]
 
@@ -620,7 +612,8 @@ def _of_record(
         lambda terms: rows(record.followed_by(t.place(t.values) for t in terms if t.place)),
         outputs=outputs,
         causes=tuple(offsets),
-        is_unstable=record.growth > GROWN,
+        # A hundredfold growth of errors of the states over the record.
+        is_unstable=record.growth > 4.6,
         # From known initial states, terms grow as parameters do, and differ by what does not grow.
         remains=max(REMAINS * np.exp(-record.growth * part.known_states.any()), DEPENDENT),
         signals=partial(signals_of_record, record),
@@ -643,7 +636,7 @@ def _offsets(
     columns = beside(columns, fitted)
     pieces = np.zeros(len(columns), dtype=int)
     for rows in map(np.concatenate, outputs):
-        pieces[rows] = np.arange(len(rows)) * 10 // len(rows)
+        pieces[rows] = np.arange(len(rows)) * 10 // len(rows)  # whose means show an offset
     for term, (decrease, p_one, value, _), column in zip(terms, tests, columns.T[1:], strict=True):
         if np.isnan(p_one):
             continue
@@ -788,7 +781,9 @@ def _refitted(parts: Sequence[_Regression], determined: Array, key: Any = None) 
     """
     from scipy.optimize import least_squares  # noqa: PLC0415  (slow to import)
 
-    fits = [(part.again, part.terms.get(key, NOTHING)) for part in parts if part.again]
+    fits = [
+        (part.again, part.terms.get(key, Term("", np.zeros(1)))) for part in parts if part.again
+    ]
     (d, k), start, lengths = determined.shape, fits[0][1].start, _lengths(parts)
 
     @lru_cache(1)
@@ -802,13 +797,16 @@ def _refitted(parts: Sequence[_Regression], determined: Array, key: Any = None) 
         )
         return np.hstack([rows[:, :1], rows[:, 1 : d + 1] @ determined, rows[:, d + 1 :]])
 
+    # A step or two suffice where values are near the common ones; of resonances a factor of 20 apart,
+    # p falls from 0.4 without a step to 1e-38 with five. Frequency and damping of a term take ten.
+    # They end at a change of the log likelihood far below what is significant.
     values = least_squares(
         lambda values: table(*values)[:, 0],
         np.append(np.zeros(k), start),
         lambda values: table(*values)[:, 1:],  # pyright: ignore[reportArgumentType]
         x_scale="jac",
-        max_nfev=REFIT,
-        ftol=2 * ENOUGH / sum(lengths),
+        max_nfev=10,
+        ftol=0.3 / sum(lengths),
     ).x
     residuals, slopes = np.split(table(*values), [1], axis=1)
     return residuals, slopes, lengths

@@ -548,7 +548,7 @@ def _filtered(piece: Array, step: float, b: Any, a: Any) -> Array:
 
 
 # What a response gets at s (n,), relative to it, with levels that a fit can refine.
-SHAPES: dict[str, Callable[..., list[ComplexArray]]] = {
+SHAPES = {
     "delay": lambda s, T: [np.exp(-s * T) - 1],
     "pole": lambda s, a: [1 / (1 + s / a) - 1],
     "mode": lambda s, w, z: [b / (s**2 + 2 * z * w * s + w**2) for b in (w**2, s * w)],

@@ -16,10 +16,6 @@ from numpy.typing import NDArray
 
 from greybox.files.arrays import Array
 
-# Relative error of the response up to which an order is good enough: six of sixteen digits are
-# lost.
-ACCURATE = 1e-10
-
 
 def eliminated(system: Sequence[Sequence[Any]], s: Any, order: Sequence[int]) -> list[list[Any]]:
     """Return the responses of a system [[-A, B], [-C, D]]; None is an entry that is always zero."""
@@ -81,8 +77,12 @@ def elimination_order(samples: Array, omega: Array, outputs: int = 1) -> tuple[i
             errors[order] = np.max(
                 np.nan_to_num(error, nan=1e300), where=is_comparable, initial=0.0
             )
-    # The natural order keeps the expressions short.
-    return natural if errors[natural] < ACCURATE else min(errors, key=errors.__getitem__)
+            # The first order that loses at most six of sixteen digits is taken: the natural one keeps
+            # the expressions short.
+            if errors[order] < 1e-10:
+                return order
+
+    return min(errors, key=errors.__getitem__)
 
 
 def solve_pencils(pencil: NDArray[Any], right: NDArray[Any]) -> NDArray[Any]:

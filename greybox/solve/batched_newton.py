@@ -25,7 +25,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.response_programs import CostProgram
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import Array, BoolArray, IntArray
+from greybox.files.arrays import Array, BoolArray, IntArray, frozen
 from greybox.modeling.one_thread import PerThread, one_thread_at_a_time
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.newton_iteration import (
@@ -54,7 +54,7 @@ LAST = BARRIERS.shape[1] - 1
 NO_DATA = np.zeros(0)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen
 class Ends:
     """Where searches from m points ended.
 
