@@ -797,9 +797,9 @@ def _refitted(parts: Sequence[_Regression], determined: Array, key: Any = None) 
         )
         return np.hstack([rows[:, :1], rows[:, 1 : d + 1] @ determined, rows[:, d + 1 :]])
 
-    # A step or two suffice where values are near the common ones; of resonances a factor of 20 apart,
-    # p falls from 0.4 without a step to 1e-38 with five. Frequency and damping of a term take ten.
-    # They end at a change of the log likelihood far below what is significant.
+    # A step or two suffice where values are near the common ones; of resonances a factor of 20
+    # apart, p falls from 0.4 without a step to 1e-38 with five. Frequency and damping of a term
+    # take ten. They end at a change of the log likelihood far below what is significant.
     values = least_squares(
         lambda values: table(*values)[:, 0],
         np.append(np.zeros(k), start),

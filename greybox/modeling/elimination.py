@@ -77,8 +77,8 @@ def elimination_order(samples: Array, omega: Array, outputs: int = 1) -> tuple[i
             errors[order] = np.max(
                 np.nan_to_num(error, nan=1e300), where=is_comparable, initial=0.0
             )
-            # The first order that loses at most six of sixteen digits is taken: the natural one keeps
-            # the expressions short.
+            # The first order that loses at most six of sixteen digits is taken: the natural one
+            # keeps the expressions short.
             if errors[order] < 1e-10:
                 return order
 
