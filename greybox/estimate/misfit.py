@@ -421,7 +421,11 @@ def _of_group(parts: Sequence[_Regression], stack: Stack, determined: Array) -> 
     p_common = 1.0
     p_values = p_correlated = [p_value for (_, p_value, *_), *_ in ranked]
     if outputs:
-        p_values = autoregressive_p_values(residuals[:, 0], fitted, best_columns, outputs).tolist()
+        # Where records have unlike outputs, errors of outputs count as independent.
+        width = len(parts[0].outputs) if len({len(part.outputs) for part in parts}) == 1 else 1
+        p_values = autoregressive_p_values(
+            residuals[:, 0], fitted, best_columns, outputs, width
+        ).tolist()
         p_correlated = p_values
     elif ranked:
         block = residuals, fitted, _lengths(parts)
@@ -574,7 +578,7 @@ def _of_record(
 
     def rows_of_stretch(values: Array, measured: BoolArray) -> Array:
         result = np.where(measured, weight @ values.swapaxes(0, 1), 0.0)
-        return result.reshape(len(result), measured.size).T
+        return result.swapaxes(1, 2).reshape(len(result), measured.size).T
 
     by_initial = data.unpadded(np.einsum("ab,bmn->amn", noise, slopes.by_initial))
     starts = [*map(rows_of_stretch, by_initial, present)]
@@ -596,7 +600,7 @@ def _of_record(
     firsts = np.cumsum([0, *(row.size for row in present[:-1])])
     outputs = [
         [
-            first + k * row.shape[1] + np.flatnonzero(row[k])
+            first + k + len(row) * np.flatnonzero(row[k])
             for first, row in zip(firsts, present, strict=True)
         ]
         for k in range(len(present[0]))
@@ -653,10 +657,10 @@ def _offsets(
 
 
 def _lines(measured: BoolArray) -> Array:
-    """Return a constant and a straight line (k n, 2 k) for every output of a stretch (k, n)."""
+    """Return a constant and a straight line (n k, 2 k) for every output of a stretch (k, n)."""
     outputs, samples = measured.shape
     line = np.vander(np.linspace(-1, 1, samples), 2)
-    return np.asarray(np.kron(np.eye(outputs), line) * measured.reshape(-1, 1), dtype=float)
+    return np.asarray(np.kron(line, np.eye(outputs)) * measured.T.reshape(-1, 1), dtype=float)
 
 
 def _on_excerpts(

@@ -9,6 +9,9 @@ An estimated autoregression is too short-lived if the errors drift through the w
 slow term would then look significant. So the differences of the samples are tested, too, for which
 such a drift is short: the larger probability counts.
 
+Process noise reaches several outputs, which then show a term, or what looks like one, alike: their
+likelihoods do not simply add up.
+
 Sources: Cochrane and Orcutt (1949), Application of least squares regression to relationships
 containing auto-correlated error terms, Journal of the American Statistical Association 44;
 Vogelsang (1999), Sources of nonmonotonic power when testing for a shift in mean of a dynamic time
@@ -56,8 +59,28 @@ def whitened(values: Array, filters: Sequence[Array], outputs: Outputs) -> Array
     return np.vstack([values[:0], *pieces])
 
 
+def _shared(columns: Array, filters: Sequence[Array], outputs: Outputs, width: int) -> Array:
+    """Return by how much errors that outputs share raise the variances (c,) of factors on terms.
+
+    The columns (N, 1 + c) are those of the errors and of the terms. The filters make the errors of
+    every output white, but process noise reaches several outputs, some of them later.
+    """
+    signals = np.zeros(columns.T.shape)
+    rows = [rows[len(w) - 1 :] for w, each in zip(filters, outputs, strict=True) for rows in each]
+    signals[:, np.concatenate(rows)] = whitened(columns, filters, outputs).T
+    signals = signals.reshape(len(signals), -1, width)
+    signals = np.append(signals, signals[:1] != 0, axis=0)
+    terms, shared = signals[1:-1], 0.0
+    for lag in range(ORDER + 1):
+        sums = signals[:, lag:].swapaxes(1, 2) @ signals[:, : signals.shape[1] - lag]
+        covariances = (1 - np.eye(width)) * sums[0] / np.maximum(sums[-1], 1)
+        # Either output may be the later one.
+        shared += (2 if lag else 1) * np.tensordot(sums[1:-1], covariances)
+    return 1 + np.maximum(shared / np.sum(terms**2, axis=(1, 2)), 0.0)
+
+
 def autoregressive_p_values(
-    residuals: Array, fitted: Array, terms: Array, outputs: Outputs
+    residuals: Array, fitted: Array, terms: Array, outputs: Outputs, width: int = 1
 ) -> Array:
     """Return the probabilities (c,) that terms (N, c) explain so much of errors by chance.
 
@@ -68,7 +91,10 @@ def autoregressive_p_values(
         What the fit may have taken from them.
     terms : (N, c) array
         What unit terms would add to the model's outputs.
-    outputs : sequence of sequence of (n,) arrays of int
+    outputs : sequence of sequences of (n,) arrays of int
+    width : int
+        Number of neighboring rows of one moment, each of another output, whose errors may be
+        correlated.
     """
     # Columns that nearly depend on each other would have large factors, and errors of rounding.
     basis = column_basis(fitted)
@@ -80,6 +106,7 @@ def autoregressive_p_values(
     used = used[..., None] * used[:, None]
     squares = values.T @ values + TINY * np.eye(values.shape[1])
     p_values, factors = list[Array](), _least(squares, used)
+    shared = np.ones(count)
     counts, whole = zip(
         *[_products([values[rows] for rows in stretches]) for stretches in outputs], strict=True
     )
@@ -103,6 +130,10 @@ def autoregressive_p_values(
         scores = -2 * np.array(counts) @ np.log([w[:, 0] for w in filters])
         # A probability near one depends on the root of the decrease, which may be all rounding.
         decrease = np.maximum(scores[-1] - scores[:-1] - UNCHANGED, 0.0)
+        if width > 1 and not times:
+            columns = np.column_stack([values @ factors[-1], values[:, first:]])
+            shared = _shared(columns, [w[-1] for w in filters], outputs, width)
+        decrease /= shared
         remaining = sum(counts) - first - sum(w.shape[1] for w in filters)
         p_values.append(chance(np.exp(-decrease / sum(counts)), remaining))
     return np.max(p_values, axis=0)

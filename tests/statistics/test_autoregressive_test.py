@@ -71,3 +71,26 @@ def test_a_term_that_is_nearly_an_effect_of_parameters_counts_by_what_remains():
     p_near, p_alone = autoregressive_p_values(residuals, FITTED, np.hstack([near, TERM]), OUTPUTS)
     assert p_alone < 0.1
     assert p_near == pytest.approx(p_alone, rel=1e-4)
+
+
+def sharing(rng):
+    """Return errors of two outputs in rows by turns: process noise through a lag and its integral."""
+    noise = 0.3 * rng.standard_normal(N + 500)
+    rate = lfilter([1.0], [1.0, -0.9], noise)
+    angle = lfilter([0.1], [1.0, -0.98], rate)
+    both = np.column_stack([rate, angle])[500:] + 0.02 * rng.standard_normal((N, 2))
+    return both.ravel()
+
+
+def test_process_noise_that_reaches_two_outputs_is_rarely_called_a_term():
+    rng = np.random.default_rng(5)
+    shape = lfilter([1.0], [1.0, -0.9], np.sign(np.sin(17 * T)))
+    term = np.column_stack([shape, lfilter([0.1], [1.0, -0.98], shape)]).reshape(-1, 1)
+    outputs = [[np.arange(0, 2 * N, 2)], [np.arange(1, 2 * N, 2)]]
+    fitted = np.kron(FITTED, np.eye(2))
+    p_values = [
+        autoregressive_p_values(sharing(rng), fitted, term, outputs, 2)[0] for _ in range(150)
+    ]
+    assert np.sum(np.array(p_values) < 0.05) <= 15
+    (present,) = autoregressive_p_values(sharing(rng) + term[:, 0], fitted, term, outputs, 2)
+    assert present < 1e-6
