@@ -162,7 +162,10 @@ def _record(name: str, part: Messages, source: str, checksum: str) -> Record | N
         wrong = int(np.count_nonzero(~np.isfinite(time)))
         reasons = [f"{wrong} with implausible times"] if wrong else []
         reasons += [f"{dropped - wrong} whose time does not increase"] if dropped > wrong else []
-        findings = (f"{name}: {dropped} of {time.size} samples dropped: {', '.join(reasons)}.",)
+        cure = "; sort the lines of the file by time" * (2 * dropped > time.size + wrong)
+        findings = (
+            f"{name}: {dropped} of {time.size} samples dropped: {', '.join(reasons)}{cure}.",
+        )
         time = time[rows]
         columns = {column: values[rows] for column, values in columns.items()}
     for values in (time, *columns.values()):

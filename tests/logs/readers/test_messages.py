@@ -67,6 +67,12 @@ def test_dropped_samples_are_counted_with_the_reason():
     )
 
 
+def test_samples_out_of_order_are_to_be_sorted():
+    time = np.random.default_rng(0).permutation(40) / 10
+    _, (finding, *_) = records([messages(order=range(40), time=time)], "a.csv", "abc")
+    assert finding.endswith("whose time does not increase; sort the lines of the file by time.")
+
+
 def test_records_of_instances_keep_units_holds_and_texts_apart():
     """By number and by name, in order; a single value of an instance is one too."""
     n = 6
