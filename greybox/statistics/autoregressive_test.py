@@ -30,8 +30,8 @@ from greybox.statistics.column_space import column_basis, outside
 from greybox.statistics.score_test import chance
 
 ORDER = 20
-# Samples of an output for each order. With 8, right models of 60 samples were called wrong in 7 % of
-# fits where neighboring errors correlate by 0.9.
+# Samples of an output for each order. With 8, right models of 60 samples were called wrong in 7 %
+# of fits where neighboring errors correlate by 0.9.
 SAMPLES = 15
 # Share of the power of columns that may be rounding, as errors that are white and independent.
 ROUNDING = 1e-12
