@@ -191,7 +191,7 @@ class RecordPart(SegmentedPart):
             point = ca.SX.sym("x", len(places))
             named: dict[str, Any] = dict(zip(names, values.tolist(), strict=True))
             named |= {names[place]: point[i] for i, place in enumerate(places)}
-            model = record_model(self.problem, named, point, self.model.method)
+            model = record_model(self.problem, named, point, self.model.method, [])
             part = RecordPart(model, self.data, self.substeps)
             trajectory = part.trajectory(
                 values[list(places)], trajectory.nodes, simulated=trajectory.simulated
@@ -267,9 +267,9 @@ def compile_records(
     Records of one model have one compiled sample, and one choice of substeps and segments where
     they are sampled alike. If one of them is stiff, all have implicit steps.
     """
-    models: list[RecordModel] = []
+    models, shared = list[RecordModel](), list[Any]()
     for problem in problems:
-        model = record_model(problem, expressions, z, method, models)
+        model = record_model(problem, expressions, z, method, shared)
         if model.criterion.corrects_states and model.record.is_irregular:
             raise ValueError(
                 f"{problem.name!r} corrects its states by a constant gain, and its record is not "
