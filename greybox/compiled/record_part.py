@@ -150,8 +150,8 @@ class RecordPart(SegmentedPart):
         outputs, inputs = self.at_nodes
         unknown = np.full(self.states, np.nan)
         nodes = model.initial_states.at(outputs, inputs, model.begin, unknown)
-        inputs = data.delayed_inputs(np.zeros(len(self.system.inputs)))
-        reference = nodes.mean(axis=1), np.vstack([*inputs, data.measured_rows]).mean(axis=1)
+        rows = data.rows(np.zeros(len(self.system.inputs)))
+        reference = nodes.mean(axis=1), rows.mean(axis=1)
         step = max(data.stretches, key=len).step
 
         return noise_model(model, self.step, step, reference)
@@ -214,7 +214,7 @@ def _information(part: RecordPart, trajectory: Trajectory, by_values: Array) -> 
     model, data = part.model, part.data
     weight = part.residual_weight(trajectory)
     slopes = sensitivity(part, trajectory, weight)
-    weighted, score = slopes.weighted, slopes.white
+    weighted, score = slopes.weighted, slopes.triangle.T @ slopes.triangle
     if part.covariance.known is not None and not model.is_prior:
         # The residuals show whether the given noise is right.
         variance = np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1)

@@ -115,11 +115,9 @@ class SegmentedPart(Part):
         and linearization recognize it.
         """
         # The fraction of a delay enters through q; only its whole samples select other data.
-        steps = np.array([stretch.step for stretch in self.data.stretches])
-        whole = np.floor(self.data.by_stretch(delays) / steps[:, None] + 1e-9)
+        whole = self.data.whole_samples(delays)
         if self._placed_data is None or not np.array_equal(self._placed_data[0], whole):
-            rows = np.vstack([*self.data.delayed_inputs(delays), self.data.measured_rows])
-            self._placed_data = (whole, self.segments.columns(rows))
+            self._placed_data = (whole, self.segments.columns(self.data.rows(delays)))
         return self._placed_data[1]
 
     @cached_property
