@@ -126,18 +126,14 @@ def _links(y: ca.SX, x: ca.SX, others: ca.SX) -> dict[int, tuple[int, float, flo
     slopes = ca.jacobian(y, x)
     mixed = ca.which_depends(y, others, 1, True) if others.numel() else [False] * y.numel()
     for k in range(y.numel()):
-        state = [c for c in range(x.numel()) if slopes[k, c].nnz()]
-        if (
-            mixed[k]
-            or len(state) != 1
-            or state[0] in links
-            or not slopes[k, state[0]].is_constant()
-        ):
+        row = slopes[k, :]
+        if mixed[k] or row.nnz() != 1 or not row.is_constant():
             continue
-        factor = float(slopes[k, state[0]])
+        (state,) = row.sparsity().get_triplet()[1]
+        factor = float(row[state])
         offset = ca.simplify(ca.substitute(y[k], x, ca.SX.zeros(x.numel())))
         if factor and offset.is_constant():
-            links[state[0]] = k, factor, float(offset)
+            links.setdefault(state, (k, factor, float(offset)))
 
     return links
 

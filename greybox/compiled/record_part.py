@@ -40,13 +40,20 @@ class RecordPart(SegmentedPart):
         *,
         covariance: ResidualCovariance | None = None,
     ) -> None:
-        """Build the functions, or take those that the model has compiled before."""
+        """Build the functions, or take those that the model has compiled before.
+
+        A `covariance` is that of a part with other data: the criterion stays behind when a part is
+        sent to a worker.
+        """
         step = model.step(model.method.scheme, substeps)
         super().__init__(
             model,
             data,
             Segments(step, data.segments, data.segment_length, model.active),
-            covariance or residual_covariance_of(model.criterion, model.outputs, data.measured),
+            # The spread only scales, and stays that of the original outputs.
+            replace(covariance, counts=np.isfinite(data.measured).sum(axis=1))
+            if covariance
+            else residual_covariance_of(model.criterion, model.outputs, data.measured),
         )
         self.gains = model.gains
         # Outputs depend only on the inputs of the same sample.
@@ -57,18 +64,14 @@ class RecordPart(SegmentedPart):
     def excerpt(self, samples: int) -> "RecordPart":
         """Return the part on evenly spaced excerpts with about this total number of samples."""
         data = self.data.excerpts(samples)
-        # The criterion stays behind when a part is sent to a worker.
-        covariance = self.covariance.along(data.measured)
-        return RecordPart(self.model, data, self.substeps, covariance=covariance)
+        return RecordPart(self.model, data, self.substeps, covariance=self.covariance)
 
     def with_outputs(self, outputs: Sequence[Array]) -> "RecordPart":
         """Return the part with other measured outputs (k, n) of every stretch, NaN for gaps."""
         pairs = zip(self.data.stretches, outputs, strict=True)
         stretches = tuple(replace(stretch, outputs=values) for stretch, values in pairs)
         data = replace(self.data, stretches=stretches)
-        # The spread only scales, and stays that of the original outputs.
-        covariance = replace(self.covariance, counts=np.isfinite(data.measured).sum(axis=1))
-        return RecordPart(self.model, data, self.substeps, covariance=covariance)
+        return RecordPart(self.model, data, self.substeps, covariance=self.covariance)
 
     def with_bounded_errors(self, trajectory: Trajectory) -> "RecordPart":
         """Return the part with pseudo-values as outputs, if its large errors are bounded."""

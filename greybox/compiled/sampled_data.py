@@ -162,7 +162,6 @@ class SampledData:
 
     def rows(self, delays: Array) -> Array:
         """Return the data of all samples (width, samples), as `SampleStep` takes them."""
-        measured, present = self.measured, np.isfinite(self.measured)
         inputs, measured = self.delayed_inputs(delays), self.measured
         return np.vstack([*inputs, np.nan_to_num(measured), np.isfinite(measured), self.steps])
 
