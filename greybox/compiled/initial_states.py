@@ -146,22 +146,24 @@ def at_samples(data: SampledData, every: int, *, spread: bool = False) -> tuple[
     They begin with the first sample of a stretch. With `spread` they begin with another sample in
     every stretch: otherwise many short stretches that begin at rest would show nothing but rest.
     """
-    outputs, inputs = [], []
-    everywhere = np.hstack([stretch.outputs for stretch in data.stretches])
-    means = [float(np.nanmean(row)) if np.isfinite(row).any() else 0.0 for row in everywhere]
-    rows_of_outputs = zip(*(stretch.outputs for stretch in data.stretches), strict=True)
-    are_noise = [noise_ratio(rows).ratio > SMOOTH for rows in rows_of_outputs]
+    places = []
     for k, stretch in enumerate(data.stretches):
-        at = np.arange(
-            int(k * GOLDEN % 1 * min(every, len(stretch))) if spread else 0, len(stretch), every
-        )
-        rows = []
-        for row, mean, is_noise in zip(stretch.outputs, means, are_noise, strict=True):
-            is_used = np.isfinite(row).any() and not is_noise
-            values = row if is_used else np.full(len(row), mean)
-            present = np.flatnonzero(np.isfinite(values))
-            rows.append(np.interp(at, present, values[present]))
-        outputs.append(np.array(rows).reshape(len(rows), at.size))
-        inputs.append(stretch.inputs[:, at])
+        first = int(k * GOLDEN % 1 * min(every, len(stretch))) if spread else 0
+        places.append(np.arange(first, len(stretch), every))
 
-    return np.concatenate(outputs, axis=1), np.concatenate(inputs, axis=1)
+    outputs = []
+    for rows in zip(*(stretch.outputs for stretch in data.stretches), strict=True):
+        values = np.concatenate(rows)
+        mean = float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
+        is_noise = noise_ratio(rows).ratio > SMOOTH
+        output = []
+        for row, at in zip(rows, places, strict=True):
+            present = np.flatnonzero(np.isfinite(row))
+            if is_noise or not present.size:
+                output.append(np.full(at.size, mean))
+            else:
+                output.append(np.interp(at, present, row[present]))
+        outputs.append(np.concatenate(output))
+
+    pairs = zip(data.stretches, places, strict=True)
+    return np.array(outputs), np.hstack([stretch.inputs[:, at] for stretch, at in pairs])

@@ -108,11 +108,6 @@ class RecordPart(SegmentedPart):
 
         return result
 
-    @property
-    def description(self) -> str:
-        """The method, with the segments and steps that were chosen."""
-        return self.model.method.described(self.data.segment_length, self.substeps)
-
     # --- placement
 
     def place(self, z: Array) -> Placed:
