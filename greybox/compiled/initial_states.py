@@ -18,7 +18,6 @@ from greybox.statistics.noise_ratio import SMOOTH, noise_ratio
 
 # Multiples of the golden ratio modulo one are spread more evenly than those of any other number.
 GOLDEN = (5**0.5 - 1) / 2
-SWEEPS = 2  # over the unmeasured states, each with all sizes
 SIZES = (1.0, 0.1, 10.0, 0.01, 100.0, 1e-3, 1e3, 1e4, 1e5, -1.0, -0.1, -10.0, -100.0)
 
 
@@ -85,7 +84,8 @@ class InitialStates:
 
         best, least = states, score(states)
         # All states together first: one alone may leave the model undefined because of another.
-        for group in [hidden, *([[k] for k in hidden] * SWEEPS)]:
+        # Then each by itself, in two sweeps.
+        for group in [hidden, *([[k] for k in hidden] * 2)]:
             for size in (0.0, *SIZES):
                 trial = best.copy()
                 trial[group] = size
