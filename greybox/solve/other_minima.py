@@ -66,12 +66,14 @@ def points_beside(nlp: CompiledProblem, x: Array) -> Array:
 def _in_frequency(nlp: CompiledProblem, x: Array) -> CompiledProblem:
     """Return a problem of responses: those of the first record's model at x (p,), if linear.
 
-    A record with as many outputs as states determines the whole model, and has no others.
+    A record with as many outputs as states determines the whole model, and has no others. A model
+    without inputs has no response.
     """
     for part in nlp.parts_of(RecordPart)[:1]:
         problem, symbols = part.problem, part.system.symbols
         derivative = part.system.derivative(*symbols)
-        if len(part.outputs) < part.states and ca.is_linear(derivative, ca.vertcat(*symbols[:2])):
+        is_linear = ca.is_linear(derivative, ca.vertcat(*symbols[:2]))
+        if part.system.inputs and len(part.outputs) < part.states and is_linear:
             values = problem.local_values(dict(zip(nlp.names, nlp.all_values(x), strict=True)))
             # From below the lowest frequency of the record to nearly the Nyquist frequency, rad/s.
             omega = np.geomspace(1 / problem.record.duration, 3 / problem.record.step, 10)
