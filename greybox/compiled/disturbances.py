@@ -54,7 +54,7 @@ class DisturbedRecord:
         data = self.part.data
         pieces = zip(data.unpadded(row), data.stretches, strict=True)
         rows = [function(piece, stretch.step, *arguments)[None] for piece, stretch in pieces]
-        return data.padded(rows, None)[0]
+        return data.padded(rows)[0]
 
     def by_output(self, place: int, values: Array) -> Effect:
         """Return the effect of values (samples,) that add to an output."""

@@ -18,7 +18,6 @@ from greybox.statistics.noise_ratio import SMOOTH, noise_ratio
 
 # Multiples of the golden ratio modulo one are spread more evenly than those of any other number.
 GOLDEN = (5**0.5 - 1) / 2
-SWEEPS = 2  # over the unmeasured states, each with all sizes
 SIZES = (1.0, 0.1, 10.0, 0.01, 100.0, 1e-3, 1e3, 1e4, 1e5, -1.0, -0.1, -10.0, -100.0)
 
 
@@ -85,7 +84,8 @@ class InitialStates:
 
         best, least = states, score(states)
         # All states together first: one alone may leave the model undefined because of another.
-        for group in [hidden, *([[k] for k in hidden] * SWEEPS)]:
+        # Then each by itself, in two sweeps.
+        for group in [hidden, *([[k] for k in hidden] * 2)]:
             for size in (0.0, *SIZES):
                 trial = best.copy()
                 trial[group] = size
@@ -126,18 +126,14 @@ def _links(y: ca.SX, x: ca.SX, others: ca.SX) -> dict[int, tuple[int, float, flo
     slopes = ca.jacobian(y, x)
     mixed = ca.which_depends(y, others, 1, True) if others.numel() else [False] * y.numel()
     for k in range(y.numel()):
-        state = [c for c in range(x.numel()) if slopes[k, c].nnz()]
-        if (
-            mixed[k]
-            or len(state) != 1
-            or state[0] in links
-            or not slopes[k, state[0]].is_constant()
-        ):
+        row = slopes[k, :]
+        if mixed[k] or row.nnz() != 1 or not row.is_constant():
             continue
-        factor = float(slopes[k, state[0]])
+        (state,) = row.sparsity().get_triplet()[1]
+        factor = float(row[state])
         offset = ca.simplify(ca.substitute(y[k], x, ca.SX.zeros(x.numel())))
         if factor and offset.is_constant():
-            links[state[0]] = k, factor, float(offset)
+            links.setdefault(state, (k, factor, float(offset)))
 
     return links
 
@@ -150,22 +146,24 @@ def at_samples(data: SampledData, every: int, *, spread: bool = False) -> tuple[
     They begin with the first sample of a stretch. With `spread` they begin with another sample in
     every stretch: otherwise many short stretches that begin at rest would show nothing but rest.
     """
-    outputs, inputs = [], []
-    everywhere = np.hstack([stretch.outputs for stretch in data.stretches])
-    means = [float(np.nanmean(row)) if np.isfinite(row).any() else 0.0 for row in everywhere]
-    rows_of_outputs = zip(*(stretch.outputs for stretch in data.stretches), strict=True)
-    are_noise = [noise_ratio(rows).ratio > SMOOTH for rows in rows_of_outputs]
+    places = []
     for k, stretch in enumerate(data.stretches):
-        at = np.arange(
-            int(k * GOLDEN % 1 * min(every, len(stretch))) if spread else 0, len(stretch), every
-        )
-        rows = []
-        for row, mean, is_noise in zip(stretch.outputs, means, are_noise, strict=True):
-            is_used = np.isfinite(row).any() and not is_noise
-            values = row if is_used else np.full(len(row), mean)
-            present = np.flatnonzero(np.isfinite(values))
-            rows.append(np.interp(at, present, values[present]))
-        outputs.append(np.array(rows).reshape(len(rows), at.size))
-        inputs.append(stretch.inputs[:, at])
+        first = int(k * GOLDEN % 1 * min(every, len(stretch))) if spread else 0
+        places.append(np.arange(first, len(stretch), every))
 
-    return np.concatenate(outputs, axis=1), np.concatenate(inputs, axis=1)
+    outputs = []
+    for rows in zip(*(stretch.outputs for stretch in data.stretches), strict=True):
+        values = np.concatenate(rows)
+        mean = float(np.nanmean(values)) if np.isfinite(values).any() else 0.0
+        is_noise = noise_ratio(rows).ratio > SMOOTH
+        output = []
+        for row, at in zip(rows, places, strict=True):
+            present = np.flatnonzero(np.isfinite(row))
+            if is_noise or not present.size:
+                output.append(np.full(at.size, mean))
+            else:
+                output.append(np.interp(at, present, row[present]))
+        outputs.append(np.concatenate(output))
+
+    pairs = zip(data.stretches, places, strict=True)
+    return np.array(outputs), np.hstack([stretch.inputs[:, at] for stretch, at in pairs])

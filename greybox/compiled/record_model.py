@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -29,8 +28,8 @@ from greybox.modeling.symbolic_reading import called, dense_jacobian
 class RecordModel(Portable):
     """A record and its model, independent of segments and substeps.
 
-    Problem, record, criterion and kind stay where they were compiled when this is pickled: solvers
-    need only the rest.
+    Problem, record and criterion stay where they were compiled when this is pickled: solvers need
+    only the rest.
 
     Attributes
     ----------
@@ -50,8 +49,6 @@ class RecordModel(Portable):
         The start values of the model's parameters.
     active : (q,) array
         Places of the estimated parameters among the declared ones.
-    kind : tuple
-        What it has in common with records that share its functions, see `_kind`.
     has_time : bool
         Whether the record's samples follow one another in time.
     is_prior : bool
@@ -71,7 +68,7 @@ class RecordModel(Portable):
         with it the fingerprint by which stored runs are found again.
     """
 
-    local = ("problem", "record", "criterion", "kind")
+    local = ("problem", "record", "criterion")
 
     problem: Problem
     record: Record
@@ -79,7 +76,6 @@ class RecordModel(Portable):
     weight: float
     criterion: TimeCriterion
     has_bounded_errors: bool
-    kind: tuple[Any, ...]
     has_time: bool
     is_prior: bool
     method: Transcription
@@ -118,61 +114,91 @@ class RecordModel(Portable):
         return self.steps[key]
 
 
+SharedFunctions = tuple[Dynamics, ca.Function, InitialStates, dict[Any, SampleStep]]
+"""Dynamics, known initial states, initial states at the nodes, and samples by their steps."""
+
+
 def record_model(
     problem: Problem,
     expressions: Mapping[str, Any],
     z: ca.SX,
     method: Transcription,
-    others: Sequence[RecordModel] = (),
+    shared: list[tuple[Any, SharedFunctions]],
 ) -> RecordModel:
     """Compile a record's model; `expressions` are the parameters at z, by outside name.
 
-    Functions that equal those of one of the `others` are shared with it.
+    Records of one kind have their functions in common: `shared` has those compiled so far.
     """
-    kind = _kind(problem)
-    kin = next((model for model in others if model.kind == kind), None)
-    if kin is None:
-        kin = _first_of_its_kind(problem, kind, method)
+    model, record, criterion = problem.model, problem.record, problem.criterion
+    assert isinstance(criterion, TimeCriterion)
+    outputs = criterion.compared(model, record)
+    between = between_samples(criterion.inputs, model.input_names, record)
+    gains, driven = criterion.gains(model, outputs), criterion.driven()
+    parameters = tuple(problem.declared)
+    if driven:
+        parameters += tuple(f"K_{state}_{output}" for state, output in gains)
+
+    # Models without arguments are of one kind if their classes are.
+    alike = type(model) if vars(model) == {"arguments": ((), {})} else id(model)
+    kind = criterion, problem.delay, parameters, outputs, between, alike
+    functions = next((functions for other, functions in shared if other == kind), None)
+    if functions is None:
+        functions = _shared_functions(problem, criterion, parameters, outputs, between)
+        shared.append((kind, functions))
+    system, known, initial_states, steps = functions
 
     # Gains that follow from process noise come last; the filter fills them in.
     declared = problem.local_values(expressions).values()
-    q = ca.vertcat(*declared, ca.SX.zeros(len(kin.parameters) - len(declared)))
+    q = ca.vertcat(*declared, ca.SX.zeros(len(parameters) - len(declared)))
     slope = ca.jacobian(q, z)
     # Gains that follow from process noise have no expression in z: the filter gives their slopes.
     following = range(len(problem.declared), q.numel())
     active = [i for i in range(q.numel()) if slope[i, :].nnz() or i in following]
-    delay = kin.system.delay(q[: len(kin.system.parameters)])
+    delay = system.delay(q[: len(system.parameters)])
     symbol = ca.SX.sym("q", q.numel())
-    known = kin.initial.call([symbol])[0]
-    by_active = dense_jacobian(known, symbol[active])
-    initial = ca.Function("initial", [symbol], [known, by_active])
+    states = known(symbol)
+    initial = ca.Function("initial", [symbol], [states, dense_jacobian(states, symbol[active])])
     located = (q, slope[active, :], delay)
     begin = problem.local_values({name: p.start for name, p in problem.parameters.items()})
 
-    return replace(
-        kin,
+    return RecordModel(
         problem=problem,
+        record=record,
         name=problem.name,
         weight=float(problem.weight),
-        begin=np.array([*begin.values()], dtype=float)[: len(kin.system.parameters)],
-        record=problem.record,
-        has_time=problem.record.has_time,
-        outside_names=tuple(map(problem.outside, kin.parameters)),
+        criterion=criterion,
+        has_bounded_errors=criterion.settings.get("errors") == "huber",
+        has_time=record.has_time,
+        is_prior=criterion.is_prior,
+        method=method,
+        system=system,
+        between=between,
+        outputs=outputs,
+        parameters=parameters,
+        outside_names=tuple(map(problem.outside, parameters)),
+        gains=gains,
+        driven=driven,
+        begin=np.array([*begin.values()], dtype=float)[: len(system.parameters)],
         active=np.array(active, dtype=int),
         locate=ca.Function("locate", [z], [*map(ca.densify, located), *initial(q)]),
         initial=initial,
+        known_states=np.array([name in criterion.initial for name in system.states], dtype=bool),
+        initial_states=initial_states,
+        steps=steps,
         expressions=tuple(str(q[i]) for i in range(q.numel())),
     )
 
 
-def _first_of_its_kind(
-    problem: Problem, kind: tuple[Any, ...], method: Transcription
-) -> RecordModel:
-    """Compile the functions that records of one kind share; those of z are left empty."""
-    criterion, delay, parameters, outputs, between, _ = kind
-    initial_values = criterion.initial
+def _shared_functions(
+    problem: Problem,
+    criterion: TimeCriterion,
+    parameters: tuple[str, ...],
+    outputs: tuple[str, ...],
+    between: Sequence[Intersample],
+) -> SharedFunctions:
+    """Compile the functions that records of one kind share."""
     # Instants between the samples at which an input was read count as delays.
-    system = dynamics(problem.model, delay_order(delay))
+    system = dynamics(problem.model, delay_order(problem.delay))
     system = system.later([intersample.late for intersample in between])
     symbol = ca.SX.sym("q", len(parameters))
     local = Names(
@@ -181,7 +207,7 @@ def _first_of_its_kind(
     states = [
         called(f"initial[{name!r}]", value, local) if callable(value) else value
         for name in system.states
-        for value in [initial_values.get(name, math.nan)]
+        for value in [criterion.initial.get(name, math.nan)]
     ]
     if system.undelayed:
         # In addition to the rest at the first inputs, which differs between stretches.
@@ -189,52 +215,8 @@ def _first_of_its_kind(
         rest = system.delay_rest(ca.vertcat(*bias))
         states[len(system.undelayed.states) :] = ca.vertsplit(rest)
 
-    return RecordModel(
-        problem=problem,
-        name=problem.name,
-        weight=1.0,
-        record=problem.record,
-        criterion=criterion,
-        has_bounded_errors=criterion.settings.get("errors") == "huber",
-        kind=kind,
-        has_time=problem.record.has_time,
-        is_prior=criterion.is_prior,
-        method=method,
-        system=system,
-        between=between,
-        outputs=outputs,
-        parameters=parameters,
-        outside_names=(),
-        gains=criterion.gains(problem.model, outputs),
-        driven=criterion.driven(),
-        begin=np.zeros(0),
-        active=np.zeros(0, dtype=int),
-        locate=ca.Function(),
-        initial=ca.Function("initial", [symbol], [ca.vertcat(ca.SX(0, 1), *states)]),
-        known_states=np.array([name in initial_values for name in system.states], dtype=bool),
-        initial_states=InitialStates(system, outputs),
-        steps={},
-        expressions=(),
-    )
-
-
-def _kind(problem: Problem) -> tuple[Any, ...]:
-    """Return what records have in common if they share their compiled functions.
-
-    Criterion, delay, parameters, compared outputs, and the model, or its class if that has no
-    arguments.
-    """
-    model, data, criterion = problem.model, problem.record, problem.criterion
-    assert isinstance(criterion, TimeCriterion)
-    is_plain = vars(model) == {"arguments": ((), {})}
-    outputs = criterion.compared(model, data)
-    between = between_samples(criterion.inputs, model.input_names, data)
-    alike = type(model) if is_plain else id(model)
-    parameters = tuple(problem.declared)
-    if criterion.driven():
-        gains = criterion.gains(model, outputs)
-        parameters += tuple(f"K_{state}_{output}" for state, output in gains)
-    return criterion, problem.delay, parameters, outputs, between, alike
+    known = ca.Function("known", [symbol], [ca.vertcat(ca.SX(0, 1), *states)])
+    return system, known, InitialStates(system, outputs), {}
 
 
 def longest_delay(problem: Problem, system: Dynamics) -> Array:

@@ -40,13 +40,20 @@ class RecordPart(SegmentedPart):
         *,
         covariance: ResidualCovariance | None = None,
     ) -> None:
-        """Build the functions, or take those that the model has compiled before."""
+        """Build the functions, or take those that the model has compiled before.
+
+        A `covariance` is that of a part with other data: the criterion stays behind when a part is
+        sent to a worker.
+        """
         step = model.step(model.method.scheme, substeps)
         super().__init__(
             model,
             data,
             Segments(step, data.segments, data.segment_length, model.active),
-            covariance or residual_covariance_of(model.criterion, model.outputs, data.measured),
+            # The spread only scales, and stays that of the original outputs.
+            replace(covariance, counts=np.isfinite(data.measured).sum(axis=1))
+            if covariance
+            else residual_covariance_of(model.criterion, model.outputs, data.measured),
         )
         self.gains = model.gains
         # Outputs depend only on the inputs of the same sample.
@@ -57,18 +64,14 @@ class RecordPart(SegmentedPart):
     def excerpt(self, samples: int) -> "RecordPart":
         """Return the part on evenly spaced excerpts with about this total number of samples."""
         data = self.data.excerpts(samples)
-        # The criterion stays behind when a part is sent to a worker.
-        covariance = self.covariance.along(data.measured)
-        return RecordPart(self.model, data, self.substeps, covariance=covariance)
+        return RecordPart(self.model, data, self.substeps, covariance=self.covariance)
 
     def with_outputs(self, outputs: Sequence[Array]) -> "RecordPart":
         """Return the part with other measured outputs (k, n) of every stretch, NaN for gaps."""
         pairs = zip(self.data.stretches, outputs, strict=True)
         stretches = tuple(replace(stretch, outputs=values) for stretch, values in pairs)
         data = replace(self.data, stretches=stretches)
-        # The spread only scales, and stays that of the original outputs.
-        covariance = replace(self.covariance, counts=np.isfinite(data.measured).sum(axis=1))
-        return RecordPart(self.model, data, self.substeps, covariance=covariance)
+        return RecordPart(self.model, data, self.substeps, covariance=self.covariance)
 
     def with_bounded_errors(self, trajectory: Trajectory) -> "RecordPart":
         """Return the part with pseudo-values as outputs, if its large errors are bounded."""
@@ -104,11 +107,6 @@ class RecordPart(SegmentedPart):
                 result[self.model.outside_names[place]] = (system.inputs[i], reached[0])
 
         return result
-
-    @property
-    def description(self) -> str:
-        """The method, with the segments and steps that were chosen."""
-        return self.model.method.described(self.data.segment_length, self.substeps)
 
     # --- placement
 
@@ -150,8 +148,8 @@ class RecordPart(SegmentedPart):
         outputs, inputs = self.at_nodes
         unknown = np.full(self.states, np.nan)
         nodes = model.initial_states.at(outputs, inputs, model.begin, unknown)
-        inputs = data.delayed_inputs(np.zeros(len(self.system.inputs)))
-        reference = nodes.mean(axis=1), np.vstack([*inputs, data.measured_rows]).mean(axis=1)
+        rows = data.rows(np.zeros(len(self.system.inputs)))
+        reference = nodes.mean(axis=1), rows.mean(axis=1)
         step = max(data.stretches, key=len).step
 
         return noise_model(model, self.step, step, reference)
@@ -191,7 +189,7 @@ class RecordPart(SegmentedPart):
             point = ca.SX.sym("x", len(places))
             named: dict[str, Any] = dict(zip(names, values.tolist(), strict=True))
             named |= {names[place]: point[i] for i, place in enumerate(places)}
-            model = record_model(self.problem, named, point, self.model.method)
+            model = record_model(self.problem, named, point, self.model.method, [])
             part = RecordPart(model, self.data, self.substeps)
             trajectory = part.trajectory(
                 values[list(places)], trajectory.nodes, simulated=trajectory.simulated
@@ -214,7 +212,7 @@ def _information(part: RecordPart, trajectory: Trajectory, by_values: Array) -> 
     model, data = part.model, part.data
     weight = part.residual_weight(trajectory)
     slopes = sensitivity(part, trajectory, weight)
-    weighted, score = slopes.weighted, slopes.white
+    weighted, score = slopes.weighted, slopes.triangle.T @ slopes.triangle
     if part.covariance.known is not None and not model.is_prior:
         # The residuals show whether the given noise is right.
         variance = np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1)
@@ -267,9 +265,9 @@ def compile_records(
     Records of one model have one compiled sample, and one choice of substeps and segments where
     they are sampled alike. If one of them is stiff, all have implicit steps.
     """
-    models: list[RecordModel] = []
+    models, shared = list[RecordModel](), list[Any]()
     for problem in problems:
-        model = record_model(problem, expressions, z, method, models)
+        model = record_model(problem, expressions, z, method, shared)
         if model.criterion.corrects_states and model.record.is_irregular:
             raise ValueError(
                 f"{problem.name!r} corrects its states by a constant gain, and its record is not "

@@ -21,8 +21,8 @@ class Sensitivity:
 
     Attributes
     ----------
-    triangle, white : (p, p) arrays
-        A triangular factor of the Jacobian J, and JᵀJ.
+    triangle : (p, p) array
+        A triangular factor of the Jacobian J.
     by_covariance : (p, p) array
         The share of JᵀJ that the covariance of the prediction errors of a filter contributes.
     weighted : (k, p, samples) array
@@ -40,7 +40,6 @@ class Sensitivity:
     """
 
     triangle: Array
-    white: Array
     by_covariance: Array
     weighted: Array
     by_initial: Array
@@ -65,7 +64,7 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
     s, length, k = data.segments, data.segment_length, len(part.outputs)
     m, p = initial_directions.shape[2], trajectory.z.size
     by_initial, weighted = np.empty((k, m, s, length)), np.empty((k, p, s, length))
-    triangle, white, squares = np.zeros((0, p)), np.zeros((p, p)), np.zeros(p)
+    triangle, squares = np.zeros((0, p)), np.zeros(p)
     for batch in segments.batches():
         _, J, _ = segments.sensitivities(trajectory.states, placed.q, placed.data, batch)
         J = (weight @ J.reshape(length, k, -1)).reshape(J.shape)
@@ -80,7 +79,6 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
         # The Jacobian of a long record does not fit into memory, and JᵀJ alone has half of the
         # digits.
         triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows.T]), mode="r"))
-        white += rows @ rows.T
         weighted[:, :, batch] = np.einsum("ka,kpcl->apcl", weight, root.transpose(1, 2, 3, 0))
         directions = np.einsum("lknc,cnm->kmcl", J[:, :, :n], initial_directions[batch])
         by_initial[:, :, batch] = np.einsum("ka,kmcl->amcl", weight, directions)
@@ -93,13 +91,11 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
         squares += (rows**2).sum(axis=0)
         triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows]), mode="r"))
         by_covariance = rows.T @ rows
-        white += by_covariance
 
     first = by_nodes[data.begins_stretch] * noticed[:, None]
     by_initial = by_initial.reshape(k, m, s * length)
     return Sensitivity(
         triangle=triangle,
-        white=white,
         by_covariance=by_covariance,
         weighted=weighted.reshape(k, p, s * length),
         by_initial=by_initial,

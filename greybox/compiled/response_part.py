@@ -10,6 +10,7 @@ import numpy as np
 from greybox.compiled.data_input import INCLUDED, data_numbers
 from greybox.compiled.part import (
     NO_NODES,
+    SMOOTHING,
     CorrelatedPoints,
     Information,
     Part,
@@ -28,9 +29,6 @@ from greybox.statistics.neighbor_correlation import (
     neighbor_correlation,
 )
 
-# Added under the root of |e|² while a solver is at work, see `Criterion.cost`: it moves the cost by
-# 6e-5 at most. With 1e-14 a solver takes about twice the time.
-SMOOTHING = 1e-8
 # Information of a part on a direction, over that on its best one, above which it determines it. A
 # single part has all information on every direction. With 0.5, 20 of 90 white responses of a
 # helicopter count as correlated, with 0.1 17, with all directions 36.

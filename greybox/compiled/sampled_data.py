@@ -124,10 +124,10 @@ class SampledData:
 
         return SampledData(tuple(pieces), self.segment_length)
 
-    def padded(self, values: Sequence[Array], fill: float | None) -> Array:
+    def padded(self, values: Sequence[Array], fill: float | None = None) -> Array:
         """Join one array (r, n) per stretch, each filled up to whole segments: (r, samples).
 
-        A `fill` of None repeats the last value: zero may be outside of a model's domain, as an
+        Without a `fill` the last value is repeated: zero may be outside of a model's domain, as an
         airspeed.
         """
         joined = []
@@ -140,7 +140,7 @@ class SampledData:
     def at_samples(self, values: Array) -> Array:
         """Choose the samples (r, samples) of all stretches from rows (r, n) of the whole record."""
         rows = np.atleast_2d(values)
-        return self.padded([rows[:, stretch.rows] for stretch in self.stretches], None)
+        return self.padded([rows[:, stretch.rows] for stretch in self.stretches])
 
     def unpadded(self, values: Array) -> list[Array]:
         """Cut (r, samples) into the samples of every stretch."""
@@ -158,17 +158,18 @@ class SampledData:
     @property
     def steps(self) -> Array:
         """The step of every sample, (1, samples), s."""
-        return self.padded([stretch.steps[None] for stretch in self.stretches], None)
+        return self.padded([stretch.steps[None] for stretch in self.stretches])
 
-    @property
-    def measured_rows(self) -> Array:
-        """Measured outputs (zero if missing), whether they are present, and the steps."""
-        measured = self.measured
-        return np.vstack([np.nan_to_num(measured), np.isfinite(measured), self.steps])
+    def rows(self, delays: Array) -> Array:
+        """Return the data of all samples (width, samples), as `SampleStep` takes them."""
+        inputs, measured = self.delayed_inputs(delays), self.measured
+        return np.vstack([*inputs, np.nan_to_num(measured), np.isfinite(measured), self.steps])
 
-    def by_stretch(self, delays: Array) -> Array:
-        """Return the delays (stretches, m) of every stretch, where (m,) are those of all."""
-        return np.broadcast_to(delays.T, (len(self.stretches), len(delays)))
+    def whole_samples(self, delays: Array) -> Array:
+        """Return the whole samples (stretches, m) of delays (m,), or (m, stretches), s."""
+        steps = np.array([stretch.step for stretch in self.stretches])
+        # Rounding must not turn a delay of whole samples into one sample less.
+        return np.floor(delays.T / steps[:, None] + 1e-9)
 
     def delayed_inputs(self, delays: Array) -> tuple[Array, Array]:
         """Return the whole samples of delays (m, samples), and inputs around them (3 m, samples).
@@ -177,17 +178,15 @@ class SampledData:
         it. The delays are those of all stretches, (m,), or of every one of them, (m, stretches).
         """
         whole, around = [], []
-        for stretch, delay in zip(self.stretches, self.by_stretch(delays), strict=True):
-            # Rounding must not turn a delay of whole samples into one sample less.
-            shift = np.floor(delay / stretch.step + 1e-9)
-            shift = np.clip(shift, -len(stretch), len(stretch))
+        for stretch, samples in zip(self.stretches, self.whole_samples(delays), strict=True):
+            shift = np.clip(samples, -len(stretch), len(stretch))
             at = np.arange(len(stretch)) - shift[:, None].astype(int)
             places = np.clip(at[:, None, :] + np.array([-1, 0, 1])[:, None], 0, len(stretch) - 1)
             values = np.take_along_axis(stretch.inputs[:, None, :], places.astype(int), axis=2)
-            around.append(values.reshape(3 * len(delay), len(stretch)))
+            around.append(values.reshape(3 * len(shift), len(stretch)))
             whole.append(np.broadcast_to(shift[:, None], (len(shift), len(stretch))))
 
-        return self.padded(whole, None), self.padded(around, None)
+        return self.padded(whole), self.padded(around)
 
 
 def joined(each: Sequence[SampledData]) -> SampledData:

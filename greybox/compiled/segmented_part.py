@@ -115,11 +115,9 @@ class SegmentedPart(Part):
         and linearization recognize it.
         """
         # The fraction of a delay enters through q; only its whole samples select other data.
-        steps = np.array([stretch.step for stretch in self.data.stretches])
-        whole = np.floor(self.data.by_stretch(delays) / steps[:, None] + 1e-9)
+        whole = self.data.whole_samples(delays)
         if self._placed_data is None or not np.array_equal(self._placed_data[0], whole):
-            rows = np.vstack([*self.data.delayed_inputs(delays), self.data.measured_rows])
-            self._placed_data = (whole, self.segments.columns(rows))
+            self._placed_data = (whole, self.segments.columns(self.data.rows(delays)))
         return self._placed_data[1]
 
     @cached_property
@@ -196,11 +194,9 @@ class SegmentedPart(Part):
 
     def signature(self, trajectory: Trajectory) -> Array:
         """Return up to some 500 samples of every simulated output, in units of its spread."""
-        placed: Placed = trajectory.detail
-        outputs = self.segments.outputs(trajectory.states, placed.q, placed.data)
         spread = np.atleast_2d(self.covariance.spread)[self.segments.records].T
-        scaled = outputs.reshape(len(outputs), -1, self.data.segments) / spread[:, None]
-        scaled = scaled.reshape(len(outputs), -1)
+        spread = np.repeat(spread, self.data.segment_length, axis=1)
+        scaled = self.simulated_outputs(trajectory) / spread
         return scaled[:, :: max(scaled.shape[1] // 500, 1)].ravel()
 
     # --- cost
@@ -209,7 +205,7 @@ class SegmentedPart(Part):
         """Return the negative log-likelihood of the residuals along a trajectory."""
         return self.covariance_along(trajectory).cost(trajectory.products)
 
-    def squared_cost(self, trajectory: Trajectory, weight: Array, smoothing: float) -> float:
+    def squared_cost(self, trajectory: Trajectory, weight: Array) -> float:
         """Return half the sum of squares of the residuals times `weight`."""
         return float(np.sum((weight @ trajectory.products) * weight)) / 2
 

@@ -20,11 +20,6 @@ from greybox.modeling.step_size import stable_substeps
 # Parameter vectors, the declared one first: with 17 a quartile is one of them, and a few odd draws
 # do not move it.
 DRAWS = 17
-# Samples. On the unstable tilt plant segments of 5 to 20 samples converged from 14 of 14 random
-# starts, 50 failed.
-SHORTEST_SEGMENT = 5
-LONGEST_SEGMENT = 10
-SEGMENT_GROWTH = 2.0  # an unstable mode may grow by exp(2), sevenfold, over a segment
 
 
 def substeps_and_segment(
@@ -71,9 +66,9 @@ def substeps_and_segment(
             growth_rates.append(float(poles.real.max(axis=1).mean()))
 
     growth = max(_upper_quartile(growth_rates) * step, 1e-12)
-    segment = method.segment or int(
-        np.clip(SEGMENT_GROWTH / growth, SHORTEST_SEGMENT, LONGEST_SEGMENT)
-    )
+    # An unstable mode may grow by exp(2), sevenfold, over a segment. On the unstable tilt plant
+    # segments of 5 to 20 samples converged from 14 of 14 random starts, 50 failed.
+    segment = method.segment or int(np.clip(2 / growth, 5, 10))
     substeps = max(1, *counts[:1], _upper_quartile(counts))
     return integrator.substeps or int(substeps), segment
 

@@ -56,9 +56,6 @@ REWEIGHTINGS = 50
 # cannot be distinguished from rounding, as for a state that no output shows.
 UNSEEN = 1e-10
 
-# Lines over which the size of the errors is averaged: with 4, the weights fall to zero over 4 lines
-# on either side.
-NEARBY = 4
 # Difference of -2 log evidence from which errors look like turbulence: in simulated manoeuvres of 8
 # s it was reported in 3 of 280 fits without gusts, and by output error in 158 of 160 with them.
 # Strength of evidence: Kass and Raftery (1995), JASA 90.
@@ -394,7 +391,9 @@ class TransientPart(Part):
         shape = len(self.outputs), 2, len(self.data)
         errors = (weighted.ravel() / np.maximum(remaining, LEAST_LEFT)).reshape(shape)
         lines = np.arange(len(self.data))
-        nearby = np.maximum(NEARBY - np.abs(lines[:, None] - lines), 0)
+        # The size of the errors is averaged with weights that fall to zero over 4 lines on either
+        # side.
+        nearby = np.maximum(4 - np.abs(lines[:, None] - lines), 0)
         nearby = nearby / nearby.sum(axis=0) / 2
         slopes = mean.reshape(*shape, len(values))
         meat = np.einsum(

@@ -28,9 +28,6 @@ GAP = 2.5
 # Share of a step by which samples may be off uniform ones. Up to a quarter, every sample is nearest
 # to its own place.
 JITTER = 0.25
-# Two records are of one measurement if more than this share of the samples at common times are
-# equal in all common signals.
-SAME_MEASUREMENT = 0.5
 NOT_STORED = {"stored": False}  # in the file of a fit
 
 
@@ -458,10 +455,9 @@ def share_samples(a: Record, b: Record) -> bool:
         if name in b.signals
     ]
 
-    # A few samples of quantized signals are equal by chance.
-    return (
-        bool(alike) and rows.size > 0 and float(np.mean(np.all(alike, axis=0))) > SAME_MEASUREMENT
-    )
+    # A few samples of quantized signals are equal by chance: more than half of the samples at
+    # common times must be equal in all common signals.
+    return bool(alike) and rows.size > 0 and float(np.mean(np.all(alike, axis=0))) > 0.5
 
 
 def _read_only(values: ArrayLike, name: str) -> Array:

@@ -100,7 +100,8 @@ class _Share:
 
     `reach` (p,) has the lengths of the root's columns before the initial states were fitted too.
     `limit` is a factor on both that limits the weight of a part relative to others. `pull` (p,) is
-    the mean gradient of the cost at the true values, over the noise.
+    the mean gradient of the cost at the true values, over the noise. `correction` is the factor on
+    the noise for what the parameters took.
     """
 
     root: Array
@@ -108,6 +109,7 @@ class _Share:
     reach: Array
     limit: float
     pull: Array
+    correction: float
 
 
 @frozen
@@ -398,17 +400,11 @@ def _corrected(part: Information, share: _Share, root: Array) -> PartAccuracy:
     dof = math.inf if problem.criterion.known_noise else numbers
     share = _share(part, p, paid)
     meat = independent = root.T @ share.meat @ root
-    neighbors = part.correlated and part.correlated(_correction(part, paid), root, dof)
+    neighbors = part.correlated and part.correlated(share.correction, root, dof)
     if neighbors:
         meat = problem.weight**2 * root.T @ neighbors.meat[:p, :p] @ root
         dof = neighbors.dof
     return PartAccuracy(share, meat, dof, independent, numbers, neighbors=neighbors)
-
-
-def _correction(part: Information, paid: float) -> float:
-    """Return the factor on the noise of a part whose residuals have `paid` for parameters."""
-    numbers = max(part.numbers - paid, 0.5)
-    return math.sqrt(max(part.numbers, numbers) / numbers)
 
 
 def _root_of_inverse(jacobian: Array, basis: Array) -> Array:
@@ -436,7 +432,8 @@ def determined_directions(jacobian: Array, active: Array, bounded: IntArray) -> 
 
 def _share(part: Information, p: int, paid: float = 0.0) -> _Share:
     """Return the information of a part on `p` unknowns, its residuals having `paid` for them."""
-    correction = _correction(part, paid)
+    numbers = max(part.numbers - paid, 0.5)
+    correction = math.sqrt(max(part.numbers, numbers) / numbers)
     scale, meat = part.spread(correction)
     weight = part.part.weight
     size = math.sqrt(weight * scale)
@@ -444,7 +441,8 @@ def _share(part: Information, p: int, paid: float = 0.0) -> _Share:
     # Exact data would have infinite weight, and rounding in them would hide all other parts.
     limit = math.sqrt(min(scale, 1e12) / scale)
     pull = np.zeros(p) if part.offset is None else size * root[:, :p].T @ part.offset(correction)
-    return _Share(root, weight**2 * meat[:p, :p], size * part.reach[:p], limit, pull)
+    meat, reach = weight**2 * meat[:p, :p], size * part.reach[:p]
+    return _Share(root, meat, reach, limit, pull, correction)
 
 
 def _at_bound(

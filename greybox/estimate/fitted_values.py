@@ -157,7 +157,7 @@ def _fitted_record(part: RecordPart, trajectory: Trajectory | None) -> FittedRec
         outputs=part.outputs,
         noise=noise,
         initial=dict(zip(part.system.states, nodes[part.data.begins_stretch].T, strict=True)),
-        method=part.description,
+        method=model.method.described(part.data.segment_length, part.substeps),
         inputs=model.criterion.inputs,
         biases=tuple(model.criterion.biases),
         gains=part.gains,

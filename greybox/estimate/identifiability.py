@@ -16,9 +16,6 @@ from greybox.files.text_table import counted, number, one_line, text_table, with
 # Identification, ch. 12.
 ERROR_GUIDELINE = 0.2
 INSENSITIVITY_GUIDELINE = 0.1
-# Correlation from which two parameters are named: each error is then 2.3 times that with the other
-# parameter known.
-CORRELATED = 0.9
 
 # A combination is reported if its error is this many times smaller than those of its members.
 GAIN = 5.0
@@ -201,7 +198,8 @@ def identifiability(
         insensitivity[places] = alone / np.abs(inside.at)
 
     r = inside.correlation
-    pairs = [pair for pair in combinations(range(len(places)), 2) if abs(r[pair]) > CORRELATED]
+    # From a correlation of 0.9 on, each error is 2.3 times that with the other parameter known.
+    pairs = [pair for pair in combinations(range(len(places)), 2) if abs(r[pair]) > 0.9]
     correlated = tuple(
         (inside_names[i], inside_names[j], float(r[i, j]))
         for i, j in sorted(pairs, key=lambda pair: -abs(r[pair]))

@@ -39,9 +39,6 @@ GROWTH = (
 # made for.
 SIZES = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3)
 LARGEST = 30.0  # state, in sizes that are plausible for SI units
-# Singular value of the Jacobian with columns of unit length. In 23 structures of the literature at
-# four points each, directions without an effect have at most 6e-15, all others at least 1e-5.
-SEEN = 1e-10
 
 
 @frozen
@@ -224,7 +221,9 @@ def _directions(x: Array, jacobian: Array, reach: Array) -> KnownDirections:
     """
     size = 1 / positive_or_one(reach)
     _, singular, rows = np.linalg.svd(jacobian * size)
-    rank = int(np.sum(singular > SEEN))
+    # In 23 structures of the literature at four points each, directions without an effect have
+    # singular values of at most 6e-15, all others at least 1e-5, with columns of unit length.
+    rank = int(np.sum(singular > 1e-10))
     scaled = rows[:rank] * size
     weight = (1e-12 / singular[:rank, None]) ** 2
     return KnownDirections(scaled.T @ (weight * scaled), rows[rank:].T, size, x)

@@ -37,8 +37,6 @@ from greybox.modeling.trim import trim_of
 
 # Numbers of harmonics to try in turn: each about doubles the previous one.
 HARMONICS = (1, 3, 7, 15, 31, MOST_HARMONICS)
-# Relative change of the response by the next number of harmonics, below which the number suffices.
-ENOUGH = 3e-4
 # A fit takes more harmonics only by hand: its time grows with their square.
 MOST_IN_FITS = 9
 
@@ -86,7 +84,8 @@ def directly_found(
         balance = compiled_balance(model, omega, replace(sine, harmonics=number), **signals)
         response = complex_array(*(part.full().ravel() for part in balance.function()(vector)))
         response[~np.isfinite(response)] = np.nan
-        if previous and np.allclose(few, response, rtol=ENOUGH, atol=0, equal_nan=True):
+        # A number of harmonics suffices if the next one changes the response by less than this.
+        if previous and np.allclose(few, response, rtol=3e-4, atol=0, equal_nan=True):
             return response, previous
         previous = number
 

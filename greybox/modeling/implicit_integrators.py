@@ -14,12 +14,6 @@ from greybox.modeling.integrators import Integrator
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
 
-# Size of a state over the largest one, or its change, below which its errors do not matter. From
-# zero, a state changes by up to 1e8 sizes, whose rounding is 1e-8, within what is accepted below.
-LEAST_SIZE = 1e-8
-# Lengths of a step, each half of the one before, until Newton's method converges. With 6, a fit
-# of Robertson's kinetics is lost; with 21 it takes five times as long.
-ATTEMPTS = 11
 # Error of a step, in sizes of the states, above which it is halved. The estimate is that of a
 # scheme of order three: 1e-5 stands for a tolerance of 1e-6 in RADAU5. With 1e-4 estimates of nine
 # stiff models are up to 5e-4 standard errors off, with 1e-5 up to 3e-5, in 1.7 times the time.
@@ -109,7 +103,10 @@ class ImplicitIntegrator(Integrator):
         # Its tolerances are absolute, so every state is measured by its own size.
         last = span * system.derivative(start, at + ramp * span, parameters)
         largest = ca.norm_inf(ca.vertcat(start, last))
-        unit = ca.fmax(ca.fabs(start), LEAST_SIZE * largest + (largest < 1e-200))
+        # The errors of a state below this share of the largest one, or of its change, do not
+        # matter. From zero, a state changes by up to 1e8 sizes, whose rounding is 1e-8, within what
+        # is accepted below.
+        unit = ca.fmax(ca.fabs(start), 1e-8 * largest + (largest < 1e-200))
         values = ca.vertcat(v, unit)
         solution = newton(ca.MX.zeros(unknown.numel()), values)
         end, *_, residual, missed, matrix = solved(solution, values)
@@ -130,7 +127,9 @@ class ImplicitIntegrator(Integrator):
         second = ca.vertcat(at + ramp * span / 2, ramp, parameters, span / 2)
         step = ca.Function("step", [v], taken.call([v, solution]))
         # Half a step with a jump is halved again, so that only steps near the jump are short.
-        for _ in range(ATTEMPTS):
+        # With 6 halvings until Newton's method converges, a fit of Robertson's kinetics is lost;
+        # with 21 it takes five times as long.
+        for _ in range(11):
             middle, by_first = step(first)
             end, by_second = step(ca.vertcat(middle, second))
             by_both = ca.vertcat(by_first @ ca.jacobian(first, v), ca.jacobian(second, v))

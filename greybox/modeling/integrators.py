@@ -14,10 +14,6 @@ import casadi as ca
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
 
-# Operations of a sample up to which its substeps are copies in one function. A rod of 20 cells has
-# 7000 in nine substeps: half a second to compile and to differentiate.
-MOST_COPIED = 5000
-
 
 @dataclass(frozen=True)
 class Integrator(ABC):
@@ -116,8 +112,9 @@ def step_function(
     is made here if it is not given.
     """
     substep = substep or substep_function(system, integrator)
-    # Copies of many operations take longer to compile than calls of one function to evaluate.
-    repeated = not integrator.implicit and substep.n_instructions() * substeps > MOST_COPIED
+    # Copies of many operations take longer to compile than calls of one function to evaluate. A rod
+    # of 20 cells has 7000 in nine substeps: half a second to compile and to differentiate.
+    repeated = not integrator.implicit and substep.n_instructions() * substeps > 5000
     kind: Any = ca.MX if integrator.implicit or repeated else ca.SX
     x = kind.sym("x", len(system.states))
     p = kind.sym("p", len(system.parameters))

@@ -19,9 +19,6 @@ from greybox.modeling.function_of_s import polynomial_value
 
 # Beyond this order, rounding errors of `pade_step` exceed 1e-7 where a delay is 8000 steps long.
 MOST_EXACT = 6
-# Delays in a step after which a transient counts as zero. The slowest one decays by exp(-2) or more
-# within a delay; without a limit, a delay of zero would be a division by zero.
-DECAYED = 400.0
 
 
 def delay_order(delay: str) -> int | None:
@@ -87,7 +84,9 @@ def pade_step(x: Any, u: Any, slope: Any, delay: Any, h: Any) -> tuple[Any, Any,
 
     # exp(A h / delay), mode by mode; those of conjugate poles have the same expressions.
     transition = ca.SX.zeros(order, order)
-    periods = h / ca.fmax(delay, h / DECAYED)
+    # After 400 delays in a step a transient counts as zero: the slowest one decays by exp(-2) or
+    # more within a delay. Without a limit, a delay of zero would be a division by zero.
+    periods = h / ca.fmax(delay, h / 400)
     poles, vectors = np.linalg.eig(A)
     modes = zip(poles.astype(complex), vectors.T, np.linalg.inv(vectors), strict=True)
     for pole, right, left in modes:

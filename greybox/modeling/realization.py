@@ -25,8 +25,6 @@ from greybox.modeling.symbolic_reading import (
 )
 from greybox.modeling.transfer_function import TransferFunction
 
-NO_POLE = 1e-9  # rad/s: within rounding errors of the roots, a slower pole is an integrator
-
 
 @frozen
 class Dynamics:
@@ -194,7 +192,8 @@ def _time_scale(a: list[Any], p: ca.SX, model: Model) -> float:
     if not all_finite(coefficients):
         return 1.0
     poles = np.abs(np.roots(coefficients))
-    poles = poles[poles > NO_POLE]
+    # Within rounding errors of the roots, a pole below 1e-9 rad/s is an integrator.
+    poles = poles[poles > 1e-9]
     return float(np.exp(np.mean(np.log(poles)))) if poles.size else 1.0
 
 

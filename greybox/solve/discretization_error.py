@@ -23,16 +23,10 @@ from greybox.solve.minima import Multistart, distinct_ends, find_minima, minimum
 from greybox.solve.runs import TOO_COARSE, Outcome, Runs, spent
 from greybox.statistics.column_space import pseudo_inverse
 
-# Cost above the best up to which minima are followed to the finer steps, at least one run each:
-# they may become the best.
-RIVALS = 3
 RIVAL_COST = 10.0
 
 # Shift of an estimate by twice the substeps, in standard errors, that is accepted.
 NEGLIGIBLE_SHIFT = 0.1
-# Shift by twice the steps, in standard errors, above which an end is taken for an artifact if
-# another end stays below. After refinement, the best has a tenth of this.
-ALIAS = 1.0
 
 
 @frozen
@@ -157,7 +151,9 @@ def without_aliases(
     aliases = []
     for group in ends:
         end = solver.profile(search.runs[group[0]].estimate)
-        if end.converged and discretization_error(nlp, end.trajectories, fine).largest > ALIAS:
+        # An end that twice the steps shift by more than a standard error is taken for an artifact
+        # if another end stays below. After refinement, the best has a tenth of this.
+        if end.converged and discretization_error(nlp, end.trajectories, fine).largest > 1.0:
             aliases.append(group)
     if len(aliases) in (0, len(ends)):
         return search
@@ -188,8 +184,9 @@ def with_finer_steps(
     ends: dict[int, Outcome] = {}
     count, least = 0, math.inf
     for minimum in search.minima:
-        # A minimum whose cost lies below all that have moved may be the best one now.
-        is_rival = count < RIVALS and minimum.cost <= limit
+        # Three rivals are followed to the finer steps, at least one run each: they may become the
+        # best, as may a minimum whose cost lies below all that have moved.
+        is_rival = count < 3 and minimum.cost <= limit
         if not (is_rival or minimum.cost < least < math.inf):
             break
 

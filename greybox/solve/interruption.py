@@ -141,7 +141,7 @@ def is_search_over() -> bool:
 
 def stop_requested() -> bool:
     """Return whether the search must end, because Ctrl-C was pressed or its time is up."""
-    return interrupt_noted() or (_state.response is not Response.FINISH and is_search_over())
+    return bool(reason_to_end())
 
 
 def interrupt_noted() -> bool:
@@ -153,7 +153,8 @@ def reason_to_end() -> str:
     """Return the status with which the current run must end; empty if it may continue."""
     if interrupt_noted():
         return INTERRUPTED
-    return SEARCH_OVER if stop_requested() else ""
+    is_over = _state.response is not Response.FINISH and is_search_over()
+    return SEARCH_OVER if is_over else ""
 
 
 def take_interrupt() -> bool:

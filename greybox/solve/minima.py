@@ -16,12 +16,7 @@ from greybox.solve.runs import SCREENED, TOO_COARSE, Run, Runs
 
 AT_ONCE = 4096  # runs that are processed together: as many as fit into the cache
 
-SAME_COST = 1e-4  # relative; the smoothing moves costs by up to 6e-5
-SAME_LIKELIHOOD = 1e-2  # of negative log-likelihoods: a tenth of a standard error is 5e-3
-TOLD_APART = 0.1  # of a unit of log-likelihood
 RIVAL = 3.0  # units up to which another minimum is a rival: it is twenty times less likely
-# Root mean square of the difference of two signatures, relative to the data or the response.
-SAME_RESPONSE = 1e-2
 
 Signatures = Sequence[NDArray[np.floating] | None] | NDArray[np.floating]
 """Signatures of the responses of all runs, see `Part.signature`."""
@@ -126,7 +121,7 @@ def agreeing_runs(
     zero = sum(part.weight * cost_of_zero(part.criterion, part.data) for part in responses)
     if len(responses) == len(nlp.parts) and explains_nothing(best, zero):
         return ()
-    limit = best + TOLD_APART * likelihood_unit(nlp, best)
+    limit = best + 0.1 * likelihood_unit(nlp, best)
     # By cost alone: the data cannot distinguish these ends, whatever their responses.
     columns = Runs.of(runs)
     close = columns.indices[columns.converged & (columns.cost <= limit)]
@@ -170,10 +165,11 @@ def find_minima(
         k = int(np.argmax(ungrouped))
         cost = float(costs[k])
 
-        # Responses decide, since different parameters may have one response.
+        # Responses decide, since different parameters may have one response: their differences are
+        # relative to the data or the response.
         candidates = np.flatnonzero(ungrouped & (costs - cost <= same_cost(nlp, cost)))
         distances = _differences(signatures, indices[k], indices[candidates])
-        near = candidates[(distances <= SAME_RESPONSE) | (candidates == k)]
+        near = candidates[(distances <= 1e-2) | (candidates == k)]
         ungrouped[near] = False
 
         # Where equivalent parameter vectors have the same cost but for rounding, the first start
@@ -210,8 +206,10 @@ def _differences(signatures: Signatures, of: int, indices: IntArray) -> Array:
 def same_cost(nlp: CompiledProblem, cost: float) -> float:
     """Return the difference of two costs up to which they count as the same."""
     if any(part.is_likelihood for part in nlp.parts):
-        return SAME_LIKELIHOOD + 1e-7 * abs(cost)
-    return SAME_COST * max(cost, 5e-4 * sum(part.numbers for part in nlp.parts))
+        # A tenth of a standard error changes a negative log-likelihood by 5e-3.
+        return 1e-2 + 1e-7 * abs(cost)
+    # The smoothing moves costs by up to 6e-5 of themselves.
+    return 1e-4 * max(cost, 5e-4 * sum(part.numbers for part in nlp.parts))
 
 
 def _are_apart(z: Array, reference: Array) -> NDArray[np.bool_]:

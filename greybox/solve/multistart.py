@@ -163,12 +163,8 @@ def _certified(
     outcomes = [results[row][1] for row in rows]
     judged = solver.judged(np.array([outcome.estimate for outcome in outcomes]))
     if judged is not None:
-        outcomes = [
-            replace(outcome, cost=cost, signature=signature)
-            for outcome, cost, signature in zip(
-                outcomes, judged[0].tolist(), judged[1], strict=True
-            )
-        ]
+        ends = zip(outcomes, *judged, strict=True)
+        outcomes = [replace(outcome, cost=float(c), signature=s) for outcome, c, s in ends]
     while True:
         pairs = zip(starts, outcomes, strict=True)
 

@@ -23,7 +23,6 @@ from greybox.solve.minima import RIVAL, distinct_ends, likelihood_unit
 from greybox.solve.response_solver import ResponseSolver
 
 SHARES = np.array([0.125, 0.875])  # of a start box, where a parameter is held
-PERCENT = 1e-3  # sum of ten squares, each of an error of a percent
 
 
 def points_beside(nlp: CompiledProblem, x: Array) -> Array:
@@ -41,7 +40,8 @@ def points_beside(nlp: CompiledProblem, x: Array) -> Array:
     held = np.tile(np.eye(len(best), dtype=bool), len(SHARES))
     starts = np.vstack([best, np.where(held, np.repeat(boxes, len(best), 1), best[:, None]).T])
     costs = alike.costs(starts)
-    limit = costs[0] + RIVAL * likelihood_unit(alike, costs[0]) + PERCENT
+    # Ten squares, each of an error of a percent, have the sum 1e-3.
+    limit = costs[0] + RIVAL * likelihood_unit(alike, costs[0]) + 1e-3
     # A value that fits already is on no other side of a ridge.
     away = costs[1:] > limit
     held, z = held[:, away], alike.scaling.to_solver(starts[1:][away]).T
@@ -66,12 +66,14 @@ def points_beside(nlp: CompiledProblem, x: Array) -> Array:
 def _in_frequency(nlp: CompiledProblem, x: Array) -> CompiledProblem:
     """Return a problem of responses: those of the first record's model at x (p,), if linear.
 
-    A record with as many outputs as states determines the whole model, and has no others.
+    A record with as many outputs as states determines the whole model, and has no others. A model
+    without inputs has no response.
     """
     for part in nlp.parts_of(RecordPart)[:1]:
         problem, symbols = part.problem, part.system.symbols
         derivative = part.system.derivative(*symbols)
-        if len(part.outputs) < part.states and ca.is_linear(derivative, ca.vertcat(*symbols[:2])):
+        is_linear = ca.is_linear(derivative, ca.vertcat(*symbols[:2]))
+        if part.system.inputs and len(part.outputs) < part.states and is_linear:
             values = problem.local_values(dict(zip(nlp.names, nlp.all_values(x), strict=True)))
             # From below the lowest frequency of the record to nearly the Nyquist frequency, rad/s.
             omega = np.geomspace(1 / problem.record.duration, 3 / problem.record.step, 10)

@@ -13,8 +13,6 @@ from greybox.solve.local_solver import LocalSolver
 from greybox.solve.minima import Multistart
 from greybox.solve.multistart import solver_for
 
-# Each fit of pseudo-values reduces the distance from the robust estimate about ten times.
-MOST_FITS = 30
 # Relative change of the cost between two fits that no standard error shows.
 ROUNDING = 1e-9
 
@@ -24,7 +22,8 @@ def with_robust_errors(
 ) -> tuple[CompiledProblem, Multistart, LocalSolver]:
     """Return the problem with pseudo-values instead of outliers, and its search and solver."""
     measured, cost = nlp, math.nan
-    for _ in range(MOST_FITS if search.minima and _is_robust(nlp) else 0):
+    # Each fit of pseudo-values reduces the distance from the robust estimate about ten times.
+    for _ in range(30 if search.minima and _is_robust(nlp) else 0):
         best = search.minima[0]
         if math.isclose(best.cost, cost, rel_tol=ROUNDING, abs_tol=ROUNDING):
             break

@@ -12,9 +12,6 @@ from typing import Any
 from greybox.modeling.parameter import require_whole
 from greybox.solve.interruption import ENDING
 
-# How often a task is tried that ends its worker, since another program may have used up the memory.
-TRIALS = 2
-
 
 class WorkerLostError(RuntimeError):
     """The worker of a task was killed each time that the task was tried."""
@@ -81,7 +78,8 @@ class WorkerPool(Executor):
     ) -> Any:
         """Call a function in the process of this thread, or in the next one if that is killed."""
         thread = threading.get_ident()
-        for _ in range(TRIALS):
+        # Twice, since another program may have used up the memory when the worker ended.
+        for _ in range(2):
             if thread not in self._processes:
                 self._processes[thread] = _new_process()
             with suppress(BrokenExecutor):  # the process was killed between two calls

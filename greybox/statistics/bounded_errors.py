@@ -16,12 +16,12 @@ from greybox.files.arrays import Array
 
 # Bound in standard deviations: 95 % efficiency for normal errors (Huber and Ronchetti).
 BOUND = 1.345
-NORMAL = 1.4826  # standard deviation over the median size of normal errors
 
 
 def robust_deviation(errors: Array) -> Array:
     """Return the standard deviations (k, 1) of errors (k, n), NaN if missing, by their medians."""
-    deviation = NORMAL * np.nanmedian(np.abs(errors), axis=1, keepdims=True)
+    # The median size of normal errors times 1.4826 is their standard deviation.
+    deviation = 1.4826 * np.nanmedian(np.abs(errors), axis=1, keepdims=True)
     # Where more than half of all errors are zero, as of rounded signals, there is no scale.
     return np.where(deviation > 0, deviation, np.inf)
 

@@ -11,7 +11,6 @@ from greybox.files.arrays import Array, ComplexArray, IntArray, frozen
 from greybox.statistics.residual_autocorrelation import HIGHEST_ORDER
 
 LOWEST = 256  # lowest frequencies; each one is a band
-MOST_PADDING = 50_000  # zeros after records of up to 200 000 samples; after longer ones a quarter
 COLUMNS = 16384  # frequencies at once in memory: 6 MB for three outputs and eight parameters
 
 
@@ -42,8 +41,9 @@ class FrequencyGrid:
     def of(cls, longest: int) -> "FrequencyGrid":
         """Return the grid of transforms of up to `longest` samples, padded with zeros."""
         # Products of both ends would otherwise wrap around. Errors stay correlated for less than a
-        # quarter of a long record, see `FEWEST_TIMES`.
-        size = fast_length(longest + min(longest, max(MOST_PADDING, longest // 4)))
+        # quarter of a long record, see `FEWEST_TIMES`. After records of up to 200 000 samples
+        # 50 000 zeros suffice, after longer ones a quarter.
+        size = fast_length(longest + min(longest, max(50_000, longest // 4)))
         count = size // 2 + 1
         # Zero and half of the sampling rate occur once, all others with both signs.
         weight = np.where(np.arange(count) % (size // 2) == 0, 1.0, 2.0) / size

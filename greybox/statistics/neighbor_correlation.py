@@ -29,9 +29,6 @@ import numpy as np
 from greybox.files.arrays import Array, ComplexArray, all_finite, frozen
 from greybox.statistics.column_space import column_basis
 
-# Posterior probability above which errors count as independent. Intervals then change by less than
-# 8 %, and contain the truth half a per cent less often.
-TAKEN_FOR_SURE = 0.8
 # Values of rho, evenly spaced up to a correlation over all points. The spacing is below the error
 # of rho up to 10 000 points.
 VALUES = 200
@@ -52,7 +49,6 @@ EXACT = math.sqrt(np.finfo(float).eps)
 # Levels at which the intervals of an average of distributions and of Student's t shall agree: those
 # of a standard error, and of the printed interval.
 LEVELS = (0.6827, 0.95)
-BISECTIONS = 40
 
 
 @frozen
@@ -157,7 +153,9 @@ def neighbor_correlation(
     prior[0] = 0.5
     weight = prior * np.exp((score.min() - score) / 2)
     weight /= weight.sum()
-    if weight[0] > TAKEN_FOR_SURE:
+    # Above this posterior probability errors count as independent: intervals then change by less
+    # than 8 %, and contain the truth half a per cent less often.
+    if weight[0] > 0.8:
         return None
 
     powers = np.vstack([rho[:, None] ** np.arange(n), np.zeros((len(means), n))])
@@ -251,7 +249,7 @@ def student_of_average(weight: Array, variance: Array, dof: float) -> tuple[floa
 
     # The ratio of both intervals falls as the degrees of freedom rise.
     few, most = 1 / dof, 1.0
-    for _ in range(BISECTIONS):
+    for _ in range(40):
         middle = (few + most) / 2
         narrow, wide = stdtrit(1 / middle, tails)
         few, most = (middle, most) if wide / narrow < outer / inner else (few, middle)

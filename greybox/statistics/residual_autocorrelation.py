@@ -5,8 +5,6 @@ import numpy as np
 from greybox.files.arrays import Array
 
 HIGHEST_ORDER = 50  # of an autoregression: the longest lag of interest
-SAMPLES_PER_TERM = 20  # at least
-PREDICTABLE = 1e-12  # relative variance of the innovations, below which they are rounding
 
 
 def autocovariance(stretches: list[Array], lags: int) -> Array:
@@ -32,7 +30,8 @@ def levinson(r: Array) -> list[tuple[Array, float]]:
         a = np.append(a, 0.0)
         a = a + reflection * a[::-1]
         variance *= 1 - reflection**2
-        if not variance > PREDICTABLE * r[0]:
+        # Innovations of less relative variance are rounding.
+        if not variance > 1e-12 * r[0]:
             break
         steps.append((a, variance))
 
@@ -46,7 +45,8 @@ def autoregression(stretches: list[Array]) -> Array:
     (1978), Annals of Statistics 6.
     """
     count = sum(np.count_nonzero(e) for e in stretches)
-    order = int(min(HIGHEST_ORDER, count // SAMPLES_PER_TERM))
+    # Every term needs at least 20 samples.
+    order = int(min(HIGHEST_ORDER, count // 20))
     r = autocovariance(stretches, order)
     if not r[0] > 0:
         return np.ones(1)

@@ -25,8 +25,6 @@ LONGEST_STEP = 1.5  # of the logarithm of a variance
 # Tolerance on -2 log likelihood: a ten-thousandth of the errors of the variances.
 CLOSE = 1e-8
 DAMPING = 1e-2  # at the beginning, of Levenberg and Marquardt
-UNDAMPED = 1e-6
-NO_STEP = 1e6  # damping beyond which there is no better point
 
 # Share of the variance of an output below which a variance is zero. A ridge of this size also
 # replaces what the expectations lack at a frequency from which the fit takes all power.
@@ -123,12 +121,13 @@ def variance_components(
         new, *products = whittle_score(spectrum(trial), periodogram, numbers)
         if not new < score:
             damping *= 5
-            if damping > NO_STEP:
+            # With so much damping there is no better point.
+            if damping > 1e6:
                 break
             continue
         better, score, variance = score - new, new, trial
         gradient, information = slopes(variance, *products)
-        damping = max(damping / 5, UNDAMPED)
+        damping = max(damping / 5, 1e-6)
         if better < CLOSE:
             break
 

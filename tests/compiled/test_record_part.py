@@ -201,7 +201,7 @@ def test_known_initial_states_follow_their_function_of_the_parameters():
 
     def cost(v):
         moved = part.trajectory(v, simulated.nodes, simulated=True)
-        return np.array([part.squared_cost(moved, weight, 0.0)])
+        return np.array([part.squared_cost(moved, weight)])
 
     slope = numeric_jacobian(cost, z)[0]
     assert_allclose(condensed.gradient, slope, rtol=1e-5, atol=1e-5 * np.abs(slope).max())
@@ -277,11 +277,11 @@ def test_a_given_initial_state_is_that_of_the_first_sample_and_of_no_later_stret
 def test_a_signature_is_of_up_to_500_samples_in_units_of_the_spread(made):
     part, _, trajectory = made
     found = part.signature(trajectory).reshape(len(part.outputs), -1)
-    outputs = part.segments.columns(part.simulated_outputs(trajectory))
+    outputs = part.simulated_outputs(trajectory)
     assert_allclose(found, outputs / part.covariance.spread[:, None])
     long, z = part_of(spring(2300))
     simulated = long.trajectory(z)
-    outputs = long.segments.columns(long.simulated_outputs(simulated))
+    outputs = long.simulated_outputs(simulated)
     assert_allclose(
         long.signature(simulated).reshape(2, -1),
         outputs[:, :: outputs.shape[1] // 500] / long.covariance.spread[:, None],

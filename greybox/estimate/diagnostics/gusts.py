@@ -13,9 +13,6 @@ from greybox.estimate.covariance import Accuracy
 from greybox.estimate.diagnostics.records import gust_criterion
 from greybox.modeling.state_space import StateSpace
 
-# Difference of -2 log evidence that is very strong: Kass and Raftery (1995), JASA 90.
-CLEAR = 10.0
-
 
 def gusts(
     nlp: CompiledProblem, trajectories: Sequence[Trajectory], accuracy: Accuracy, *, noisy: bool
@@ -31,7 +28,8 @@ def gusts(
         steady, evidence = trajectory.detail.filter, errors.colored.process_noise
         if part.gains and (steady is None or steady.gain.any()):
             continue
-        if noisy and isinstance(part.problem.model, StateSpace) and evidence() > CLEAR:
+        # A difference of 10 in -2 log evidence is very strong: Kass and Raftery (1995), JASA 90.
+        if noisy and isinstance(part.problem.model, StateSpace) and evidence() > 10.0:
             cure = "start process noise above zero" if part.gains else f"use {gust_criterion(part)}"
             yield (
                 f"the residuals of {part.name!r} look like gusts, not like noise of sensors: "

@@ -37,10 +37,6 @@ SIZE = 0.01
 # are 12 % larger. Normal errors have 0.95.
 NOTICEABLE = 1.25
 
-# Factor above which the given variances of half a band are too small: below it, intervals of 95 %
-# contain the truth in 89 % and more. Variances that are too large do no harm, and those of a
-# spectrum include more than the scatter where leakage matters.
-LARGER = 1.5
 
 # Rank correlation of the size of errors with an output above which they are called proportional:
 # errors of one relative size have 0.3 to 0.8, and below it intervals hardly change.
@@ -97,7 +93,10 @@ def _unequal_sizes(part: ResponsePart, values: Array, level: float) -> Iterator[
     cure = "give variances and MaximumLikelihood()"
     if criterion.known_noise:
         louder = np.array_split(ratio, 2)[int(r > 0)]
-        if np.mean(louder**2) < LARGER * max(np.mean(ratio**2), 1.0):
+        # Below this factor on the variances of half a band, intervals of 95 % contain the truth in
+        # 89 % and more. Variances that are too large do no harm, and those of a spectrum include
+        # more than the scatter where leakage matters.
+        if np.mean(louder**2) < 1.5 * max(np.mean(ratio**2), 1.0):
             return
         cure = f"give larger variances at {'high' if r > 0 else 'low'} frequencies"
     if math.erfc(abs(r) * math.sqrt((len(ratio) - 1) / 2)) < level:

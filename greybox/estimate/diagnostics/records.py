@@ -31,9 +31,6 @@ FALSE_ALARMS = 0.01
 # Correlation of prediction errors below which no gust is worth another criterion: it biases the
 # estimates by a fraction of a standard error.
 NOTICEABLE = 0.1
-# Share of an input's power that lines between its samples lose, above which a warning names it. A
-# multisine up to 0.2 of the sampling rate loses 9 %, a sweep up to a tenth of it 2 %.
-FLATTENED = 0.04
 
 
 def finding_warnings(nlp: CompiledProblem) -> Iterator[str]:
@@ -118,7 +115,8 @@ def _flattened_inputs(parts: Sequence[RecordPart]) -> Iterator[Finding]:
                 continue
             # Lines through samples are these samples, each a triangle: its spectrum is sinc².
             lost = float(power @ (1 - np.sinc(rate) ** 4) / power.sum())
-            if lost > FLATTENED:
+            # A multisine up to 0.2 of the sampling rate loses 9 %, a sweep up to a tenth of it 2 %.
+            if lost > 0.04:
                 yield (
                     f"{name} flattened",
                     record.name or part.problem.name,

@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from greybox.compiled.kalman_gain import kalman_gain
-from greybox.compiled.part import Part
+from greybox.compiled.part import SMOOTHING, Part
 from greybox.compiled.record_group import Groups
-from greybox.compiled.response_part import SMOOTHING
 from greybox.files.arrays import Array
 from greybox.solve.constraints import Limits
 from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Nodes, Progress, Step, relaxed
@@ -120,7 +119,7 @@ class AllParts:
         total = 0.0
         for part, t, weight, v in self.along(iterate, residual_weights, variances):
             gaps = float((t.gaps[:, v > 0] ** 2 / v[v > 0]).sum()) / 2
-            total += part.weight * (part.squared_cost(t, weight, SMOOTHING) + gaps)
+            total += part.weight * (part.squared_cost(t, weight) + gaps)
         return total
 
     def residual_weights(self, iterate: Iterate) -> list[Array]:

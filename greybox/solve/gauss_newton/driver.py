@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Callable
+from copy import copy
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -41,21 +42,12 @@ class GaussNewton(LocalSolver):
         Bounds and constraints.
     """
 
-    def __init__(
-        self,
-        nlp: CompiledProblem,
-        *,
-        settings: Settings = USUAL,
-        parts: AllParts | None = None,
-    ) -> None:
-        """Build what every run shares.
-
-        `parts` with other limits replace those of the problem.
-        """
+    def __init__(self, nlp: CompiledProblem, *, settings: Settings = USUAL) -> None:
+        """Build what every run shares."""
         self.nlp = nlp
         self.settings = settings
-        self._parts = parts or AllParts(nlp.parts, nlp.free, _limits(nlp), settings)
-        self.limits = self._parts.limits
+        self.limits = _limits(nlp)
+        self._parts = AllParts(nlp.parts, nlp.free, self.limits, settings)
 
     def __reduce__(self) -> tuple[Callable[..., "GaussNewton"], tuple[Any, ...]]:
         """Return a recipe for the same solver, on the whole problem."""
@@ -63,10 +55,12 @@ class GaussNewton(LocalSolver):
 
     def within(self, low: Array, high: Array, equation: ca.Function | None = None) -> "GaussNewton":
         """Return the solver with other bounds of z (p,), and an `equation` (z) -> 0."""
-        limits = replace(self.limits, low=low, high=high)
+        solver = copy(self)
+        solver.limits = replace(self.limits, low=low, high=high)
         if equation is not None:
-            limits = limits.with_equation(equation)
-        return GaussNewton(self.nlp, settings=self.settings, parts=self._parts.within(limits))
+            solver.limits = solver.limits.with_equation(equation)
+        solver._parts = self._parts.within(solver.limits)
+        return solver
 
     def refined(self, nlp: CompiledProblem) -> "GaussNewton":
         """Return the solver of the same problem with finer steps."""

@@ -87,7 +87,8 @@ def next_damping(damping: float, length: float, ratio: float, last_full: float) 
     """Return the damping after a step that was shortened to a share `length`.
 
     `ratio` is the actual decrease of the merit function over the predicted one. `last_full` is the
-    damping of the last full step: a step that was cut short is damped at least as much.
+    damping of the last full step: a step that was cut short is damped at least as much. With a
+    fixed number in its place, one of two fits of Bennett5 is lost.
     """
     if length < 1.0:
         return max(FACTOR * damping, last_full) if length < 0.2 else damping

@@ -201,8 +201,8 @@ def _is_within_noise(parts: AllParts, iterate: Iterate, progress: Progress, gain
     A last step that `gained` more than is left belongs to a run that still converges.
 
     Where the data hardly determine some directions, short steps continue along them for thousands
-    of iterations, for a hundredth of a unit of log-likelihood. A plateau far from the data looks
-    the same; but there the residuals are not noise.
+    of iterations, for a hundredth of a unit of log-likelihood (the tanh chain is lost without
+    this). A plateau far from the data looks the same; but there the residuals are not noise.
     """
     if not (
         progress.is_exact

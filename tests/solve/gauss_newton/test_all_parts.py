@@ -67,8 +67,7 @@ def test_costs_and_penalties_add_by_their_weights(made):
     squared = [w * (g**2 / m).sum() / 2 for w, g, m in zip(weights, gaps, sizes, strict=True)]
     residual_weights = parts.residual_weights(iterate)
     wanted = sum(
-        p.weight * p.squared_cost(t, w, 1e-8)
-        for (p, t), w in zip(each, residual_weights, strict=True)
+        p.weight * p.squared_cost(t, w) for (p, t), w in zip(each, residual_weights, strict=True)
     )
     assert parts.squared_cost(iterate, residual_weights, sizes) == pytest.approx(
         wanted + sum(squared)
