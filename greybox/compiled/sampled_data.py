@@ -229,13 +229,8 @@ def sampled_data(
     )
     # A system at rest with a constant input shows its noise alone, which any parameters explain.
     constant = bool(inputs) and all(_is_constant(record[name]) for name in inputs)
-    if (
-        constant
-        and not static
-        and not any(
-            noise_ratio([s.outputs[k] for s in stretches]).smooth for k in range(len(outputs))
-        )
-    ):
+    signals = [noise_ratio([s.outputs[k] for s in stretches]) for k in range(len(outputs))]
+    if constant and not static and all(signal.noisy for signal in signals if signal.samples):
         raise ValueError(
             f"the inputs of {_called(record)} never change ({names}) and {listed(outputs)} "
             f"{'is' if len(outputs) == 1 else 'are'} indistinguishable from noise: "

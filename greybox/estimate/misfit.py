@@ -63,6 +63,7 @@ TINY = 1e-300
 # Samples of all records that are tested, in excerpts: with more, a fit would wait for the test.
 MOST = 3000
 FEWEST = 500  # of each
+FEWEST_OF_OUTPUT = 8
 STEP = 1e-6  # of the numbers of a term, for derivatives
 KNOTS = 11  # of the shape of a term over a signal
 # Share of the best determined combination of knots below which one counts as not determined: it is
@@ -267,7 +268,7 @@ class _Regression:
     first of (1 + q, n) factors; the others are those at the next numbers of a term. `outputs` has
     the rows of every output of a record, by stretches, and `signals` returns those over which the
     shape of a term is drawn. What parameters leave of a term is an error of the integration if it
-    is less than `remains` of it.
+    is less than `remains` of it. All columns have `lost` this many degrees of freedom.
     """
 
     measured: Array
@@ -280,6 +281,7 @@ class _Regression:
     causes: Sequence[Cause] = ()
     is_unstable: bool = False
     remains: float = REMAINS
+    lost: int = 0
     signals: Callable[[], Mapping[str, Array]] = dict
 
     def columns(self, keys: Sequence[Key]) -> Array:
@@ -424,7 +426,7 @@ def _of_group(parts: Sequence[_Regression], stack: Stack, determined: Array) -> 
         # Where records have unlike outputs, errors of outputs count as independent.
         width = len(parts[0].outputs) if len({len(part.outputs) for part in parts}) == 1 else 1
         p_values = autoregressive_p_values(
-            residuals[:, 0], fitted, best_columns, outputs, width
+            residuals[:, 0], fitted, best_columns, outputs, width, sum(part.lost for part in parts)
         ).tolist()
         p_correlated = p_values
     elif ranked:
@@ -574,7 +576,9 @@ def _of_record(
     weight, data = part.residual_weight(trajectory), part.data
     slopes = sensitivity(part, trajectory, weight)
     noise = np.linalg.inv(weight.T @ weight)
-    present = [row > 0 for row in data.unpadded(record.present * is_new)]
+    # Straight lines and an autoregression leave nothing of fewer samples of an output.
+    is_tested = is_new * (np.sum(record.present, axis=1, keepdims=True) >= FEWEST_OF_OUTPUT)
+    present = [row > 0 for row in data.unpadded(record.present * is_tested)]
 
     def rows_of_stretch(values: Array, measured: BoolArray) -> Array:
         result = np.where(measured, weight @ values.swapaxes(0, 1), 0.0)
@@ -620,6 +624,7 @@ def _of_record(
         is_unstable=record.growth > 4.6,
         # From known initial states, terms grow as parameters do, and differ by what does not grow.
         remains=max(REMAINS * np.exp(-record.growth * part.known_states.any()), DEPENDENT),
+        lost=sum(basis.shape[1] for basis in drifts),
         signals=partial(signals_of_record, record),
     )
 

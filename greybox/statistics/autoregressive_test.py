@@ -73,7 +73,7 @@ def _shared(columns: Array, filters: Sequence[Array], outputs: Outputs, width: i
     signals = signals.reshape(len(signals), -1, width)
     signals = np.append(signals, signals[:1] != 0, axis=0)
     terms, shared = signals[1:-1], 0.0
-    for lag in range(ORDER + 1):
+    for lag in range(min(ORDER + 1, signals.shape[1])):
         sums = signals[:, lag:].swapaxes(1, 2) @ signals[:, : signals.shape[1] - lag]
         covariances = (1 - np.eye(width)) * sums[0] / np.maximum(sums[-1], 1)
         # Either output may be the later one.
@@ -82,7 +82,7 @@ def _shared(columns: Array, filters: Sequence[Array], outputs: Outputs, width: i
 
 
 def autoregressive_p_values(
-    residuals: Array, fitted: Array, terms: Array, outputs: Outputs, width: int = 1
+    residuals: Array, fitted: Array, terms: Array, outputs: Outputs, width: int = 1, lost: int = 0
 ) -> Array:
     """Return the probabilities (c,) that terms (N, c) explain so much of errors by chance.
 
@@ -97,6 +97,8 @@ def autoregressive_p_values(
     width : int
         Number of neighboring rows of one moment, each of another output, whose errors may be
         correlated.
+    lost : int
+        Degrees of freedom that all columns have lost, such as by initial states.
     """
     # Columns that nearly depend on each other would have large factors, and errors of rounding.
     basis = column_basis(fitted)
@@ -136,7 +138,7 @@ def autoregressive_p_values(
             columns = np.column_stack([values @ factors[-1], values[:, first:]])
             shared = _shared(columns, [w[-1] for w in filters], outputs, width)
         decrease /= shared
-        remaining = sum(counts) - first - sum(w.shape[1] for w in filters)
+        remaining = sum(counts) - lost - first - sum(w.shape[1] for w in filters)
         p_values.append(chance(np.exp(-decrease / sum(counts)), remaining))
     return np.max(p_values, axis=0)
 

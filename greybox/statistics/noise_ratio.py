@@ -37,14 +37,9 @@ class NoiseRatio:
         return 2 * math.sqrt((n - 2) / (n**2 - 1)) if n > 2 else math.inf
 
     @property
-    def smooth(self) -> bool:
-        """True if the smooth part has more variance than the noise; stricter for few samples."""
-        return self.ratio < min(SMOOTH, 2 - CERTAIN * self.spread)
-
-    @property
     def noisy(self) -> bool:
-        """True where the signal is indistinguishable from white noise."""
-        return not self.ratio < 2 - CERTAIN * self.spread
+        """True where most of the variance is noise, of as many samples as show that for certain."""
+        return self.ratio > SMOOTH and CERTAIN * self.spread < SMOOTH
 
     @property
     def attainable_fit_percent(self) -> float:

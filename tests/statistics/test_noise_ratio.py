@@ -13,8 +13,8 @@ def test_white_noise_has_the_ratio_two_and_the_spread_told(samples):
     ratios = np.array([f.ratio for f in found])
     assert_allclose(ratios.mean(), 2, atol=4 * ratios.std() / np.sqrt(2000))
     assert_allclose(ratios.std(), found[0].spread, rtol=0.08)
-    assert np.mean([f.noisy for f in found]) > 0.99
-    assert np.mean([f.smooth for f in found]) < 0.01
+    # Of ten samples nobody can tell.
+    assert np.mean([f.noisy for f in found]) == pytest.approx(samples > 10, abs=0.01)
 
 
 def test_the_fit_that_noise_allows():
@@ -26,15 +26,7 @@ def test_the_fit_that_noise_allows():
         best = 100 * (1 - np.linalg.norm(e) / np.linalg.norm(y - y.mean()))
         found = noise_ratio([y])
         assert_allclose(found.attainable_fit_percent, best, atol=1.5)
-        assert not found.noisy
-        assert found.smooth == (sigma < 0.7)  # where the movement has more variance than the noise
-
-
-def test_a_few_samples_must_move_clearly():
-    assert noise_ratio([np.arange(10.0)]).smooth
-    assert not noise_ratio([np.arange(3.0)]).smooth
-    assert not noise_ratio([np.ones(50)]).smooth
-    assert not noise_ratio([]).smooth
+        assert found.noisy == (sigma > 0.7)  # where the noise has more variance than the movement
 
 
 def test_stretches_and_missing_samples():
@@ -42,7 +34,7 @@ def test_stretches_and_missing_samples():
     random = np.random.default_rng(1)
     pieces = [random.normal(size=200), 100 + random.normal(size=200)]
     assert noise_ratio(pieces).noisy
-    assert noise_ratio([np.concatenate(pieces)]).smooth
+    assert not noise_ratio([np.concatenate(pieces)]).noisy
     slow = np.full(1000, np.nan)
     slow[::10] = np.sin(np.arange(100) / 10)
     assert_allclose(noise_ratio([slow]).ratio, noise_ratio([slow[::10]]).ratio)
@@ -62,13 +54,10 @@ def test_the_ratio_of_stretches_is_that_of_their_squares():
 
 
 def test_the_spread_of_few_samples():
-    """Of three it is 2 √(1/8); of two there is none, so that nothing is called smooth."""
+    """Of three it is 2 √(1/8); of two there is none."""
     assert_allclose(NoiseRatio(0.1, 3).spread, 2 * np.sqrt(1 / 8))
     assert NoiseRatio(0.0, 2).spread == np.inf
-    for samples, limit in ((50, 1.0), (20, 2 - 6 * np.sqrt(18 / 399))):
-        assert NoiseRatio(limit - 1e-6, samples).smooth
-        assert not NoiseRatio(limit + 1e-6, samples).smooth
-    limit = 2 - 6 * np.sqrt(48 / 2499)
-    assert NoiseRatio(limit + 1e-6, 50).noisy
-    assert not NoiseRatio(limit - 1e-6, 50).noisy
-    assert NoiseRatio(np.nan, 50).noisy
+    # Of 36 samples of white noise, one of 740 has a ratio below one; of 35, more have.
+    assert [NoiseRatio(1.001, samples).noisy for samples in (35, 36)] == [False, True]
+    assert not NoiseRatio(0.999, 50).noisy
+    assert not NoiseRatio(np.nan, 50).noisy
