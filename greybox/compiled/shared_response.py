@@ -94,28 +94,26 @@ class SharedSystem:
 
     def responses(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
         """Return the responses at z (p, k), (k, w, pairs), and their derivatives by z, last."""
-        n, k = self.states, z.shape[1]
+        n = self.states
         S, delays, slopes, delay_slopes = self.matrices(z)
-        s = 1j * self.omega
+        s = 1j * self.omega[:, None]
         inverse = resolvents(S[:, :n, :n], self.omega)
         X = inverse @ S[:, None, :n, n:]
         Y = S[:, None, n:, :n] @ inverse
         shape, ends = X.shape[:2], (np.eye(self.outputs), np.eye(self.inputs))
         E, F = (np.broadcast_to(end, shape + end.shape) for end in ends)
         left, right = np.concatenate([Y, E], -1), np.concatenate([X, F], -2)
-        plant = S[:, None, n:, :n] @ X + S[:, None, n:, n:]
+        right *= np.exp(-s * delays[:, None])[:, :, None]
 
         outputs, inputs = (np.array([pair[c] for pair in self.pairs]) for c in (1, 2))
-        lag = np.exp(-s[:, None] * delays[:, None])[..., inputs]
-        response = plant[..., outputs, inputs] * lag
+        response = (S[:, None, n:] @ right)[..., outputs, inputs]
         # Only the entries that depend on z.
         moving = np.flatnonzero(np.any(slopes != 0, axis=(0, 2)))
         i, j = self.rows[moving].T
         by_entry = left[:, :, outputs[:, None], i] * right[:, :, j, inputs[:, None]]
-        slope = by_entry.reshape(k, -1, len(moving)) @ slopes[:, moving]
-        slope = slope.reshape(*response.shape, len(z)) * lag[..., None]
-        by_delay = -s[:, None] * response
-        return response, slope + by_delay[..., None] * delay_slopes[:, None, inputs]
+        slope = by_entry.reshape(len(S), -1, len(moving)) @ slopes[:, moving]
+        by_delay = (s * response)[..., None] * delay_slopes[:, None, inputs]
+        return response, slope.reshape(by_delay.shape) - by_delay
 
 
 class SineTest:

@@ -16,6 +16,7 @@ over the variables that are not held at a bound by the gradient (Bertsekas, SIAM
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -25,7 +26,7 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING
 from greybox.compiled.response_programs import CostProgram
 from greybox.compiled.vectorized import Columns
-from greybox.files.arrays import Array, BoolArray, IntArray, frozen
+from greybox.files.arrays import Array, BoolArray, IntArray
 from greybox.modeling.one_thread import PerThread, one_thread_at_a_time
 from greybox.solve.interruption import reason_to_end
 from greybox.solve.newton_iteration import (
@@ -51,11 +52,13 @@ from greybox.solve.newton_iteration import (
 BARRIERS = np.array([[1.0, 1e-2, 1e-4, 0.0], [1e-2, 1e-3, 1e-4, 0.0]])
 SMOOTHINGS = np.array([1.0, 1e-2, 1e-4, SMOOTHING])
 LAST = BARRIERS.shape[1] - 1
+# Searches this close in all variables become one: a ten-thousandth of the start box, where steps of
+# Newton's method have all but arrived. With a thousandth they end alike, and take as long.
+MET = 1e-4
 NO_DATA = np.zeros(0)
 
 
-@frozen
-class Ends:
+class Ends(NamedTuple):
     """Where searches from m points ended.
 
     Attributes
@@ -72,12 +75,6 @@ class Ends:
     at_minimum: BoolArray
     iterations: IntArray
     cost: Array
-
-    def put(self, columns: BoolArray | IntArray, ends: "Ends") -> None:
-        """Replace these columns, and add the iterations."""
-        self.z[:, columns], self.cost[columns] = ends.z, ends.cost
-        self.at_minimum[columns] = ends.at_minimum
-        self.iterations[columns] += ends.iterations
 
 
 @dataclass(eq=False)
@@ -152,10 +149,12 @@ class BatchedNewton:
         smoothing: float | None = None,
         given: Array | None = None,
         bounds: tuple[Array, Array] | None = None,
+        labels: Array | None = None,
     ) -> Ends:
         """Search from the columns of z (p, m); with `from_near` at the last level only.
 
-        A `smoothing` replaces those of the levels.
+        A `smoothing` replaces those of the levels. Searches of one of the `labels` (m,) become one
+        where they meet.
 
         A search ends where its projected gradient is at most the `tolerance`, relative to the cost
         where that is above one. The columns of `given` (g, m) are the data of each search, and
@@ -171,34 +170,43 @@ class BatchedNewton:
         # A search begins at least a hundredth of the interval inside its bounds, as in IPOPT.
         margin = np.where(np.isfinite(high - low) & (not from_near), 1e-2 * (high - low), 0.0)
         z = np.clip(z, low + margin, high - margin)
-        searches = self._begun(z, low, high, LAST if from_near else 0, data)
-        tolerances = np.full((1, m), tolerance)
-        self._advance(searches, tolerances, smoothing)
+        rows, leader = self._rows, np.arange(m)  # the leader is the search whose end counts
+        numbers = np.zeros((rows.size, m))
+        numbers[rows.z] = numbers[rows.trial] = z
+        numbers[rows.lower], numbers[rows.upper] = low, high
+        # The first evaluation is that of a search which has just switched to the level. The radius
+        # is the size of the start box in the solver's variables.
+        numbers[LEVEL] = LAST - 1 if from_near else -1
+        numbers[SWITCHED] = numbers[RADIUS] = 1
+        numbers[ITERATIONS] = -1
+        searches = _Searches(leader, numbers, np.ones(m, bool), data)
+        self._advance(searches, tolerance, smoothing)
         for _ in range(max_iterations):
             ended = searches.live & (searches.numbers[END] != 0)
             # For few searches `any` takes ten times as long.
             if np.count_nonzero(ended):
                 self._end(searches, ended, ends)
+            if labels is not None:
+                leader = self._merged(searches, labels)[leader]
             live = np.count_nonzero(searches.live)
             if reason_to_end() or not live:
                 break
             searches = _narrowed(searches, live)
-            self._advance(searches, tolerances, smoothing)
+            self._advance(searches, tolerance, smoothing)
         self._end(searches, searches.live, ends)
-        return ends
+        return Ends._make(values[..., leader] for values in ends)
 
-    def _begun(self, z: Array, low: Array, high: Array, level: int, data: Array) -> _Searches:
-        """Return the searches from the columns of z (p, m), at a level."""
-        m, rows = z.shape[1], self._rows
-        numbers = np.zeros((rows.size, m))
-        numbers[rows.z] = numbers[rows.trial] = z
-        numbers[rows.lower], numbers[rows.upper] = low, high
-        # The first evaluation is that of a search which has just switched to the level.
-        numbers[LEVEL] = level - 1
-        numbers[SWITCHED] = 1
-        numbers[ITERATIONS] = -1
-        numbers[RADIUS] = 1.0  # the size of the start box in the solver's variables
-        return _Searches(np.arange(m), numbers, np.ones(m, bool), data)
+    def _merged(self, searches: _Searches, labels: Array) -> IntArray:
+        """End those that have met another search, and return which one goes on for each of m."""
+        owner, live = searches.owner, searches.live
+        ended = ~live * (1 + owner)  # these meet none
+        alike = np.vstack([searches.numbers[LEVEL : self._rows.trial.stop], labels[owner], ended])
+        first = (np.abs(alike[:, :, None] - alike[:, None]).max(0) < MET).argmax(0)
+        met = live & (first[first] == first) & (owner[first] != owner)
+        live &= ~met
+        leader = np.arange(len(labels))
+        leader[owner[met]] = owner[first[met]]
+        return leader
 
     def _end(self, searches: _Searches, which: BoolArray, ends: Ends) -> None:
         """Move searches to the ends."""
@@ -209,7 +217,7 @@ class BatchedNewton:
         ends.cost[owner] = numbers[COST]
         searches.live &= ~which
 
-    def _advance(self, searches: _Searches, tolerances: Array, smoothing: float | None) -> None:
+    def _advance(self, searches: _Searches, tolerance: float, smoothing: float | None) -> None:
         """Evaluate the trial of every search, accept it or not, and find the next trial."""
         numbers, rows, p = searches.numbers, self._rows, self._p
         trial = numbers[rows.trial]
@@ -221,7 +229,7 @@ class BatchedNewton:
 
         advance, within_radius = _iterations.result(p)
         barrier = BARRIERS[searches.owner % len(BARRIERS), levels][None]
-        alike = tolerances[:, : len(levels)]
+        alike = np.full((1, len(levels)), tolerance)
         numbers, hessian_of_free = advance(numbers, barrier, alike, cost[None], gradient, hessian)
         searches.numbers = numbers
         searches.live &= np.isfinite(numbers[COST])
@@ -250,6 +258,4 @@ def _narrowed(searches: _Searches, count: np.intp) -> _Searches:
     most = width - 1 if width <= NARROW else width // narrower
     if count > most:
         return searches
-    return _Searches(
-        searches.owner[live], searches.numbers[:, live], searches.live[live], searches.data[:, live]
-    )
+    return _Searches(*(values[..., live] for values in vars(searches).values()))

@@ -15,11 +15,11 @@ Derivatives are those at the best states (the envelope theorem): with S = [[A, B
 whitening W of R + Y Q Yᴴ they are those of -W [Y, I] dS [x; u].
 """
 
-from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
-from greybox.compiled.shared_response import SharedResponses, SharedSystem, resolvents
+from greybox.compiled.shared_response import SharedSystem, resolvents
 from greybox.files.arrays import Array, ComplexArray
 
 # Noise over the derivatives of the states, with relative errors of one in the responses: at first,
@@ -35,14 +35,25 @@ LARGEST = 1e7
 class ProcessNoise:
     """The mean squared error with process noise, with gradient and Gauss-Newton Hessian."""
 
-    def __init__(self, responses: SharedResponses, points: Array) -> None:
-        """Scale the noise by the derivatives of the states at the points z (p, k)."""
-        systems = [s for s in responses.systems if isinstance(s, SharedSystem)]
-        self._terms = [
-            (system, *_measured(system, responses.data), _sizes(system, points))
-            for system in systems
-        ]
-        self._numbers = 2 * sum(np.count_nonzero(weight) for _, _, weight, _ in self._terms)
+    def __init__(self, responses: Any, points: Array) -> None:
+        """Take `SharedResponses`; the noise is scaled by the states' derivatives at z (p, k)."""
+        self._terms, self._numbers = [], 0
+        for system in responses.systems:
+            # By frequency, input and output; weights are zero where nothing is measured.
+            measured = np.zeros((len(system.omega), system.inputs, system.outputs), complex)
+            for part, output, input, at in system.pairs:
+                measured[at, input, output] = responses.data[part]
+            size = np.abs(measured)
+            weight = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
+            self._numbers += 2 * np.count_nonzero(weight)
+
+            # Typical derivatives of the states.
+            n, (S, *_) = system.states, system.matrices(points)
+            with np.errstate(all="ignore"):
+                states = resolvents(S[:, :n, :n], system.omega) @ S[:, None, :n, n:]
+                sizes = np.median(np.abs(states), axis=0) * system.omega[:, None, None]
+            sizes = np.nan_to_num(sizes, posinf=0.0).swapaxes(1, 2)
+            self._terms.append((system, measured, weight, sizes))
 
     def __call__(self, z: Array, smoothing: Array, data: Array) -> tuple[Array, Array, Array]:
         """Return cost (k,), gradient (p, k) and Hessian (p * p, k) at z (p, k).
@@ -53,16 +64,15 @@ class ProcessNoise:
         cost, gradient, hessian = np.zeros(k), np.zeros((p, k)), np.zeros((p * p, k))
         for system, measured, weight, sizes in self._terms:
             noise = data[0, :, None, None, None] * sizes
-            n, inputs = system.states, np.arange(system.inputs)
+            n, eye = system.states, np.eye(system.inputs)
             S, delays, slopes, delay_slopes = system.matrices(z)
             s = 1j * system.omega[:, None]
             lag = np.exp(-s * delays[:, None])
             with np.errstate(all="ignore"):
                 errors, left, x = _whitened(system, S, lag, measured, weight, noise)
                 by_input = (left @ S[:, None, :, n:].swapaxes(2, 3)[..., None])[..., 0]
-            right = np.concatenate([x, lag[..., None] * np.eye(len(inputs))], axis=-1)
-            by_delay = np.zeros((len(inputs), *errors.shape), complex)
-            by_delay[inputs, :, :, inputs] = np.moveaxis((s * lag)[..., None] * by_input, 2, 0)
+                by_delay = eye[:, None, None, :, None] * (s * lag)[..., None] * by_input
+            right = np.concatenate([x, lag[..., None] * eye], axis=-1)
 
             # Only the entries that depend on z; rows (entry, frequency, input, output).
             moving = np.flatnonzero(np.any(slopes != 0, axis=(0, 2)))
@@ -77,24 +87,6 @@ class ProcessNoise:
                 gradient[:, c] += 2 * slopes[c].T @ (numbers @ error)
                 hessian[:, c] += 2 * (slopes[c].T @ (numbers @ numbers.T) @ slopes[c]).ravel()
         return cost / self._numbers, gradient / self._numbers, hessian / self._numbers
-
-
-def _measured(system: SharedSystem, data: Sequence[ComplexArray]) -> tuple[ComplexArray, Array]:
-    """Return the measured responses (w, m, l) and their weights, zero where nothing is measured."""
-    measured = np.zeros((len(system.omega), system.inputs, system.outputs), complex)
-    for part, output, input, at in system.pairs:
-        measured[at, input, output] = data[part]
-    size = np.abs(measured)
-    return measured, np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
-
-
-def _sizes(system: SharedSystem, points: Array) -> Array:
-    """Return typical derivatives of the states (w, m, n) at the points z (p, k)."""
-    n, (S, *_) = system.states, system.matrices(points)
-    with np.errstate(all="ignore"):
-        states = resolvents(S[:, :n, :n], system.omega) @ S[:, None, :n, n:]
-        sizes = np.median(np.abs(states), axis=0) * system.omega[:, None, None]
-    return np.nan_to_num(sizes, posinf=0.0).swapaxes(1, 2)
 
 
 def _whitened(
@@ -118,7 +110,12 @@ def _whitened(
     scaled[refused], errors[refused] = 0, np.nan
 
     root = np.linalg.cholesky(np.eye(outputs) + scaled @ scaled.conj().swapaxes(-1, -2))
-    whitening = np.linalg.inv(root)
+    # Row by row for all matrices: `inv` of a triangle takes four times as long.
+    whitening = np.zeros_like(root)
+    for i in range(outputs):
+        row = root[..., i : i + 1, :i] @ whitening[..., :i, : i + 1]
+        row[..., i] -= 1
+        whitening[..., i : i + 1, : i + 1] = -row / root[..., i : i + 1, i : i + 1]
     errors = (whitening @ errors[..., None])[..., 0]
     left = np.concatenate([whitening @ by_noise, whitening * weight[..., None, :]], axis=-1)
     driven = noise**2 * (left[..., :n].conj().swapaxes(-1, -2) @ errors[..., None])[..., 0]

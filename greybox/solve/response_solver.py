@@ -201,7 +201,10 @@ class ResponseSolver(LocalSolver):
         if not zero.size:
             return ends
 
-        ends.put(zero, self._walled.minimize(z[:, zero], **self.limits))
+        again = self._walled.minimize(z[:, zero], **self.limits)
+        again.iterations[:] += ends.iterations[zero]
+        for values, replaced in zip(ends, again, strict=True):
+            values[..., zero] = replaced
         return ends
 
     @cached_property
