@@ -63,7 +63,6 @@ TINY = 1e-300
 # Samples of all records that are tested, in excerpts: with more, a fit would wait for the test.
 MOST = 3000
 FEWEST = 500  # of each
-FEWEST_OF_OUTPUT = 8
 STEP = 1e-6  # of the numbers of a term, for derivatives
 KNOTS = 11  # of the shape of a term over a signal
 # Share of the best determined combination of knots below which one counts as not determined: it is
@@ -577,7 +576,7 @@ def _of_record(
     slopes = sensitivity(part, trajectory, weight)
     noise = np.linalg.inv(weight.T @ weight)
     # Straight lines and an autoregression leave nothing of fewer samples of an output.
-    is_tested = is_new * (np.sum(record.present, axis=1, keepdims=True) >= FEWEST_OF_OUTPUT)
+    is_tested = is_new * (np.sum(record.present, axis=1, keepdims=True) >= 8)
     present = [row > 0 for row in data.unpadded(record.present * is_tested)]
 
     def rows_of_stretch(values: Array, measured: BoolArray) -> Array:

@@ -38,8 +38,8 @@ class NoiseRatio:
 
     @property
     def noisy(self) -> bool:
-        """True where most of the variance is noise, of as many samples as show that for certain."""
-        return self.ratio > SMOOTH and CERTAIN * self.spread < SMOOTH
+        """True where the signal is indistinguishable from white noise."""
+        return self.ratio >= 2 - CERTAIN * self.spread
 
     @property
     def attainable_fit_percent(self) -> float:

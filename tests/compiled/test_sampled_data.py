@@ -264,6 +264,10 @@ def test_bad_records():
     ):
         cut(record(u=np.ones(60), y=RANDOM.normal(size=60)))
     assert cut(record(u=np.ones(60))).constant_inputs
+    # Of a few samples, a decay looks as rough.
+    for samples in (3, 5, 9):
+        y = np.exp(-np.linspace(0, 6, samples))
+        assert cut(record(samples, u=np.ones(samples), y=y)).constant_inputs
     assert not cut(record()).constant_inputs
     with pytest.raises(ValueError, match="longest delay in the bounds is 5 s"):
         cut(record(), lead=5.0)

@@ -134,6 +134,60 @@ def test_what_repeats_with_the_inputs_is_no_noise(plant, flights, periods):
     assert ("of unknown form, which repeats with the inputs" in str(fit)) == (plant is Wavy)
 
 
+class Reaction(gb.StateSpace):
+    """A becomes B, which decays, at a rate that depends on the temperature."""
+
+    states = outputs = ("A", "B")
+    inputs = ("T",)
+    rate, decay = gb.Parameter(0.5, bounds=(0, 10)), gb.Parameter(0.2, bounds=(0, 10))
+    by_T = gb.Parameter(0.3, bounds=(-2, 2))
+
+    def derivative(self, x, u, p):
+        flow = p.rate * gb.exp(p.by_T * u.T) * x.A
+        return (-flow, flow - p.decay * x.B)
+
+    def output(self, x, u, p):
+        return (x.A, x.B)
+
+
+def batch(T, samples, random):
+    """Return a record of both substances at a temperature, with errors of 0.02."""
+    time, k = np.linspace(0, 8, samples), 0.5 * np.exp(0.3 * T)
+    A, late = np.exp(-k * time), np.exp(-0.2 * time)
+    y = random.uniform(0.5, 2) * np.array([A, k * (A - late) / (0.2 - k)])
+    A, B = y + 0.02 * random.normal(size=(2, samples))
+    return gb.Record(time, {"T": np.full(samples, T), "A": A, "B": B})
+
+
+@pytest.mark.parametrize("samples", [5, 8])
+def test_batches_of_few_samples_are_judged_by_what_lines_and_initial_states_leave(samples):
+    for seed in range(4):
+        random = np.random.default_rng(seed)
+        batches = [batch(T, samples, random) for T in random.uniform(-1, 1, 6)]
+        fit = gb.fit(gb.several(Reaction(), batches), starts=1, progress=False)
+        assert abs(fit.estimate["rate"] - 0.5) < 4 * fit.standard_error["rate"]
+        assert fit.misfit is None or fit.misfit.explains
+
+
+def test_three_samples_of_an_output_do_not_decide():
+    class Watched(Spring):
+        """With its velocity measured."""
+
+        outputs = ("x", "v")
+
+        def output(self, x, u, p):
+            return (x.x, x.v)
+
+    flight = problem().record
+    v = gb.simulate(Watched(), {"k": 25.0, "d": 2.0, "b": 25.0}, flight)["v"]
+    for seed in range(3):
+        random = np.random.default_rng(seed)
+        few, at = np.full(SAMPLES, np.nan), random.choice(SAMPLES, 3, replace=False)
+        few[at] = v[at] + 0.1 * random.normal(size=3)
+        data = flight.with_signals(v=few)
+        assert gb.fit(gb.Problem(Watched(), data), starts=1, progress=False).misfit.explains
+
+
 @pytest.mark.parametrize("plant", [Spring, Wavy])
 def test_rounding_that_repeats_with_the_inputs_is_no_misfit(plant):
     time = STEP * np.arange(600)

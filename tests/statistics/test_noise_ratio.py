@@ -13,8 +13,7 @@ def test_white_noise_has_the_ratio_two_and_the_spread_told(samples):
     ratios = np.array([f.ratio for f in found])
     assert_allclose(ratios.mean(), 2, atol=4 * ratios.std() / np.sqrt(2000))
     assert_allclose(ratios.std(), found[0].spread, rtol=0.08)
-    # Of ten samples nobody can tell.
-    assert np.mean([f.noisy for f in found]) == pytest.approx(samples > 10, abs=0.01)
+    assert np.mean([f.noisy for f in found]) > 0.99
 
 
 def test_the_fit_that_noise_allows():
@@ -26,7 +25,7 @@ def test_the_fit_that_noise_allows():
         best = 100 * (1 - np.linalg.norm(e) / np.linalg.norm(y - y.mean()))
         found = noise_ratio([y])
         assert_allclose(found.attainable_fit_percent, best, atol=1.5)
-        assert found.noisy == (sigma > 0.7)  # where the noise has more variance than the movement
+        assert not found.noisy
 
 
 def test_stretches_and_missing_samples():
@@ -57,7 +56,7 @@ def test_the_spread_of_few_samples():
     """Of three it is 2 √(1/8); of two there is none."""
     assert_allclose(NoiseRatio(0.1, 3).spread, 2 * np.sqrt(1 / 8))
     assert NoiseRatio(0.0, 2).spread == np.inf
-    # Of 36 samples of white noise, one of 740 has a ratio below one; of 35, more have.
-    assert [NoiseRatio(1.001, samples).noisy for samples in (35, 36)] == [False, True]
-    assert not NoiseRatio(0.999, 50).noisy
+    limit = 2 - 6 * np.sqrt(48 / 2499)
+    assert NoiseRatio(limit + 1e-6, 50).noisy
+    assert not NoiseRatio(limit - 1e-6, 50).noisy
     assert not NoiseRatio(np.nan, 50).noisy
