@@ -18,11 +18,7 @@ from greybox.files.arrays import Array, BoolArray, IntArray
 INJECTED = "injected "  # begins the source of such a test, and the signal follows
 AXES = ("roll", "pitch", "yaw")
 CHIRP, PHASE = "chirp", "debug[0]"
-COUNTS = 5000  # of the phase in a radian
 AUTOTUNE = "autotune_attitude_control_status"
-# s: the phase of a chirp is zero for moments, and the steps of an autotuning cross zero.
-PAUSE = 1.0
-SHORTEST = 2.0  # s, a start that was broken off
 
 
 def injected_tests(data: Recording | Record) -> list[Segment]:
@@ -39,7 +35,7 @@ def injected_tests(data: Recording | Record) -> list[Segment]:
 
 def _chirps(record: Record) -> list[Segment]:
     """Return the runs of Betaflight's chirp mode."""
-    phase = np.nan_to_num(record[PHASE]) / COUNTS
+    phase = np.nan_to_num(record[PHASE]) / 5000  # counts in a radian
     tests = []
     for rows in _runs(record.time, phase > 0):
         # Only firmware since 2026 logs the axis: it is the one whose control moves with the chirp.
@@ -68,8 +64,10 @@ def _autotuning(record: Record) -> list[Segment]:
 def _runs(time: Array, active: BoolArray) -> list[IntArray]:
     """Return the samples of every stretch of activity without a pause."""
     samples = np.flatnonzero(active)
-    runs = [samples[run] for run in runs_between_gaps(time[samples], PAUSE)]
-    return [run for run in runs if run.size > 1 and time[run[-1]] - time[run[0]] > SHORTEST]
+    # The phase of a chirp is zero for moments, and the steps of an autotuning cross zero.
+    runs = [samples[run] for run in runs_between_gaps(time[samples], 1.0)]
+    # A shorter one is a start that was broken off.
+    return [run for run in runs if run.size > 1 and time[run[-1]] - time[run[0]] > 2.0]
 
 
 def _segment(

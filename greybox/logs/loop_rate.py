@@ -31,8 +31,6 @@ from greybox.logs.ardupilot.filters import CONTROLLERS
 
 PX4_LOOP = "IMU_GYRO_RATEMAX"
 GYRO_RATE = 1000.0  # Hz, of INS_GYRO_RATE 0; 1, 2, 3 double it as often
-# Passes per sample below which the log has all passes: the rate of the loop varies by up to 10 %.
-EVERY_PASS = 1.25
 FAST, MEDIUM = 1, 2  # bits of LOG_BITMASK for attitude
 IDENTIFICATION = 8  # bit of SDLOG_PROFILE for every pass of PX4's rate controller
 # Phases to try between gyro and loop, and passes in the mean, a multiple of 2 to 6.
@@ -85,7 +83,8 @@ def thinning(recording: Recording, signal: str, start: float, end: float) -> Thi
     if loop <= 0 or time.size < 3 or not (is_px4 or "INS_GYRO_FILTER" in parameters):
         return None
     logged = 1 / median_step(time)
-    if loop < EVERY_PASS * logged:
+    # Then the log has all passes: the rate of the loop varies by up to 10 %.
+    if loop < 1.25 * logged:
         return None
     # The rate of the log jitters, while the loop logs every pass, every second, every third ...
     kept = round(loop / logged)

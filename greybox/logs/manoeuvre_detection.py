@@ -28,16 +28,8 @@ CONTROLS = ("u", "de", "da", "dr", "dt", "elevator", "aileron", "rudder", "throt
 # s at one level: as long as the shortest pulse of an aircraft's 3-2-1-1; its longest takes three
 # times that.
 REST = 1.0
-NEW_REST = 6.0  # s after which another level is a new rest, twice the longest of these pulses
 
-# Share of the range of a signal that it may move at rest. Ripple on sticks and drift of the trim
-# are below a hundredth.
-AT_REST = 0.02
-NOISE = 8.0  # standard deviations of the noise, which a second of samples does not leave by chance
 
-# Share of the largest magnitude of the input's spectrum, -20 dB, down to which its band is excited.
-STRONG = 0.1
-HIGHEST = 0.4  # of the sampling rate, see `greybox.spectral.transients`
 # Factor on the number of frequencies of the spectrum: between two, it then falls by 10 % at most.
 FINER = 4
 
@@ -90,15 +82,18 @@ def manoeuvres_in(time: Array, values: Array) -> list[Segment]:
     # Differences of successive samples are free of the manoeuvre, their median of its edges; 1.4826
     # makes a standard deviation of it.
     noise = 1.4826 * float(np.median(np.abs(np.diff(values)))) / math.sqrt(2)
-    drift = max(AT_REST * float(high - low), 1e-12 * float(np.abs(values).max()))
-    height = max(drift, NOISE * noise)
+    # Of the range of a signal, ripple on sticks and drift of the trim are below a hundredth.
+    drift = max(0.02 * float(high - low), 1e-12 * float(np.abs(values).max()))
+    # A second of samples does not leave eight standard deviations by chance.
+    height = max(drift, 8.0 * noise)
     rests = _rests(time, values, height)
     manoeuvres = []
     before = 0
     for k, rest in enumerate(rests[1:], start=1):
         # A short rest at another level is part of the manoeuvre.
         returned = abs(rest.begins - rests[before].ends) <= 2 * drift
-        lasting = time[rest.last] - time[rest.first] > NEW_REST
+        # Twice the longest of these pulses: another level that lasts is a new rest.
+        lasting = time[rest.last] - time[rest.first] > 6.0
         if returned or lasting or rest is rests[-1]:
             manoeuvres.append(_between(time, values, rests[before], rest, drift, height))
             before = k
@@ -169,7 +164,8 @@ def _band(
     # The spectrum of a step itself falls as 1/ω and depends on where the record ends.
     if kind == "step":
         x = np.diff(x)
-    low, high = 2 * math.pi / (t[-1] - t[0]), HIGHEST * 2 * math.pi / step
+    # Up to the share of the sampling rate in `greybox.spectral.transients`.
+    low, high = 2 * math.pi / (t[-1] - t[0]), 0.4 * 2 * math.pi / step
     omega = 2 * math.pi * np.fft.rfftfreq(FINER * t.size, step)
     inside = (omega >= low) & (omega <= max(high, 2 * low))
     # A manoeuvre of a few samples has no frequency below the limit.
@@ -177,7 +173,8 @@ def _band(
         return low, 2 * low
 
     omega, size = omega[inside], np.abs(np.fft.rfft(x, FINER * t.size))[inside]
-    strong = omega[size >= STRONG * size.max()]
+    # The band is excited down to -20 dB of the largest magnitude of the input's spectrum.
+    strong = omega[size >= 0.1 * size.max()]
     # The band ends at the first hole of an octave.
     holes = np.flatnonzero(strong[1:] > 2 * strong[:-1])
     stop = strong[holes[0] if holes.size else -1]

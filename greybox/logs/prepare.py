@@ -20,12 +20,6 @@ from greybox.logs.flight_controllers import passed_filters
 # stretch: the length of the filter is 5.0 / (STOP - PASS) new samples.
 PASS = 0.35
 STOP = 0.5
-ATTENUATION = 80.0  # dB: 1e-4 of the amplitude of what would be aliased
-
-# Share of the source's rate from which no filter is applied: it would affect only the highest 5 %.
-SAME_RATE = 0.95
-# Rate over that of the fastest signal, above which `rate` is refused as a mistake in units.
-FASTEST = 10
 
 
 @dataclass(frozen=True)
@@ -200,7 +194,8 @@ class _Source:
 
     def is_filtered(self, rate: float) -> bool:
         """Return whether a record at this rate needs the anti-alias filter."""
-        return rate < SAME_RATE / self.step
+        # Nearer to the source's rate, a filter would affect only the highest 5 %.
+        return rate < 0.95 / self.step
 
     def hold_at(self, rate: float) -> float | None:
         """Return how long values last in a record at this rate, s, or None."""
@@ -252,7 +247,8 @@ def _grid(sources: Mapping[str, _Source], rate: float, start: float, end: float)
 
     # A rate in rad/s or a step in ms would make a record of interpolated samples.
     fastest = 1 / min(source.step for source in sources.values())
-    if rate > FASTEST * fastest:
+    # A mistake in units.
+    if rate > 10 * fastest:
         raise ValueError(
             f"rate {rate:g} Hz is more than ten times that of the fastest signal, {fastest:.4g} "
             "Hz: lower it."
@@ -314,7 +310,8 @@ def _low_passed(time: Array, values: Array, step: float, rate: float) -> tuple[A
     uniform = np.linspace(time[0], time[-1], max(round((time[-1] - time[0]) / step) + 1, 2))
     samples = np.interp(uniform, time, values)
     nyquist = 0.5 / step
-    taps, beta = kaiserord(ATTENUATION, (STOP - PASS) * rate / nyquist)
+    # 80 dB leave 1e-4 of the amplitude of what would be aliased.
+    taps, beta = kaiserord(80.0, (STOP - PASS) * rate / nyquist)
     # Odd, for a center, and no longer than the reflected ends.
     taps = min(taps | 1, 2 * ((samples.size - 1) // 2) + 1)
     window: Any = ("kaiser", beta)

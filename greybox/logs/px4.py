@@ -11,7 +11,6 @@ from greybox.logs.axis_signals import AxisSignals
 from greybox.logs.known_filters import KnownFilter, LowPass, Notch
 
 FILTERED = ("vehicle_angular_velocity",)  # topics behind the filters of the gyro
-COMPLETE = 200.0  # dB: the notch of PX4 takes all at its center
 
 # Torque setpoints are from version 1.13 on, actuator controls before. Angles are those that the
 # reader computes from quaternions.
@@ -44,8 +43,9 @@ def named_filters(recording: Recording) -> dict[str, tuple[KnownFilter, ...]]:
         (parameters.get(f"IMU_GYRO_NF{k}_FRQ", 0), parameters.get(f"IMU_GYRO_NF{k}_BW", 0))
         for k in (0, 1)
     ]
+    # A notch of PX4 leaves nothing at its center: 200 dB.
     notches = tuple(
-        Notch(center, center / width, COMPLETE) for center, width in pairs if center > 0 < width
+        Notch(center, center / width, 200.0) for center, width in pairs if center > 0 < width
     )
 
     return filters | ({"gyro-notch": notches} if notches else {})

@@ -8,17 +8,6 @@ from greybox.data.record import median_step
 from greybox.files.arrays import Array, BoolArray, ComplexArray
 from greybox.files.text_table import counted
 
-# Fewest samples of a window: as many as the least squares have unknowns (a constant, a trend and
-# three harmonics).
-LEAST_SAMPLES = 8
-
-# Smallest share of its samples that each period of a window must have.
-LEAST_FILLED = 0.3
-
-# Harmonics are fitted up to this share of the Nyquist frequency, at which sine and cosine are no
-# longer independent.
-HIGHEST = 0.8
-
 
 class UnusableSegmentError(ValueError):
     """A stretch of a signal cannot be demodulated; the message gives the reason."""
@@ -35,7 +24,8 @@ def whole_periods(time: Array, omega: float, settle: float) -> tuple[BoolArray, 
     if not 0 < omega < math.inf:
         raise UnusableSegmentError(f"the frequency is {omega:g} rad/s: it must be above 0")
     period = 2 * math.pi / omega
-    if time.size < LEAST_SAMPLES:
+    # The least squares have eight unknowns: a constant, a trend and three harmonics.
+    if time.size < 8:
         raise UnusableSegmentError(f"only {counted(time.size, 'sample')}")
     step = median_step(time)
     if step > period / 4:
@@ -53,7 +43,8 @@ def whole_periods(time: Array, omega: float, settle: float) -> tuple[BoolArray, 
     # Half a step more, so that rounding takes no sample twice.
     rows = time > time[-1] + step / 2 - count * period
     in_each = np.histogram(time[rows], count, (time[-1] - count * period, time[-1]))[0]
-    if in_each.min() < LEAST_FILLED * period / step:
+    # Each period of a window must have a third of its samples.
+    if in_each.min() < 0.3 * period / step:
         raise UnusableSegmentError(f"a whole period is missing after {time[rows][0]:.1f} s")
     return rows, count
 
@@ -72,7 +63,8 @@ def least_squares(
     residual : (rows, n) array
     """
     step = median_step(t)
-    count = max(1, min(harmonics, int(HIGHEST * math.pi / (omega * step))))
+    # Sine and cosine are no longer independent at the Nyquist frequency.
+    count = max(1, min(harmonics, int(0.8 * math.pi / (omega * step))))
     # From -1/2 to 1/2: its coefficient is the drift over the window.
     trend = (t - t.mean()) / (t[-1] - t[0])
     waves = [sine_and_cosine(t, k * omega, origin) for k in range(1, count + 1)]

@@ -10,26 +10,10 @@ from greybox.data.test_segment import Segment
 from greybox.files.arrays import Array, frozen
 from greybox.files.text_table import counted, number, one_line, text_table
 
-# Harmonics over fundamental. For a cubic nonlinearity, y = x + k x³, harmonics of a share h mean
-# that the gain is off by 3h.
-NONLINEAR = 0.1
-
-# Harmonics over fundamental that the plant does not explain and that deserve a warning. A share h
-# counts as a standard error h of the gain: for a clipped sine, the gain is off by h, for a cubic
-# nonlinearity by 3h, and for a rounded sine that other motions carry across the steps, hardly.
-UNEXPLAINED = 0.03
-
 # Change of trim over the amplitude, and standard error over the response: an error of the gain
-# about as large as that at `NONLINEAR`.
+# about as large as that of harmonics of a tenth.
 DRIFTING = 0.3
 UNCERTAIN = 0.3
-
-# Share of the time at a limit: less than the 2.8 % that a sampled sine spends within the resolution
-# of a control of its peaks (`single_sine.RESOLUTION`).
-SATURATED = 0.02
-
-# Share of missing samples in a window.
-MISSING = 0.05
 
 
 @dataclass(frozen=True)
@@ -144,18 +128,22 @@ def with_findings(point: FrequencyPoint, missing: float) -> FrequencyPoint:
 
     `missing` is the share of missing samples in its window.
     """
-    findings = [f"{missing:.0%} of the samples are missing"] if missing > MISSING else []
+    findings = [f"{missing:.0%} of the samples are missing"] if missing > 0.05 else []
     names = ("control", "output")
     for name, sine, share, drift in zip(
         names, (point.u, point.y), point.distortion, point.drift, strict=True
     ):
-        if share > NONLINEAR:
+        # For a cubic nonlinearity, y = x + k x³, harmonics of a share h of the fundamental mean
+        # that the gain is off by 3h.
+        if share > 0.1:
             text = f"the {name} has harmonics of {share:.0%} of its sine"
             findings.append(f"{text}: the response is not linear there")
         if abs(drift) > DRIFTING * abs(sine):
             text = f"the trim of the {name} drifts by {drift:.2g}"
             findings.append(f"{text}, and its amplitude is {abs(sine):.2g}")
-    if point.saturation > SATURATED:
+    # This is less than the 2.8 % of the time that a sampled sine spends within the
+    # resolution of a control of its peaks (`single_sine.RESOLUTION`).
+    if point.saturation > 0.02:
         findings.append(f"the control is at its limit for {point.saturation:.0%} of the time")
     if point.periods == 1:
         findings.append("one period only: its error is not known")
@@ -203,7 +191,10 @@ def with_unexplained(point: FrequencyPoint, share: float) -> FrequencyPoint:
     # Harmonics of this share change the gain by about as much.
     error = math.hypot(point.standard_error, share * abs(point.response))
     findings = point.findings
-    if share > UNEXPLAINED:
+    # A share h of harmonics that the plant does not explain counts as a standard error h of the
+    # gain: for a clipped sine, the gain is off by h, for a cubic nonlinearity by 3h, and for a
+    # rounded sine that other motions carry across the steps, hardly.
+    if share > 0.03:
         text = f"the plant does not explain harmonics of {share:.0%} of the control's sine"
         findings = (*findings, f"{text}: it is not linear there")
     return replace(point, unexplained=share, standard_error=error, findings=findings)

@@ -26,9 +26,6 @@ BETWEEN, BEYOND = 0.1, 0.5
 # attitude has steps of 0.01°, has two harmonics of 0.4 % at its highest frequency.
 SENSOR = 0.005
 
-# Standard errors of noise that e_k must exceed: noise alone does so with probability exp(-9) =
-# 1e-4.
-DETECTED = 3.0
 
 LINES = 2  # lines on either side of a harmonic from which its noise is estimated
 
@@ -96,7 +93,8 @@ def _share(omega: Array, response: ComplexArray, u: float, harmonics: Harmonics)
     )
     # Errors of the interpolated response and of the sensor are not distortion.
     allowed = error * np.abs(harmonics.control) + SENSOR * abs(harmonics.sine) / np.abs(plant)
-    excess = np.where(e > DETECTED * noise, np.maximum(e - allowed, 0), 0)
+    # Noise alone exceeds three standard errors with the probability exp(-9) = 1e-4.
+    excess = np.where(e > 3.0 * noise, np.maximum(e - allowed, 0), 0)
     return float(np.linalg.norm(excess) / u)
 
 

@@ -34,9 +34,6 @@ EXCITED = 0.03
 # Weights of the neighbors of a line, by which its signal-to-noise ratio is expected.
 BESIDE = (0.25, 0.25, 0.0, 0.25, 0.25)
 
-# Relative error of the period: after 100 periods the phase of the fundamental is off by 2π/1000.
-WHOLE = 1e-5
-
 
 def periodic_response(
     records: Record | Sequence[Record],
@@ -111,7 +108,8 @@ def whole_periods(stretch: UniformStretch, period: float) -> UniformStretch:
     An incomplete period is dropped at the start, where the plant may still settle.
     """
     count = round(period / stretch.step)
-    if count < 2 or abs(count * stretch.step - period) > WHOLE * stretch.step * count:
+    # After 100 such periods the phase of the fundamental is off by 2π/1000.
+    if count < 2 or abs(count * stretch.step - period) > 1e-5 * stretch.step * count:
         raise ValueError(
             f"a period of {period:g} s has {period / stretch.step:.6g} samples: resample the "
             "record so that it has a whole number."

@@ -17,10 +17,6 @@ from greybox.files.text_table import counted
 from greybox.spectral.estimated_points import measured_in
 from greybox.spectral.multisine_lines import EXCITED, period_spectra
 
-# Condition number of that system, with rows and columns of length one, at which the effects of the
-# inputs cannot be separated: an error of 0.1 % in the inputs then becomes 10 % in the responses.
-TOO_ALIKE = 100.0
-
 
 def response_matrix(
     records: Record | Sequence[Record],
@@ -133,7 +129,9 @@ def _solved(inputs: ComplexArray, outputs: ComplexArray, between: Sequence[Array
     columns = np.linalg.norm(system / rows, axis=0)
     scaled = system / rows / columns
     condition = np.linalg.cond(scaled)
-    if not condition < TOO_ALIKE:
+    # With rows and columns of length one, an error of 0.1 % in the inputs then becomes 10 % in the
+    # responses: the effects of the inputs cannot be separated.
+    if not condition < 100.0:
         raise ValueError(
             f"the inputs share their lines so much (condition number {condition:.3g}) that their "
             "effects cannot be separated: excite each input more, or fewer at once."

@@ -14,9 +14,6 @@ from numpy.typing import ArrayLike
 
 from greybox.files.arrays import Array
 
-LEAST = 5  # tests: fewer leave less than three degrees of freedom beside a line
-CURVED = 8  # tests from which the curve may bend
-
 
 def pooled_levels(omega: ArrayLike, level: ArrayLike, dof: ArrayLike) -> tuple[Array, Array]:
     """Return the pooled levels and their degrees of freedom.
@@ -38,8 +35,9 @@ def pooled_levels(omega: ArrayLike, level: ArrayLike, dof: ArrayLike) -> tuple[A
 
     omega, level, dof = (np.array(values, dtype=float) for values in (omega, level, dof))
     used = (level > 0) & (dof > 0)
-    order = 2 if used.sum() >= CURVED else 1
-    if used.sum() < LEAST or np.unique(omega[used]).size <= order + 1:
+    order = 2 if used.sum() >= 8 else 1  # with many tests the curve may bend
+    # Fewer tests leave less than three degrees of freedom beside a line.
+    if used.sum() < 5 or np.unique(omega[used]).size <= order + 1:
         return level, dof
 
     # With d degrees of freedom, the logarithm of an estimate has the bias ψ(d/2) - log(d/2) and the

@@ -6,10 +6,6 @@ import numpy as np
 
 from greybox.files.arrays import Array, BoolArray
 
-# Steps, doublets and binary sequences have fewer levels than this. They rest at their extremes by
-# design, and a limit looks like an amplitude there.
-LEVELS = 12
-
 
 def at_limit(values: Array) -> BoolArray:
     """Return which of the values (n,) are at a limit.
@@ -24,7 +20,9 @@ def at_limit(values: Array) -> BoolArray:
     starts = np.flatnonzero(np.r_[True, ~(np.abs(np.diff(values)) <= 1e-9 * reach)])
     lengths = np.diff(np.r_[starts, values.size])
     levels = values[starts]
-    if np.unique(levels[np.isfinite(levels)]).size < LEVELS:
+    # Steps, doublets and binary sequences have fewer levels. They rest at their extremes
+    # by design, and a limit looks like an amplitude there.
+    if np.unique(levels[np.isfinite(levels)]).size < 12:
         return np.zeros(values.size, dtype=bool)
 
     # A single-precision number in a log has 24 bits, 6e-8.

@@ -33,17 +33,11 @@ from greybox.spectral.saturation import at_limit
 # of freedom, and Student's t is within 6 % of the normal distribution's 1.96.
 LINES = 6
 
-# The first three harmonics: a symmetric nonlinearity has odd ones, a rounded or biased one even
-# ones.
-HARMONICS = 3
 
 # Standard errors of a complex amplitude. Noise alone exceeds three with a probability of exp(-9) =
 # 1e-4.
 DETECTED = 3.0
 
-# Phase in rad by which a setpoint may leave the planned frequency over a window: the amplitude is
-# then low by less than 0.05² / 24 = 1e-4.
-PHASE_DRIFT = 0.05
 
 # Share of the peak-to-peak value of a control. A sine is that close to its peaks for 2.8 % of the
 # time: if the levels of a control are farther apart, rounding looks like saturation.
@@ -171,14 +165,18 @@ def _point(
     # The announced frequency may be rounded; the setpoint in the log is exact.
     if len(signals) == 3 and q > 1:
         error = frequency_error(time[rows], signals[2, rows], omega)
-        if abs(error) * 2 * math.pi * q / omega > PHASE_DRIFT:
+        # Below a phase of 0.05 rad over a window, the amplitude is low by less than 0.05² / 24 =
+        # 1e-4.
+        if abs(error) * 2 * math.pi * q / omega > 0.05:
             omega += error
             notes.append(f"the setpoint runs at {omega:.5g} rad/s, which was used")
             rows, q = whole_periods(time, omega, settle)
 
     t = time[rows]
     x = signals[:, rows]
-    amplitudes, drift, residual = least_squares(t, x, omega, segment.start, HARMONICS)
+    # The first three harmonics: a symmetric nonlinearity has odd ones, a rounded or biased one even
+    # ones.
+    amplitudes, drift, residual = least_squares(t, x, omega, segment.start, 3)
     estimate = estimate_by_lines(t, amplitudes[:, 0], residual, omega, segment.start, q)
 
     u, y, *_ = map(complex, amplitudes[:, 0])

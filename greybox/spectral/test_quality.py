@@ -17,13 +17,6 @@ Severity = Literal["note", "warning", "refusal"]
 
 # Limits of a warning and, where there are two, of a refusal.
 
-# Share of the time lost in gaps. Nothing is interpolated across gaps: a larger share costs data but
-# not accuracy, so the limit is a convention.
-GAPS = 0.01
-
-# Standard deviation of the sampling interval over its median. If rows are taken for times, a signal
-# of ten samples per period then has a phase error of 2π/10 · 0.1 = 0.06 rad.
-JITTER = 0.1
 
 # Share of the time at a limit. A sine that is clipped for 20 % of the time has a third harmonic of
 # 1.2 % and loses as much of its fundamental; at 1 %, both are 2e-6.
@@ -172,7 +165,9 @@ def _gaps(record: Record, segments: Sequence[Segment]) -> Iterator[Finding]:
     wide = steps[steps > GAP * record.step]
     if wide.size:
         share = wide.sum() / steps.sum()
-        severity = "warning" if share > GAPS else "note"
+        # Nothing is interpolated across gaps: a larger share costs data but not accuracy, so the
+        # limit is a convention.
+        severity = "warning" if share > 0.01 else "note"
         text = f"{counted(wide.size, 'gap')}, the longest {wide.max():.2g} s, take "
         text += f"{100 * share:.2g} % of the time: nothing is interpolated across them."
         yield Finding("gaps", severity, float(share), text)
@@ -184,7 +179,9 @@ def jitter(record: Record) -> Iterator[Finding]:
     # Gaps have a finding of their own.
     steady = steps[steps <= GAP * record.step]
     jitter = float(np.std(steady) / record.step) if steady.size else 0.0
-    if jitter > JITTER:
+    # If rows are taken for times, a
+    # signal of ten samples per period then has a phase error of 2π/10 · 0.1 = 0.06 rad.
+    if jitter > 0.1:
         text = f"the sampling interval varies by {100 * jitter:.0f} %: use the time stamps, as "
         text += "gb.prepare does, not row numbers."
         yield Finding("jitter", "note", jitter, text)

@@ -14,9 +14,6 @@ from greybox.files.arrays import Array
 # 2π · 0.4 · 0.05 = 0.13 rad, and a window averages it.
 JITTER = 0.05
 
-# Largest change of a constant signal, in its unit: rounding errors of resampling some thousands.
-CONSTANT = 1e-12
-
 
 class UniformStretch(NamedTuple):
     """Values (signals, n) without gaps, the sampling interval in s, and where they come from."""
@@ -77,7 +74,8 @@ def uniform_stretches(
         )
     # A ratio of two constants would consist of rounding errors.
     for k, name in enumerate(signals):
-        if all(np.ptp(s.values[k]) <= CONSTANT for s in stretches):
+        # Rounding errors of resampling some thousands.
+        if all(np.ptp(s.values[k]) <= 1e-12 for s in stretches):
             raise ValueError(
                 f"{name} does not change in these records: choose a part that is excited."
             )

@@ -28,7 +28,6 @@ from greybox.data.record import Record, Recording
 from greybox.files.arrays import Array
 
 MOTORS = frozenset((*range(33, 41), *range(82, 86)))  # SERVOn_FUNCTION of motors 1 to 8 and 9 to 12
-SHARE = 0.5  # thrust change of a motor at a control of 1: AP_MotorsMatrix::normalise_rpy_factors
 DEFAULTS = {
     "MOT_SPIN_MIN": 0.15,
     "MOT_SPIN_MAX": 0.95,
@@ -49,7 +48,8 @@ def pwm_of_control(parameters: Mapping[str, float]) -> float:
     # curve at the thrust of hover, without solving for a.
     slope = math.sqrt((1 - expo) ** 2 + 4 * expo * values["MOT_THST_HOVER"])
     least, greatest = _range(parameters)
-    return SHARE * (greatest - least) / slope
+    # A control of 1 changes the thrust of a motor by half: AP_MotorsMatrix::normalise_rpy_factors.
+    return 0.5 * (greatest - least) / slope
 
 
 def rounding_error(amplitude: ArrayLike, spread: ArrayLike) -> Array:

@@ -21,7 +21,6 @@ from greybox.files.delimited_text import are_numbers
 from greybox.files.heading import Heading
 
 HEADER = re.compile(rb'^"?loopIteration"?\s*,', re.MULTILINE)
-FINER = 10  # steps in a deg/s where the blackbox logs in high resolution
 DOUBT = (
     "gyro and setpoint were taken in deg/s: with blackbox_high_resolution, which only the settings "
     "before the header show, they are in 0.1 deg/s, and a gain is ten times too large."
@@ -76,7 +75,8 @@ def completed(record: Record, settings: Mapping[str, float]) -> Record:
     signals, findings = dict(record.signals), record.findings
     rates = [name for name in signals if re.fullmatch(f"{GYRO}|{SETPOINT}", name)]
     if settings.get("blackbox_high_resolution"):
-        signals |= {name: signals[name] / FINER for name in rates if record.units[name] == "deg/s"}
+        # In high resolution, the blackbox logs in tenths of a deg/s.
+        signals |= {name: signals[name] / 10 for name in rates if record.units[name] == "deg/s"}
     elif rates and not settings:
         findings += (DOUBT,)
 

@@ -26,8 +26,6 @@ from greybox.logs.readers.betaflight import completed, with_units, without_setti
 from greybox.logs.readers.named_arrays import Contents, Variable, recording
 from greybox.logs.readers.table_columns import time_column
 
-LONGEST = 30  # characters of a cell that is shown in a finding
-
 
 def read(
     path: Path,
@@ -167,7 +165,7 @@ def _columns(
             continue
         columns[name] = values
         if odd:
-            first = f"the first {cells[odd[0]][:LONGEST]!r} in line {complete[odd[0]][0]}"
+            first = f"the first {cells[odd[0]][:30]!r} in line {complete[odd[0]][0]}"
             odd_cells.append(f"{name} ({counted(len(odd), 'cell')}, {first})")
 
     findings = []

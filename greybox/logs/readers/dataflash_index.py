@@ -20,8 +20,6 @@ HEAD = b"\xa3\x95"  # before every message; the number of its type follows
 FMT = 0x80  # the message that describes the others: type, length, name, format, columns
 FMT_LENGTH = 89
 FMT_BODY = struct.Struct("<BB4s16s64s")
-# Bytes of a page of memory: zeros or erased flash at the end of a file are not damage.
-PADDING = 4096
 
 
 @dataclass(frozen=True)
@@ -145,7 +143,8 @@ def _chain(
         if resume < end:
             is_message[last] = False
             end = int(starts[last])
-        rest = data[end : end + PADDING]
+        # A page of memory: zeros or erased flash at the end of a file are not damage.
+        rest = data[end : end + 4096]
         if resume < len(data) or (rest.strip(b"\0") and rest.strip(b"\xff")):
             damage.append((end, resume))
         end = resume

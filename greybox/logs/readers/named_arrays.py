@@ -15,7 +15,6 @@ from greybox.logs.readers.controller_outputs import with_holds
 from greybox.logs.readers.messages import checksum_of, on_one_clock, records
 from greybox.logs.readers.table_columns import table
 
-HEAD = 4096  # bytes, in which HDF5 has its signature: MATLAB 7.3 puts a text before it
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 
@@ -78,7 +77,8 @@ def read(
         If the file cannot be opened.
     """
     with open(path, "rb") as file:
-        head = file.read(HEAD)
+        # MATLAB 7.3 puts a text before the signature of HDF5.
+        head = file.read(4096)
     is_hdf5 = SIGNATURE in head
     contents = read_contents("hdf5" if is_hdf5 else "matlab", path)
     # MATLAB 7.3 stores matrices transposed.
