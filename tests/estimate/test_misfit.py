@@ -956,3 +956,15 @@ def test_a_response_that_contradicts_a_record_is_named(gain, size):
         assert re.match(
             r"a value of b that is larger by 7\.\d .* in 'sweep'", misfit.likely[0].text
         )
+
+
+def test_a_noisy_record_that_contradicts_an_exact_response_is_not_explained():
+    # The response knows all values, whatever the units of the parameters and their bounds.
+    s, random = 1j * np.geomspace(0.6, 30, 12), np.random.default_rng(1)
+    noise = 0.001 * random.normal(size=(12, 2)) @ [1, 1j]
+    measured = 1.1 * 25 / (s**2 + 2 * s + 25) * (1 + noise)
+    response = gb.Problem(Spring(), gb.FrequencyResponse(s.imag, measured, "u", "x"), name="sweep")
+    record = problem().data
+    record = record.with_signals(x=record["x"] + 0.3 * random.normal(size=SAMPLES))
+    flight = gb.Problem(Spring(), record, name="flight")
+    assert not gb.fit(flight + response, starts=2, progress=False).misfit.explains
