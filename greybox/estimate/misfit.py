@@ -322,7 +322,8 @@ def assessed_misfit(
         _of_record(
             record,
             [*terms_of_record(record, at_bound, candidates), *terms],
-            moves,
+            # Records are linearized by the solver's variables, responses by the parameters.
+            np.diag(nlp.scaling.slope(x))[moves],
             is_new,
             len(records),
         )
@@ -358,7 +359,7 @@ def _stacked(parts: Sequence[_Regression]) -> Stack:
     """Return residuals (N, 1), columns (N, d), rows of all outputs, and their whitening filters."""
     residuals = np.vstack([part.residuals for part in parts])
     fitted = np.vstack([part.fitted for part in parts])
-    firsts = np.cumsum([0, *(len(part.residuals) for part in parts)]).tolist()
+    firsts = np.cumsum([0, *(len(part.residuals) for part in parts)])
     outputs = [
         [first + rows for rows in stretches]
         for first, part in zip(firsts, parts, strict=False)
@@ -565,11 +566,12 @@ def _numbered(terms: Iterable[Term]) -> dict[Key, Term]:
 
 
 def _of_record(
-    record: DisturbedRecord, terms: Iterable[Term], moves: BoolArray, is_new: Array, count: int
+    record: DisturbedRecord, terms: Iterable[Term], by_x: Array, is_new: Array, count: int
 ) -> _Regression:
     """Return the regression of one of `count` records.
 
-    It is that of the new samples (outputs, samples) on the parameters that move, (p,).
+    It is that of the new samples (outputs, samples) on the q parameters that move; `by_x` (q, p)
+    are the derivatives of the solver's variables by them.
     """
     part, trajectory = record.part, record.trajectory
     weight, data = part.residual_weight(trajectory), part.data
@@ -596,15 +598,15 @@ def _of_record(
         # The initial states and straight lines of every stretch are fitted first.
         return np.vstack([*map(outside, stretches, taken)])
 
-    by_parameters = np.einsum("ab,bpn->apn", noise, slopes.weighted[:, moves])
+    by_parameters = np.einsum("ab,bpn->apn", noise, by_x @ slopes.weighted)
     constants = [*constants_of_record(record)]
     effects = record.followed_by(term.place(term.values) for term in constants if term.place)
     with_effects = np.concatenate([record.residuals[:, None], effects], axis=1)
-    firsts = np.cumsum([0, *(row.size for row in present[:-1])])
+    firsts = np.cumsum([0, *(row.size for row in present)])
     outputs = [
         [
             first + k + len(row) * np.flatnonzero(row[k])
-            for first, row in zip(firsts, present, strict=True)
+            for first, row in zip(firsts, present, strict=False)
         ]
         for k in range(len(present[0]))
     ]
@@ -728,7 +730,7 @@ def _of_response(
         Term(kind, column * value, a=name, b=b)
         for k, (name, column) in enumerate(zip(names, relative.T, strict=True))
         for kind, b, value in (
-            orders if k < free and moves[k] else [("bound" if k < free else "fixed", "", 1.0)]
+            orders if k in places else [("bound" if k < free else "fixed", "", 1.0)]
         )
     ]
     # Where most of a response is left, no size or correlation of its errors excuses the model.

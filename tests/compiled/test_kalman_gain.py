@@ -154,7 +154,7 @@ def test_a_predictor_is_stable_within_the_limit_and_at_it_within_a_fiftieth_of_t
     assert gain.is_at_limit(trajectory) is is_at_limit
 
 
-@pytest.mark.parametrize("coupling", [0.02, 0.9])
+@pytest.mark.parametrize("coupling", [0.0, 0.02, 0.9])
 def test_poles_follow_parameters_and_gains_as_by_differences(coupling):
     """A pair of poles, and two that are real."""
     gain, trajectory, z = spring_gain(K_x_x=0.4, K_x_v=0.01, K_v_x=coupling, K_v_v=0.1)

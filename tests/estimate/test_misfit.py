@@ -993,17 +993,32 @@ def test_a_response_of_zero_explains_nothing():
     assert misfit.likely[0].code == "a path between both, or wider bounds"
 
 
-@pytest.mark.parametrize("gain", [1.0, 1.3])
-def test_a_response_that_contradicts_a_record_is_named(gain):
+@pytest.mark.parametrize(("gain", "size"), [(1.0, 0.02), (1.0, 0.005), (1.3, 0.02)])
+def test_a_response_that_contradicts_a_record_is_named(gain, size):
     # By itself, either is explained by some values.
     s = 1j * np.geomspace(0.6, 30, 12)
     noise = np.random.default_rng(7).normal(size=(12, 2)) @ [1, 1j]
-    measured = gain * 25 / (s**2 + 2 * s + 25) * (1 + 0.02 * noise)
+    measured = gain * 25 / (s**2 + 2 * s + 25) * (1 + size * noise)
     response = gb.Problem(Spring(), gb.FrequencyResponse(s.imag, measured, "u", "x"), name="sweep")
     misfit = gb.fit(problem() + response, starts=2, progress=False).misfit
     assert misfit.explains == (gain == 1.0)
+    # With errors of 0.5 %, the response has 16 % of the information or more on every parameter, so
+    # that its values are its own; with 2 % the record knows them.
+    assert (misfit.p_common < 1) == (size > 0.01)
     if gain > 1:
         assert "one set of values does not serve all parts" in misfit.verdict
         assert re.match(
             r"a value of b that is larger by 7\.\d .* in 'sweep'", misfit.likely[0].text
         )
+
+
+def test_a_noisy_record_that_contradicts_an_exact_response_is_not_explained():
+    # The response knows all values, whatever the units of the parameters and their bounds.
+    s, random = 1j * np.geomspace(0.6, 30, 12), np.random.default_rng(1)
+    noise = 0.001 * random.normal(size=(12, 2)) @ [1, 1j]
+    measured = 1.1 * 25 / (s**2 + 2 * s + 25) * (1 + noise)
+    response = gb.Problem(Spring(), gb.FrequencyResponse(s.imag, measured, "u", "x"), name="sweep")
+    record = problem().data
+    record = record.with_signals(x=record["x"] + 0.3 * random.normal(size=SAMPLES))
+    flight = gb.Problem(Spring(), record, name="flight")
+    assert not gb.fit(flight + response, starts=2, progress=False).misfit.explains

@@ -1,6 +1,7 @@
 """Printed answers are those of tests/golden/answers.txt, which tests/support/printed_answers.py renews."""
 
 import numpy as np
+import pytest
 from printed_answers import GOLDEN, Line, differences, printed
 
 import greybox as gb
@@ -35,12 +36,14 @@ def test_details_name_correlated_parameters_and_the_text_begins_with_the_verdict
     assert str(fit).split("\n\n")[1].split()[0] in ("Good:", "In")
 
 
-def test_units_and_meanings_begin_below_their_headings():
-    fit = gb.fit(pitch_hover.problem(), starts=2, profiles=False, progress=False)
+@pytest.mark.parametrize("options", [{}, {"max_iter": 1}], ids=["converged", "failed"])
+def test_names_units_and_meanings_begin_below_their_headings(options):
+    problem = pitch_hover.problem()
+    fit = gb.fit(problem, starts=2, solver_options=options, profiles=False, progress=False)
     lines = str(fit).splitlines()
     k = next(k for k, line in enumerate(lines) if line.startswith("  parameter"))
     heading, rows = lines[k], lines[k + 2 :]
     for name, row in zip(fit.free, rows, strict=False):
-        assert row.split()[0] == name
+        assert row[heading.index("parameter") :].startswith(f"{name} ")
         assert row[heading.index("unit") :].startswith(f"{fit.by_name[name].unit} ")
         assert row[heading.index("meaning") :] == fit.by_name[name].about

@@ -118,6 +118,9 @@ def test_an_open_end_is_said_and_the_ratio_is_known(monkeypatch):
     profiles = gb.profile(fit)
     low, high = profiles["a"].interval
     assert high == np.inf
+    # Steps at most triple, so that the curve is shown up to where it ends.
+    steps = np.diff(profiles["a"].values[profiles["a"].roots >= 0])
+    assert np.all(steps[1:] < 3.01 * steps[:-1])
     assert_allclose(low, brute_force(fit, OneSided(), "a", 20.0), rtol=0.01)
     assert "no upper limit up to the bound 1e+06" in str(profiles["a"])
     assert_allclose(profiles["ratio"].interval, 2.0, rtol=0.1)

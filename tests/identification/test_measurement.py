@@ -232,24 +232,25 @@ def test_settings_that_make_no_sense_in_any_log_are_refused(stated, said):
 
 
 def test_sines_are_measured_one_by_one():
-    """Two of them in the band; the one that is barely excited is refused by its message and is not used."""
-    omega, starts = [1.5, 3.0, 6.0], [2.0, 22.0, 42.0]
+    """Two of them in the band; a fourth one of amplitude zero is named and not used."""
+    sines = [(1.5, 2.0, 16, 0.2), (5.0, 18.5, 3, 0.0), (3.0, 22.0, 16, 0.2), (6.0, 42.0, 16, 0.2)]
     control, records = np.zeros(TIME.size), []
-    for k, (w, start) in enumerate(zip(omega, starts, strict=True)):
-        during = (TIME - start >= 0) & (TIME - start < 16)
-        control[during] = 0.2 * np.sin(w * (TIME[during] - start))
-        records.append(np.column_stack([TIME[during], np.full((during.sum(), 4), [k, 1, w, 0.2])]))
+    for k, (w, start, lasts, size) in enumerate(sines):
+        during = (TIME - start >= 0) & (TIME - start < lasts)
+        control[during] = size * np.sin(w * (TIME[during] - start))
+        records.append(np.column_stack([TIME[during], np.full((during.sum(), 4), [k, 1, w, size])]))
     rows = np.vstack(records)[::5]
     announced = Record(
         rows[:, 0], dict(zip(("Seg", "Ax", "W", "Eta"), rows[:, 1:].T, strict=True)), {"Eta": "deg"}
     )
     made = flight(control, SINE=announced)
     found = measure(
-        made, Settings(**PAIR, announced="SINE", band=(2.0, 8.0), tests="1-3", settle=4.0)
+        made, Settings(**PAIR, announced="SINE", band=(2.0, 8.0), tests="1-4", settle=4.0)
     )
     assert found.response.omega == pytest.approx([3.0, 6.0], rel=1e-3)
     assert np.abs(found.response.response / truth(found.response.omega) - 1).max() < 0.02
-    assert [len(found.tests), len(found.used)] == [3, 2]
+    assert [len(found.tests), len(found.used)] == [4, 2]
+    assert "the sine from 18.5 s is not usable: barely excited" in str(found.quality)
     assert found.response.about["estimate"] == "single sines"
     assert (
         found.response.about["excitation"]

@@ -35,13 +35,17 @@ def found(data):
     return select_orders(data)
 
 
-def test_the_structure_of_the_truth_is_chosen(found):
+def test_the_structure_of_the_truth_is_chosen(found, data):
     assert found.chosen.label == "n = 2, m = 0, 1 integrator, delay"
     for name, truth in {"b0": -4500.0, "a1": 5.0, "T_delay": 0.05}.items():
         assert abs(found.fit.estimate[name] - truth) < 3 * found.fit.standard_error[name], name
     assert found.explains
     assert found.chosen.about.startswith("-9")
     assert "exp(-0.05" in found.chosen.about
+    # Bounds leave room for ten times the largest gain, and poles at ten times the last frequency.
+    largest = 10 * np.abs(data.response).max() * (10 * OMEGA[-1]) ** 2
+    assert found.fit.by_name["b0"].bounds == pytest.approx((-largest, largest))
+    assert found.fit.by_name["T_delay"].bounds == pytest.approx((0, 3 * 8 / OMEGA[-1]))
 
 
 def test_the_table_has_every_structure_that_was_fitted(found):

@@ -61,9 +61,13 @@ def test_other_debug_fields_are_no_chirp(tmp_path):
 
 
 def test_an_autotuning_of_px4_is_measured_without_options():
-    result = measured(autotuning())
+    log = autotuning()
+    result = measured(log)
     (test,) = result.used
     assert (test.kind, test.axis) == ("noise", "pitch")
+    steps = log["autotune_attitude_control_status"]
+    band = (12 * np.pi / test.duration, np.pi / steps.step)
+    np.testing.assert_allclose(test.band, band, rtol=0.05)
     assert result.signals["instrument"].endswith("rate_sp[1]")
     assert np.median(off_truth(result.response, GAIN)) < 0.02
 

@@ -73,3 +73,11 @@ def test_allowed_gains_todays_and_the_best_are_drawn(fit):
     assert np.array_equal(confidence.y, safe.confidence, equal_nan=True)
     assert (today.x[0], best.x[0]) == (0.05, safe.best["K_P"])
     assert gb.plotting.gains(safe).size == 1
+    # A second gain from zero, of which all values are as good.
+    two, today = safe.values | {"K_D": np.linspace(0, 1, 3)}, safe.today | {"K_D": 0.5}
+    tables = {name: np.stack([getattr(safe, name)] * 3, 1) for name in ("confidence", "bandwidth")}
+    figure = gains_figure(replace(safe, values=two, today=today, **tables))
+    refused, allowed, *marks = figure.panels[0].series
+    assert allowed.x.size == 3 * safe.allowed.sum() == 3 * safe.allowed.size - refused.x.size
+    assert [mark.y[0] for mark in marks] == [0.5, 0.0]
+    assert (figure.is_logarithmic, figure.panels[0].is_logarithmic) == (True, False)

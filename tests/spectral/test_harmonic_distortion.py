@@ -91,7 +91,7 @@ def test_harmonics_have_the_lines_beside_them():
 
 def test_what_is_unexplained_is_beyond_the_errors_of_the_plant_and_the_noise():
     """Of 1/(jω), known from 1 to 4 rad/s: harmonics of 2 rad/s, of which the second and third lie beyond."""
-    omega = np.array([1.0, 4.0])
+    omega = np.array([1.0, 2.0, 4.0])
     response = 1 / (1j * omega)
     control, e, at = (
         np.array([0.1, 0.2j, 0.05]),

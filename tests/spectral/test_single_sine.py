@@ -13,6 +13,7 @@ from scipy import signal, stats
 from greybox.data.record import Record
 from greybox.data.test_segment import Segment
 from greybox.spectral import single_sine
+from greybox.spectral.saturation import at_limit
 from greybox.spectral.single_sine import finite_frequency, frequency_error, saturation
 
 STEP = 1 / 400  # s
@@ -427,6 +428,12 @@ def test_a_flat_top_is_three_times_as_long_as_other_values_and_three_samples_at_
     u = np.concatenate([[-1.0], rising, np.full(flat, 1.0), rising[::-1]])
     assert saturation(u) == pytest.approx(flat / u.size if saturated else 0.0)
     assert saturation(-u) == pytest.approx(flat / u.size if saturated else 0.0)
+
+
+@pytest.mark.parametrize(("levels", "rests_at_limits"), [(11, False), (12, True)])
+def test_a_control_of_fewer_than_twelve_levels_rests_at_them_by_design(levels, rests_at_limits):
+    u = np.repeat(np.arange(levels), np.where(np.arange(levels) % (levels - 1), 1, 5))
+    assert at_limit(u).any() == rests_at_limits
 
 
 def test_a_control_of_few_values_does_not_show_its_limits():

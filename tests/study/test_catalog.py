@@ -6,6 +6,7 @@ import sys
 import pytest
 
 from greybox.modeling.model import Model
+from greybox.modeling.model_file import module_from_file
 from greybox.study.catalog import find_model, find_problem, models_of, shipped, shipped_module
 
 
@@ -68,6 +69,17 @@ for order in (1, 2):
     assert model.label == "Lag2"
     assert type(pickle.loads(pickle.dumps(model))) is type(model)  # workers get it
     sys.modules.pop("lags_by_loop")
+
+
+def test_a_file_imports_its_own_neighbor_and_not_that_of_another_folder(tmp_path, monkeypatch):
+    own, other = tmp_path / "own", tmp_path / "other"
+    for folder in (own, other):
+        folder.mkdir()
+        (folder / "gain_beside.py").write_text(f"K = {folder.name!r}")
+    (own / "with_neighbor.py").write_text("from gain_beside import K")
+    monkeypatch.setattr(sys, "path", [str(other), *sys.path])
+    assert module_from_file(own / "with_neighbor.py").K == "own"
+    del sys.modules["with_neighbor"], sys.modules["gain_beside"]
 
 
 def test_a_file_that_is_named_like_a_module_is_refused(tmp_path):

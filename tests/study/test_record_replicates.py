@@ -49,6 +49,10 @@ def test_drawn_errors_have_the_variance_with_n_less_one_degrees_of_freedom():
     (fitted,) = draws.parts[0].fitted
     assert_allclose(draws.parts[0].residuals.std(), np.std(VALUES, ddof=1))
     assert_allclose(fitted, VALUES.mean())
+    # Any of the residuals may be drawn.
+    drawn = np.hstack([next(draws.of(number)[1])[0][0] for number in range(20)]) - fitted[0, 0]
+    (residuals,) = draws.parts[0].residuals
+    assert_allclose(np.abs(residuals[:, None] - drawn).min(axis=1), 0, atol=1e-9)
 
 
 @pytest.mark.parametrize("missing", ["none", "a third", "at random"])

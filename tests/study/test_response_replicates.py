@@ -125,6 +125,30 @@ def test_constants_have_the_covariance_of_the_fit_that_they_come_from():
     assert_allclose(made.root @ made.root.T, [[earlier.standard_error["K"] ** 2]])
 
 
+class Gains(Lag):
+    """A lag with a gain of five factors."""
+
+    A, B, C, D = (gb.Parameter(1.0, bounds=(0.1, 10)) for _ in range(4))
+
+    def response(self, s, p):
+        return p.A * p.B * p.C * p.D * super().response(s, p)
+
+
+def test_constants_that_follow_one_another_have_a_singular_covariance():
+    data = gb.FrequencyResponse(OMEGA, 2 / (0.5j * OMEGA + 1) * (1 + 0.05 * 1j**OMEGA), "u", "y")
+    problem = gb.Problem(Gains(), data, gb.SquaredRelativeError(), fixed={"A": 1.0})
+    sizes = {"T": 0.3, "B": 0.7, "C": 0.6, "D": 1.3}
+    tied = {name: lambda p, size=size: size * p.K for name, size in sizes.items()}
+    earlier = gb.fit(problem.with_(tied=tied), starts=[{}], progress=False, profiles=False)
+    names = ["K", *sizes]
+    nlp = compile_problem(problem.with_(fixed=dict.fromkeys(names, earlier), free=["A"]))
+    x = np.ones(1)
+    root = response_draws(nlp, x, assess(nlp, x), 4).root
+    places = [nlp.constants.index(name) for name in names]
+    covariance = (root @ root.T)[np.ix_(places, places)]
+    assert_allclose(covariance, earlier.covariance_of(names), rtol=1e-6)
+
+
 def test_data_that_are_fitted_exactly_have_no_errors_to_draw():
     with pytest.raises(ValueError, match="is fitted exactly"):
         lag_draws(0.0, gb.SquaredRelativeError())

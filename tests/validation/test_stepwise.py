@@ -1,5 +1,6 @@
 """Terms are chosen as by textbook regression, none from noise, and what cannot be told apart is said."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -103,6 +104,9 @@ def test_a_term_that_another_one_replaces_is_removed():
     assert found.trials[[t.done for t in found.trials].index(True)].term == "c3"
     assert [t.term for t in found.trials if t.done and t.change == "remove"] == ["c3"]
     assert found.terms == ("c1", "c9")
+    # The words of the table begin below one another.
+    words = [re.search(" (add|remove) ", line) for line in str(found).splitlines()]
+    assert len({word.start() for word in words if word}) == 1
 
 
 def test_noise_brings_in_no_term():
