@@ -213,11 +213,16 @@ def _information(part: RecordPart, trajectory: Trajectory, by_values: Array) -> 
     weight = part.residual_weight(trajectory)
     slopes = sensitivity(part, trajectory, weight)
     weighted, score = slopes.weighted, slopes.triangle.T @ slopes.triangle
-    if part.covariance.known is not None and not model.is_prior:
-        # The residuals show whether the given noise is right.
-        variance = np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1)
-        pairs = zip(variance, weighted, strict=True)
-        score = sum((v * J @ J.T for v, J in pairs), np.zeros_like(score))
+    unseen, known = slopes.by_covariance, part.covariance.known
+    if known is not None and not model.is_prior:
+        # The residuals show whether the given noise is right if they are many: it counts as that of
+        # eight samples, as if known to within a quarter.
+        counts = part.covariance.counts
+        shown = np.diag(trajectory.products) / np.maximum(counts, 1)
+        variance = (counts * shown + 8 * np.square(known)) / (counts + 8)
+        squares = np.array([J @ J.T for J in weighted])
+        score = np.tensordot(variance, squares, 1)
+        unseen = unseen + np.tensordot(np.maximum(variance - shown, 0.0), squares, 1)
 
     initial = part.unknown_initial_states
     # Fitted initial states make residuals smaller than errors, and the covariance too small.
@@ -239,8 +244,7 @@ def _information(part: RecordPart, trajectory: Trajectory, by_values: Array) -> 
             initial=data.unpadded(slopes.by_initial),
             shocks=slopes.shocks,
         )
-        by_covariance = directions.T @ slopes.by_covariance @ directions
-        return replace(errors, meat=errors.meat + by_covariance)
+        return replace(errors, meat=errors.meat + directions.T @ unseen @ directions)
 
     # Rows without a time have no neighbors with which they could be correlated.
     in_order = model.has_time and not model.is_prior

@@ -264,7 +264,7 @@ def sampled_data(
             "nothing can be estimated from it."
         )
 
-    dead = [name for name in constant_outputs if not np.isnan(record[name]).all()]
+    dead = [name for name in constant_outputs if np.isfinite(record[name]).sum() > 1]
     if dead:  # its residuals would decide the fit
         raise ValueError(
             f"{_called(record)} has {dead[0]} = {np.nanmax(record[dead[0]]):g} at all times, "

@@ -332,7 +332,7 @@ def assessed_misfit(
     tested = [group for group in (responses, regressions) if any(part.terms for part in group)]
     stacks = [*map(_stacked, tested)]
     groups = [*map(_of_group, tested, stacks, _determined(stacks))]
-    if not any(group.causes for group in groups):
+    if all(group.explains and not group.tried for group in groups):
         return None
 
     # What explains most comes first, among what is significant, and what has no known form last.

@@ -24,6 +24,7 @@ from greybox.solve.runs import TOO_COARSE, Outcome, Runs, spent
 from greybox.statistics.column_space import pseudo_inverse
 
 RIVAL_COST = 10.0
+TINY = 1e-300
 
 # Shift of an estimate by twice the substeps, in standard errors, that is accepted.
 NEGLIGIBLE_SHIFT = 0.1
@@ -238,7 +239,7 @@ def _in_standard_errors(hessian: Array, change: Array) -> Array:
 
 
 def _widened(coarse: Array, fine: Array) -> Array:
-    """Return the relative change (p,) of each standard error with the other parameters known."""
-    a, b = (np.maximum(np.diag(H), 0.0) for H in (coarse, fine))
-    determined = a > 0
-    return np.where(determined, np.abs(np.sqrt(b / np.where(determined, a, 1.0)) - 1), 0.0)
+    """Return the factor on each standard error (p,) less one, with the other parameters known."""
+    a, b = (np.maximum(np.diag(H), TINY) for H in (coarse, fine))
+    # Also where it becomes infinite: an alias of a slow mode has died away before the next sample.
+    return np.where(a > TINY, np.expm1(np.abs(np.log(b) - np.log(a)) / 2), 0.0)

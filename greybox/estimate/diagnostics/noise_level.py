@@ -2,8 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 
-import numpy as np
-
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
 from greybox.compiled.part import Trajectory
 from greybox.compiled.record_part import RecordPart
@@ -19,29 +17,24 @@ def unlikely_noise(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> 
     """Warn where the residuals are far from the noise that was given with the data."""
     findings: list[Finding] = []
     parts = [part for part in nlp.parts if not part.problem.criterion.is_prior]
+    # The unknowns use up degrees of freedom of all parts, not the same number in each.
+    remaining = 1 - len(nlp.free) / max(sum(part.numbers for part in parts), 1)
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
         if isinstance(part, ResponsePart):
-            # The unknowns use up degrees of freedom of all parts, not the same number in each.
-            unknowns = len(nlp.free) * part.numbers / sum(p.numbers for p in parts)
-            findings += _of_response(part, trajectory, unknowns, 0.01 / len(parts))
+            findings += _of_response(part, trajectory, remaining, 0.01 / len(parts))
         elif isinstance(part, RecordPart):
-            findings += _of_record(part, trajectory)
+            findings += _of_record(part, trajectory, remaining, 0.01 / len(parts))
     return once(findings)
 
 
 def _of_response(
-    part: ResponsePart, trajectory: Trajectory, unknowns: float, level: float
+    part: ResponsePart, trajectory: Trajectory, remaining: float, level: float
 ) -> Iterator[Finding]:
     if not part.criterion.known_noise:
         return
-    from scipy.special import chdtr, chdtrc  # noqa: PLC0415  (takes a tenth of a second to import)
-
-    dof = max(part.numbers - unknowns, 1.0)
-    squares = part.noise_ratio(trajectory) * part.numbers
-    ratio = squares / dof
-    is_likely = min(chdtr(dof, squares), chdtrc(dof, squares)) > level
-    # Variances are hardly known better than to a factor of two.
-    if is_likely or LEAST_RATIO <= ratio <= 2.5:
+    dof = max(part.numbers * remaining, 1.0)
+    ratio = part.noise_ratio(trajectory) * part.numbers / dof
+    if _is_likely(ratio, dof, level):
         return
 
     # Estimated variances may include systematic errors, which the parameters take up.
@@ -63,19 +56,34 @@ def _of_response(
     )
 
 
-def _of_record(part: RecordPart, trajectory: Trajectory) -> Iterator[Finding]:
-    if part.covariance.known is None or part.model.is_prior:
+def _is_likely(ratio: float, dof: float, level: float) -> bool:
+    """Return whether given variances may leave such a mean square of residuals over them."""
+    from scipy.special import chdtr, chdtrc  # noqa: PLC0415  (takes a tenth of a second to import)
+
+    chance = min(chdtr(dof, ratio * dof), chdtrc(dof, ratio * dof))
+    # Variances are hardly known better than to a factor of two.
+    return chance > level or LEAST_RATIO <= ratio <= 2.5
+
+
+def _of_record(
+    part: RecordPart, trajectory: Trajectory, remaining: float, level: float
+) -> Iterator[Finding]:
+    """Judge the outputs of a record, of whose numbers this share `remaining` is free."""
+    covariance = part.covariance
+    if covariance.known is None or part.model.is_prior:
         return
-    deviations = np.sqrt(np.diag(trajectory.products) / np.maximum(part.covariance.counts, 1))
-    for output, deviation, residual in zip(
-        part.outputs, part.covariance.known, deviations, strict=True
-    ):
-        ratio = residual / deviation
-        if 0.6 <= ratio <= 1.6:  # the roots of the limits for responses
+    columns = zip(
+        part.outputs, covariance.known, trajectory.products, covariance.counts, strict=True
+    )
+    for k, (output, deviation, squares, count) in enumerate(columns):
+        dof = count * remaining
+        ratio = squares[k] / (max(dof, 1.0) * deviation**2)
+        # A single sample may be fitted exactly.
+        if dof < 1 or _is_likely(ratio, dof, level / len(part.outputs)):
             continue
         name = part.model.record.name or part.name
         text = (
-            f"the residual of {output} in {name!r} is {ratio:.2g} times the given standard "
+            f"the residual of {output} in {name!r} is {ratio**0.5:.2g} times the given standard "
             "deviation: the model is incomplete or the given value is wrong; the standard errors "
             "use the variance of the residuals."
         )
