@@ -215,11 +215,12 @@ def _information(part: RecordPart, trajectory: Trajectory, by_values: Array) -> 
     weighted, score = slopes.weighted, slopes.triangle.T @ slopes.triangle
     unseen, known = slopes.by_covariance, part.covariance.known
     if known is not None and not model.is_prior:
-        # The residuals show whether the given noise is right if they are many: it counts as that of
-        # eight samples, as if known to within a quarter.
+        # The residuals show whether the given noise is right, unless they are so few that the
+        # parameters may fit them exactly.
         counts = part.covariance.counts
         shown = np.diag(trajectory.products) / np.maximum(counts, 1)
-        variance = (counts * shown + 8 * np.square(known)) / (counts + 8)
+        given = np.maximum(1 - (counts / 8) ** 2, 0.0)
+        variance = shown + given * (np.square(known) - shown)
         squares = np.array([J @ J.T for J in weighted])
         score = np.tensordot(variance, squares, 1)
         unseen = unseen + np.tensordot(np.maximum(variance - shown, 0.0), squares, 1)

@@ -52,16 +52,6 @@ from greybox.statistics.score_test import scores_of_powers
 # less.
 SETTLED = 1e-11
 REWEIGHTINGS = 50
-# Singular value of the end terms' basis, with columns of length one, over the largest: smaller ones
-# cannot be distinguished from rounding, as for a state that no output shows.
-UNSEEN = 1e-10
-
-# Difference of -2 log evidence from which errors look like turbulence: in simulated manoeuvres of 8
-# s it was reported in 3 of 280 fits without gusts, and by output error in 158 of 160 with them.
-# Strength of evidence: Kass and Raftery (1995), JASA 90.
-STRONG = 6.0
-# Share of an error that a fit leaves at least: below, what remains is rounding.
-LEAST_LEFT = 0.1
 
 
 @frozen
@@ -315,7 +305,10 @@ class TransientPart(Part):
             scores = scores_of_powers(real_and_imaginary(errors), slope, self.data.omega)
             neighbors = neighbor_correlation(errors, slope)
             is_correlated = neighbors is not None and neighbors.independent < UNLIKELY
-            if is_correlated or scores[0] - scores.min() > STRONG:
+            # Strong evidence (Kass and Raftery, 1995, JASA 90): in simulated manoeuvres of 8 s
+            # turbulence was reported in 3 of 280 fits without gusts, and by output error in 158 of
+            # 160 with them.
+            if is_correlated or scores[0] - scores.min() > 6.0:
                 yield output
 
     # --- for Gauss-Newton
@@ -389,7 +382,8 @@ class TransientPart(Part):
         weighted *= math.sqrt(self.numbers / numbers)
         remaining = beside(np.eye(weighted.size), mean.reshape(-1, len(values))).diagonal()
         shape = len(self.outputs), 2, len(self.data)
-        errors = (weighted.ravel() / np.maximum(remaining, LEAST_LEFT)).reshape(shape)
+        # Of an error of which the fit leaves less than a tenth, rounding would remain.
+        errors = (weighted.ravel() / np.maximum(remaining, 0.1)).reshape(shape)
         lines = np.arange(len(self.data))
         # The size of the errors is averaged with weights that fall to zero over 4 lines on either
         # side.
@@ -462,7 +456,8 @@ def _without_ends(
         weight = covariance.weight(remaining @ remaining.T)
         rows = np.einsum("ka,aln->kln", weight, basis).reshape(-1, len(ends))
         size = positive_or_one(np.linalg.norm(rows, axis=0))
-        ends = np.linalg.lstsq(rows / size, (weight @ errors).ravel(), rcond=UNSEEN)[0] / size
+        # Smaller singular values are rounding, as for a state that no output shows.
+        ends = np.linalg.lstsq(rows / size, (weight @ errors).ravel(), rcond=1e-10)[0] / size
         remaining = errors - basis @ ends
         cost = covariance.cost(remaining @ remaining.T)
         if len(errors) == 1 or not last - cost > SETTLED * errors.size:

@@ -6,9 +6,6 @@ import numpy as np
 
 from greybox.files.arrays import Array
 
-# A thousandth of the flight is less than the rounding of a sine to whole periods.
-SMALLEST_SHARE = 1e-3
-
 
 def time_needed(information: Array, wanted: Array) -> float:
     """Return the shortest time, s, after which no error exceeds the wanted one.
@@ -102,5 +99,6 @@ def shares(informations: Array, wanted: Array) -> Array:
         options={"maxiter": 300, "ftol": 1e-9},
     )
     share = outcome.x / outcome.x.sum()
-    share[share < SMALLEST_SHARE] = 0
+    # A thousandth of the flight is less than the rounding of a sine to whole periods.
+    share[share < 1e-3] = 0
     return share / share.sum()

@@ -2,9 +2,6 @@
 
 import zlib
 
-# What comes from a stranger may expand no further. zlib reaches 1030 where one byte repeats itself.
-EXPANSION = 1000
-
 
 def packed(value: bytes, like: bytes = b"") -> bytes:
     """Return compressed bytes, fewer if they share words with the end of `like`."""
@@ -23,7 +20,9 @@ def unpacked(value: bytes, like: bytes = b"") -> bytes:
     """
     inflate = zlib.decompressobj(zdict=like)
     try:
-        whole = inflate.decompress(value, EXPANSION * len(value))
+        # What comes from a stranger may expand no further. zlib reaches 1030 where one byte repeats
+        # itself.
+        whole = inflate.decompress(value, 1000 * len(value))
     except zlib.error as error:
         raise ValueError(str(error)) from None
     if not inflate.eof:

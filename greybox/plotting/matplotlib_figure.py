@@ -31,7 +31,6 @@ DASHES = ("-", "--", ":", "-.")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 MARKER_SIZE = 5.5  # points
 CROWD = 100  # points of one series above which markers shrink and lie below the curves
-LONG = 400  # points above which a line is thin
 BAND_ALPHA = 0.2
 ORDER = ("points", "line", "rule", "band", "regions")  # in a legend
 
@@ -327,7 +326,7 @@ def _look(series: Series) -> dict[str, Any]:
         # Long records swing so fast that wide lines would fill the panel. What was measured is gray
         # and must show beside the thin lines on it.
         thin = 2.4 if series.color == GRAY else 0.9
-        width = thin if len(series.x) > LONG else 1.6
+        width = thin if len(series.x) > 400 else 1.6
         return {**look, "linestyle": _dash(series), "linewidth": 0.3 if series.is_hollow else width}
 
     look |= {"linestyle": "none", "markersize": MARKER_SIZE}

@@ -13,7 +13,6 @@ from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.responses import DrawnResponse, drawn_responses, ratio, title
 
 CIRCLES = "Circles: confidence regions of the measured points."
-UNLIKE = 5.0  # ratio of magnitudes above which the data would vanish beside the curves
 
 
 def nyquist(
@@ -145,7 +144,8 @@ def _limits(responses: Sequence[DrawnResponse]) -> tuple[Limits, Limits] | None:
     points = np.concatenate([np.zeros(1, dtype=complex), *measured])
     size = float(np.abs(points).max())
     reach = max(np.abs(drawn.response.response).max() for drawn in responses)
-    if not 0 < UNLIKE * size < reach:
+    # Otherwise the data would vanish beside the curves.
+    if not 0 < 5.0 * size < reach:
         return None
     corners = np.array(
         [[np.min(part), np.max(part)] for part in (np.real(points), np.imag(points))]

@@ -22,7 +22,6 @@ from greybox.simulation.prediction import Prediction
 BANDS = (
     "Bands: 95 % confidence from the errors of parameters and initial state, without sensor noise."
 )
-DOTS = 400  # measured samples up to which each is a dot: more would touch
 
 
 @frozen
@@ -134,7 +133,7 @@ def _output_panels(drawn: Mapping[str, History], name: str, columns: int) -> lis
     is_finite = np.isfinite(measured)
     outputs = _drawn("measured", data, measured, data.independent_pieces, columns, GRAY)
     # Dots show which samples there are; many of them look like a line, and take longer to draw.
-    if is_finite.sum() <= DOTS:
+    if is_finite.sum() <= 400:  # dots of more samples would touch
         dots = _along(data)[is_finite], measured[is_finite]
         outputs = [Series("measured", "points", *dots, GRAY)]
 

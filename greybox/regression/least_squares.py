@@ -4,14 +4,6 @@ import numpy as np
 
 from greybox.files.arrays import Array, IntArray, frozen, positive_or_one
 
-# Singular value of the matrix with unit columns, below which a combination is undetermined: about
-# the root of the rounding error, where normal equations would lose it.
-UNDETERMINED = 1e-7
-# Share of a column in such a combination from which it belongs to it: above the rounding error over
-# UNDETERMINED.
-PART = 1e-3
-ROUNDING = 1e-24  # of the power of a target: smaller squares of residuals are rounding errors
-
 
 @frozen
 class Rows:
@@ -48,7 +40,8 @@ class Rows:
             np.bincount(self.equation, values, minlength=count)
             for values in (None, errors**2, self.target**2)
         )
-        total = squares + ROUNDING * power
+        # Smaller squares of residuals are rounding errors.
+        total = squares + 1e-24 * power
         return np.sqrt(np.where(total > 0, total / np.maximum(size, 1), 1.0))
 
 
@@ -64,9 +57,11 @@ def undetermined(slopes: Array) -> list[tuple[int, ...]]:
     if not nonzero.size:
         return zero
 
-    open_directions = null_space(triangle[:, nonzero] / sizes[nonzero], UNDETERMINED)
+    # About the root of the rounding error, where normal equations would lose a combination.
+    open_directions = null_space(triangle[:, nonzero] / sizes[nonzero], 1e-7)
     share = np.linalg.norm(open_directions, axis=1)
-    combined = tuple(int(k) for k in nonzero[share > PART])
+    # Smaller shares of a column in such a combination are rounding errors.
+    combined = tuple(int(k) for k in nonzero[share > 1e-3])
     return [*zero, combined] if combined else zero
 
 

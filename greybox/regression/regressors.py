@@ -19,10 +19,6 @@ from greybox.regression.smoothing import (
     without_holes,
 )
 
-# Cutoff of an equation's terms over the lowest cutoff of its signals. With 1, what smoothing took
-# from the signals biases the tilt model by many standard errors; with 0.7 and 0.5, the intervals
-# cover; with 0.35, precision is lost.
-SHARE = 0.5
 FEWEST = 4  # remaining rows of a stretch: fewer add nothing to the thousands of a record
 
 
@@ -89,8 +85,11 @@ def regressors(
 
     base, slopes = (np.asarray(value) for value in equations.rows(x, u, p))
     slopes = slopes.reshape(len(base), time.size, -1)
+    # Of the lowest cutoff of the signals of an equation. With 1, what smoothing took from the
+    # signals biases the tilt model by many standard errors; with 0.7 and 0.5, the intervals cover;
+    # with 0.35, precision is lost.
     bands = tuple(
-        SHARE * min((cutoffs[s] for s in e.signals), default=math.inf) for e in equations.equations
+        0.5 * min((cutoffs[s] for s in e.signals), default=math.inf) for e in equations.equations
     )
     filtered = []
     for k, (equation, band) in enumerate(zip(equations.equations, bands, strict=True)):

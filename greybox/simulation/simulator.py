@@ -34,9 +34,6 @@ from greybox.simulation.windows import Windows, sample_data
 # Largest change of a state in one sample by halved substeps, relative to its size. A thousand such
 # errors in one direction add up to 1e-4 of the state, below the noise of any sensor.
 TOLERANCE = 1e-7
-# First |pole| · substep: a Runge-Kutta step of z = 0.1 has an error of z⁵ / 120 = 8e-8 of the
-# state, just within TOLERANCE.
-FIRST_REACH = 0.1
 # Most substeps to begin with: the fastest mode at rest may not occur in the simulation.
 MOST_AT_FIRST = 8
 DIVERGED = 1e20  # counts of cells and pressures exceed 1e9; an unstable model soon exceeds this
@@ -280,7 +277,9 @@ class Simulator:
             needed = stable_substeps(poles, step, reach=self._integrator.reach)
             if self._is_automatic and needed > MOST_SUBSTEPS:
                 self._is_automatic, self._integrator = False, Radau()
-            self._substeps = stable_substeps(poles, step, reach=FIRST_REACH, most=MOST_AT_FIRST)
+            # A Runge-Kutta step of a pole times step of z = 0.1 has an error of z⁵ / 120 = 8e-8
+            # of the state, just within TOLERANCE.
+            self._substeps = stable_substeps(poles, step, reach=0.1, most=MOST_AT_FIRST)
         while True:
             result = run(self._step(self._substeps))
             finite = all_finite(result.states)

@@ -21,7 +21,6 @@ Outputs = Callable[[Array], Array]  # initial states (w, n) -> outputs (w, sampl
 # Initial states (w, n) -> outputs' derivatives by them (w, samples, k, n).
 Sensitivities = Callable[[Array], Array]
 
-ROUNDING = 1e-9  # share of an output's spread: smaller noise would make the information singular
 TINY = 1e-300  # instead of a division by zero
 
 
@@ -65,7 +64,8 @@ def estimate_states(
     """
     w, n = guess.shape
     lead_ins = _LeadIns(outputs, sensitivities, measured)
-    floor = np.diag((ROUNDING * spread) ** 2)
+    # Smaller noise would make the information singular.
+    floor = np.diag((1e-9 * spread) ** 2)
     R = np.diag((0.1 * spread) ** 2) + floor if noise is None else noise + floor
     x = guess
     e, S, finite = lead_ins.linearized(x)

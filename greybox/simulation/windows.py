@@ -13,9 +13,6 @@ from greybox.modeling.parameter import is_finite_number
 
 # Samples of a default length: two or more for each state of the models here, which have 2 to 5.
 FEWEST = 10
-# Length of a default lead-in in longest delays: within the first, outputs respond to earlier
-# inputs.
-DELAYS = 2.0
 ROUNDING = 1e-6  # of a sample, by which a length may be shorter: times are rounded
 
 
@@ -52,7 +49,8 @@ def require_lengths(**lengths: Any) -> None:
 def default_length(records: Sequence[Record], at_least: float, delay: float = 0.0) -> float:
     """Return the longest of `at_least` s, ten samples of the slowest record, and two delays."""
     slowest = max((record.step for record in records if len(record) > 1), default=0.0)
-    return max(at_least, FEWEST * slowest, DELAYS * delay)
+    # Within the longest delay, outputs respond to inputs before the lead-in.
+    return max(at_least, FEWEST * slowest, 2.0 * delay)
 
 
 def seconds(length: float) -> str:

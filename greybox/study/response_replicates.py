@@ -21,10 +21,6 @@ from greybox.solve.response_solver import AT_MINIMUM, ITERATIONS, TOLERANCE
 from greybox.solve.runs import IMPROVED, Outcome
 from greybox.study.replicates import Draws, Replicates
 
-# Share of the variance of a point that is its own, at least: where nearly all of it is common to
-# the points, residuals over the rest would be infinite.
-LEAST_LEFT = 0.1
-
 
 @frozen
 class DrawnResponse:
@@ -129,7 +125,9 @@ def _drawn_part(
     has_variances = part.criterion.known_noise
     # What all points have in common is drawn once for all of them, not point by point.
     if has_variances:
-        size = size * np.sqrt(np.maximum(part.data.independent_share, LEAST_LEFT))
+        # Where nearly all of a variance is common to the points, residuals over the rest would be
+        # infinite.
+        size = size * np.sqrt(np.maximum(part.data.independent_share, 0.1))
 
     variance = float(np.sum(np.abs((part.data.response - response) / size) ** 2)) / dof
     if not variance > np.finfo(float).eps:
