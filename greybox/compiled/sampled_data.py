@@ -23,13 +23,6 @@ from greybox.statistics.noise_ratio import noise_ratio
 # are known no better.
 WHOLE = 1e-3
 
-# Steps between two samples from which one is missing between them, which ends a stretch; halfway
-# between one and two.
-MISSING = 1.5
-
-# Samples of a stretch, at least, for a model with states: with two, an initial state and a slope
-# fit anything.
-SHORTEST = 3
 
 # Samples at the beginning of a stretch over which an input must be constant to count as at rest
 # before it: longer than a command at a quarter of the logging rate is held.
@@ -223,7 +216,8 @@ def sampled_data(
             f"{empty[0] if empty else ', '.join(outputs)}: every sample is missing."
         )
 
-    shortest = 1 if static else SHORTEST
+    # Through two samples, an initial state and a slope fit anything.
+    shortest = 1 if static else 3
     stretches = gapless(
         record, inputs, outputs, lead=lead, complete=complete, shortest=min(shortest, 2)
     )
@@ -308,7 +302,8 @@ def gapless(
         return [Stretch(u[:, rows], y[:, rows], rows, record.step)] if rows.size else []
 
     leads = np.broadcast_to(np.asarray(lead, dtype=float), (len(inputs),))
-    missing = math.inf if record.is_irregular else MISSING * record.step
+    # Halfway between one and two steps: where a sample is missing, a stretch ends.
+    missing = math.inf if record.is_irregular else 1.5 * record.step
     ends = (np.diff(complete_inputs.astype(int)) != 0) | (np.diff(record.time) > missing)
     return [
         _stretch(record.time[rows], u[:, rows], y[:, rows], rows, leads, record.step)

@@ -58,8 +58,6 @@ SHARES = np.array([0.01, 0.02, 0.04, 0.07, 0.12, 0.2, 0.35, 0.55, 0.75, 0.9, 1.0
 # Between these and white noise the likelihood has no other maximum.
 GUSTS = (0.78, 0.94, 0.984, 0.996)
 
-# Difference of -2 log likelihood beyond which a spectrum does not change the mean: one to 10 000.
-UNLIKELY = 18.0
 
 TINY = 1e-300
 
@@ -517,7 +515,8 @@ class ResidualSpectra:
         score = np.concatenate([n * np.log(variances) + penalties, slow_score])
         within = np.concatenate([2 * orders / n, np.full(len(slow_scale), 2 / n)])
 
-        likely = score < score.min() + UNLIKELY
+        # Less likely spectra, by one to 10 000, do not change the mean.
+        likely = score < score.min() + 18.0
         likely_steps = [a for (a, _), is_likely in zip(steps, likely, strict=False) if is_likely]
         responses = [np.abs(a @ grid.delays[: len(a)]) ** 2 for a in likely_steps]
         autoregressions = 1 / np.array(responses).reshape(-1, len(grid.omega))

@@ -20,17 +20,11 @@ from greybox.files.arrays import Array, ComplexArray, frozen
 # Share of the first part in the variance at the beginning; any from 0.1 to 0.9 ends at the same
 # variances.
 WHITE = 0.7
-ITERATIONS = 50  # five to twenty are needed
 LONGEST_STEP = 1.5  # of the logarithm of a variance
-# Tolerance on -2 log likelihood: a ten-thousandth of the errors of the variances.
-CLOSE = 1e-8
-DAMPING = 1e-2  # at the beginning, of Levenberg and Marquardt
 
 # Share of the variance of an output below which a variance is zero. A ridge of this size also
 # replaces what the expectations lack at a frequency from which the fit takes all power.
 LEAST = 1e-4
-# Share of the largest eigenvalue of the information below which the likelihood does not change.
-UNSEEN = 1e-8
 
 
 @frozen
@@ -110,8 +104,8 @@ def variance_components(
 
     score, *products = whittle_score(spectrum(variance), periodogram, numbers)
     gradient, information = slopes(variance, *products)
-    damping = DAMPING
-    for _ in range(ITERATIONS):
+    damping = 1e-2  # at the beginning, of Levenberg and Marquardt
+    for _ in range(50):  # five to twenty are needed
         # Scaled by its diagonal, damping does not depend on the units of the parts. The rest is for
         # a part that is not seen. A larger one would slow variances that tend to zero.
         curvature = information + np.diag(damping * information.diagonal() + LEAST**2)
@@ -128,8 +122,10 @@ def variance_components(
         better, score, variance = score - new, new, trial
         gradient, information = slopes(variance, *products)
         damping = max(damping / 5, 1e-6)
-        if better < CLOSE:
+        # In -2 log likelihood: a ten-thousandth of the errors of the variances.
+        if better < 1e-8:
             break
 
-    covariance = np.asarray(2 * np.linalg.pinv(information, UNSEEN, hermitian=True), dtype=float)
+    # Along smaller eigenvalues of the information, the likelihood does not change.
+    covariance = np.asarray(2 * np.linalg.pinv(information, 1e-8, hermitian=True), dtype=float)
     return VarianceComponents(variance, covariance, score)
