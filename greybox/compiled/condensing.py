@@ -17,6 +17,9 @@ from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segments import Linearization, Segments
 from greybox.files.arrays import Array, BoolArray, all_finite, of_diagonal
 
+# Curvature, relative to that of the outputs, that keeps states in place which no output shows.
+RIDGE = 1e-10
+
 
 def condense(
     b: Linearization,
@@ -147,8 +150,7 @@ def solve_continuity(
         first = 2 * width - column
         state, multiplier = bands[:, column, first:], bands[:, n + column, first - n :]
         state[:, :n] = hessian[:, :, column] * size * size[column]
-        # So much curvature keeps states in place which no output shows.
-        state[:, column] += 1e-10
+        state[:, column] += RIDGE
         state[:, n : 2 * n] = transition[:, :, column]
         multiplier[:, :n] = transition[:, column]
         multiplier[:, n + column] = np.where(coupled, -variance[column] / size[column] ** 2, 1.0)
