@@ -76,10 +76,10 @@ def _of_record(
         part.outputs, covariance.known, trajectory.products, covariance.counts, strict=True
     )
     for k, (output, deviation, squares, count) in enumerate(columns):
-        dof = count * remaining
-        ratio = squares[k] / (max(dof, 1.0) * deviation**2)
-        # A single sample may be fitted exactly.
-        if dof < 1 or _is_likely(ratio, dof, level / len(part.outputs)):
+        dof = max(count * remaining, 1.0)
+        ratio = squares[k] / (dof * deviation**2)
+        # The parameters may fit few samples exactly.
+        if (count < 8 and ratio < 1) or _is_likely(ratio, dof, level / len(part.outputs)):
             continue
         name = part.model.record.name or part.name
         text = (
