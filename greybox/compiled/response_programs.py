@@ -51,9 +51,6 @@ Named = Mapping[str, Any]
 ChooseCriterion = Callable[[Problem], Criterion]
 
 MOST_UNKNOWNS = 20  # of a batch
-# Points times unknowns from which on responses are mapped over their frequencies. A batch takes no
-# program of so many: its cost alone has some ten instructions a point.
-LARGE = 2500
 
 # Compiled problems of the same formulas share what was built for the last ones: some 1 MB a
 # structure. In a study, each has two keys.
@@ -173,7 +170,8 @@ class ResponseCompiler:
         self.criteria = (_locator, _own_criterion) if is_located else (_own_criterion,)
 
         points = sum(len(part.response) for part in self.parts)
-        is_large = points * self.point.numel() > LARGE
+        # A batch takes no program of so many: its cost alone has some ten instructions a point.
+        is_large = points * self.point.numel() > 2500
         self.formulas = [*_formulas(self.parts, is_large=is_large)]
         self.models = [
             formula.closed() if isinstance(formula, Trimmed) else formula

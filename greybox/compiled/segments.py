@@ -26,9 +26,6 @@ from greybox.modeling.symbolic_reading import dense_jacobian
 # Samples whose derivatives are in memory at once: 20 000 with five states and ten parameters take
 # 25 MB, and a longer batch is no faster.
 BATCH = 20_000
-# States from which on products of the matrices of every segment take less time than sums over
-# them, segments last.
-LARGE = 12
 
 
 @frozen
@@ -385,7 +382,8 @@ class Segments:
 
 def _product(slopes: Array, S: Array) -> Array:
     """Return the products (a, v, c) of slopes (n, a, c) with sensitivities (n, v, c)."""
-    if len(slopes) <= LARGE:
+    # From twelve states on, products of matrices take less time than sums over segments.
+    if len(slopes) <= 12:
         return np.asarray(np.einsum("jac,jvc->avc", slopes, S))
     matrices = np.ascontiguousarray(slopes.T)
     return (matrices @ S.transpose(2, 0, 1)).transpose(1, 2, 0)

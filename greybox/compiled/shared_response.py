@@ -41,11 +41,6 @@ from greybox.modeling.trim import trim_of
 
 # Points whose motions are stored: the last and the best one of two searches, and some more.
 STORED = 8
-# Steps of Newton's method from the motion of such a point: from the response without switches it
-# takes four or five.
-STEPS = 4
-# Length of the last step over the size of the harmonics: the error is about its square.
-CLOSE = 1e-6
 
 
 @frozen
@@ -175,7 +170,8 @@ class SineTest:
         """Yield harmonics (n, u) to begin with, and the number of steps from there."""
         if self.last:
             near, harmonics, slopes = min(self.last, key=lambda last: np.linalg.norm(last[0] - z))
-            yield harmonics + slopes @ (z - near), STEPS
+            # From the response without switches it takes four or five steps.
+            yield harmonics + slopes @ (z - near), 4
         yield self._guess(settings).full().T, 1
 
     def _newton(
@@ -194,7 +190,8 @@ class SineTest:
         parts = value[:, count:] + by_harmonics[:, count:] @ steps
         harmonics = harmonics + steps[..., 0]
         length = np.abs(steps[..., 0]).max(axis=1)
-        is_motion = length < CLOSE * (1 + np.abs(harmonics).max(axis=1))
+        # The error is about the square of this share.
+        is_motion = length < 1e-6 * (1 + np.abs(harmonics).max(axis=1))
         return harmonics, steps[..., 1:], parts[:, 0] + 1j * parts[:, 1], is_motion
 
 

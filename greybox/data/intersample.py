@@ -26,11 +26,6 @@ CONTINUOUS = 0.0
 HOLD = "hold of the input, s"
 NO_HOLD = "hold divided out, s"
 
-# A value that lasts for more than this share of a step is held until the next sample. A log has
-# every value of the controller, or every second, third ...: apart from the jitter of time stamps, a
-# value lasts for a whole step or at most half of one.
-WHOLE = 0.75
-
 
 @dataclass(frozen=True)
 class Intersample:
@@ -47,7 +42,9 @@ class Intersample:
 
 def intersample(hold: float, step: float) -> Intersample:
     """Return how a signal runs between samples `step` s apart if its values lasted `hold` s."""
-    return Intersample(True) if hold > WHOLE * step else Intersample(False, hold / 2)
+    # A log has every value of the controller, or every second, third ...: apart from the jitter of
+    # time stamps, a value lasts for a whole step or at most half of one.
+    return Intersample(True) if hold > 0.75 * step else Intersample(False, hold / 2)
 
 
 def hold_of_response(

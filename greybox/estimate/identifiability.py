@@ -17,8 +17,6 @@ from greybox.files.text_table import counted, number, one_line, text_table, with
 ERROR_GUIDELINE = 0.2
 INSENSITIVITY_GUIDELINE = 0.1
 
-# A combination is reported if its error is this many times smaller than those of its members.
-GAIN = 5.0
 
 # Largest power in a product of two parameters: a length squared or cubed. In products of more, up
 # to four, only first powers: nobody reads longer ones.
@@ -254,7 +252,8 @@ def _combinations(
     # members then.
     largest = np.abs(rows * value).max(axis=1, initial=0.0)
     size = np.where(is_product, 1.0, np.maximum(np.abs(rows @ value), largest))
-    good = (error * GAIN < smallest) & (error < ERROR_GUIDELINE * size)
+    # A combination is reported if its error is five times smaller than those of its members.
+    good = (error * 5.0 < smallest) & (error < ERROR_GUIDELINE * size)
     if beside := directions.elsewhere:  # they must be determined there too
         good &= ~np.isnan(beside.errors(beside.gradients(rows, is_product)))
 

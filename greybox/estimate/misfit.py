@@ -65,9 +65,6 @@ MOST = 3000
 FEWEST = 500  # of each
 STEP = 1e-6  # of the numbers of a term, for derivatives
 KNOTS = 11  # of the shape of a term over a signal
-# Share of the best determined combination of knots below which one counts as not determined: it is
-# what parameters explain, or has too few samples.
-DETERMINED = 0.02
 
 Key = tuple[tuple[str, str, str], int]  # the family of a term, and its number in it
 Block = tuple[Array, Array, Sequence[int]]  # see `correlated_fits`
@@ -505,9 +502,10 @@ def _shape(
             part.changes([replace(term, values=np.interp(row, knots, hat)) for hat in hats])
             for part, term, row in zip(parts, terms, signals, strict=True)
         ]
-        # What the parameters explain is determined neither here nor in the shape of the term.
+        # What the parameters explain is determined neither here nor in the shape of the term, nor
+        # are knots with too few samples.
         effects = beside(white(np.vstack(columns)), fitted)
-        inverse = np.linalg.pinv(effects, rcond=DETERMINED)
+        inverse = np.linalg.pinv(effects, rcond=0.02)
         values = inverse @ residuals
         size = float(np.std(residuals - effects @ values))
         if size < least:

@@ -42,7 +42,6 @@ from greybox.solve.runs import Outcome
 STEP = 0.35
 BEYOND = 1.2  # multiple of the limit up to which a profile is computed: it encloses the crossing
 GROWTH = 3.0  # largest change of a step
-FAR = 1e6  # multiple of a quantity's size up to which a cost that does not change is followed
 
 
 def profile(
@@ -463,7 +462,8 @@ class _Search:
             points.append(point)
             if direction * self.root(point) > BEYOND * limit:
                 return points, "crossed"
-            if abs(value - self.best.value) > FAR * self.size:
+            # So far, a cost that does not change is followed.
+            if abs(value - self.best.value) > 1e6 * self.size:
                 break
             step *= min(max(STEP * limit / max(rise, 1e-12), 1 / GROWTH), GROWTH)
 

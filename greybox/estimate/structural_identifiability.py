@@ -29,16 +29,13 @@ from greybox.statistics.column_space import beside
 POINTS = 3  # at which the rank is computed: at one of them it may be smaller by chance
 FREQUENCIES = 40  # random ones for each pair: more numbers than any structure has parameters
 BAND = (1e-2, 1e3)  # rad/s, in which they are drawn: what vehicles and their actuators do
-SAMPLES = 240  # of the record that is simulated
 STRETCHES = 4  # that it has, each from its own initial state
-FASTEST = 0.3  # |pole| times the step
 GROWTH = (
     5.0  # real part of the fastest growing pole times the length of a stretch, at most: e⁵ is 150
 )
 # Sizes of inputs and initial states that are tried until nothing grows out of what formulas are
 # made for.
 SIZES = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3)
-LARGEST = 30.0  # state, in sizes that are plausible for SI units
 
 
 @frozen
@@ -285,7 +282,8 @@ def _of_record(
         nodes = size * random.normal(size=(part.data.segments, part.states))
         with np.errstate(all="ignore"):
             trajectory = part.trajectory(nlp.scaling.to_solver(x), nodes, simulated=True)
-            if trajectory.finite and np.all(np.abs(trajectory.states) < LARGEST):
+            # In SI units larger states are not plausible.
+            if trajectory.finite and np.all(np.abs(trajectory.states) < 30.0):
                 return _of_trajectory(nlp, x, part, trajectory)
 
     return None
@@ -319,14 +317,14 @@ def _times(
     """Return uniform times that suit the poles of the model, and the gaps among them."""
     n = len(model.states)
     step = 1.0
-    length = SAMPLES // STRETCHES
+    length = 240 // STRETCHES  # samples of the record that is simulated
     if n:
         p = [values[name] for name in model.parameters]
         # Not at zero itself, where the slope of a kink such as |v| v vanishes.
         A, *_ = jacobians(model)(p, 0.1 * random.normal(size=n), np.zeros(len(model.input_names)))
         poles = np.linalg.eigvals(np.nan_to_num(A.full()))
         fastest = max(float(np.abs(poles).max()), 1e-3)
-        step = FASTEST / fastest
+        step = 0.3 / fastest
         growing = float(poles.real.max(initial=0.0))
         if growing > 0:
             length = int(np.clip(GROWTH / growing / step, 2 * n + 4, length))

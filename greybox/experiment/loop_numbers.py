@@ -14,11 +14,8 @@ from greybox.experiment.sampled_loop import SampledLoop
 from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, frozen
 
 POINTS = 400  # in four decades below the Nyquist frequency
-TOP = 0.999  # of the Nyquist frequency
 REST = 1e-6  # rad per sample: a response at rest, still exact to ten digits
-FAR = 40.0  # dB: a crossing of the real axis that is farther away limits no gain
 STEPS = 2**14  # most points of a step response: 70 MB for all draws
-TOLERANCE = 0.02  # of a settled response
 
 
 class Located(NamedTuple):
@@ -124,7 +121,7 @@ def loop_frequencies(loop: SampledLoop, points: int = POINTS) -> Array:
     # A loop at 8 kHz, or with a slow integrator, crosses a gain of one much below its rate. There
     # its response is smooth, and fewer points suffice.
     slow = np.geomspace(1e-6, 1e-4, points // 8, endpoint=False)
-    return np.r_[slow, np.geomspace(1e-4, TOP, points)] * math.pi / loop.period
+    return np.r_[slow, np.geomspace(1e-4, 0.999, points)] * math.pi / loop.period
 
 
 def refined(loop: SampledLoop, numbers: LoopNumbers) -> Numbers:
@@ -162,7 +159,7 @@ def margin_numbers(gain: ComplexArray, omega: Array, is_stable: BoolArray) -> Nu
     real = real.where(real.between(gain.real) < 0)
     decibels = -20 / math.log(10) * real.between(size)
 
-    is_near = np.abs(decibels) < FAR
+    is_near = np.abs(decibels) < 40.0  # a crossing that is farther away limits no gain
 
     distance = np.abs(1 + gain)
     nearest = distance.argmin(axis=1)
@@ -295,7 +292,7 @@ def _step_numbers(loop: SampledLoop, setpoint: str, response: str) -> Numbers:
     """
     time, steps = step_responses(loop, setpoint, response)
     rise = crossings(steps - 0.9, time).first.value - crossings(steps - 0.1, time).first.value
-    outside = np.abs(steps - 1) - TOLERANCE
+    outside = np.abs(steps - 1) - 0.02
     settling = np.where(outside[:, -1] < 0, crossings(outside, time).last.value, math.inf)
     numbers = {
         "overshoot": 100 * np.maximum(steps.max(axis=1) - 1, 0),

@@ -30,12 +30,10 @@ POINTS = {1: 41, 2: 17, 3: 9}  # values of each gain, by the number of gains
 DRAWS = 256  # of them 5 % are 13
 TRIED = 4.0  # today's gain divided and multiplied by it, where no range is given
 FEW = 16  # draws whose poles are computed
-FREQUENCIES = 260  # in four decades below the Nyquist frequency: margins to 0.1 degrees
 
 # A point is measured well up to these limits of Tischler and Remple (2012), Aircraft and Rotorcraft
 # System Identification, sections 7.5 and 9.7: coherence, relative random error.
 COHERENCE, RANDOM_ERROR = 0.6, 0.2
-MISFIT = 0.3  # of the fitted response: 17 degrees
 SPACING = 2.0  # of the points that surround a crossover
 
 PROMISE = (
@@ -269,7 +267,7 @@ def _judged(
     loops = loops.of(slice(1 + DRAWS))
     signal = broken_at or loops.inputs[0]
     require_known([signal], loops.signals, "signal", "the loop")
-    omega = loop_frequencies(loops, FREQUENCIES)
+    omega = loop_frequencies(loops, 260)  # margins to 0.1 degrees
     late = np.exp(-1j * omega * wanted["delay"])[:, None, None]
     plants = loops.plant_response(omega)
     points, is_good = _measured_points(fit.parts[part], loops)
@@ -334,7 +332,7 @@ def _measured_points(part: FittedPart, loops: SampledLoop) -> tuple[Array, BoolA
     else:
         return nothing
 
-    is_good = np.abs(data.response / fitted - 1) <= MISFIT
+    is_good = np.abs(data.response / fitted - 1) <= 0.3  # 17 degrees
     if data.variance is not None:
         is_good &= data.relative_error <= RANDOM_ERROR
     if data.coherence is not None:

@@ -30,9 +30,6 @@ LEAST_GROWTH = 2
 # change of a step by facmax, 1.5 to 5 for steps that are merely repeated; a repetition costs more
 # here, so three halvings are allowed.
 MOST_GROWTH = 8
-# A state this much smaller than the largest one may be rounding alone: changes of 1e-16 of the
-# largest state are then 1e-10 of it, far below all tolerances here.
-NEGLIGIBLE = 1e-6
 
 
 def stable_substeps(
@@ -65,6 +62,8 @@ def relative_change(change: Array, *states: Array) -> float:
     The size is the largest absolute value in `states` (n, samples), but no less than rounding.
     """
     size = np.max([np.abs(x).max(axis=1, initial=0.0) for x in states], axis=0)
-    size = np.maximum(size, NEGLIGIBLE * size.max(initial=0.0))
+    # A state this much smaller than the largest one may be rounding alone: changes of 1e-16 of the
+    # largest state are then 1e-10 of it, far below all tolerances here.
+    size = np.maximum(size, 1e-6 * size.max(initial=0.0))
     largest = np.abs(change).max(axis=1, initial=0.0) / positive_or_one(size)
     return float(largest.max(initial=0.0))

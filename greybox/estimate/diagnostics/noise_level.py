@@ -8,6 +8,7 @@ from greybox.compiled.record_part import RecordPart
 from greybox.compiled.response_part import ResponsePart
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.diagnostics.repeated import Finding, once
+from greybox.files.text_table import counted
 
 # Squared residuals over given variances below which these are doubted, or include other errors.
 LEAST_RATIO = 0.4
@@ -18,12 +19,13 @@ def unlikely_noise(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> 
     findings: list[Finding] = []
     parts = [part for part in nlp.parts if not part.problem.criterion.is_prior]
     # The unknowns use up degrees of freedom of all parts, not the same number in each.
-    remaining = 1 - len(nlp.free) / max(sum(part.numbers for part in parts), 1)
+    total = max(sum(part.numbers for part in parts), 1)
+    remaining = 1 - len(nlp.free) / total
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
         if isinstance(part, ResponsePart):
             findings += _of_response(part, trajectory, remaining, 0.01 / len(parts))
         elif isinstance(part, RecordPart):
-            findings += _of_record(part, trajectory, remaining, 0.01 / len(parts))
+            findings += _of_record(part, trajectory, len(nlp.free), total)
     return once(findings)
 
 
@@ -66,22 +68,31 @@ def _is_likely(ratio: float, dof: float, level: float) -> bool:
 
 
 def _of_record(
-    part: RecordPart, trajectory: Trajectory, remaining: float, level: float
+    part: RecordPart, trajectory: Trajectory, unknowns: int, total: int
 ) -> Iterator[Finding]:
-    """Judge the outputs of a record, of whose numbers this share `remaining` is free."""
-    covariance = part.covariance
-    if covariance.known is None or part.model.is_prior:
+    """Judge the outputs of a record; `total` numbers determine all unknowns."""
+    covariance, name = part.covariance, part.model.record.name or part.name
+    if part.model.is_prior:
+        return
+    if covariance.known is None:
+        least = min(covariance.counts[covariance.counts > 0])
+        # Of one output alone, the intervals allow for the number of samples.
+        if least < min(6, total):
+            text = (
+                f"the noise of an output of {name!r} is estimated from {counted(least, 'sample')}, "
+                "so that intervals may be too narrow: give it, as in OutputError(noise={...})."
+            )
+            yield "few", name, text
         return
     columns = zip(
         part.outputs, covariance.known, trajectory.products, covariance.counts, strict=True
     )
     for k, (output, deviation, squares, count) in enumerate(columns):
-        dof = max(count * remaining, 1.0)
+        dof = max(count * (1 - unknowns / total), 1.0)
         ratio = squares[k] / (dof * deviation**2)
         # The parameters may fit few samples exactly.
-        if (count < 8 and ratio < 1) or _is_likely(ratio, dof, level / len(part.outputs)):
+        if (count < 8 and ratio < 1) or _is_likely(ratio, dof, 0.01 * count / total):
             continue
-        name = part.model.record.name or part.name
         text = (
             f"the residual of {output} in {name!r} is {ratio**0.5:.2g} times the given standard "
             "deviation: the model is incomplete or the given value is wrong; the standard errors "
