@@ -43,7 +43,8 @@ def test_a_call_whose_worker_is_killed_is_made_again(pool, tmp_path):
 def test_a_signal_to_all_processes_is_left_to_the_parent(pool):
     number = pool.submit(os.getpid).result()
     os.kill(number, signal.SIGTERM)
-    assert number in {pool.submit(os.getpid).result() for _ in range(4)}
+    # Either process may take a call: on a busy machine one took four in a row.
+    assert any(pool.submit(os.getpid).result() == number for _ in range(200))
 
 
 def test_a_call_that_always_ends_its_worker_is_lost_and_no_other(pool):
