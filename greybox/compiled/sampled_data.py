@@ -23,7 +23,6 @@ from greybox.statistics.noise_ratio import noise_ratio
 # are known no better.
 WHOLE = 1e-3
 
-
 # Samples at the beginning of a stretch over which an input must be constant to count as at rest
 # before it: longer than a command at a quarter of the logging rate is held.
 REST = 5
@@ -223,15 +222,15 @@ def sampled_data(
     )
     # A system at rest with a constant input shows its noise alone, which any parameters explain.
     constant = bool(inputs) and all(_is_constant(record[name]) for name in inputs)
-    # Where an experiment has a few samples, they look like noise even if the states move.
-    signals = [noise_ratio([s.outputs[k] for s in stretches]) for k in range(len(outputs))]
-    at_rest = [signal.noisy and signal.samples > 35 for signal in signals if signal.samples]
-    if constant and not static and all(at_rest):
-        raise ValueError(
-            f"the inputs of {_called(record)} never change ({names}) and {listed(outputs)} "
-            f"{'is' if len(outputs) == 1 else 'are'} indistinguishable from noise: "
-            "nothing can be estimated from it."
-        )
+    if constant and not static:
+        # Where an experiment has a few samples, they look like noise even if the states move.
+        signals = [noise_ratio([s.outputs[k] for s in stretches]) for k in range(len(outputs))]
+        if all(signal.noisy and signal.samples > 35 for signal in signals if signal.samples):
+            raise ValueError(
+                f"the inputs of {_called(record)} never change ({names}) and {listed(outputs)} "
+                f"{'is' if len(outputs) == 1 else 'are'} indistinguishable from noise: "
+                "nothing can be estimated from it."
+            )
 
     usable = tuple(s for s in stretches if np.isfinite(s.outputs).any() and len(s) >= shortest)
     if not usable and static:

@@ -17,7 +17,6 @@ from greybox.files.text_table import counted, number, one_line, text_table, with
 ERROR_GUIDELINE = 0.2
 INSENSITIVITY_GUIDELINE = 0.1
 
-
 # Largest power in a product of two parameters: a length squared or cubed. In products of more, up
 # to four, only first powers: nobody reads longer ones.
 POWERS = 3

@@ -30,9 +30,6 @@ POINTS = 3  # at which the rank is computed: at one of them it may be smaller by
 FREQUENCIES = 40  # random ones for each pair: more numbers than any structure has parameters
 BAND = (1e-2, 1e3)  # rad/s, in which they are drawn: what vehicles and their actuators do
 STRETCHES = 4  # that it has, each from its own initial state
-GROWTH = (
-    5.0  # real part of the fastest growing pole times the length of a stretch, at most: e⁵ is 150
-)
 # Sizes of inputs and initial states that are tried until nothing grows out of what formulas are
 # made for.
 SIZES = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3)
@@ -327,7 +324,8 @@ def _times(
         step = 0.3 / fastest
         growing = float(poles.real.max(initial=0.0))
         if growing > 0:
-            length = int(np.clip(GROWTH / growing / step, 2 * n + 4, length))
+            # The fastest growing mode grows by at most e⁵, 150, over a stretch.
+            length = int(np.clip(5.0 / growing / step, 2 * n + 4, length))
 
     gaps = np.arange(STRETCHES * (length + 1)) % (length + 1) == length
     return step * np.arange(gaps.size), gaps

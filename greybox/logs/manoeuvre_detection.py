@@ -29,7 +29,6 @@ CONTROLS = ("u", "de", "da", "dr", "dt", "elevator", "aileron", "rudder", "throt
 # times that.
 REST = 1.0
 
-
 # Factor on the number of frequencies of the spectrum: between two, it then falls by 10 % at most.
 FINER = 4
 

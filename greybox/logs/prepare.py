@@ -247,7 +247,6 @@ def _grid(sources: Mapping[str, _Source], rate: float, start: float, end: float)
 
     # A rate in rad/s or a step in ms would make a record of interpolated samples.
     fastest = 1 / min(source.step for source in sources.values())
-    # A mistake in units.
     if rate > 10 * fastest:
         raise ValueError(
             f"rate {rate:g} Hz is more than ten times that of the fastest signal, {fastest:.4g} "

@@ -45,9 +45,8 @@ def near_pairs(zeros: ArrayLike, poles: ArrayLike) -> tuple[NearPair, ...]:
     matched: list[NearPair] = []
     # The closest pair first: a zero between two poles cancels the nearer one.
     for pair in sorted(candidates, key=lambda pair: pair.distance):
-        # Then a pole and a zero nearly cancel. A real pair (s + z) / (s +
-        # p) at this distance changes the response by at most about 10 % at any frequency. The paper
-        # gives no number.
+        # Then a pole and a zero nearly cancel. A real pair (s + z) / (s + p) at this distance
+        # changes the response by at most about 10 % at any frequency. The paper gives no number.
         if pair.distance < 0.1 and pair.zero in free_zeros and pair.pole in free_poles:
             matched.append(pair)
             free_zeros.remove(pair.zero)

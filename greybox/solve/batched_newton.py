@@ -258,4 +258,6 @@ def _narrowed(searches: _Searches, count: np.intp) -> _Searches:
     most = width - 1 if width <= NARROW else width // narrower
     if count > most:
         return searches
-    return _Searches(*(values[..., live] for values in vars(searches).values()))
+    return _Searches(
+        searches.owner[live], searches.numbers[:, live], searches.live[live], searches.data[:, live]
+    )

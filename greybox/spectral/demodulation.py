@@ -43,7 +43,7 @@ def whole_periods(time: Array, omega: float, settle: float) -> tuple[BoolArray, 
     # Half a step more, so that rounding takes no sample twice.
     rows = time > time[-1] + step / 2 - count * period
     in_each = np.histogram(time[rows], count, (time[-1] - count * period, time[-1]))[0]
-    # Each period of a window must have a third of its samples.
+    # Each period of a window must have three tenths of its samples.
     if in_each.min() < 0.3 * period / step:
         raise UnusableSegmentError(f"a whole period is missing after {time[rows][0]:.1f} s")
     return rows, count

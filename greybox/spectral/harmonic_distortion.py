@@ -26,7 +26,6 @@ BETWEEN, BEYOND = 0.1, 0.5
 # attitude has steps of 0.01°, has two harmonics of 0.4 % at its highest frequency.
 SENSOR = 0.005
 
-
 LINES = 2  # lines on either side of a harmonic from which its noise is estimated
 
 

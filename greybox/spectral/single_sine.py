@@ -33,7 +33,6 @@ from greybox.spectral.saturation import at_limit
 # of freedom, and Student's t is within 6 % of the normal distribution's 1.96.
 LINES = 6
 
-
 # Share of the peak-to-peak value of a control. A sine is that close to its peaks for 2.8 % of the
 # time: if the levels of a control are farther apart, rounding looks like saturation.
 RESOLUTION = 5e-4

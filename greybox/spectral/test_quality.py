@@ -17,7 +17,6 @@ Severity = Literal["note", "warning", "refusal"]
 
 # Limits of a warning and, where there are two, of a refusal.
 
-
 # Share of the time at a limit. A sine that is clipped for 20 % of the time has a third harmonic of
 # 1.2 % and loses as much of its fundamental; at 1 %, both are 2e-6.
 SATURATED = (0.01, 0.2)

@@ -58,7 +58,6 @@ SHARES = np.array([0.01, 0.02, 0.04, 0.07, 0.12, 0.2, 0.35, 0.55, 0.75, 0.9, 1.0
 # Between these and white noise the likelihood has no other maximum.
 GUSTS = (0.78, 0.94, 0.984, 0.996)
 
-
 TINY = 1e-300
 
 

@@ -80,7 +80,7 @@ def _of_record(
         if least < min(6, total):
             text = (
                 f"the noise of an output of {name!r} is estimated from {counted(least, 'sample')}, "
-                "so that intervals may be too narrow: give it, as in OutputError(noise={...})."
+                "so that intervals may be too narrow: give it to the criterion, as noise={...}."
             )
             yield "few", name, text
         return
@@ -90,7 +90,7 @@ def _of_record(
     for k, (output, deviation, squares, count) in enumerate(columns):
         dof = max(count * (1 - unknowns / total), 1.0)
         ratio = squares[k] / (dof * deviation**2)
-        # The parameters may fit few samples exactly.
+        # The parameters may fit few samples exactly: then the given noise counts, not theirs.
         if (count < 8 and ratio < 1) or _is_likely(ratio, dof, 0.01 * count / total):
             continue
         text = (

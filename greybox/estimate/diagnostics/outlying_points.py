@@ -37,7 +37,6 @@ SIZE = 0.01
 # are 12 % larger. Normal errors have 0.95.
 NOTICEABLE = 1.25
 
-
 # Rank correlation of the size of errors with an output above which they are called proportional:
 # errors of one relative size have 0.3 to 0.8, and below it intervals hardly change.
 FOLLOWS = 0.2
