@@ -126,9 +126,10 @@ def why_not_comparable(fits: Sequence[Fit], names: Sequence[str]) -> str:
     if samples:
         return samples
     # A weight is a factor on the cost: costs in different units have no difference.
-    weights = dict.fromkeys(", ".join(number(p.weight, 3) for p in fit.parts) for fit in fits)
+    weights = dict.fromkeys(tuple(part.weight for part in fit.parts) for fit in fits)
     if len(weights) > 1:
-        return f"their data are weighted differently ({'; '.join(weights)})"
+        rows = (", ".join(number(weight, 15) for weight in row) for row in weights)
+        return f"their data are weighted differently ({'; '.join(rows)})"
     if not have_one_criterion(fits) and not all(is_likelihood(fit) for fit in fits):
         criteria = dict.fromkeys(map(_criteria, fits))
         return f"they are of different criteria ({'; '.join(criteria)})"

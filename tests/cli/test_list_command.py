@@ -63,3 +63,6 @@ def test_a_model_is_shown_with_all_that_it_declares(capsys):
             *p.about.split(),
         ]
         assert line.split() == words
+        # Texts begin below their headings.
+        for heading, text in (("parameter", name), ("unit", p.unit), ("meaning", p.about)):
+            assert line[lines[begins].index(heading) :].startswith(text)

@@ -72,11 +72,12 @@ def test_a_cost_without_alike_terms_and_a_constant_one():
 def test_terms_and_factors_of_sums_differences_multiples_and_shares():
     x = ca.SX.sym("x", 5)
     a, b, c, d, e = (ca.sin(x[k]) for k in range(5))
-    whole = -(a - (b / 4 + 2 * (c - 3 * d))) / 5 + e / b
+    whole = -((a - (b / 4 + 2 * (c - 3 * d))) / 5 + e / b)
+    assert whole.is_op(ca.OP_NEG)
     found = [(factor, ca.Function("term", [x], [term])) for factor, term in summands(whole)]
     point = np.array([0.3, 0.7, 1.1, 1.9, 2.3])
     s = np.sin(point)
-    wanted = {s[0]: -1 / 5, s[1]: 1 / 20, s[2]: 2 / 5, s[3]: -6 / 5, s[4] / s[1]: 1.0}
+    wanted = {s[0]: -1 / 5, s[1]: 1 / 20, s[2]: 2 / 5, s[3]: -6 / 5, s[4] / s[1]: -1.0}
     assert {float(term(point)): factor for factor, term in found} == pytest.approx(wanted)
 
 

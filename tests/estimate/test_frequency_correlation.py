@@ -72,6 +72,9 @@ def test_errors_that_are_stated_to_be_independent_are_taken_as_such(criterion, t
     assert stated.independent is None
     np.testing.assert_allclose(stated.covariance, fit.independent[0], rtol=1e-5)
     assert stated.dof == fit.independent[1]
+    variances = [(fit.standard_error[n] / stated.standard_error[n]) ** 2 for n in fit.free]
+    assert fit.inflation == pytest.approx(np.median(variances), rel=1e-4)
+    assert stated.inflation == 1
     # The residuals contradict the statement.
     assert not said(stated)
     assert any("stated to be independent" in text for text in stated.warnings)

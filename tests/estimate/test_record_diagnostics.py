@@ -376,6 +376,27 @@ def test_a_predictor_at_the_limit_of_its_stability_is_told():
     assert told == [True, False]
 
 
+def test_errors_that_last_as_long_as_a_record_are_told_and_in_which_of_several():
+    def slow(seed):
+        random = np.random.default_rng(seed)
+        flight = gb.Record(
+            0.05 * np.arange(200), {"u": random.normal(size=200)}, name=f"run {seed}"
+        )
+        x = gb.simulate(Drift(), {"a": 0.5, "b": 3.0}, flight, inputs="held")["x"]
+        return flight.with_signals(x=x + np.cumsum(0.05 * random.normal(size=200)))
+
+    problems = [gb.Problem(Drift(), slow(k), gb.OutputError(inputs="held")) for k in range(2)]
+    for problem, place in ((problems[0], ""), (sum(problems[1:], problems[0]), " in 'run ")):
+        warnings = gb.fit(problem, starts=1, progress=False).warnings
+        text, *_ = (text for text in warnings if "stay correlated" in text)
+        assert text.startswith(f"the residuals of x{place}")
+        assert text.endswith("use a longer record.")
+        time, share = (
+            float(x) for x in re.findall(r"about ([\d.]+) s.*only ([\d.]+) times", text)[0]
+        )
+        assert time * share == pytest.approx(10, rel=0.05)  # the duration of a record
+
+
 def test_white_residuals_are_not_blamed():
     random, n = np.random.default_rng(1), 500
     u = np.repeat(random.normal(size=n // 10), 10)
@@ -535,7 +556,8 @@ def test_an_output_is_not_explained_below_a_tenth_and_half_of_what_its_noise_all
         fitted = SimpleNamespace(
             outputs=("z", "y"), fit_percent=percents.__getitem__, data=kept, name="part"
         )
-        return [text for *_, text in unexplained_outputs(part, fitted, alone=alone)]
+        pairs = [(part, fitted)] * (1 if alone else 2)
+        return list(dict.fromkeys(text for *_, text in unexplained_outputs(pairs)))
 
     name = "y" if alone else "y in 'run'"
     y = 0.77 * slow + random.normal(size=4000)

@@ -16,6 +16,15 @@ class Measured(RateDynamics):
     units = {"q": "rad/s"}
 
 
+class Proportional(RateLoop):
+    """Without the integral."""
+
+    states = ()
+
+    def update(self, x, u, p):
+        return (), (p.K_P * (u.reference - u.q),)
+
+
 def random_loops(number):
     rng = np.random.default_rng(3)
     for _ in range(number):
@@ -208,12 +217,6 @@ def test_what_tracks_what_can_be_chosen():
 
 
 def test_a_loop_of_little_gain_rejects_no_disturbance():
-    class Proportional(RateLoop):
-        states = ()
-
-        def update(self, x, u, p):
-            return (), (p.K_P * (u.reference - u.q),)
-
     values = {"K": 10.0, "a": 2.0, "T": 0.05, "tau": 0.0}
 
     def bandwidth(gain_at_rest):
@@ -228,6 +231,16 @@ def test_a_loop_of_little_gain_rejects_no_disturbance():
         return np.abs(1 + 0.1 * plant(np.exp(1j * w / RATE))) - np.sqrt(2)
 
     assert bandwidth(0.5) == pytest.approx(first_zero(distance, np.geomspace(0.05, 10, 50)))
+
+
+def test_a_step_of_many_samples_is_that_of_its_lag():
+    """A loop with one pole at 0.05 rad/s settles after 7800 samples: each keeps 1 - 0.05/100 of the error."""
+    lag = -1 / RATE / np.log1p(-0.05 / RATE)
+    values = {"K": 0.05, "a": 0.0, "T": 0.001, "tau": 0.0}
+    answer = gb.margins(Measured(), Proportional({"K_P": 1.0}), values)
+    assert answer["rise time"].value == pytest.approx(lag * np.log(9), abs=0.02)
+    assert answer["settling time"].value == pytest.approx(lag * np.log(50), abs=0.02)
+    assert answer["overshoot"].value == pytest.approx(0, abs=1e-3)
 
 
 def test_a_system_of_python_control_and_a_transfer_function_are_controllers():

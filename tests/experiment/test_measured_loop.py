@@ -34,6 +34,16 @@ def test_margins_are_read_between_the_measured_points():
     assert answer["phase margin"].low < answer["phase margin"].value < answer["phase margin"].high
 
 
+def test_an_error_that_all_points_share_moves_the_gain_of_the_whole_loop():
+    """The gain margin then has the error of the gain alone, in closed form: 8 % of it."""
+    loop = integrator(0.1, 30)
+    shared = 0.08 * loop.response[None]
+    total = loop.variance + np.abs(shared[0]) ** 2
+    answer = gb.margins(replace(loop, variance=total, common_errors=shared))["gain margin"]
+    expected = 20 * np.log10(np.pi / 0.8 / (1 + 0.08 * np.array([1.96, -1.96])))
+    assert (answer.low, answer.high) == pytest.approx(expected, abs=0.2)
+
+
 @pytest.mark.parametrize(
     ("band", "missing"), [((0.1, 1.5), "phase margin"), ((3, 30), "crossover")]
 )

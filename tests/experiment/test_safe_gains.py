@@ -159,6 +159,8 @@ def test_a_response_that_was_measured_poorly_at_the_crossover_is_refused(data):
         ({"K_Q": (0, 1)}, "no gain 'K_Q'"),
         ({"K_P": (1, 0.1)}, "must be increasing: got 1 to 0.1"),
         ({}, "0 gains were given"),
+        (("K_P", "K_Q", "K_R"), "no gain 'K_Q'"),  # three may be tried
+        (("K_P", "K_Q", "K_R", "K_S"), "4 gains were given"),
     ],
 )
 def test_what_cannot_be_tried_is_refused(gains, message):

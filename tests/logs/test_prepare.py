@@ -166,12 +166,14 @@ def test_the_horizontal_velocity_is_turned_into_the_body(yaw, forward, right):
         "w": gb.logs.horizontal_velocity(axis="right"),
     }
     names |= {"paper": gb.logs.horizontal_velocity()}
+    names |= {"roll": gb.logs.horizontal_velocity(axis="roll")}
     record = gb.prepare(log, names, rate=50)
     assert record["v"] == pytest.approx(forward, abs=1e-9)
     assert record["w"] == pytest.approx(right, abs=1e-9)
     assert record["paper"] == pytest.approx(
         -forward, abs=1e-9
     )  # a positive pitch accelerates backward
+    assert record["roll"] == pytest.approx(right, abs=1e-9)  # and a positive roll to the right
     assert set(record.units.values()) == {"m/s"}
 
 

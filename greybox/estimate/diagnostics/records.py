@@ -82,18 +82,17 @@ def record_warnings(
         for part, fitted in zip(nlp.parts, answer.parts, strict=True)
         if isinstance(part, RecordPart) and isinstance(fitted, FittedRecord)
     ]
-    alone = len(pairs) == 1
 
     return (
         *once(_short(nlp, accuracy)),
-        *once(finding for pair in pairs for finding in unexplained_outputs(*pair, alone=alone)),
+        *once(unexplained_outputs(pairs)),
         *(
             ()
             if misfit and misfit.is_large
             else biased_by_feedback(pairs, unstable=bool(misfit and misfit.is_unstable))
         ),
         *colored_predictions(pairs, explained=not misfit or misfit.explains),
-        *once(_bounded(nlp, trajectories, alone=alone)),
+        *once(_bounded(nlp, trajectories)),
         *once(_flattened_inputs([part for part, _ in pairs])),
     )
 
@@ -137,7 +136,7 @@ def _short(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[Finding]:
         slowest = int(np.argmax(colored.correlation_times))
         time = float(colored.correlation_times[slowest])
         record = part.model.record
-        place = _place(record, part.problem.name, alone=len(nlp.parts) == 1)
+        place = _place(record, part.problem.name, nlp.parts)
         yield (
             part.outputs[slowest],
             record.name or part.problem.name,
@@ -149,39 +148,47 @@ def _short(nlp: CompiledProblem, accuracy: Accuracy) -> Iterator[Finding]:
 
 
 def unexplained_outputs(
-    part: RecordPart, fitted: FittedRecord, *, alone: bool
+    pairs: Sequence[tuple[RecordPart, FittedRecord]],
 ) -> Iterator[Finding]:
     """Name outputs that the model hardly reproduces."""
-    # With constant inputs a static model is a mean, which reproduces no variation by definition.
-    is_mean = part.is_static and (part.data.constant_inputs or not part.system.inputs)
-    if part.model.criterion.corrects_states or is_mean:
-        return
-    for k, output in enumerate(fitted.outputs):
-        percent = fitted.fit_percent(output)
-        if not percent < 10:
+    for part, fitted in pairs:
+        # A static model of constant inputs is a mean, which by definition reproduces no variation.
+        is_mean = part.is_static and (part.data.constant_inputs or not part.system.inputs)
+        if part.model.criterion.corrects_states or is_mean:
             continue
-        noise = noise_ratio([stretch.outputs[k] for stretch in part.data.stretches])
-        if not fitted.data.has_time:  # the order of rows does not show the noise
-            kind = "in rows"
-            cure = ": try other starts or another model structure, unless that variation is noise."
-        elif noise.noisy:
-            kind = "noisy"
-            cure = ", and the measured signal looks like noise: excite it more, or leave it out."
-        elif percent < noise.attainable_fit_percent / 2:
-            kind, cure = "", "try other starts, narrower start boxes, or another model structure"
-            if isinstance(part.problem.model, StateSpace) and part.problem.model.states:
-                cure = f"in turbulence, use {gust_criterion(part)}; else {cure}"
-            attainable = f"{noise.attainable_fit_percent:.0f}"
-            cure = f", although its noise would allow about {attainable} %: {cure}."
-        else:
-            continue
-        name = output + _place(fitted.data, fitted.name, alone=alone)
-        yield (
-            f"{output} {kind}",
-            fitted.data.name or fitted.name,
-            f"the model reproduces almost none of the variation of {name} (fit {percent:.1f} %)"
-            + cure,
-        )
+        for k, output in enumerate(fitted.outputs):
+            percent = fitted.fit_percent(output)
+            if not percent < 10:
+                continue
+            noise = noise_ratio([stretch.outputs[k] for stretch in part.data.stretches])
+            if not fitted.data.has_time:  # the order of rows does not show the noise
+                kind = "in rows"
+                cure = (
+                    ": try other starts or another model structure, unless that variation is noise."
+                )
+            elif noise.noisy:
+                kind = "noisy"
+                cure = (
+                    ", and the measured signal looks like noise: excite it more, or leave it out."
+                )
+            elif percent < noise.attainable_fit_percent / 2:
+                kind, cure = (
+                    "",
+                    "try other starts, narrower start boxes, or another model structure",
+                )
+                if isinstance(part.problem.model, StateSpace) and part.problem.model.states:
+                    cure = f"in turbulence, use {gust_criterion(part)}; else {cure}"
+                attainable = f"{noise.attainable_fit_percent:.0f}"
+                cure = f", although its noise would allow about {attainable} %: {cure}."
+            else:
+                continue
+            name = output + _place(fitted.data, fitted.name, pairs)
+            yield (
+                f"{output} {kind}",
+                fitted.data.name or fitted.name,
+                f"the model reproduces almost none of the variation of {name} (fit {percent:.1f} %)"
+                + cure,
+            )
 
 
 def colored_predictions(
@@ -202,7 +209,7 @@ def colored_predictions(
             lag = int(np.argmax(np.abs(test.correlations)))
             r = float(test.correlations[lag])
             if test.p_value < FALSE_ALARMS / outputs and abs(r) > NOTICEABLE:
-                place = _place(fitted.data, fitted.name, alone=len(pairs) == 1)
+                place = _place(fitted.data, fitted.name, pairs)
                 after = part.data.stretches[0].step * (lag + 1)
                 values.append(f"{r:.2g} after {after:.2g} s for {output}{place}")
 
@@ -265,7 +272,7 @@ def biased_by_feedback(
 
     for part, fitted in tested:
         inputs = {name: _by_piece(fitted.data, fitted.data[name]) for name in part.system.inputs}
-        place = _place(fitted.data, fitted.name, alone=len(pairs) == 1)
+        place = _place(fitted.data, fitted.name, pairs)
         for output in fitted.outputs:
             e = fitted.residual(output)
             residuals = _by_piece(fitted.data, e)
@@ -294,18 +301,16 @@ def biased_by_feedback(
         )
 
 
-def _bounded(
-    nlp: CompiledProblem, trajectories: Sequence[Trajectory], *, alone: bool
-) -> Iterator[Finding]:
+def _bounded(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> Iterator[Finding]:
     """Warn where a Kalman gain has reached the stability limit."""
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
         gain = kalman_gain(part)
         if gain is not None and gain.is_at_limit(trajectory):
-            name = gain.part.model.record.name or part.problem.name
-            place = "" if alone else f" of {name!r}"
+            record = gain.part.model.record
+            place = _place(record, part.problem.name, nlp.parts)
             yield (
                 "limit",
-                name,
+                record.name or part.problem.name,
                 f"the Kalman gain{place} reached the stability limit, as if the data showed no "
                 "process noise in a state that it corrects. The standard errors do not account for "
                 "the limit and are too small: let it correct fewer "
@@ -313,9 +318,9 @@ def _bounded(
             )
 
 
-def _place(record: Record, part: str, *, alone: bool) -> str:
-    """Return which record is meant; nothing where there is only one."""
-    return "" if alone else f" in {record.name or part!r}"
+def _place(record: Record, part: str, parts: Sequence[object]) -> str:
+    """Return which of several parts is meant; nothing where there is only one."""
+    return "" if len(parts) == 1 else f" in {record.name or part!r}"
 
 
 def resting_inputs(nlp: CompiledProblem) -> Iterator[str]:
