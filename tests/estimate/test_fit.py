@@ -279,6 +279,12 @@ def test_solver_options_of_another_kind_are_refused(options):
         gb.fit(gb.Problem(Lag(), LAGS.parts[0].data), starts=2, solver_options=options)
 
 
+@pytest.mark.parametrize("method", [gb.MultipleShooting, "shooting"])
+def test_a_method_is_an_instance(method):
+    with pytest.raises(TypeError, match="give an instance such as MultipleShooting"):
+        gb.fit(gb.Problem(Lag(), LAGS.parts[0].data), method=method)
+
+
 @pytest.mark.parametrize("damping", [0.5, 0.02, 1e-9])
 def test_a_curve_for_figures_is_refined_where_it_turns(damping):
     """Steps of a fiftieth of its largest magnitude and of five degrees; of a needle there are none such."""

@@ -1,5 +1,7 @@
 """A term that a model with many states lacks is found in its equation, among terms of its kind."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -71,15 +73,12 @@ def behind_a_play(position, command):
     return np.clip(position, command - 0.15, command + 0.15)
 
 
-@pytest.mark.parametrize(
-    ("actuator", "text"),
-    [(behind_a_rate_limit, "a rate limit of u near"), (behind_a_play, "a backlash of u of about")],
-)
-def test_an_actuator_that_follows_late_is_named(actuator, text):
+def causes(actuator, trim=0.0):
+    """Of a lag behind an actuator that the model lacks."""
     step = 0.05
     t = step * np.arange(480)
-    u = np.sin(1.3 * t) + 0.5 * np.sin(3.1 * t)
-    position, v, measured = 0.0, 0.0, []
+    u = trim + np.sin(1.3 * t) + 0.5 * np.sin(3.1 * t)
+    position, v, measured = trim, 1.5 * trim, []
     for command in u:
         measured.append(v)
         position = actuator(position, command)
@@ -88,4 +87,19 @@ def test_an_actuator_that_follows_late_is_named(actuator, text):
     record = gb.Record(t, {"u": u, "v": measured}, hold={"u": np.inf})
     fit = gb.fit(gb.Problem(Lag(), record), starts=1, profiles=False)
     assert not fit.misfit.explains
-    assert fit.misfit.causes[0].text.startswith(text)
+    return [cause.text for cause in fit.misfit.causes]
+
+
+@pytest.mark.parametrize(
+    ("actuator", "text"),
+    [(behind_a_rate_limit, "a rate limit of u near"), (behind_a_play, "a backlash of u of about")],
+)
+def test_an_actuator_that_follows_late_is_named(actuator, text):
+    assert causes(actuator)[0].startswith(text)
+
+
+@pytest.mark.parametrize(("side", "limit"), [(np.minimum, 2.6), (np.maximum, 1.4)])
+def test_a_limit_on_one_side_of_a_trim_is_named_with_its_value(side, limit):
+    cause = causes(lambda _, command: side(command, limit), trim=2.0)[0]
+    level = re.fullmatch(r"a gain of u that is smaller beyond ([\d.]+), as .* one side", cause)[1]
+    assert float(level) == pytest.approx(limit, abs=0.1)

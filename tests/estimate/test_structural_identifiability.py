@@ -113,6 +113,8 @@ def test_tied_parameters_and_single_outputs_are_asked_for():
         gb.structural_identifiability(Scaled(), ["z"])
     with pytest.raises(ValueError, match="leave it out"):
         gb.structural_identifiability(Redundant(), initial={"x": 1.0})
+    with pytest.raises(TypeError, match="not the class"):
+        gb.structural_identifiability(Redundant)
 
 
 @pytest.mark.parametrize("model", [Tilt(), LinearTilt(), NonlinearTilt()])

@@ -82,6 +82,12 @@ def test_a_measured_loop_stands_alone_and_a_model_needs_a_controller():
         gb.margins(integrator(0.1, 30), controllers())
     with pytest.raises(TypeError, match="give its controller"):
         gb.margins(DampedAngle())
+    with pytest.raises(TypeError, match="give a Fit, or a model"):
+        gb.margins("pitch", controllers())
+    with pytest.raises(ValueError, match="cannot be evaluated elsewhere"):
+        gb.margins(integrator(0.1, 30)).require_loop()
+    with pytest.raises(ValueError, match=r"give rate=\.\.\. in Hz"):
+        sampled_loop(DampedAngle(), np.ones((1, 4)), [])
 
 
 def controllers():

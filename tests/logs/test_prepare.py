@@ -177,6 +177,11 @@ def test_the_horizontal_velocity_is_turned_into_the_body(yaw, forward, right):
     assert set(record.units.values()) == {"m/s"}
 
 
+def test_another_axis_is_refused():
+    with pytest.raises(ValueError, match="axis 'up' is not known"):
+        gb.logs.horizontal_velocity(axis="up")
+
+
 def test_a_stretch_is_cut_out():
     time = stamps(100, 30)
     log = recording(A=(time, {"x": 2 + 0.5 * time}, {}))

@@ -114,6 +114,13 @@ def test_the_same_frequency_twice_is_two_tests():
     assert len(found) == 2
 
 
+def test_a_single_message_of_another_frequency_is_no_test():
+    omega = announced()["SINE"]["W"].copy()
+    omega[0] = 30.0
+    found = find_segments(announced(W=omega), message="SINE")
+    assert [s.omega for s in found] == [20, 8, 4, 2]
+
+
 def test_useless_tests_are_listed_with_the_reason():
     found = find_segments(announced([*PLAN, (4.0, 2.0), (0.05, 20.0)]), message="SINE")
     assert [s.usable for s in found] == [True] * 4 + [False] * 2
@@ -238,6 +245,13 @@ def test_a_test_ended_early_with_less_periods_and_less_time_than_others(short, u
         announced([(omega, 16.0), (omega, 16.0), (omega, 16.0), short]), message="SINE"
     )
     assert [s.usable for s in found] == [True] * 3 + [usable]
+
+
+@pytest.mark.parametrize(("others", "usable"), [(1, True), (2, False)])
+def test_of_two_sines_neither_is_the_exception(others, usable):
+    omega = 2 * np.pi * 10 / 16
+    found = find_segments(announced([(omega, 16.0)] * others + [(2.0, 8.0)]), message="SINE")
+    assert [s.usable for s in found] == [True] * others + [usable]
 
 
 @pytest.mark.parametrize(("share", "usable"), [(0.48, False), (0.52, True)])

@@ -2,6 +2,7 @@
 
 import math
 
+import casadi as ca
 import numpy as np
 import pytest
 from evaluation import response_formula
@@ -31,6 +32,10 @@ def state_space(derivative=lambda x, u, p: (u.u - p.c * x.x,), output=lambda x, 
         (
             {"output": lambda x, u, p: (x.x, u.u)},
             r"Mine\.output returns 2 values and must return 1: one for each of y",
+        ),
+        (
+            {"derivative": lambda x, u, p: (ca.vertcat(u.u, x.x),)},
+            r"Mine\.derivative gives 2 numbers as value 0: return one scalar",
         ),
         ({"output": lambda x, u, p: ("x",)}, r"Mine\.output gives a str as value 0.* gb\.exp"),
         ({"derivative": lambda x, u, p: (None,)}, r"Mine\.derivative gives a NoneType as value 0"),

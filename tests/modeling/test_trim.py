@@ -222,6 +222,7 @@ def test_the_own_trim_is_the_implicit_one():
         ),
         (lambda self, at, p: {"x": np.nan}, r"Mine\.trim becomes NaN"),
         (lambda self, at, p: {"x": at.w}, r"at has no 'w'; it has u"),
+        (lambda self, at, p: 3.0, r"Mine\.trim returns 3\.0: return the other states"),
     ],
 )
 def test_a_wrong_own_trim_is_refused(trim, sentence):

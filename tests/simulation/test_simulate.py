@@ -389,6 +389,8 @@ def test_mistakes_are_told_in_a_sentence(call, sentence):
 def test_things_that_are_not_what_they_should_be():
     with pytest.raises(TypeError, match="give an instance such as"):
         gb.simulate(Spring, {}, driven())
+    with pytest.raises(TypeError, match=r"give RungeKutta\(\) or Radau\(\)"):
+        gb.simulate(Spring(), {}, driven(), integrator=gb.RungeKutta)
     with pytest.raises(TypeError, match="record is missing"):
         gb.predict(Spring(), {})
     with pytest.raises(TypeError, match="values is None"):

@@ -652,11 +652,12 @@ def test_correlation_times_are_the_time_constants_of_exponentials():
         np.array(
             [
                 (1 - p**2) / np.abs(1 - p * np.exp(-1j * grid.omega)) ** 2
-                for p in np.exp(-1 / np.array([4.0, 25.0]))
+                for p in np.exp(-1 / np.array([4.0, 25.0, 9.5])) * [1, 1, -1]
             ]
         )
     )
-    assert_allclose(found, [4.0, 25.0], atol=1)
+    # Of the last one, errors alternate in sign.
+    assert_allclose(found, [4.0, 25.0, 9.5], atol=1)
 
 
 def test_long_records_need_few_zeros_against_products_of_their_ends():
