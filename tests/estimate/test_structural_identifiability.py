@@ -105,6 +105,35 @@ def test_a_nonlinear_scale_is_found_with_its_initial_state():
     assert not gb.structural_identifiability(Saturating()).groups
 
 
+class Pressure(gb.StateSpace):
+    """A chamber, in pascals: with any input its state is large. K and b are a product."""
+
+    states, inputs, outputs = ("x",), ("u",), ("x",)
+    K = gb.Parameter(1e6, bounds=(5e5, 2e6), unit="Pa/s")
+    b = gb.Parameter(1.0, bounds=(0.5, 2))
+    a = gb.Parameter(2.0, bounds=(1, 3), unit="1/s")
+
+    def derivative(self, x, u, p):
+        return (p.K * p.b * u.u - p.a * x.x,)
+
+    def output(self, x, u, p):
+        return (x.x,)
+
+
+class Steep(Pressure):
+    """Beyond a few units an exponential shows its largest value alone."""
+
+    K = gb.Parameter(800.0, bounds=(400, 1600), fixed=True)
+
+    def output(self, x, u, p):
+        return (gb.exp(-x.x),)
+
+
+def test_states_may_be_of_any_size():
+    assert lost(gb.structural_identifiability(Pressure())) == [{"K", "b"}]
+    assert not gb.structural_identifiability(Steep()).groups
+
+
 def test_tied_parameters_and_single_outputs_are_asked_for():
     assert not gb.structural_identifiability(
         Redundant(), tied={"m": lambda p: p.k}, fixed={"idle": 0.0}

@@ -35,9 +35,10 @@ def test_the_certified_values_and_errors_are_found_from_the_certified_starts(nam
             continue
         fit = gb.fit(case.problem, starts=[start], profiles=False, progress=False)
         assert fit.converged, (k, fit.status)
-        assert digits(fit.estimate, case.values) > 6, k
+        # Nine are right; without polishing, four to eight.
+        assert digits(fit.estimate, case.values) > 8, k
         if name not in ROUNDING:
-            assert digits(fit.standard_error, case.errors) > 4, k
+            assert digits(fit.standard_error, case.errors) > 7, k
             assert fit.dof == pytest.approx(len(case.problem.data) - len(case.values))
 
 
