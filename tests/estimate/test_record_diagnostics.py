@@ -380,21 +380,21 @@ def test_errors_that_last_as_long_as_a_record_are_told_and_in_which_of_several()
     def slow(seed):
         random = np.random.default_rng(seed)
         flight = gb.Record(
-            0.05 * np.arange(200), {"u": random.normal(size=200)}, name=f"run {seed}"
+            0.05 * np.arange(100), {"u": random.normal(size=100)}, name=f"run {seed}"
         )
         x = gb.simulate(Drift(), {"a": 0.5, "b": 3.0}, flight, inputs="held")["x"]
-        return flight.with_signals(x=x + np.cumsum(0.05 * random.normal(size=200)))
+        return flight.with_signals(x=x + np.cumsum(0.05 * random.normal(size=100)))
 
     problems = [gb.Problem(Drift(), slow(k), gb.OutputError(inputs="held")) for k in range(2)]
     for problem, place in ((problems[0], ""), (sum(problems[1:], problems[0]), " in 'run ")):
-        warnings = gb.fit(problem, starts=1, progress=False).warnings
+        warnings = gb.fit(problem, starts=1, profiles=False, progress=False).warnings
         text, *_ = (text for text in warnings if "stay correlated" in text)
         assert text.startswith(f"the residuals of x{place}")
         assert text.endswith("use a longer record.")
         time, share = (
             float(x) for x in re.findall(r"about ([\d.]+) s.*only ([\d.]+) times", text)[0]
         )
-        assert time * share == pytest.approx(10, rel=0.05)  # the duration of a record
+        assert time * share == pytest.approx(5, rel=0.1)  # the duration of a record
 
 
 def test_white_residuals_are_not_blamed():
