@@ -46,6 +46,16 @@ def test_white_errors_and_larger_ones_at_the_end_are_weighted_least_squares():
     assert scores[0, 1] - scores[-1, 1] == pytest.approx(logs[0] - logs[1], rel=1e-9)
 
 
+def test_each_of_several_terms_is_judged_as_if_it_were_the_only_one():
+    block = next(blocks())
+    terms = np.random.default_rng(1).normal(size=(40, 3))
+    together = correlated_fits([block], terms)
+    for k in range(3):
+        alone = correlated_fits([block], terms[:, [k]])
+        for value, expected in zip(together, alone, strict=True):
+            assert value[..., [0, 1 + k]] == pytest.approx(expected, rel=1e-9)
+
+
 @pytest.mark.parametrize(
     ("walks", "size", "is_likely"), [(0, 2, False), (0, 0, True), (1, 0, True)]
 )

@@ -24,3 +24,42 @@ def test_signals_have_times_and_units(tmp_path, head):
     np.testing.assert_allclose(record["gyroADC[0]"], rate, atol=1e-6)
     assert record.units["gyroADC[0]"] == record.units["setpoint[0]"] == "deg/s"
     assert not record.units.get("setpoint[3]")
+
+
+def logged(tmp_path, passes=1, settings=SETTINGS):
+    """A loop of 8 kHz, of which one pass in so many is logged."""
+    columns = EXPLORED.replace('"axisP[0]"', '"axisP[0]","axisI[0]","axisF[0]","axisP[2]"')
+    rows = [
+        f"{passes * k},{1000 + 125 * passes * k},4,2,0.5,3,50,-30,1500,1100,ARM" for k in range(400)
+    ]
+    (tmp_path / "log.csv").write_text("\n".join([settings + columns, *rows]) + "\n")
+    return read(tmp_path / "log.csv")["log"]
+
+
+@pytest.mark.parametrize(("passes", "lasts"), [(1, np.inf), (2, 125e-6), (16, 125e-6)])
+def test_what_the_loop_computes_lasts_for_one_pass_of_it(tmp_path, passes, lasts):
+    hold = logged(tmp_path, passes).hold
+    for name in ("axisP[0]", "axisSum[0]", "setpoint[0]", "motor[0]"):
+        assert hold[name] == pytest.approx(lasts)
+    assert hold["gyroADC[0]"] == 0
+    assert "setpoint[3]" not in hold
+
+
+def test_the_control_is_the_sum_of_the_logged_terms(tmp_path):
+    record = logged(tmp_path)
+    assert np.all(record["axisSum[0]"] == 6.5)
+    assert np.all(record["axisSum[2]"] == 3)
+    assert "axisSum[1]" not in record.signals
+
+
+def test_high_resolution_is_in_tenths_of_a_degree(tmp_path):
+    plain = logged(tmp_path)
+    tenths = logged(tmp_path, settings=SETTINGS + '"blackbox_high_resolution","1"\n')
+    for name in ("gyroADC[0]", "setpoint[0]"):
+        assert tenths[name] == pytest.approx(plain[name] / 10)
+    for name in ("setpoint[3]", "axisP[0]"):
+        assert tenths[name] == pytest.approx(plain[name])
+    # Only the settings before the header tell.
+    records = plain, tenths, logged(tmp_path, settings="")
+    doubts = [any("blackbox_high_resolution" in text for text in r.findings) for r in records]
+    assert doubts == [False, False, True]
