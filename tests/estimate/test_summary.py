@@ -1,6 +1,7 @@
 """The numbers of a fit as plain values."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -89,3 +90,17 @@ class Gain(gb.StateSpace):
 
     def output(self, x, u, p):
         return (p.K * u.u,)
+
+
+@pytest.mark.parametrize(("count", "shown"), [(10, range(10)), (11, [10, 9, 8])])
+def test_of_more_than_ten_responses_the_worst_three_are_shown(count, shown):
+    """Response k is off by k + 1 %, and at its point k by twice as much."""
+    off = 0.01 * np.arange(1, count + 1)[:, None] * (1 + np.eye(count, len(DATA)))
+    parts = tuple(
+        replace(FIT.parts[0], name=f"r{k}", response=DATA.response * (1 + off[k]))
+        for k in range(count)
+    )
+    lines = [line for line in str(replace(FIT, parts=parts)).splitlines() if "largest" in line]
+    assert [line.split("largest ")[1] for line in lines] == [
+        f"{2 * (k + 1)} % at {DATA.omega[k]:.4g} rad/s (r{k})" for k in shown
+    ]
