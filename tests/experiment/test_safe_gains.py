@@ -153,6 +153,21 @@ def test_a_response_that_was_measured_poorly_at_the_crossover_is_refused(data):
     assert "In the conditions of 'flight 0', fly sines or a sweep from " in answer.cure
 
 
+def test_a_record_tells_which_crossovers_it_has_excited():
+    """From 1 to 30 rad/s: gains below 0.06 cross below 1.3 rad/s, and those above 0.35 are not safe."""
+    reference = gb.experiment.multisine(1.0, 30.0, 10.0, RATE, signals=["reference"], periods=2)
+    noise = {"noise": {"q": 0.02}, "seed": 1}
+    record = gb.virtual_flight(RateDynamics(), TRUTH, reference, controller=RateLoop(), **noise)
+    problem = gb.Problem(RateDynamics(), record, gb.OutputError(inputs="held"))
+    fit = gb.fit(problem, starts=[TRUTH], profiles=False, progress=False)
+    answer = gb.safe_gains(fit, RateLoop(), {"K_P": (0.05, 0.4)})
+    gains = answer.values["K_P"]
+    assert np.isnan(answer.confidence[gains < 0.06]).all()
+    assert answer.allowed[(gains > 0.12) & (gains < 0.33)].all()
+    assert not answer.allowed[gains > 0.35].any()
+    assert [truly_safe(gain) for gain in (0.33, 0.36)] == [True, False]
+
+
 @pytest.mark.parametrize(
     ("gains", "message"),
     [
