@@ -103,6 +103,7 @@ def test_limits_ellipses_and_quantiles_are_those_of_the_covariance(likely):
     half = t.ppf(0.95, min(band.dof, 1e9)) * band.relative_error
     assert_allclose(np.log(band.magnitude[1] / size), half[0])
     assert_allclose(band.half_width[1], half[1])
+    assert_allclose(band.phase, np.angle(center) + np.array([-half[1], half[1]]))
     away = band.ellipses() - center[:, None]
     both = np.array([away.real, away.imag])
     squares = np.einsum("ink,nij,jnk->nk", both, np.linalg.inv(band.covariance), both)

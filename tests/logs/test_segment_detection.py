@@ -247,13 +247,6 @@ def test_a_test_ended_early_with_less_periods_and_less_time_than_others(short, u
     assert [s.usable for s in found] == [True] * 3 + [usable]
 
 
-@pytest.mark.parametrize(("others", "usable"), [(1, True), (2, False)])
-def test_of_two_sines_neither_is_the_exception(others, usable):
-    omega = 2 * np.pi * 10 / 16
-    found = find_segments(announced([(omega, 16.0)] * others + [(2.0, 8.0)]), message="SINE")
-    assert [s.usable for s in found] == [True] * others + [usable]
-
-
 @pytest.mark.parametrize(("share", "usable"), [(0.48, False), (0.52, True)])
 def test_half_of_the_periods_of_others_are_enough(share, usable):
     omega = 2 * np.pi * 10 / 16

@@ -98,8 +98,6 @@ def test_lengths_are_whole_samples_and_not_less_than_one(rooms, flights):
         gb.compare(one, other, window=1.0)
     with pytest.raises(ValueError, match=r"lead=0.5 s is shorter than a sample"):
         gb.predict(one, record=record, lead=0.5)
-    defaults = held_out.window_lengths(flights[:2], flights[2:], None, None)
-    assert defaults == pytest.approx((1.0, 0.5))
     found = gb.compare(*flights[:2], window=1.03, lead=0.48)
     first = found.predictions["identification"][0][0]
     assert (first.horizon, first.lead) == pytest.approx((1.05, 0.5))
