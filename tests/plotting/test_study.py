@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from scipy.stats import t
 from small_study import SPEEDS
 
 import greybox as gb
@@ -35,6 +36,24 @@ def test_a_trend_has_a_weighted_line_and_its_test(small_study):
     assert trend_figure(study, "T_lag", "K").panels[0].series[0].x == pytest.approx(2.0, rel=0.05)
     with pytest.raises(ValueError, match="no member has the quantity 'mass'"):
         trend_figure(study, "mass", SPEEDS)
+
+
+def test_scatter_beyond_the_errors_widens_the_error_of_a_trend(small_study):
+    """At other speeds the same estimates lie on no line; Student's t by the normal equations."""
+    study = small_study.select(model="Lag", seed=0)
+    points, line = (
+        trend_figure(study, "T_lag", dict(zip(SPEEDS, (1.0, 7.0, 3.0), strict=True)))
+        .panels[0]
+        .series
+    )
+    rows = np.array([points.x, np.ones(3)]).T / (points.high - points.y)[:, None]
+    target = points.y / (points.high - points.y)
+    inverse = np.linalg.inv(rows.T @ rows)
+    left = target - rows @ inverse @ rows.T @ target
+    assert left @ left > 2
+    error = np.sqrt(inverse[0, 0] * (left @ left))  # of one degree of freedom
+    p_value = 2 * t.sf(abs(inverse[0] @ rows.T @ target) / error, 1)
+    assert float(line.name.split("p = ")[1]) == pytest.approx(p_value, rel=0.05)
 
 
 def test_estimates_have_a_row_each_and_costs_are_sorted(small_study):
