@@ -14,10 +14,6 @@ from greybox.compiled.part import ColoredErrors
 from greybox.files.arrays import Array
 from greybox.statistics.residual_spectrum import colored_information
 
-# Degrees of freedom that correlation leaves, at least: twice as many as Student's t needs for a
-# finite variance.
-FEWEST = 4
-
 # Least number of correlation times in the longest stretch: below it, the spectrum is not known well
 # enough. About ten are needed; the correlation time found in so short a record is too short by a
 # fifth in the mean.
@@ -71,7 +67,7 @@ def colored_errors(
     mixing = np.eye(len(weight))
     is_whole = all(np.all(np.all(e, axis=0) | ~np.any(e, axis=0)) for e in residuals)
     if is_whole and np.any(weight != np.diag(np.diag(weight))):
-        whitening, mixing = weight, np.linalg.inv(weight).astype(float)
+        whitening, mixing = weight, np.linalg.inv(weight)
         weighted = [np.tensordot(mixing.T, J, 1) for J in weighted]
         residuals = [whitening @ e for e in residuals]
         initial = [np.tensordot(mixing.T, X, 1) for X in initial]
@@ -79,7 +75,7 @@ def colored_errors(
         shocks = lambda: np.tensordot(whitening, jumps(), 1)  # noqa: E731
         weight = np.eye(len(weight))
 
-    noise = np.asarray(np.linalg.inv(weight.T @ weight), dtype=float)
+    noise = np.linalg.inv(weight.T @ weight)
     effect = colored_information(weighted, directions, residuals, noise, initial, shocks)
     numbers = sum(int(np.count_nonzero(e)) for e in residuals)
 
@@ -122,5 +118,7 @@ def independent_numbers(
     `factor` is the share of the residuals that the parameters absorb, over the share that they
     would absorb of white ones.
     """
-    most = measured / (initial_states + parameters + FEWEST)
+    # Degrees of freedom that correlation leaves, at least: twice as many as Student's t needs for a
+    # finite variance.
+    most = measured / (initial_states + parameters + 4)
     return max(measured / min(factor, max(most, 1.0)), initial_states + 0.5)

@@ -18,9 +18,6 @@ from greybox.compiled.segments import Linearization
 from greybox.files.arrays import Array
 from greybox.modeling.added_terms import factors_of_derivatives
 
-# Numbers of the effects in memory at once: 40 MB. A rod of 100 states has 2700 terms, 300 MB.
-BATCH = 5_000_000
-
 Effect = tuple[Array, Array]
 """What every sample adds to the next state (n, columns) and to the outputs (k, columns)."""
 
@@ -122,7 +119,9 @@ class DisturbedRecord:
 
     def followed_by(self, effects: Iterable[Effect]) -> Array:
         """Return how outputs (k, c, samples) follow effects, with initial states fitted too."""
-        effects, size = iter(effects), max(BATCH // max(self.states.size, 1), 1)
+        # Numbers of the effects in memory at once: 40 MB. A rod of 100 states has 2700 terms, 300
+        # MB.
+        effects, size = iter(effects), max(5_000_000 // max(self.states.size, 1), 1)
         batches = iter(lambda: list(itertools.islice(effects, size)), [])
         return np.concatenate([self._followed_by(batch) for batch in batches], axis=1)
 

@@ -257,8 +257,12 @@ class Program(ABC):
         """Return w at z (p,) for residuals of `ASSUMED_ERROR` of each signal's spread."""
         return np.zeros(0)
 
+    def products(self, z: Array, unknowns: Array, w: Array) -> Array:
+        """Return the products of residuals, see `Trajectory`."""
+        return np.zeros((0, 0))
+
     @abstractmethod
-    def outcome(self, z: Array, unknowns: Array, w: Array) -> tuple[float, Array, bool]:
+    def outcome(self, z: Array, products: Array, w: Array) -> tuple[float, Array, bool]:
         """Return the cost of a solution, the following w, and whether no delay passed a sample."""
 
 

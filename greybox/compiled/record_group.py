@@ -7,6 +7,7 @@ sees parts, one for every problem; `Groups` translates.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import casadi as ca
@@ -14,11 +15,11 @@ import numpy as np
 
 from greybox.compiled.part import Part, Trajectory
 from greybox.compiled.record_part import RecordPart
-from greybox.compiled.residual_covariance import ResidualCovariance
+from greybox.compiled.residual_covariance import ResidualCovariance, diagonal
 from greybox.compiled.sampled_data import joined
 from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Segments
-from greybox.files.arrays import Array, IntArray
+from greybox.files.arrays import Array, IntArray, of_diagonal
 from greybox.files.grouping import grouped
 from greybox.modeling.one_thread import cached_property, one_thread_at_a_time
 
@@ -133,7 +134,37 @@ class Groups:
             for k in lot:
                 is_alone = len(lot) == 1
                 result[k] = t if is_alone else self._all[k].trajectory(t.z, nodes[k])
-        return [result[k] for k in range(len(self._all))]
+        return sharing(self._all, [result[k] for k in range(len(self._all))])
+
+
+def sharing(parts: Sequence[Part], trajectories: Sequence[Trajectory]) -> list[Trajectory]:
+    """Return trajectories with `shared_products`."""
+    products = shared_products(parts, [t.products for t in trajectories])
+    return [replace(t, products=p) for t, p in zip(trajectories, products, strict=True)]
+
+
+def shared_products(parts: Sequence[Part], products: Sequence[Array]) -> list[Array]:
+    """Return the products of the residuals of parts; those of few samples are means of all records.
+
+    With a variance of its own, a record of few samples that chances to be fitted well would decide
+    the estimate. Records share a variance if their model and compared outputs are the same.
+
+    Source: Neyman and Scott (1948), Consistent estimates based on partially consistent
+    observations, Econometrica 16.
+    """
+    result, short = [*products], dict[int, SegmentedPart]()
+    for k, part in enumerate(parts):
+        if isinstance(part, SegmentedPart) and part.few.any():
+            short[k] = part
+    for lot in grouped(short, lambda k: id(short[k].model.steps)):
+        squares = [of_diagonal(products[k]) for k in lot]
+        counts = np.vstack([short[k].few for k in lot])
+        sums = np.sum(np.vstack(squares), axis=0, where=counts > 0)
+        variance = sums / np.maximum(counts.sum(axis=0), 1)
+        for k, own in zip(lot, squares, strict=True):
+            change = short[k].few * variance - own
+            result[k] = products[k] + diagonal(change * (short[k].few > 0))
+    return result
 
 
 def _kind(part: Part, number: int) -> Any:

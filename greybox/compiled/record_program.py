@@ -58,10 +58,13 @@ class RecordProgram(Program):
         """Return the weights of small residuals, and the data at z (p,)."""
         return self._joined(self._part.initial_weight(), self._part.place(z).data)
 
-    def outcome(self, z: Array, unknowns: Array, w: Array) -> tuple[float, Array, bool]:
+    def products(self, z: Array, unknowns: Array, w: Array) -> Array:
+        """Return the products of residuals."""
+        return self._products(z, unknowns, w).full()
+
+    def outcome(self, z: Array, products: Array, w: Array) -> tuple[float, Array, bool]:
         """Return the cost, the weights and data that follow, and whether the data stayed."""
         covariance = self._part.covariance
-        products = self._products(z, unknowns, w).full()
         following = self._joined(covariance.weight(products), self._part.place(z).data)
         # The weights come first; what follows them changes only where a delay passes a sample.
         size = len(self._part.outputs) ** 2

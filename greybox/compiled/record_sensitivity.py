@@ -12,6 +12,7 @@ from greybox.compiled.sampled_data import SampledData
 from greybox.compiled.segmented_part import Placed, SegmentedPart
 from greybox.compiled.segments import Linearization
 from greybox.files.arrays import Array, frozen, of_diagonal
+from greybox.statistics.column_space import triangle_of
 from greybox.statistics.residual_spectrum import LONGEST_CORRECTED
 
 
@@ -78,7 +79,7 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
         rows = np.moveaxis(root, 2, 0).reshape(p, -1)
         # The Jacobian of a long record does not fit into memory, and JᵀJ alone has half of the
         # digits.
-        triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows.T]), mode="r"))
+        triangle = triangle_of(np.vstack([triangle, rows.T]))
         weighted[:, :, batch] = np.einsum("ka,kpcl->apcl", weight, root.transpose(1, 2, 3, 0))
         directions = np.einsum("lknc,cnm->kmcl", J[:, :, :n], initial_directions[batch])
         by_initial[:, :, batch] = np.einsum("ka,kmcl->amcl", weight, directions)
@@ -89,7 +90,7 @@ def sensitivity(part: SegmentedPart, trajectory: Trajectory, weight: Array) -> S
         rows = filter_information(placed.filter, weight, part.compared_samples, active)
         rows = rows @ placed.slope
         squares += (rows**2).sum(axis=0)
-        triangle = np.asarray(np.linalg.qr(np.vstack([triangle, rows]), mode="r"))
+        triangle = triangle_of(np.vstack([triangle, rows]))
         by_covariance = rows.T @ rows
 
     first = by_nodes[data.begins_stretch] * noticed[:, None]

@@ -10,9 +10,6 @@ from greybox.files.arrays import Array, IntArray, all_finite, frozen, of_diagona
 from greybox.files.text_table import listed
 from greybox.formulation.time_criteria import TimeCriterion
 
-# Share of a signal's spread below which residuals are rounding.
-ROUNDING = 1e-9
-
 
 def require_independent(outputs: tuple[str, ...], measured: Array) -> None:
     """Check that the measured outputs (k, samples) are independent.
@@ -60,6 +57,13 @@ class ResidualCovariance:
     predicted: Array | None = None
 
     @property
+    def few(self) -> IntArray:
+        """Samples of outputs (..., k) that are too few for a variance of each record, else zero."""
+        # With 8 in each of 6 or 20 records, intervals of 95 % held in 89 %, and with 12 in 97 %.
+        is_estimated = self.known is None and not self.full
+        return self.counts * (self.counts < 12) * is_estimated
+
+    @property
     def unknowns(self) -> int:
         """Number of variances and covariances that are estimated."""
         if self.known is not None:
@@ -74,8 +78,9 @@ class ResidualCovariance:
             return self.predicted
         if self.known is not None:
             return diagonal(self.known**2)
-        # A perfect fit has no residuals: without a floor its cost would be minus infinity.
-        floor = (ROUNDING * self.spread) ** 2
+        # A perfect fit has no residuals, and without a floor of rounding its cost would be minus
+        # infinity.
+        floor = (1e-9 * self.spread) ** 2
         count = np.maximum(self.counts, 1)
         if not self.full:
             return diagonal(np.maximum(of_diagonal(products) / count, floor))
@@ -103,7 +108,7 @@ class ResidualCovariance:
 
     def weight(self, products: Array) -> Array:
         """Return W (k, k) with WᵀW the inverse of the covariance."""
-        return np.linalg.inv(np.linalg.cholesky(self.covariance(products))).astype(float)
+        return np.linalg.inv(np.linalg.cholesky(self.covariance(products)))
 
     def along(self, measured: Array) -> "ResidualCovariance":
         """Return the covariance for other measured values (k, samples) of the same outputs."""

@@ -29,11 +29,6 @@ from greybox.statistics.neighbor_correlation import (
     neighbor_correlation,
 )
 
-# Information of a part on a direction, over that on its best one, above which it determines it. A
-# single part has all information on every direction. With 0.5, 20 of 90 white responses of a
-# helicopter count as correlated, with 0.1 17, with all directions 36.
-OWN = 0.1
-
 
 @frozen
 class ResponseFunctions:
@@ -239,7 +234,11 @@ class ResponsePart(Part):
             # The residuals lack errors along directions that this part determines. With many
             # parts, each has a small share in most directions, and its residuals keep these errors.
             _, sizes, turns = np.linalg.svd(jacobian[:, : len(root)] @ root, full_matrices=False)
-            own = root @ turns[sizes**2 > OWN * sizes[:1] ** 2].T
+            # Information of a part on a direction, over that on its best one, above which it
+            # determines it. A single part has all information on every direction. With 0.5, 20 of
+            # 90 white responses of a helicopter count as correlated, with 0.1 17, with all
+            # directions 36.
+            own = root @ turns[sizes**2 > 0.1 * sizes[:1] ** 2].T
             neighbors = self.neighbors(values, own, correction)
             if neighbors is None:
                 return None
@@ -309,6 +308,6 @@ class ResponseProgram(Program):
         self.unknowns = self.parameters = self.error = self.equations = ca.MX(0, 1)
         self.cost = part.objective(z, SMOOTHING)
 
-    def outcome(self, z: Array, unknowns: Array, w: Array) -> tuple[float, Array, bool]:
+    def outcome(self, z: Array, products: Array, w: Array) -> tuple[float, Array, bool]:
         """Return the cost without smoothing, and w as it is."""
         return float(self._part.objective(z, 0.0)), w, True

@@ -50,7 +50,6 @@ from greybox.modeling.trim import Trimmed
 Named = Mapping[str, Any]
 ChooseCriterion = Callable[[Problem], Criterion]
 
-MOST_UNKNOWNS = 20  # of a batch
 
 # Compiled problems of the same formulas share what was built for the last ones: some 1 MB a
 # structure. In a study, each has two keys.
@@ -107,7 +106,7 @@ def fits_a_batch(program: ca.Function | None) -> bool:
     """
     if program is None or not program.is_a("SXFunction") or program.numel_out(1):
         return False
-    return program.numel_in(0) <= MOST_UNKNOWNS and instructions(program) <= 50_000
+    return program.numel_in(0) <= 20 and instructions(program) <= 50_000  # of a batch
 
 
 def instructions(program: ca.Function) -> int:

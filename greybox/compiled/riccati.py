@@ -68,7 +68,7 @@ def steady_state_gain(F: Array, C: Array, process: Array) -> Array:
     P = steady_covariance(F, C, np.diag(process))
     if not all_finite(P):
         return np.full((len(F), len(C)), np.nan)
-    return np.linalg.solve(C @ P @ C.T + np.eye(len(C)), C @ P).T.astype(float)
+    return np.linalg.solve(C @ P @ C.T + np.eye(len(C)), C @ P).T
 
 
 @frozen

@@ -90,6 +90,8 @@ class SegmentedPart(Part):
         self.substeps = self.step.substeps
         self.samples = data.samples  # padding of segments included
         self.numbers = int(covariance.counts.sum())
+        # The variances of a filter or of a prior are not estimated.
+        self.few = covariance.few * (not (model.driven or model.is_prior))
         self.unknown_initial_states = int((~self.known_states[data.begins_stretch]).sum())
         self._placed_data: tuple[Array, Array] | None = None
 

@@ -384,7 +384,7 @@ def _product(slopes: Array, S: Array) -> Array:
     """Return the products (a, v, c) of slopes (n, a, c) with sensitivities (n, v, c)."""
     # From twelve states on, products of matrices take less time than sums over segments.
     if len(slopes) <= 12:
-        return np.asarray(np.einsum("jac,jvc->avc", slopes, S))
+        return np.einsum("jac,jvc->avc", slopes, S)
     matrices = np.ascontiguousarray(slopes.T)
     return (matrices @ S.transpose(2, 0, 1)).transpose(1, 2, 0)
 

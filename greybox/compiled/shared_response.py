@@ -39,9 +39,6 @@ from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import dense_jacobian
 from greybox.modeling.trim import trim_of
 
-# Points whose motions are stored: the last and the best one of two searches, and some more.
-STORED = 8
-
 
 @frozen
 class SharedSystem:
@@ -134,7 +131,8 @@ class SineTest:
         self._settings = ca.Function("settings", [z], [settings, slopes])
         self._guess = balance.guess.map(balance.omega.size)
         self._linear = Columns(balance.linear)
-        self.last: deque[tuple[Array, Array, Array]] = deque(maxlen=STORED)
+        # Points whose motions are stored: the last and the best one of two searches, and some more.
+        self.last: deque[tuple[Array, Array, Array]] = deque(maxlen=8)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Leave out the last motions."""

@@ -99,6 +99,6 @@ def _following(pattern: ca.Sparsity, values: Array, by_parameters: Array, slopes
     ends = (np.array(pattern.colind()[1:]) + pattern.nnz() * block).ravel()
     places = (np.array(pattern.row(), dtype=int) + n * block).ravel()
     matrix = csr_matrix((values.T.ravel(), places, np.append(0, ends)), shape=2 * (n * columns,))
-    result = np.asarray(matrix @ slopes.reshape(-1, v)).reshape(slopes.shape)
+    result = (matrix @ slopes.reshape(-1, v)).reshape(slopes.shape)
     result[..., n:] += by_parameters.reshape(v - n, n, columns).T
     return result

@@ -47,12 +47,6 @@ from greybox.statistics.column_space import beside
 from greybox.statistics.neighbor_correlation import UNLIKELY, neighbor_correlation
 from greybox.statistics.score_test import scores_of_powers
 
-# Weights and end terms follow each other: the change of the cost at which they have, and how often
-# at most. Each time the change falls to the share of the numbers that end terms take up, a tenth or
-# less.
-SETTLED = 1e-11
-REWEIGHTINGS = 50
-
 
 @frozen
 class Along:
@@ -452,7 +446,9 @@ def _without_ends(
     if not ends.size:
         return errors, ends
     last, remaining = math.inf, errors
-    for _ in range(REWEIGHTINGS):
+    # Weights and end terms follow each other. Each time the change of the cost falls to the share
+    # of the numbers that end terms take up, a tenth or less.
+    for _ in range(50):
         weight = covariance.weight(remaining @ remaining.T)
         rows = np.einsum("ka,aln->kln", weight, basis).reshape(-1, len(ends))
         size = positive_or_one(np.linalg.norm(rows, axis=0))
@@ -460,7 +456,7 @@ def _without_ends(
         ends = np.linalg.lstsq(rows / size, (weight @ errors).ravel(), rcond=1e-10)[0] / size
         remaining = errors - basis @ ends
         cost = covariance.cost(remaining @ remaining.T)
-        if len(errors) == 1 or not last - cost > SETTLED * errors.size:
+        if len(errors) == 1 or not last - cost > 1e-11 * errors.size:
             break
         last = cost
 

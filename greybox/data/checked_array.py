@@ -11,9 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from greybox.files.arrays import Array, BoolArray
 
-LARGEST = 1e75  # its fourth power is 1e300; floating-point numbers end at 1.8e308
-SMALLEST = 1e-75
-
 
 def checked_array(name: str, values: ArrayLike, kind: type = float) -> NDArray:
     """Return a read-only copy (n,) of measured numbers, in floating point or complex.
@@ -105,4 +102,5 @@ def within_range(values: Array) -> Array:
 def out_of_range(values: NDArray) -> BoolArray:
     """Return which values (n,), real or complex, are too large, or too small but not zero."""
     size = np.abs(values)
-    return (size > LARGEST) | ((size > 0) & (size < SMALLEST))
+    # Its fourth power is 1e300; floating-point numbers end at 1.8e308.
+    return (size > 1e75) | ((size > 0) & (size < 1e-75))

@@ -18,7 +18,7 @@ from greybox.data.checked_array import (
 )
 from greybox.data.intersample import checked_hold
 from greybox.data.pandas_frames import Frame, columns_of, frame_of, require_frame, times_of
-from greybox.files.arrays import Array, IntArray, frozen
+from greybox.files.arrays import Array, IntArray, Values, frozen
 from greybox.files.text_table import all_printable, alternatives, counted, one_line, some, write_out
 
 # A step longer than this number of median steps is a gap, across which nothing is interpolated. One
@@ -91,7 +91,7 @@ class Record:
     filters: Mapping[str, tuple[Any, ...]] = field(
         default_factory=dict, repr=False, metadata=NOT_STORED
     )
-    hold: Mapping[str, float] = field(default_factory=dict, repr=False)
+    hold: Values = field(default_factory=dict, repr=False)
     findings: tuple[str, ...] = field(default=(), metadata=NOT_STORED)
     has_time: bool = True
 
@@ -366,7 +366,7 @@ class Recording(Mapping[str, Record]):
         return len(self.records)
 
     @property
-    def parameters(self) -> Mapping[str, float]:
+    def parameters(self) -> Values:
         """Last value of every parameter of the vehicle; empty if they were not logged."""
         return self.metadata.get("parameters", {})
 

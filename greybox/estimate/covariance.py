@@ -17,6 +17,7 @@ from greybox.estimate.undetermined import (
 from greybox.files.arrays import Array, IntArray, all_finite, frozen, positive_or_one
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.discretization_error import quadratic_model
+from greybox.statistics.column_space import triangle_of
 
 # Singular value of the Jacobian below which a combination is not determined at all, with columns of
 # unit length before the initial states were fitted too.
@@ -410,7 +411,7 @@ def _corrected(part: Information, share: _Share, root: Array) -> PartAccuracy:
 def _root_of_inverse(jacobian: Array, basis: Array) -> Array:
     """Return a square root (p, r) of B⁻¹ within `basis` (p, r), for a root (n, p) of B."""
     # B itself has the squares of the singular values: it loses the digits that a root keeps.
-    return basis @ np.linalg.inv(np.linalg.qr(jacobian @ basis, mode="r")).astype(float)
+    return basis @ np.linalg.inv(triangle_of(jacobian @ basis))
 
 
 def determined_directions(jacobian: Array, active: Array, bounded: IntArray) -> tuple[Array, Array]:
@@ -425,7 +426,7 @@ def determined_directions(jacobian: Array, active: Array, bounded: IntArray) -> 
         _, singular, rows = np.linalg.svd(closed)
         basis = rows[int(np.sum(singular > 1e-12 * singular[0])) :].T
 
-    _, singular, rows = np.linalg.svd(np.linalg.qr(jacobian @ basis, mode="r"), full_matrices=True)
+    _, singular, rows = np.linalg.svd(triangle_of(jacobian @ basis), full_matrices=True)
     rank = int(np.sum(singular > DEAD))
     return basis @ rows[:rank].T, basis @ rows[rank:].T
 

@@ -10,7 +10,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, Values
 from greybox.files.text_table import one_line
 from greybox.formulation.frequency_criteria import MagnitudePhase, evaluate
 from greybox.formulation.input_assumptions import Inputs, described_inputs
@@ -121,7 +121,7 @@ class FittedResponse(FittedPart):
     data: FrequencyResponse
     response: ComplexArray
     curve: FrequencyResponse | None = Curve()  # type: ignore[assignment]
-    at: Mapping[str, float]
+    at: Values
     pade_error: float | None
     sine: Sine | None = None
 
@@ -275,8 +275,8 @@ class FittedSpectrum(FittedPart):
     fitted: Mapping[str, ComplexArray]
     outputs: tuple[str, ...]
     noise: Array
-    ends: Mapping[str, float]
-    at: Mapping[str, float]
+    ends: Values
+    at: Values
 
     @property
     def residuals(self) -> ComplexArray:

@@ -17,14 +17,6 @@ from greybox.files.text_table import counted, number, one_line, text_table, with
 ERROR_GUIDELINE = 0.2
 INSENSITIVITY_GUIDELINE = 0.1
 
-# Largest power in a product of two parameters: a length squared or cubed. In products of more, up
-# to four, only first powers: nobody reads longer ones.
-POWERS = 3
-MEMBERS = 4
-
-# Parameters up to which products of more than two are looked for: a few thousand candidates.
-CANDIDATES = 8
-
 
 @frozen
 class KnownDirections:
@@ -276,8 +268,10 @@ def _combinations(
 def _products(members: Sequence[int]) -> Iterator[dict[int, int]]:
     """Yield candidate powers by place: up to the third for two members, the first for more."""
     # Powers without a common divisor and with a positive first one: others are powers of these.
-    for count in range(2, MEMBERS + 1 if len(members) <= CANDIDATES else 3):
-        highest = POWERS if count == 2 else 1
+    # Among eight parameters, products of up to four are a few thousand candidates.
+    for count in range(2, 5 if len(members) <= 8 else 3):
+        # A length squared or cubed; of products of more than two, nobody reads longer ones.
+        highest = 3 if count == 2 else 1
         powers = [n for n in range(-highest, highest + 1) if n]
         for chosen in product(powers, repeat=count):
             if chosen[0] > 0 and math.gcd(*chosen) == 1:

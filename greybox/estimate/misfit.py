@@ -33,7 +33,13 @@ from greybox.statistics.autoregressive_test import (
     whitened,
     whitening_filters,
 )
-from greybox.statistics.column_space import DEPENDENT, beside, column_basis, outside
+from greybox.statistics.column_space import (
+    DEPENDENT,
+    beside,
+    column_basis,
+    outside,
+    triangle_of,
+)
 from greybox.statistics.score_test import (
     REMAINS,
     chance,
@@ -377,7 +383,7 @@ def _determined(stacks: Sequence[Stack]) -> list[Array]:
         both = whitened(np.hstack([residuals, fitted]), filters, outputs)
         rows.append(both[:, 1:] / (np.sqrt(np.mean(both[:, 0] ** 2)) + TINY))
     # In directions that both determine equally well, whatever the units.
-    unit = np.linalg.pinv(np.linalg.qr(np.vstack(rows), mode="r"))
+    unit = np.linalg.pinv(triangle_of(np.vstack(rows)))
     pairs = [np.linalg.svd(each @ unit, full_matrices=False)[1:] for each in rows]
     # Where a group has less than a tenth of the information, the other one knows the values.
     return [unit @ axes[share**2 > 0.1].T for share, axes in pairs]
@@ -664,7 +670,7 @@ def _lines(measured: BoolArray) -> Array:
     """Return a constant and a straight line (n k, 2 k) for every output of a stretch (k, n)."""
     outputs, samples = measured.shape
     line = np.vander(np.linspace(-1, 1, samples), 2)
-    return np.asarray(np.kron(line, np.eye(outputs)) * measured.T.reshape(-1, 1), dtype=float)
+    return np.kron(line, np.eye(outputs)) * measured.T.reshape(-1, 1)
 
 
 def _on_excerpts(

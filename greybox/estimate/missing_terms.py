@@ -544,7 +544,7 @@ def _filtered(piece: Array, step: float, b: Any, a: Any) -> Array:
     moved = np.convolve(piece - piece[0], b)[: len(piece)]
     bands = np.repeat(np.array(a)[:, None], len(piece), axis=1)
     (tbsv,) = get_blas_funcs(("tbsv",), (bands,))
-    return np.asarray(tbsv(len(a) - 1, bands, moved, lower=1))
+    return tbsv(len(a) - 1, bands, moved, lower=1)
 
 
 # What a response gets at s (n,), relative to it, with levels that a fit can refine.

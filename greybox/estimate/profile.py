@@ -40,7 +40,6 @@ from greybox.solve.runs import Outcome
 
 # Share of the limit of |r| from point to point: three points to a crossing show a curve.
 STEP = 0.35
-BEYOND = 1.2  # multiple of the limit up to which a profile is computed: it encloses the crossing
 GROWTH = 3.0  # largest change of a step
 
 
@@ -460,7 +459,8 @@ class _Search:
             if math.isinf(rise):
                 return points, "failed"
             points.append(point)
-            if direction * self.root(point) > BEYOND * limit:
+            # Multiple of the limit up to which a profile is computed: it encloses the crossing
+            if direction * self.root(point) > 1.2 * limit:
                 return points, "crossed"
             # So far, a cost that does not change is followed.
             if abs(value - self.best.value) > 1e6 * self.size:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.files.arrays import Array
+from greybox.statistics.column_space import triangle_of
 
 BLIND = 1e-5  # share of an invisible direction above which a quantity has no standard error
 
@@ -97,7 +98,7 @@ def collinear_groups(
             limits / np.maximum(limit_length, 1e-300),
         ]
     )
-    _, singular, rows = np.linalg.svd(np.linalg.qr(unit, mode="r"), full_matrices=True)
+    _, singular, rows = np.linalg.svd(triangle_of(unit), full_matrices=True)
     singular = np.concatenate([singular, np.zeros(len(rows) - len(singular))])
     # The smallest singular values belong to the invisible directions, which have groups already.
     seen = len(rows) - round(float(np.sum(invisible[inside] ** 2)))

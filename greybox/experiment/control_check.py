@@ -13,9 +13,6 @@ from greybox.experiment.controller import Controller, updated
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.symbolic_reading import entries_by_name
 
-LATEST = 3  # samples by which a logged setpoint may precede the control that it belongs to
-SETTLED = 1.0  # s, until filters have forgotten that they began at zero
-PASSES = 24000  # of the loop, a minute at 400 Hz: more would not change the answer
 THINNED = 1.2  # rate of the loop over that of the log, above which passes are missing
 
 # Shares of the control. A tenth is 1 dB of loop gain or 6 degrees of phase, as much as a good
@@ -76,7 +73,8 @@ def check_controller(controller: Controller, record: Record) -> ControlCheck:
         If the control does not change, or if half of it is not reproduced.
     """
     passes = controller.rate * record.step
-    record = record.rows(slice(max(int(PASSES / max(passes, 1)), 2)))
+    # Of the loop, a minute at 400 Hz: more would not change the answer
+    record = record.rows(slice(max(int(24000 / max(passes, 1)), 2)))
     time, name = record.time, controller.outputs[0]
     logged = record[name]
     rows = [record[n] for n in controller.inputs]
@@ -88,14 +86,16 @@ def check_controller(controller: Controller, record: Record) -> ControlCheck:
         rows = [np.asarray(spline(grid)).ravel() for spline in splines]
     simulate = _compiled(controller).mapaccum("flown", len(grid))
 
-    settled = time > time[0] + min(SETTLED, record.duration / 2)
+    # s, until filters have forgotten that they began at zero
+    settled = time > time[0] + min(1.0, record.duration / 2)
     size = float(np.std(logged[settled]))
     if not size > 0:
         raise ValueError(f"the logged control {name} does not change: the loop was open.")
     delayed = [n for n in controller.setpoints if n in record.signals]
     names = (*controller.inputs, *controller.setpoints)
     best, late = math.inf, {}
-    for samples in itertools.product(range(LATEST + 1), repeat=len(delayed)):
+    # Samples by which a logged setpoint may precede the control that it belongs to
+    for samples in itertools.product(range(4), repeat=len(delayed)):
         trial = dict(zip(delayed, samples, strict=True))
         shifted = [np.roll(row, trial.get(n, 0)) for n, row in zip(names, rows, strict=True)]
         _, control = simulate(controller.initial, np.array(shifted))

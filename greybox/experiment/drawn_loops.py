@@ -3,7 +3,7 @@
 Begin with `drawn_loops`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from greybox.estimate.fitted_part import FittedResponse
 from greybox.estimate.result import Fit
 from greybox.experiment.controller import Controller
 from greybox.experiment.sampled_loop import SampledLoop, sampled_loop
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Values
 from greybox.modeling.model import Model
 
 DRAWS = 512  # a quantile of 2.5 % is then known to 4 % of a standard error
@@ -24,9 +24,9 @@ BESIDE = slice(DRAWN.stop, None)  # those that differ in what the data do not de
 def drawn_loops(
     plant: Fit | Model,
     controller: Controller | Sequence[Controller],
-    values: Mapping[str, float] | None = None,
+    values: Values | None = None,
     *,
-    at: Mapping[str, float] | None,
+    at: Values | None,
     part: int,
 ) -> SampledLoop:
     """Return the loops of the estimate, of draws from its distribution, and of plants near it.

@@ -6,7 +6,7 @@ import numpy as np
 
 from greybox.compiled.compiled_problem import compile_problem
 from greybox.estimate.covariance import assess, propagate
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array, Values, frozen
 from greybox.files.text_table import text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.sum import Sum
@@ -32,8 +32,8 @@ class ExpectedErrors:
     units : mapping of name to str
     """
 
-    values: Mapping[str, float]
-    standard_error: Mapping[str, float]
+    values: Values
+    standard_error: Values
     information: Array
     undetermined: tuple[str, ...]
     units: Mapping[str, str]
@@ -58,7 +58,7 @@ class ExpectedErrors:
         return "\n".join(lines)
 
 
-def expected_errors(problem: Problem | Sum, values: Mapping[str, float]) -> ExpectedErrors:
+def expected_errors(problem: Problem | Sum, values: Values) -> ExpectedErrors:
     """Return the standard errors that a fit of this problem would have if these were its estimates.
 
     They follow from the Fisher information as those of a fit do, with the noise of the residuals at

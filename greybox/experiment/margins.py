@@ -26,7 +26,7 @@ from greybox.experiment.loop_numbers import (
     refined,
 )
 from greybox.experiment.sampled_loop import DOT, SampledLoop
-from greybox.files.arrays import Array, ComplexArray, frozen
+from greybox.files.arrays import Array, ComplexArray, Values, frozen
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import listed, number, one_line, text_table
 from greybox.modeling.model import Model, require_known
@@ -214,11 +214,11 @@ class Margins:
 def margins(  # noqa: PLR0913  (what is in the loop, and where to break it)
     plant: Fit | Model | FrequencyResponse,
     controller: Controller | Sequence[Controller] | None = None,
-    values: Mapping[str, float] | None = None,
+    values: Values | None = None,
     *,
     broken_at: str = "",
     tracking: tuple[str, str] | None = None,
-    at: Mapping[str, float] | None = None,
+    at: Values | None = None,
     part: int = 0,
     level: float = 0.95,
     boundary: Sequence[tuple[float, float]] = (),

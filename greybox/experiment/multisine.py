@@ -112,7 +112,7 @@ def _phases(harmonics: IntArray) -> Array:
         outcome = minimize(
             norm, phases, args=(p,), jac=True, method="L-BFGS-B", options={"maxiter": 100}
         )
-        phases = np.asarray(outcome.x)
+        phases = outcome.x
     return _from_zero(harmonics, phases, count)
 
 

@@ -79,7 +79,7 @@ def shares(informations: Array, wanted: Array) -> Array:
     def with_slope(w: Array) -> tuple[Array, Array]:
         inverse = np.linalg.inv(np.tensordot(w, informations, 1) + floor)
         slope = -np.einsum("ij,njk,ki->in", inverse, informations, inverse)
-        return np.asarray(np.diag(inverse)[matters], dtype=float), slope[matters]
+        return np.diag(inverse)[matters], slope[matters]
 
     # The times with the smallest sum. The unit of time is the one in which equal shares of one
     # suffice: the variances are then of size one, as SLSQP expects.

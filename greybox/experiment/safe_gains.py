@@ -20,7 +20,7 @@ from greybox.experiment.controller import Controller
 from greybox.experiment.drawn_loops import drawn_loops
 from greybox.experiment.loop_numbers import loop_frequencies, margin_numbers
 from greybox.experiment.sampled_loop import SampledLoop, linear_controller
-from greybox.files.arrays import Array, BoolArray, frozen
+from greybox.files.arrays import Array, BoolArray, Values, frozen
 from greybox.files.json_numbers import plain
 from greybox.files.text_table import listed, number, one_line, text_table
 from greybox.modeling.model import Names, require_known
@@ -71,10 +71,10 @@ class SafeGains:
     values: Mapping[str, Array]
     confidence: Array = field(repr=False)
     bandwidth: Array = field(repr=False)
-    today: Mapping[str, float]
+    today: Values
     today_confidence: float
     today_bandwidth: float
-    requirements: Mapping[str, float]
+    requirements: Values
     cure: str
     notes: tuple[str, ...]
 
@@ -154,7 +154,7 @@ def safe_gains(  # noqa: PLR0913  (the requirements, and for which loops)
     delay: float = 0.0,
     level: float = 0.95,
     broken_at: str = "",
-    at: Mapping[str, float] | None = None,
+    at: Values | None = None,
     parts: Sequence[int] = (0,),
 ) -> SafeGains:
     """Return which gains meet requirements on the margins with a stated confidence.
@@ -260,7 +260,7 @@ def _judged(
     part: int,
     loops: SampledLoop,
     laws: Sequence[Sequence[Controller]],
-    wanted: Mapping[str, float],
+    wanted: Values,
     broken_at: str,
 ) -> tuple[Array, Array, str]:
     """Return confidence and bandwidth (sets,) of a flight, and the cure of poor measurements."""

@@ -5,7 +5,7 @@ after a delay of any fraction of a sample. A loop holds many plants at once, one
 the parameters.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Literal, NamedTuple
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.experiment.controller import Controller, connected, run_controllers, sensors_of
-from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, frozen
+from greybox.files.arrays import Array, BoolArray, ComplexArray, IntArray, Values, frozen
 from greybox.modeling.held_inputs import held_response
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -224,7 +224,7 @@ def sampled_loop(
     values: Array,
     controller: Controller | Sequence[Controller] | None,
     *,
-    at: Mapping[str, float] | None = None,
+    at: Values | None = None,
     measured: Sequence[str] = (),
     rate: float | None = None,
     delay_has: Literal["hold", "nothing"] = "nothing",
@@ -284,7 +284,7 @@ def sampled_loop(
 
 @one_thread_at_a_time
 def _plants(
-    model: Model, system: Dynamics, sensors: tuple[str, ...], values: Array, at: Mapping[str, float]
+    model: Model, system: Dynamics, sensors: tuple[str, ...], values: Array, at: Values
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Return A, B, and C, D of the sensors, and the delays (plants, inputs)."""
     # One mapped call for all plants: a call for each takes a quarter of the time of margins.
@@ -297,7 +297,7 @@ def _plants(
 
 
 def _continuous(
-    model: Model, system: Dynamics, sensors: tuple[str, ...], at: Mapping[str, float]
+    model: Model, system: Dynamics, sensors: tuple[str, ...], at: Values
 ) -> ca.Function:
     """Return the function from parameters to A, B, and C, D of the sensors, and the delays."""
     x, u, p = system.symbols

@@ -4,7 +4,7 @@ Begin with `plan_sines`.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import field
 from typing import NamedTuple
 
@@ -19,7 +19,7 @@ from greybox.experiment.excitation import NOTHING, Excitation
 from greybox.experiment.optimal_design import require_determined, shares, time_needed
 from greybox.experiment.sampled_loop import sampled_loop
 from greybox.experiment.sines import sine_schedule
-from greybox.files.arrays import Array, ComplexArray, IntArray, frozen
+from greybox.files.arrays import Array, ComplexArray, IntArray, Values, frozen
 from greybox.files.text_table import text_table
 from greybox.formulation.frequency_criteria import MaximumLikelihood
 from greybox.formulation.problem import Problem
@@ -76,13 +76,13 @@ class SinePlan:
     amplitude: Array
     duration: Array
     limited_by: tuple[str, ...]
-    standard_error: Mapping[str, float]
-    wanted: Mapping[str, float]
+    standard_error: Values
+    wanted: Values
     flight_time: float
     signal: str
     unit: str
     rate: float
-    settings: Mapping[str, float] = field(repr=False)
+    settings: Values = field(repr=False)
 
     def __str__(self) -> str:
         sines = [
@@ -128,8 +128,8 @@ class SinePlan:
 
 def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     model: Model,
-    values: Mapping[str, float],
-    wanted: Mapping[str, float],
+    values: Values,
+    wanted: Values,
     *,
     band: tuple[float, float],
     amplitude: float,
@@ -138,13 +138,13 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
     output: str = "theta",
     excitation: str = "reference",
     controller: Controller | Sequence[Controller] | None = None,
-    limits: Mapping[str, float] = NOTHING,
+    limits: Values = NOTHING,
     rate: float = 100.0,
     periods: int = 10,
     lead_in: float = 2.0,
     pause: float = 2.0,
     unit: str = "rad",
-    fixed: Mapping[str, float] = NOTHING,
+    fixed: Values = NOTHING,
 ) -> SinePlan:
     """Plan sines that reach the wanted standard errors in the shortest flight.
 
@@ -245,8 +245,8 @@ def plan_sines(  # noqa: PLR0913 - each is one fact of the test card
 
 def _require_valid(
     band: tuple[float, float],
-    wanted: Mapping[str, float],
-    positive: Mapping[str, float],
+    wanted: Values,
+    positive: Values,
 ) -> None:
     if not 0 < band[0] < band[1]:
         raise ValueError(f"band={band!r} must be two frequencies in rad/s, the lower one first.")
@@ -259,7 +259,7 @@ def _require_valid(
 
 def _gains(
     model: Model,
-    values: Mapping[str, float],
+    values: Values,
     omega: Array,
     signals: Sequence[str],
     excitation: str,
@@ -278,10 +278,10 @@ def _gains(
 
 def _sensitivities(
     model: Model,
-    values: Mapping[str, float],
+    values: Values,
     omega: Array,
     signals: tuple[str, str],
-    fixed: Mapping[str, float],
+    fixed: Values,
 ) -> tuple[CompiledProblem, ComplexArray]:
     """Return the compiled problem, and the derivatives (n, p) by its free parameters."""
     exact = frequency_response(model, values, omega, input=signals[0], output=signals[1])
@@ -297,7 +297,7 @@ def _sensitivities(
 def noise_density(
     noise: float | Record,
     model: Model,
-    values: Mapping[str, float],
+    values: Values,
     omega: Array,
     signals: tuple[str, str],
     rate: float,

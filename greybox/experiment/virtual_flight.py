@@ -18,7 +18,7 @@ from greybox.data.record import Record
 from greybox.experiment.controller import Controller, connected, run_controllers, sensors_of
 from greybox.experiment.excitation import NOTHING, Excitation
 from greybox.experiment.sampled_loop import measured_signal
-from greybox.files.arrays import Array, all_finite, frozen
+from greybox.files.arrays import Array, Values, all_finite, frozen
 from greybox.modeling.integrators import RungeKutta
 from greybox.modeling.model import Model, require_known
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -36,13 +36,13 @@ ADDED = "_excitation"  # suffix of the excitation of a signal
 
 def virtual_flight(  # noqa: PLR0913 - one keyword for each choice of the experiment
     model: Model,
-    values: Mapping[str, float] | None,
+    values: Values | None,
     excitation: Excitation | Mapping[str, ArrayLike],
     *,
     controller: Controller | Sequence[Controller] | None = None,
-    noise: Mapping[str, float] = NOTHING,
-    process_noise: Mapping[str, float] = NOTHING,
-    initial: Mapping[str, float] = NOTHING,
+    noise: Values = NOTHING,
+    process_noise: Values = NOTHING,
+    initial: Values = NOTHING,
     rate: float | None = None,
     seed: int = 0,
     name: str = "",
@@ -184,7 +184,7 @@ class _Loop:
     excited: tuple[str, ...]
     measured: tuple[str, ...]
     forced: tuple[str, ...]
-    initial: Mapping[str, float]
+    initial: Values
 
     @cached_property
     def delays(self) -> tuple[list[int], list[float]]:
@@ -350,7 +350,7 @@ def _as_excitation(given: Excitation | Mapping[str, ArrayLike], rate: float | No
 
 
 def _checked(
-    what: str, given: Mapping[str, float], places: Sequence[str], low: float = -math.inf
+    what: str, given: Values, places: Sequence[str], low: float = -math.inf
 ) -> dict[str, float]:
     """Return numbers by name once names and sizes are right."""
     require_known(given, places, "place for", what)
@@ -363,9 +363,7 @@ def _checked(
     return {n: float(v) for n, v in given.items()}
 
 
-def _draws(
-    seed: int, stream: int, names: Sequence[str], deviation: Mapping[str, float], count: int
-) -> Array:
+def _draws(seed: int, stream: int, names: Sequence[str], deviation: Values, count: int) -> Array:
     """Return white noise of these standard deviations, (k, count)."""
     require_whole("seed", seed, 0)
     drawn = np.random.default_rng([int(seed), stream]).standard_normal((len(names), count))

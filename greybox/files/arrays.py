@@ -1,5 +1,6 @@
-"""Types of numpy arrays and of values with arrays; tests and parts of arrays, and divisors."""
+"""Types of arrays and of named numbers; tests, parts and divisors of arrays."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, TypeVar, dataclass_transform
 
@@ -10,6 +11,7 @@ Array = NDArray[np.floating]
 ComplexArray = NDArray[np.complexfloating]
 BoolArray = NDArray[np.bool_]
 IntArray = NDArray[np.integer]
+Values = Mapping[str, float]  # by the names of parameters or signals
 
 Kind = TypeVar("Kind")
 

@@ -27,10 +27,6 @@ SMALL = 2**24
 EXPANSION = 100
 # Bytes that the process may use beyond those of its libraries and of the arrays.
 MEMORY = 2**27
-# Processor time: s, and more for a large file at bytes per s. HDF5 and MATLAB files of arrays run
-# at 200 MB/s, compressed ones and those of many small objects at 10 MB/s.
-SECONDS = 0.6
-SPEED = 4e6
 MOST = 20_000  # arrays; even an empty one costs a header
 LINKS = 50_000  # in all groups of a file
 DEEPEST = 8  # structs within structs, groups within groups
@@ -269,7 +265,9 @@ def limit_resources(size: int, room: int) -> None:
         return
     # A crash leaves no image of the memory on the disk.
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    signal.setitimer(signal.ITIMER_PROF, SECONDS + size / SPEED)
+    # Processor time, at 4 MB/s: HDF5 and MATLAB files of arrays run at 200 MB/s, compressed ones
+    # and those of many small objects at 10 MB/s.
+    signal.setitimer(signal.ITIMER_PROF, 0.6 + size / 4e6)
     # An array is in memory as it is stored, as it is written, and once more on the way.
     most = _memory() + MEMORY + 3 * room
     _, hard = resource.getrlimit(resource.RLIMIT_AS)

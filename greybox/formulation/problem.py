@@ -15,7 +15,7 @@ import numpy as np
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Record, Recording
 from greybox.data.transient_spectrum import TransientSpectrum
-from greybox.files.arrays import frozen
+from greybox.files.arrays import Values, frozen
 from greybox.files.text_table import one_line
 from greybox.formulation.frequency_criteria import Criterion, RelativeError
 from greybox.formulation.held_estimate import HeldEstimate, shared_parameters
@@ -169,13 +169,13 @@ class Problem(Addable, metaclass=_OneOrSeveral):
     tied: Mapping[str, ParameterFormula] = field(default_factory=dict)
     constraints: Sequence[ParameterFormula] = ()
     delay: str = "exact"
-    at: Mapping[str, float] = field(default_factory=dict)
+    at: Values = field(default_factory=dict)
     rename: Mapping[str, str] = field(default_factory=dict)
     weight: float = 1.0
     name: str = ""
     amplitude: Sine = None  # type: ignore[assignment]
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    start: Mapping[str, float] = field(default_factory=dict)
+    start: Values = field(default_factory=dict)
     starts: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     prior: Mapping[str, Knowledge] | HeldEstimate = field(default_factory=dict)
 

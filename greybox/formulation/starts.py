@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Values
 from greybox.files.text_table import counted, one_line
 from greybox.modeling.parameter import Parameter, is_finite_number, require_whole
 
@@ -89,7 +89,7 @@ def _sobol_points(dimensions: int, power: int, seed: int) -> Array:
 class Listed(Starts):
     """Starts as mappings of name to value; other parameters begin at their declared start."""
 
-    points: Sequence[Mapping[str, float]] = field(default=({},))
+    points: Sequence[Values] = field(default=({},))
 
     @property
     def number(self) -> int:
@@ -159,7 +159,7 @@ class Chained(Starts):
         return np.concatenate([rule.draw(parameters) for rule in self.rules])
 
 
-AnyStarts = int | Starts | Sequence[Mapping[str, float] | Starts]
+AnyStarts = int | Starts | Sequence[Values | Starts]
 """A number of starts, a rule, or a list of points and rules."""
 
 

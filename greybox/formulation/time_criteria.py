@@ -39,7 +39,8 @@ class TimeCriterion(AnyCriterion):
     noise : "diagonal", "full", or mapping of output to standard deviation
         Variances or a full covariance estimated with the parameters (maximum likelihood: the cost
         is the logarithm of the determinant of the residual covariance), or known standard
-        deviations in the units of the outputs.
+        deviations in the units of the outputs. Every record has variances of its own; those with
+        fewer than 12 samples of an output share one if they have the same model and outputs.
     inputs : "record", "linear" or "held"
         How inputs run between their samples: as the record says (`Record.hold`; an unknown input is
         assumed to be linear, which the result states), or all linear, or all held. If a held input

@@ -18,9 +18,7 @@ from greybox.study.study import shown
 from greybox.validation.compare import compare
 from greybox.validation.comparison import HELD_OUT, Comparison
 
-OVERLAID = 6  # fits in one figure: there are six colors
 GRADES = {"good": "good", "doubt": "in doubt", "poor": "poor", "failed": "failed"}
-WIDE = 12  # columns of estimates above which structures have tables of their own
 
 
 def comparison_section(entries: Sequence[Entry], comparison: Comparison | None) -> list[Element]:
@@ -28,7 +26,7 @@ def comparison_section(entries: Sequence[Entry], comparison: Comparison | None) 
     converged = [(e.label, e.fit) for e in entries if e.fit is not None and e.fit.converged]
     labels, fits = [label for label, _ in converged], [fit for _, fit in converged]
     # More curves than colors cannot be distinguished.
-    few = 2 <= len(fits) <= OVERLAID
+    few = 2 <= len(fits) <= 6  # fits in one figure: there are six colors
     content = list(_estimates(entries))
     if comparison is None and few:
         try:
@@ -75,7 +73,8 @@ def _estimates(entries: Sequence[Entry]) -> Iterator[Element]:
     names = dict.fromkeys(name for entry in estimated for name in entry.answer["standard_error"])
     if names:
         yield tag("h3", "Estimates with standard errors")
-    is_wide = len(names) > WIDE
+    # Columns of estimates above which structures have tables of their own
+    is_wide = len(names) > 12
     for group in grouped(estimated, lambda e: is_wide and tuple(e.answer["standard_error"])):
         columns = group[0].answer["standard_error"] if is_wide else names
         rows = [[Cell(e.label), *_estimate_cells(e.answer, columns)] for e in group]

@@ -12,7 +12,7 @@ from scipy.optimize import minimize_scalar
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, Values
 from greybox.files.text_table import counted
 from greybox.identification.selection import (
     UNSTABLE,
@@ -32,21 +32,11 @@ from greybox.regression.levy import coefficients, ratio, reweighted
 from greybox.regression.poles_and_zeros import near_pairs, root_text
 
 POLES = 4  # beside the integrators; more can seldom be distinguished in two decades of frequency
-ZEROS = 2
-INTEGRATORS = 2
-
-# Structures whose BIC by weighted linear least squares is this far behind the least are not fitted
-# again, nor those behind two of their size: for random vehicles, least squares come within 1 of the
-# least chi-square (`benchmarks/random_vehicles.py`).
-FAR_BEHIND = 10.0
-OF_ONE_SIZE = 2
 
 # Delays from zero to the one that turns the phase by this angle at the highest frequency, rad, are
 # tried first: more than one turn, in steps narrower than a minimum.
 TURN = 8.0
 DELAYS = 16
-
-REWEIGHTED = 8  # times, after which the coefficients of Sanathanan and Koerner settle
 
 
 @dataclass(frozen=True)
@@ -72,7 +62,7 @@ class LinearFit(NamedTuple):
     """BIC at the best delay; coefficients for it and its neighbors."""
 
     bic: float
-    starts: Sequence[Mapping[str, float]]
+    starts: Sequence[Values]
 
 
 def linear_fits(
@@ -155,12 +145,13 @@ def select_orders(
         chain.from_iterable(stated.values()), [*names, "T_delay"], "parameter", "the grid"
     )
     least = min(fit.bic for fit in linear.values())
+    # The others are not fitted again: for random vehicles, least squares come within 1 of the least
+    # chi-square (`benchmarks/random_vehicles.py`). Nor are those behind two of their size.
     near = [
         orders
         for orders, (bic, _) in linear.items()
-        if bic - least <= FAR_BEHIND
-        and sum(linear[o].bic < bic for o in linear if o.parameters == orders.parameters)
-        < OF_ONE_SIZE
+        if bic - least <= 10.0
+        and sum(linear[o].bic < bic for o in linear if o.parameters == orders.parameters) < 2
     ]
 
     candidates, undelayed = [], []
@@ -203,9 +194,9 @@ def orders_of(
     """Return the structures of a grid; see `select_orders`."""
     return [
         Orders(order, zeros, count, delay)
-        for count in integrators or range(INTEGRATORS + 1)
+        for count in integrators or range(3)
         for order in n or range(max(count, 1), count + POLES + 1)
-        for zeros in m or range(ZEROS + 1)
+        for zeros in m or range(3)
         if zeros < order and count <= order
     ]
 
@@ -220,7 +211,7 @@ def _before(response: FrequencyResponse, through: Sequence[TransferFunction]) ->
     )
 
 
-def _polynomials(orders: Orders, values: Mapping[str, float]) -> tuple[list[float], list[float]]:
+def _polynomials(orders: Orders, values: Values) -> tuple[list[float], list[float]]:
     """Return numerator and denominator, the highest power first."""
     numerator = [values[f"b{k}"] for k in range(orders.m, -1, -1)]
     return numerator, [1.0, *(values.get(f"a{k}", 0.0) for k in range(orders.n - 1, -1, -1))]
@@ -267,7 +258,8 @@ def _at_delays(
     response = data.response * np.exp(1j * data.omega * delays[:, None])
     weight = np.broadcast_to(1 / size, response.shape)
     structure = (orders.n, orders.m, orders.integrators)
-    fractions = zip(*reweighted(data.omega, response, structure, weight, REWEIGHTED), strict=True)
+    # The coefficients of Sanathanan and Koerner settle in eight times.
+    fractions = zip(*reweighted(data.omega, response, structure, weight, 8), strict=True)
     fits = []
     for fraction, turned, delay in zip(fractions, response, delays, strict=True):
         error = (ratio(*fraction[:2], data.omega) - turned) / size
@@ -280,7 +272,7 @@ def _at_delays(
 def _candidate(
     responses: Sequence[FrequencyResponse],
     orders: Orders,
-    starts: Sequence[Mapping[str, float]],
+    starts: Sequence[Values],
     through: Sequence[TransferFunction],
     stated: Mapping[str, Any],
 ) -> Candidate:

@@ -27,7 +27,6 @@ LIMITS = ((3.0, 0.05), (1.5, 0.3))
 # An unstable pole must be paid for by strong evidence (Kass and Raftery 1995): beside a zero, it
 # imitates noise, and few vehicles have one.
 UNSTABLE = "unstable pole"
-STRONG = 6.0
 
 
 @frozen
@@ -174,7 +173,7 @@ def select(candidates: Sequence[Candidate], note: str = "") -> Selection:
     bic = [
         2 * c.fit.cost / inflation
         + count_unknowns(c.fit) * math.log(numbers)
-        + STRONG * any(remark.startswith(UNSTABLE) for remark in c.remarks)
+        + 6.0 * any(remark.startswith(UNSTABLE) for remark in c.remarks)
         if c.fit.converged
         else math.nan
         for c in candidates

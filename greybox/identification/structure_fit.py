@@ -13,9 +13,8 @@ from greybox.formulation.signal_units import as_the_only_pair
 from greybox.formulation.sum import Sum
 from greybox.modeling.model import Model
 
-# A bound that holds a parameter is moved by this factor, at most so often: six decades in all.
+# A bound that holds a parameter is moved by this factor, at most three times: six decades in all.
 FACTOR = 100.0
-WIDENINGS = 3
 
 # The starts of least squares are close to a minimum. IPOPT would otherwise begin by moving toward
 # the middle between the bounds, which are decades apart.
@@ -83,7 +82,7 @@ def fit_within_far_bounds(
         result = fit(problem, points, solver_options=NEAR_MINIMUM, profiles=False, progress=False)
         held = [q for q in result.quantities if q.at_bound and q.name not in of_user]
         wider = {q.name: moved for q in held if (moved := _wider(q)) != q.bounds}
-        if not wider or widenings == WIDENINGS:
+        if not wider or widenings == 3:
             return result
         options["bounds"] |= wider
         widenings += 1

@@ -1,6 +1,5 @@
 """A model and its values as polynomials in s, as matrices, and as an ODE with numbers in it."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,7 +7,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Values
 from greybox.modeling.linearization import LinearSystem, linearize
 from greybox.modeling.model import Model, pick_signals
 from greybox.modeling.one_thread import one_thread_at_a_time
@@ -33,8 +32,8 @@ class GivenModel:
     """
 
     model: Model
-    values: Mapping[str, float]
-    at: Mapping[str, float]
+    values: Values
+    at: Values
     name: str = ""
 
     def converted(
@@ -99,7 +98,7 @@ class GivenModel:
             self._require_no_delay(dict(zip(system.inputs, delays, strict=True)))
         return system, p
 
-    def _require_no_delay(self, delays: Mapping[str, float]) -> None:
+    def _require_no_delay(self, delays: Values) -> None:
         for name, delay in delays.items():
             if delay:
                 raise ValueError(
@@ -109,9 +108,7 @@ class GivenModel:
                 )
 
 
-def given_model(
-    thing: Any, values: Mapping[str, float] | None, at: Mapping[str, float] | None, part: int = 0
-) -> GivenModel:
+def given_model(thing: Any, values: Values | None, at: Values | None, part: int = 0) -> GivenModel:
     """Return the model of a `Fit` at its estimate, or a model with values of its parameters.
 
     Raises

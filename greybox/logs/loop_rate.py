@@ -19,14 +19,13 @@ SDLOG_PROFILE at https://docs.px4.io/main/en/advanced_config/parameter_reference
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from greybox.data.frequency_response import FrequencyResponse
 from greybox.data.record import Recording, median_step
-from greybox.files.arrays import Array, ComplexArray
+from greybox.files.arrays import Array, ComplexArray, Values
 from greybox.logs.ardupilot.filters import CONTROLLERS
 
 PX4_LOOP = "IMU_GYRO_RATEMAX"
@@ -140,7 +139,7 @@ def _differences(per_pass: float, kept: int) -> tuple[float, float]:
     )
 
 
-def remaining_alternation(parameters: Mapping[str, float], axis: str, loop: float) -> float:
+def remaining_alternation(parameters: Values, axis: str, loop: float) -> float:
     """Return the share of an alternation from pass to pass that the filter of the D term leaves."""
     cutoff = _of_controller(parameters, axis, "FLTD")
     # The gain of a first-order low-pass filter at half of the rate of the loop.
@@ -158,12 +157,12 @@ def low_pass(order: int, cutoff: float, omega: Array) -> ComplexArray:
     return freqs(*polynomials, omega)[1]  # type: ignore[arg-type]
 
 
-def _of_controller(parameters: Mapping[str, float], axis: str, name: str) -> float:
+def _of_controller(parameters: Values, axis: str, name: str) -> float:
     """Return a parameter of ArduPilot's rate controller of an axis; 0 if it is not in the log."""
     return parameters.get(f"ATC_RAT_{CONTROLLERS.get(axis, '')}_{name}", 0)
 
 
-def _cure(parameters: Mapping[str, float], mode: str) -> str:
+def _cure(parameters: Values, mode: str) -> str:
     """Return how to log every pass."""
     if parameters.get("LOG_FILE_RATEMAX", 0) > 0:
         return f"set LOG_FILE_RATEMAX 0 (it is {parameters['LOG_FILE_RATEMAX']:g} Hz)"

@@ -36,10 +36,6 @@ PAUSE = 1.0
 # s: messages and modes that mark a start or an end are logged ten times a second at most.
 EDGE = 0.1
 
-# Share of the travel of a stick, peak to peak, above which it moved. A stick at rest wanders by 1
-# to 5 µs, a dead zone has 20 to 30 µs, and a hand that flies a sine moves the stick more. The
-# travel is in the unit of the message; Betaflight's table has no message, and rcCommand in µs.
-STICK_MOVES = 0.05
 STICK_TRAVEL = {"": 1000.0, "RCIN": 1000.0, "manual_control_setpoint": 2.0}
 
 
@@ -247,7 +243,9 @@ def _moving_stick(segment: Segment, data: Recording | Record) -> str:
                 float(np.ptp(record[field][finite])),
                 STICK_TRAVEL.get(stick.rpartition(".")[0], 1.0),
             )
-            if np.ptp(record[field][during]) > STICK_MOVES * travel:
+            # Of a travel of 1000 µs, a stick at rest wanders by 1 to 5, a dead zone has 20 to 30,
+            # and a hand that flies a sine moves the stick more.
+            if np.ptp(record[field][during]) > 0.05 * travel:
                 return stick
 
     return ""

@@ -16,7 +16,6 @@ by half a per cent of its compliance.
 """
 
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 from typing import Any
@@ -24,7 +23,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, complex_array, frozen
+from greybox.files.arrays import Array, ComplexArray, Values, complex_array, frozen
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.formula_structure import has_switches, interval_means, walk
 from greybox.modeling.functions import exp
@@ -45,7 +44,7 @@ def enough_harmonics(
     model: Model,
     omega: Array,
     sine: Sine,
-    values: Mapping[str, float] | None = None,
+    values: Values | None = None,
     **signals: Any,
 ) -> Sine:
     """Return the sine with as many harmonics as matter at the values, at most `MOST_IN_FITS`.
@@ -63,7 +62,7 @@ def enough_harmonics(
 
 def directly_found(
     model: Model,
-    values: Mapping[str, float] | None,
+    values: Values | None,
     omega: Array,
     sine: Sine,
     *,
@@ -152,7 +151,7 @@ def compiled_balance(
     *,
     input: str = "",
     output: str = "",
-    at: Mapping[str, float] | None = None,
+    at: Values | None = None,
     pade: int | None = None,
 ) -> HarmonicBalance:
     """Compile the balance for the number of harmonics of a sine."""

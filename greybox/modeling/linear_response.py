@@ -1,6 +1,6 @@
 """The frequency response of a model, in numbers and compiled; an ODE is linearized."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array, all_finite
+from greybox.files.arrays import Array, Values, all_finite
 from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.elimination import eliminated, elimination_order, solve_pencils
 from greybox.modeling.function_of_s import CASADI_TYPES, is_casadi
@@ -26,12 +26,12 @@ from greybox.modeling.trim import Trimmed, trim_of
 
 def frequency_response(
     model: Model,
-    values: Mapping[str, float] | None,
+    values: Values | None,
     omega: ArrayLike,
     *,
     input: str = "",
     output: str = "",
-    at: Mapping[str, float] | None = None,
+    at: Values | None = None,
     delay: str = "exact",
 ) -> FrequencyResponse:
     """Evaluate the frequency response of `model` in numbers, at `omega` (n,) in rad/s.
@@ -92,7 +92,7 @@ def response_formulas(
     pairs: Sequence[tuple[str, str]],
     symbol: ca.SX | None = None,
     *,
-    at: Mapping[str, float] | None = None,
+    at: Values | None = None,
     pade: int | None = None,
 ) -> list[Trimmed]:
     """Compile frequency responses at `omega` (n,): real and imaginary parts.

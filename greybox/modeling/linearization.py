@@ -1,11 +1,9 @@
 """Linearization of an ODE about an operating point: A, B, C, D and the delays of the inputs."""
 
-from collections.abc import Mapping
-
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, ComplexArray, all_finite, frozen
+from greybox.files.arrays import Array, ComplexArray, Values, all_finite, frozen
 from greybox.files.text_table import one_line
 from greybox.modeling.one_thread import once
 from greybox.modeling.state_space import StateSpace
@@ -37,7 +35,7 @@ class LinearSystem:
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     delays: Array
-    point: Mapping[str, float]
+    point: Values
 
     def __repr__(self) -> str:
         return one_line(
@@ -70,8 +68,8 @@ def jacobians(model: StateSpace) -> ca.Function:
 @once
 def linearize(
     model: StateSpace,
-    values: Mapping[str, float] | None = None,
-    at: Mapping[str, float] | None = None,
+    values: Values | None = None,
+    at: Values | None = None,
 ) -> LinearSystem:
     """Linearize `model` at the operating point `at`, by default at the declared start values.
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.frequency_response import FrequencyResponse
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Values
 from greybox.modeling.harmonic_balance import directly_found
 from greybox.modeling.linear_response import frequency_response
 from greybox.modeling.model import Model, pick_signals
@@ -21,13 +21,13 @@ from greybox.modeling.sine import MOST_HARMONICS, Sine, as_sine
 
 def harmonic_response(
     model: Model,
-    values: Mapping[str, float] | None,
+    values: Values | None,
     omega: ArrayLike,
     *,
     amplitude: Mapping[str, ArrayLike] | Sine,
     input: str = "",
     output: str = "",
-    at: Mapping[str, float] | None = None,
+    at: Values | None = None,
     delay: str = "exact",
 ) -> FrequencyResponse:
     """Evaluate the response of an ODE to a sine of finite amplitude, at `omega` (n,) in rad/s.
@@ -83,7 +83,7 @@ def harmonic_response(
 
 def response_of_test(
     model: Model,
-    values: Mapping[str, float],
+    values: Values,
     omega: ArrayLike,
     sine: Sine | None,
     measured: Array,

@@ -3,13 +3,13 @@
 `rational` reads a model; `Rational` is the arithmetic in which its formula is evaluated for that.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import ComplexArray
+from greybox.files.arrays import ComplexArray, Values
 from greybox.files.text_table import number
 from greybox.modeling.factored_form import factored
 from greybox.modeling.function_of_s import (
@@ -146,11 +146,11 @@ class Rational(FunctionOfS):
 
 def rational(
     model: Model,
-    values: Mapping[str, float] | None = None,
+    values: Values | None = None,
     *,
     input: str = "",
     output: str = "",
-    at: Mapping[str, float] | None = None,
+    at: Values | None = None,
     pade: int | None = None,
 ) -> Rational:
     """Read a model as numerator and denominator (highest power of s first) and a delay in s.

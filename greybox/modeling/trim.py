@@ -6,7 +6,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from greybox.files.arrays import Array, IntArray, frozen
+from greybox.files.arrays import Array, IntArray, Values, frozen
 from greybox.modeling.model import Names, require_known
 from greybox.modeling.one_thread import once
 from greybox.modeling.parameter import is_finite_number, start_values
@@ -52,7 +52,7 @@ class Trimmed:
 
 
 @once
-def trim_of(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
+def trim_of(model: StateSpace, at: Values) -> Trimmed:
     """Return states and inputs at the operating point `at` as functions of the parameters.
 
     The point is the first of these: the result of the model's own `trim`; the origin, if it is an
@@ -93,7 +93,7 @@ def _closed_form(model: StateSpace, p: ca.SX, point: Sequence[Any]) -> Trimmed:
     )
 
 
-def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> Trimmed:
+def _own_trim(model: StateSpace, at: Values, p: ca.SX) -> Trimmed:
     assert model.trim is not None
     returned = traced(f"{model.label}.trim", model.trim, Names(at, "at"), parameter_names(model, p))
     if not isinstance(returned, Mapping):
@@ -121,7 +121,7 @@ def _own_trim(model: StateSpace, at: Mapping[str, float], p: ca.SX) -> Trimmed:
     return trim
 
 
-def _implicit_trim(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
+def _implicit_trim(model: StateSpace, at: Values) -> Trimmed:
     names = (*model.states, *model.inputs)
     z, p = symbols(model)
     derivative = derivative_function(model)(z, p)
@@ -150,7 +150,7 @@ def _implicit_trim(model: StateSpace, at: Mapping[str, float]) -> Trimmed:
 
 def _presolve(
     model: StateSpace,
-    at: Mapping[str, float],
+    at: Values,
     residual: ca.Function,
     start: Array,
     size: int,

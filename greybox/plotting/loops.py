@@ -16,7 +16,6 @@ from greybox.plotting.matplotlib_figure import AxesArray, GivenAxes, draw
 from greybox.plotting.nyquist import CIRCLES, in_plane
 
 SHOWN = (1e-2, 1e2)  # gains of the broken loop that are drawn
-CURVES = 25  # draws in the Nichols and Nyquist diagrams, where a band has no direction
 
 
 def loop(margins: Margins, axes: GivenAxes | None = None, *, hz: bool = False) -> AxesArray:
@@ -108,8 +107,9 @@ def _banded(margins: Margins, x: Array, values: Array) -> list[Series]:
 
 def _plane(x: Array, y: Array, critical: tuple[float, float]) -> list[Series]:
     """Return the curve of the estimate over those of draws, and the critical point."""
+    # Draws in the Nichols and Nyquist diagrams, where a band has no direction
     return [
-        *(Series("", "line", x[k], y[k], 5, is_hollow=True) for k in range(len(x))[DRAWN][:CURVES]),
+        *(Series("", "line", x[k], y[k], 5, is_hollow=True) for k in range(len(x))[DRAWN][:25]),
         Series("estimate", "line", x[0], y[0]),
         Series("critical point", "points", *np.array(critical)[:, None], color=1),
     ]

@@ -1,7 +1,7 @@
 """Figures of a study or of fits: a parameter over operating points or members, and maps."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
 
@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from greybox.estimate.result import Fit
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Values
 from greybox.files.text_table import number, some
 from greybox.plotting.figure import CROSS, Figure, Panel, Series
 from greybox.plotting.matplotlib_figure import draw
@@ -37,9 +37,7 @@ Value = tuple[StudyMember, float, float]
 """A quantity of a member, and its standard error."""
 
 
-def trend(
-    study: Study, quantity: str, over: str | Mapping[str, float], ax: Axes | None = None
-) -> Axes:
+def trend(study: Study, quantity: str, over: str | Values, ax: Axes | None = None) -> Axes:
     """Draw a quantity with its standard errors over the operating point, a color a structure.
 
     The lines are weighted by the standard errors. If estimates scatter more than these say, the
@@ -64,7 +62,7 @@ def trend(
     return draw([trend_figure(study, quantity, over)], ax)[0]
 
 
-def trend_figure(study: Study, quantity: str, over: str | Mapping[str, float]) -> Figure:
+def trend_figure(study: Study, quantity: str, over: str | Values) -> Figure:
     """Return a quantity over the operating point."""
     if isinstance(over, str):
         label, places = over, {member: x for member, x, _ in _values(study, over)}

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from greybox.data.record import Record, require_time
-from greybox.files.arrays import Array, frozen
+from greybox.files.arrays import Array, Values, frozen
 from greybox.files.text_table import number, one_line, text_table
 from greybox.formulation.input_assumptions import (
     Inputs,
@@ -74,7 +74,7 @@ class EquationErrorEstimate:
     """
 
     name: str
-    estimate: Mapping[str, float]
+    estimate: Values
     equations: tuple[UsedEquation, ...]
     left_out: tuple[str, ...]
     missing: Mapping[str, str]
@@ -120,7 +120,7 @@ def equation_error(
     model: Model,
     record: Record,
     *,
-    fixed: Mapping[str, float] | None = None,
+    fixed: Values | None = None,
     free: Sequence[str] = (),
     inputs: Inputs = "record",
 ) -> EquationErrorEstimate:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from greybox.files.arrays import Array, IntArray, frozen, positive_or_one
+from greybox.statistics.column_space import triangle_of
 
 
 @frozen
@@ -50,7 +51,7 @@ def undetermined(slopes: Array) -> list[tuple[int, ...]]:
     from scipy.linalg import null_space  # noqa: PLC0415  (imports slowly)
 
     # The triangular factor has the singular values of all rows, which may be many thousands.
-    triangle = np.asarray(np.linalg.qr(slopes, mode="r"))
+    triangle = triangle_of(slopes)
     sizes = np.linalg.norm(triangle, axis=0)
     zero = [(int(k),) for k in np.flatnonzero(sizes == 0)]
     nonzero = np.flatnonzero(sizes)
@@ -71,7 +72,7 @@ def solve(slopes: Array, right: Array, low: Array, high: Array) -> Array:
 
     if not slopes.shape[1]:
         return np.zeros(0)
-    triangle = np.asarray(np.linalg.qr(np.column_stack([right, slopes]), mode="r"))
+    triangle = triangle_of(np.column_stack([right, slopes]))
     right, matrix = triangle[:, 0], triangle[:, 1:]
     # The least-norm solution of columns of length one does not depend on units.
     sizes = positive_or_one(np.linalg.norm(matrix, axis=0))

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import casadi as ca
 
-from greybox.files.arrays import frozen
+from greybox.files.arrays import Values, frozen
 from greybox.modeling.formula_structure import has_switches
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.realization import Dynamics
@@ -87,7 +87,7 @@ class Equations:
 def regressions(
     model: Dynamics,
     signals: Iterable[str],
-    fixed: Mapping[str, float],
+    fixed: Values,
 ) -> Equations:
     """Return the equations of a model that contain only known signals and parameters.
 
@@ -113,7 +113,7 @@ class _Analysis:
         self,
         model: Dynamics,
         signals: set[str],
-        fixed: Mapping[str, float],
+        fixed: Values,
     ) -> None:
         self.model = model
         self.signals = signals

@@ -7,7 +7,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from greybox.data.record import Record, require_time
-from greybox.files.arrays import Array, IntArray, frozen
+from greybox.files.arrays import Array, IntArray, Values, frozen
 from greybox.formulation.input_assumptions import Inputs, between_samples
 from greybox.formulation.time_criteria import OutputError, PredictionError, TimeCriterion
 from greybox.modeling.model import Model, require_known
@@ -119,7 +119,7 @@ class ModelAtEstimate:
 
 def model_at(
     model: Model | Estimate,
-    values: Mapping[str, float] | Estimate | None = None,
+    values: Values | Estimate | None = None,
     *,
     inputs: Inputs | None = None,
     part: int | None = None,
@@ -152,7 +152,7 @@ def model_at(
     return _of_values(model, values, "record" if inputs is None else inputs)
 
 
-def _of_values(model: Model, given: Mapping[str, float], inputs: Inputs) -> ModelAtEstimate:
+def _of_values(model: Model, given: Values, inputs: Inputs) -> ModelAtEstimate:
     system = dynamics(model)
     # A parameter of the model may itself be called `<signal>_bias`.
     extra = given.keys() - model.parameters.keys()

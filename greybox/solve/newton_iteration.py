@@ -20,7 +20,6 @@ SWITCHED = 3  # whether the trial is the same point at the next level
 IS_NEWTON = 4  # whether the trial minimizes the model; otherwise `bounded` finds one
 END = 5  # 1 at a minimum, -1 where the search can make no progress, else 0
 ITERATIONS = 6
-SCALARS = 7
 
 # Curvatures below this share of the largest one are rounding errors.
 FLATTEST = 1e-12
@@ -47,7 +46,7 @@ class Vectors(NamedTuple):
 
 def layout(p: int) -> Vectors:
     """Return the rows of a search of p variables."""
-    ends = np.cumsum([SCALARS, p, p, p, p * p, p, p]).tolist()
+    ends = np.cumsum([ITERATIONS + 1, p, p, p, p * p, p, p]).tolist()
     slices = [slice(begin, end) for begin, end in pairwise(ends)]
     return Vectors(*slices, size=ends[-1])
 

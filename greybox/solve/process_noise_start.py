@@ -28,9 +28,6 @@ from greybox.files.arrays import Array, ComplexArray
 FIRST = 30.0, 3.0
 STAGES = 1.0, 0.1, 0.01
 
-# Ratio of noise to errors, beyond which their sum is not definite in double precision.
-LARGEST = 1e7
-
 
 class ProcessNoise:
     """The mean squared error with process noise, with gradient and Gauss-Newton Hessian."""
@@ -105,8 +102,9 @@ def _whitened(
     errors = weight * (measured - states @ C.swapaxes(2, 3) - lag[..., None] * D)
     by_noise = weight[..., None] * (C @ inverse)[:, :, None]
     scaled = by_noise * noise[..., None, :]
-    # A pole at a frequency: such trials are refused.
-    refused = ~(np.abs(scaled).max(axis=(-2, -1)) < LARGEST)
+    # A pole at a frequency: such trials are refused, since the sum of noise and errors is not
+    # definite in double precision.
+    refused = ~(np.abs(scaled).max(axis=(-2, -1)) < 1e7)
     scaled[refused], errors[refused] = 0, np.nan
 
     root = np.linalg.cholesky(np.eye(outputs) + scaled @ scaled.conj().swapaxes(-1, -2))

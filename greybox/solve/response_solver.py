@@ -40,8 +40,6 @@ ITERATIONS = 300
 AT_A_KINK = {"acceptable_tol": 1e-4, "acceptable_iter": 3}  # IPOPT reaches looser tolerances only
 FINER = (1e-10, 1e-12, 1e-14, 1e-16)
 FEW = 10  # iterations that suffice for the last digits where no residual is zero
-# Relative change of a response: rounding leaves 1e-13, and less for parameters that no data show.
-SAME_BUT_ROUNDING = 1e-9
 NO_OPTIONS: Mapping[str, Any] = MappingProxyType({})
 TOLERANCE = 1e-8  # on the projected gradient in the solver's variables, as in IPOPT
 
@@ -295,7 +293,9 @@ class ResponseSolver(LocalSolver):
             y[[i, j]] = x[[j, i]]
             if x[i] > x[j] and np.all(y == np.clip(y, problem.lower, problem.upper)):
                 change = np.ptp(problem.judged(np.array([x, y]))[1], axis=0)
-                x = y if change.max() < SAME_BUT_ROUNDING else x
+                # Relative change of a response: rounding leaves 1e-13, and less for parameters that
+                # no data show.
+                x = y if change.max() < 1e-9 else x
         return x
 
     def _polish(self, best: Minimum) -> Minimum:

@@ -20,11 +20,6 @@ from greybox.solve.process_noise_start import FIRST, STAGES, ProcessNoise
 from greybox.solve.response_solver import FEW, NO_OPTIONS, ResponseSolver
 from greybox.solve.runs import Outcome, Run, Runs
 
-MOST = 100  # iterations of a start: some take 250, and their time would be that of the whole fit
-STAGE = 40  # iterations with one ratio of process noise: of seven starts, five take 3 to 36
-# Tolerance on the projected gradient of a stage. With 1e-3, two instead of seven of twenty starts
-# for two flexible modes end at the minimum, with 1e-5 a tenth more time is spent.
-ROUGH = 1e-4
 UNFINISHED = "Maximum_Iterations_Exceeded"
 
 
@@ -75,17 +70,21 @@ class SharedSolver(ResponseSolver):
         ratios = np.array(FIRST)[place // 2 % 2]
         search = BatchedNewton(ProcessNoise(self._shared, z), *self.problem.bounds)
         for stage in STAGES:
+            # Iterations with one ratio of process noise: of seven starts, five take 3 to 36
             ends = search.minimize(
                 near,
-                max_iterations=STAGE,
-                tolerance=ROUGH,
+                max_iterations=40,
+                # With 1e-3, two instead of seven of twenty starts for two flexible modes end at the
+                # minimum, with 1e-5 a tenth more time is spent.
+                tolerance=1e-4,
                 from_near=stage < 1,
                 given=stage * ratios[None],
                 labels=place % 4,  # equal ratios and barriers
             )
             near, iterations = ends.z, iterations + ends.iterations
         if near.size:
-            limits = {"max_iterations": min(self.limits["max_iterations"], MOST)} | limits
+            # Iterations of a start: some take 250, and their time would be that of the whole fit
+            limits = {"max_iterations": min(self.limits["max_iterations"], 100)} | limits
         first = super().improved(z[:, :1], **limits)
         others = super().improved(near, **limits, from_near=True, labels=0 * place)
         others.iterations[:] += iterations

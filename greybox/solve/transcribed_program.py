@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from greybox.compiled.compiled_problem import CompiledProblem
+from greybox.compiled.record_group import shared_products
 from greybox.files.arrays import Array
 from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.solve.gauss_newton.driver import GaussNewton
@@ -21,10 +22,6 @@ from greybox.solve.interruption import reason_to_end
 from greybox.solve.ipopt import CONVERGED, Ipopt
 from greybox.solve.local_solver import LocalSolver, Profile
 from greybox.solve.runs import NOT_FINITE, Outcome
-
-# Relaxations, each an IPOPT run from the end of the last. They converge linearly; a useful rate
-# needs far fewer.
-RELAXATIONS = 100
 
 
 class TranscribedProgram(LocalSolver):
@@ -113,7 +110,9 @@ class TranscribedProgram(LocalSolver):
         pairs = zip(self._programs, first, strict=True)
         solution = np.concatenate([z, *[program.initial_unknowns(t) for program, t in pairs]])
         w = np.concatenate([program.initial_parameters(z) for program in self._programs])
-        for _ in range(RELAXATIONS):
+        # Relaxations, each an IPOPT run from the end of the last. They converge linearly; a useful
+        # rate needs far fewer.
+        for _ in range(100):
             solution, status, count = self._ipopt.solve(solution, w, self._bounds)
             iterations += count
             cost, w, same_data = self._outcome(solution, w)
@@ -142,8 +141,13 @@ class TranscribedProgram(LocalSolver):
         """Return cost, next parameters, and whether no delay passed a whole sample."""
         z = solution[: len(self._nlp.free)]
         unknowns = np.split(solution, [len(z), *self._unknown_ends])[1:]
-        values = zip(self._programs, unknowns, np.split(w, self._parameter_ends), strict=True)
-        outcomes = [program.outcome(z, states, ws) for program, states, ws in values]
+        parameters = np.split(w, self._parameter_ends)
+        values = zip(self._programs, unknowns, parameters, strict=True)
+        products = [program.products(z, states, ws) for program, states, ws in values]
+        values = zip(
+            self._programs, shared_products(self._nlp.parts, products), parameters, strict=True
+        )
+        outcomes = [program.outcome(z, each, ws) for program, each, ws in values]
         costs, following, same_data = zip(*outcomes, strict=True)
         cost = sum(w * c for w, c in zip(self._weights, costs, strict=True))
         return float(cost), np.concatenate(following), all(same_data)

@@ -16,12 +16,6 @@ from greybox.compiled.compiled_problem import CompiledProblem
 from greybox.compiled.response_part import SMOOTHING, ResponsePart
 from greybox.compiled.response_programs import CostProgram
 
-# Height of the wall at the first level of a search, as a share of the cost of a zero response. The
-# square root of the smoothing takes it down by ten from level to level. In the box above, 99.9 %
-# of 1024 searches for (2.7) end at the minimum with 0.5, 93 % with 1 and 71 % with 0.2; in its
-# declared box 86 % do if it falls with the root, and half of them if it falls with the smoothing.
-WALL = 0.5
-
 
 def walled(problem: CompiledProblem) -> CostProgram:
     """Return the first, explicit program of a problem with a wall around zero responses.
@@ -32,7 +26,12 @@ def walled(problem: CompiledProblem) -> CostProgram:
     program: Any = problem.programs[0].explicit
     z, smoothing, data = program.sx_in()
     cost, limits = program(z, smoothing, data)
-    share = WALL * ca.sqrt(ca.fmax(smoothing - SMOOTHING, 0))
+    # Height of the wall at the first level of a search, as a share of the cost of a zero response.
+    # The square root of the smoothing takes it down by ten from level to level. In the box above,
+    # 99.9 % of 1024 searches for (2.7) end at the minimum with 0.5, 93 % with 1 and 71 % with 0.2;
+    # in its declared box 86 % do if it falls with the root, and half of them if it falls with the
+    # smoothing.
+    share = 0.5 * ca.sqrt(ca.fmax(smoothing - SMOOTHING, 0))
     for part, height in zip(problem.parts_of(ResponsePart), problem.zero_costs, strict=True):
         relative = part.scaled_response(z) / np.tile(part.magnitude, 2)
         square = ca.sumsqr(relative) / len(part.magnitude)

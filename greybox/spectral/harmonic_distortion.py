@@ -21,13 +21,6 @@ from greybox.spectral.demodulation import spectral_line
 # its corner gives 1 - 1/√(1 + 1/4) = 0.11 and 0.46 rad.
 BETWEEN, BEYOND = 0.1, 0.5
 
-# Harmonics of the output, over its sine, that are attributed to the sensor. Far above the bandwidth
-# of the plant, they would otherwise mean large harmonics of the control. A simulated flight, whose
-# attitude has steps of 0.01°, has two harmonics of 0.4 % at its highest frequency.
-SENSOR = 0.005
-
-LINES = 2  # lines on either side of a harmonic from which its noise is estimated
-
 
 class Harmonics(NamedTuple):
     """Amplitudes of control and output at 2ω, 3ω ... (h,), and on the lines beside, (h, 2, lines).
@@ -47,8 +40,8 @@ def harmonics_of(
 ) -> Harmonics:
     """Return the harmonics in a window of whole periods, from fitted amplitudes and residuals."""
     orders = range(2, amplitudes.shape[1] + 1)
-    # Up to halfway to the next harmonic.
-    reach = min(LINES, (periods - 1) // 2)
+    # Lines on either side from which the noise is estimated, up to halfway to the next harmonic.
+    reach = min(2, (periods - 1) // 2)
     places = [sign * m / periods for m in range(1, reach + 1) for sign in (1, -1)]
     lines = [
         [spectral_line(t, residual[:2], omega * (k + place)) for place in places] for k in orders
@@ -90,8 +83,10 @@ def _share(omega: Array, response: ComplexArray, u: float, harmonics: Harmonics)
             np.abs(harmonics.beside[:, 1] / plant[:, None] - harmonics.beside[:, 0]) ** 2, axis=1
         )
     )
-    # Errors of the interpolated response and of the sensor are not distortion.
-    allowed = error * np.abs(harmonics.control) + SENSOR * abs(harmonics.sine) / np.abs(plant)
+    # Errors of the interpolated response and of the sensor are not distortion. Far above the
+    # bandwidth of the plant, harmonics of the sensor would mean large ones of the control: a flight
+    # simulated with an attitude in steps of 0.01° has two of 0.4 % at its highest frequency.
+    allowed = error * np.abs(harmonics.control) + 0.005 * abs(harmonics.sine) / np.abs(plant)
     # Noise alone exceeds three standard errors with the probability exp(-9) = 1e-4.
     excess = np.where(e > 3.0 * noise, np.maximum(e - allowed, 0), 0)
     return float(np.linalg.norm(excess) / u)

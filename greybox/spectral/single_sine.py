@@ -29,10 +29,6 @@ from greybox.spectral.harmonic_distortion import Harmonics, harmonics_of, unexpl
 from greybox.spectral.pooled_noise import pooled_levels
 from greybox.spectral.saturation import at_limit
 
-# Lines on either side of the frequency from which the noise is estimated: six lines give 20 degrees
-# of freedom, and Student's t is within 6 % of the normal distribution's 1.96.
-LINES = 6
-
 # Share of the peak-to-peak value of a control. A sine is that close to its peaks for 2.8 % of the
 # time: if the levels of a control are farther apart, rounding looks like saturation.
 RESOLUTION = 5e-4
@@ -236,8 +232,9 @@ def estimate_by_lines(
         control_noise = float(np.sqrt(4 * np.mean(residual[0] ** 2) / t.size))
         return SinePoint(complex(y / u) if u else 0j, math.nan, 0.0, control_noise)
 
-    # Up to a quarter of ω on either side, where noise and leakage are still the same as at ω.
-    count = 1 if q == 2 else min(max(2, int(q / 4 + 0.5)), LINES)
+    # Up to a quarter of ω on either side, where noise and leakage are still the same as at ω. Six
+    # lines give 20 degrees of freedom, and Student's t is within 6 % of the normal distribution.
+    count = 1 if q == 2 else min(max(2, int(q / 4 + 0.5)), 6)
     m = np.array([sign * k for k in range(1, count + 1) for sign in (1, -1)])
     lines = np.stack([spectral_line(t, residual[:2], omega * (1 + k / q)) for k in m], axis=-1)
 

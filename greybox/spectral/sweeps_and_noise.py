@@ -16,14 +16,6 @@ from greybox.spectral.uniform_stretches import uniform_stretches
 # Fewest periods in the longest stretch: below, a band of polynomials would reach zero.
 LOWEST = 6
 
-HIGHEST = 0.4  # of the sampling rate
-
-SMOOTHED = 0.3  # width of the band over which the excitation is averaged, over its frequency
-
-# The excitation ends 20 dB below the largest ω S(ω), which a logarithmic sweep keeps constant. For
-# white noise of 60 s through a resonance of 1 Hz, the grid begins at 0.64 Hz with 0.03,
-# at 0.17 Hz with 0.01, and with 0.003 it extends to 15 Hz, where the output is noise.
-EXCITED = 0.01
 
 # The estimator for a short record of one doublet, 2-1-1 or step.
 FOR_MANOEUVRES = "gb.spectral.transient_spectrum, which needs only one period"
@@ -102,7 +94,7 @@ def spectral_response(  # noqa: PLR0913 - every choice that an analyst makes
     lowest = LOWEST * HZ / longest
     lines = lines_of(stretches)
     if omega is None:
-        limits = (lowest, HIGHEST * HZ / max(s.step for s in stretches))
+        limits = (lowest, 0.4 * HZ / max(s.step for s in stretches))  # of the sampling rate
         ends = _excited_band(lines, *limits) if band is None else _within(band, *limits)
         estimated = tiled_points(lines, *ends, max(points, 2), near)
     else:
@@ -143,15 +135,19 @@ def _excited_band(lines: Lines, lowest: float, highest: float) -> tuple[float, f
             f"{FOR_MANOEUVRES}."
         )
     fine = np.geomspace(lowest, highest, 200)
-    # Averaged over a band, because the spectrum of noise has holes by chance.
-    reach = np.maximum(fine * SMOOTHED / 2, 2 * lines.spacing)
+    # Averaged over a band as wide as 0.3 of its frequency, because the spectrum of noise has holes
+    # by chance.
+    reach = np.maximum(fine * 0.3 / 2, 2 * lines.spacing)
     first = np.searchsorted(lines.omega, fine - reach)
     last = np.searchsorted(lines.omega, fine + reach)
     # Cumulative power makes the mean over any band a difference of two numbers.
     total = np.concatenate([[0.0], np.cumsum(np.abs(lines.values[2]) ** 2)])
     power = fine * (total[last] - total[first]) / (last - first)
 
-    weak = np.flatnonzero(power < EXCITED * power.max())
+    # The excitation ends 20 dB below the largest ω S(ω), which a logarithmic sweep keeps constant.
+    # For white noise of 60 s through a resonance of 1 Hz, the grid begins at 0.64 Hz with 0.03, at
+    # 0.17 Hz with 0.01, and with 0.003 it extends to 15 Hz, where the output is noise.
+    weak = np.flatnonzero(power < 0.01 * power.max())
     strongest = int(power.argmax())
     first_strong = int(max(weak[weak < strongest], default=-1)) + 1
     last_strong = int(min(weak[weak > strongest], default=fine.size)) - 1

@@ -14,9 +14,6 @@ import numpy as np
 
 from greybox.files.arrays import Array
 
-# Bound in standard deviations: 95 % efficiency for normal errors (Huber and Ronchetti).
-BOUND = 1.345
-
 
 def robust_deviation(errors: Array) -> Array:
     """Return the standard deviations (k, 1) of errors (k, n), NaN if missing, by their medians."""
@@ -29,7 +26,8 @@ def robust_deviation(errors: Array) -> Array:
 def bounded(stretches: Sequence[Array]) -> list[Array]:
     """Return ψ(e) / mean(ψ') of the errors (k, n) of several stretches, NaN if missing."""
     errors = np.hstack(stretches)
-    limit = BOUND * robust_deviation(errors)
+    # This bound is 95 % efficient for normal errors (Huber and Ronchetti).
+    limit = 1.345 * robust_deviation(errors)
     beyond = np.sum(np.abs(errors) > limit, axis=1, keepdims=True)
     share = 1 - beyond / np.sum(np.isfinite(errors), axis=1, keepdims=True)
     return [np.clip(e, -limit, limit) / share for e in stretches]

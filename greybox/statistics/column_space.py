@@ -17,6 +17,11 @@ def column_basis(columns: Array) -> Array:
     return vectors[:, singular > DEPENDENT * max(singular, default=0.0)]
 
 
+def triangle_of(columns: Array) -> Array:
+    """Return the triangular factor R (k, p) of columns (n, p): RᵀR is the product with itself."""
+    return np.asarray(np.linalg.qr(columns, mode="r"))
+
+
 def pseudo_inverse(information: Array, least: float) -> Array:
     """Return the inverse of an information matrix (p, p), zero along undetermined directions.
 

@@ -42,7 +42,6 @@ UNLIKELY = 0.1
 _POWER = np.abs(np.fft.rfft(np.tri(8)[1:], 32)) ** 2
 LAGS = np.fft.irfft([*_POWER, *_POWER**2 + 1e-5])[:, :16]
 LAGS /= LAGS[:, :1]
-LEAST_LEFT = 4  # numbers beyond the parameters: fewer have no information on a correlation
 # Residuals over the sizes of the errors below which data are fitted exactly.
 EXACT = math.sqrt(np.finfo(float).eps)
 
@@ -111,7 +110,8 @@ def neighbor_correlation(
     # The residuals lack what the parameters took from the errors.
     basis = column_basis(design)
     numbers = 2 * n - basis.shape[1]
-    if numbers < LEAST_LEFT:
+    # Fewer numbers beyond the parameters have no information on a correlation.
+    if numbers < 4:
         return None
 
     rho = np.linspace(0.0, math.exp(-1 / n), VALUES)

@@ -11,10 +11,6 @@ from numpy.typing import ArrayLike
 # of the noise in the variance: at 1, both are equally strong.
 SMOOTH = 1.0
 
-# Standard deviations of the ratio of white noise: one in 740 signals of pure noise lies below
-# (normal distribution).
-CERTAIN = 3.0
-
 
 @dataclass(frozen=True)
 class NoiseRatio:
@@ -39,7 +35,8 @@ class NoiseRatio:
     @property
     def noisy(self) -> bool:
         """True where the signal is indistinguishable from white noise."""
-        return self.ratio >= 2 - CERTAIN * self.spread
+        # One in 740 signals of pure noise lies below (normal distribution).
+        return self.ratio >= 2 - 3.0 * self.spread
 
     @property
     def attainable_fit_percent(self) -> float:

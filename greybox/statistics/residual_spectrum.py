@@ -276,7 +276,7 @@ class ResidualSpectra:
     def counts(self) -> Array:
         """Measured samples (k,) of every output."""
         counts = sum(np.count_nonzero(e, axis=1) for e in self.residuals)
-        return np.maximum(counts, 1).astype(float)
+        return np.maximum(counts, 1)
 
     @cached_property
     def deviation(self) -> Array:
@@ -491,7 +491,7 @@ class ResidualSpectra:
     def _measured_pairs(self) -> Array:
         """Shares (k, k, lags) of pairs of samples without a missing one."""
         # A missing sample reduces the expected covariance at every lag at which it is missing.
-        masks = [np.fft.rfft((e != 0).astype(float), self.grid.size) for e in self.residuals]
+        masks = [np.fft.rfft(e != 0, self.grid.size) for e in self.residuals]
         pairs = np.fft.irfft(sum(mask[:, None] * mask.conj() for mask in masks), self.grid.size)
         return pairs / np.sqrt(self.counts * self.counts[:, None])[..., None]
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from greybox.files.arrays import Array, of_diagonal
-from greybox.statistics.column_space import column_basis, outside
+from greybox.statistics.column_space import column_basis, outside, triangle_of
 
 # Share of the length of a term that must remain beside the parameters: less is an error of the
 # integration, or the effect of another parameter.
@@ -172,7 +172,7 @@ def scores_of_powers(residuals: Array, fitted: Array, omega: Array) -> Array:
     """
     size = np.tile(omega, 2)[:, None] ** (-POWERS / 2)
     columns = np.column_stack([column_basis(fitted), residuals]) / size
-    logarithms = _squares_of_lengths(np.asarray(np.linalg.qr(columns, mode="r")))
+    logarithms = _squares_of_lengths(triangle_of(columns))
     scores = logarithms.sum(axis=1) + 2 * np.log(size).sum(axis=(1, 2))
     return scores + (len(residuals) - logarithms.shape[1]) * logarithms[:, -1]
 

@@ -127,5 +127,5 @@ def variance_components(
             break
 
     # Along smaller eigenvalues of the information, the likelihood does not change.
-    covariance = np.asarray(2 * np.linalg.pinv(information, 1e-8, hermitian=True), dtype=float)
+    covariance = 2 * np.linalg.pinv(information, 1e-8, hermitian=True)
     return VarianceComponents(variance, covariance, score)

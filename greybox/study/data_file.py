@@ -19,8 +19,6 @@ from greybox.logs.prepare import prepare as prepared
 from greybox.logs.readers import read
 from greybox.modeling.model import Model, require_known
 
-LONG = 200  # characters of a list in a sentence: more would hide the cure after it
-
 
 def read_data(
     path: str | Path,
@@ -132,10 +130,11 @@ def _record_of(log: Recording, path: Path, model: Model) -> Record:
                 f"prepare the record with gb.prepare(gb.read({str(path)!r}), {{{fields}}}) in a "
                 "file my.py whose function problem() returns gb.Problem(model, record)"
             )
+        # Characters of a list in a sentence: more would hide the cure after it
         raise ValueError(
             f"{path} has {len(records) or 'no'} messages with the signals of {model.label} "
             f"({', '.join((*inputs, ' or '.join(outputs)))}) but has "
-            f"{available:.{LONG}}. To fit it, {cure}."
+            f"{available:.{200}}. To fit it, {cure}."
         )
 
     (record,) = records

@@ -18,7 +18,7 @@ from greybox.compiled.compiled_problem import AnyProblem
 from greybox.estimate.fit import fit as fit_problem
 from greybox.estimate.misfit import Misfit
 from greybox.estimate.result import Fit
-from greybox.files.arrays import frozen
+from greybox.files.arrays import Values, frozen
 from greybox.files.text_table import counted, listed, number, one_line, text_table
 from greybox.formulation.problem import Problem
 from greybox.formulation.starts import Sobol
@@ -84,8 +84,8 @@ class StepwiseSelection:
     fit: Fit
     without: Fit
     trials: tuple[Trial, ...]
-    alike: Mapping[str, Mapping[str, float]]
-    doubtful: Mapping[str, float]
+    alike: Mapping[str, Values]
+    doubtful: Values
 
     @property
     def verdict(self) -> str:
@@ -126,7 +126,7 @@ class StepwiseSelection:
 
 def stepwise(
     problem: AnyProblem,
-    candidates: Sequence[str] | Mapping[str, float] | Misfit,
+    candidates: Sequence[str] | Values | Misfit,
     *,
     starts: int = 4,
 ) -> StepwiseSelection:
@@ -225,7 +225,7 @@ class _Fits:
     """Fits of a problem with some of its terms, each made once."""
 
     problem: AnyProblem
-    absent: Mapping[str, float]
+    absent: Values
     starts: int
     cache: dict[Terms, Fit]
 
@@ -301,12 +301,12 @@ def _best(trials: Sequence[Trial]) -> Trial | None:
     return next((t for t in trials if math.isclose(t.cost, cost, rel_tol=1e-6)), None)
 
 
-def with_terms(problem: AnyProblem, terms: Terms, absent: Mapping[str, float]) -> AnyProblem:
+def with_terms(problem: AnyProblem, terms: Terms, absent: Values) -> AnyProblem:
     """Return the problem with these candidates free, and the others fixed where they are absent."""
     return problem.with_parts([_part(part, terms, absent) for part in problem.parts])
 
 
-def _part(part: Problem, terms: Terms, absent: Mapping[str, float]) -> Problem:
+def _part(part: Problem, terms: Terms, absent: Values) -> Problem:
     values = {n: absent[part.outside(n)] for n in part.declared if part.outside(n) in absent}
     chosen = {name for name in values if part.outside(name) in terms}
     fixed = {n: v for n, v in {**part.fixed_values, **values}.items() if n not in chosen}

@@ -569,7 +569,7 @@ def test_a_program_for_ipopt_begins_with_the_record_and_what_follows_is_the_like
     moved[1] += 0.3  # the velocity at the first sample, which is known
     assert np.abs(evaluate(z, moved, w)[1].full()).max() == pytest.approx(0.3, rel=0.5)
 
-    cost, following, stayed = program.outcome(z, unknowns, w)
+    cost, following, stayed = program.outcome(z, program.products(z, unknowns, w), w)
     assert cost == pytest.approx(part.cost(trajectory))
     assert stayed
     weight = following[: k * k].reshape(k, k, order="F")
@@ -577,7 +577,7 @@ def test_a_program_for_ipopt_begins_with_the_record_and_what_follows_is_the_like
     assert_allclose(following[k * k :], w[k * k :])
     later = z.copy()
     later[list(nlp.free).index("d")] *= 2  # past the next sample
-    assert not program.outcome(later, unknowns, w)[2]
+    assert not program.outcome(later, program.products(later, unknowns, w), w)[2]
 
 
 @pytest.mark.parametrize(("missing", "is_enough"), [(9, True), (10, False)])

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize_scalar
 
 import greybox as gb
 
@@ -76,19 +77,53 @@ def test_given_noise_counts_where_an_output_has_few_samples(samples):
     assert np.median(errors, axis=0) == pytest.approx(exact, rel=0.35)
 
 
-@pytest.mark.parametrize("batches", [1, 8])
-def test_noise_of_few_samples_in_each_of_several_series_is_to_be_given(batches):
-    """Of 20 batches of four samples, intervals of 95 % held in 54 %, and with given noise in all."""
-    time, records = np.linspace(0, 5, 4), []
-    for seed in range(batches):
-        x = 2 * np.exp(-0.8 * time) + 0.02 * np.random.default_rng(seed).normal(size=4)
+def batches(count, samples, noise=0.02):
+    """Return records of decays from the first values one to two."""
+    time, records = np.linspace(0, 5, samples), []
+    for seed in range(count):
+        random = np.random.default_rng(seed)
+        x = random.uniform(1, 2) * np.exp(-0.8 * time) + noise * random.normal(size=samples)
         records.append(gb.Record(time, {"x": x}))
+    return records
 
-    def said(**options):
-        criterion = gb.OutputError(**options)
-        parts = [gb.Problem(Decay(), record, criterion) for record in records]
+
+def fitted(records, method=None, **options):
+    """Return the fit of all batches."""
+    problem = gb.several(Decay(), records, criterion=gb.OutputError(**options))
+    return gb.fit(problem, starts=2, progress=False, method=method or gb.MultipleShooting())
+
+
+@pytest.mark.parametrize("method", [gb.MultipleShooting(), gb.SingleShooting()])
+def test_batches_of_few_samples_share_the_variance_of_an_output(method):
+    """One variance for all is least squares, and a long record has its own."""
+    records = batches(12, 4)
+    time, x = records[0].time, np.array([record["x"] for record in records])
+
+    def rest(k):
+        decay = np.exp(-k * time)
+        return np.sum((x - np.outer(x @ decay / (decay @ decay), decay)) ** 2)
+
+    fit = fitted(records, method)
+    assert fit.estimate["k"] == pytest.approx(minimize_scalar(rest, (0.5, 1)).x, abs=1e-4)
+    low, high = fit.interval()["k"]
+    assert low < 0.8 < high
+    exact, noisy = batches(2, 40, noise=0.001), batches(12, 4, noise=0.2)
+    joint = fitted([*noisy, *exact], method).estimate["k"]
+    assert joint == pytest.approx(fitted(exact).estimate["k"], abs=3e-4)
+
+
+@pytest.mark.parametrize(("names", "is_said"), [("x", False), ("xyz", True)])
+def test_noise_of_few_samples_is_to_be_given_unless_it_is_shared(names, is_said):
+    """Three outputs of three models have variances of their own, of four samples each."""
+
+    def said(**noise):
+        parts = []
+        for name, record in zip(names * (3 // len(names)), batches(3, 4), strict=True):
+            model = type(name, (Decay,), {"outputs": (name,)})()
+            data = gb.Record(record.time, {name: record["x"]})
+            parts.append(gb.Problem(model, data, gb.OutputError(**noise.get(name, {}))))
         texts = gb.fit(sum(parts[1:], parts[0]), starts=2, progress=False).warnings
         return any("is estimated from 4 samples" in text for text in texts)
 
-    assert said() == (batches > 1)
-    assert not said(noise={"x": 0.02})
+    assert said() == is_said
+    assert not said(**{name: {"noise": {name: 0.02}} for name in names})

@@ -123,11 +123,14 @@ def test_the_cost_of_a_solution_is_the_weighted_sum_of_the_parts():
     seen = []
 
     def part(k, same):
-        def outcome(z, unknowns, own):
+        def products(z, unknowns, own):
             seen.append((z.tolist(), unknowns, own))
-            return 10.0**k, own + 1, same
+            return np.full((1, 1), 10.0**k)
 
-        return SimpleNamespace(outcome=outcome)
+        def outcome(z, products, own):
+            return products.item(), own + 1, same
+
+        return SimpleNamespace(products=products, outcome=outcome)
 
     for same in (True, False):
         seen.clear()

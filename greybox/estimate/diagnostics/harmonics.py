@@ -18,11 +18,6 @@ from greybox.modeling.harmonic_balance import directly_found
 from greybox.modeling.sine import MOST_HARMONICS
 from greybox.statistics.metrics import rms
 
-# Multiple of the noise of a point from which a change matters: a tenth of a standard error adds
-# 0.5 % to the root mean square error.
-NOTICEABLE = 0.1
-ROUNDING = 1e-7
-
 
 def harmonic_warnings(nlp: CompiledProblem, x: Array) -> Iterator[str]:
     """Warn if more harmonics would change the estimate `x` (p,) noticeably, or cannot be tried."""
@@ -44,7 +39,9 @@ def harmonic_warnings(nlp: CompiledProblem, x: Array) -> Iterator[str]:
         lost = np.isnan(many)
         change = np.where(lost, 0.0, np.abs(many / few - 1))
         noise = rms(np.abs(part.data.response / few - 1))
-        if np.linalg.norm(change) > max(NOTICEABLE * noise, ROUNDING):
+        # More than rounding matters from a tenth of a standard error on, which adds 0.5 % to the
+        # root mean square error.
+        if np.linalg.norm(change) > max(0.1 * noise, 1e-7):
             count = counted(sine.harmonics, "harmonic is", "harmonics are")
             yield (
                 f"{count} too few for {problem.name!r}: with {more} the response changes by up to "

@@ -1,6 +1,7 @@
 """Whether the noise is as large as stated, and whether the criterion uses what is stated."""
 
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 
 from greybox.compiled.compiled_problem import AnyProblem, CompiledProblem
 from greybox.compiled.part import Trajectory
@@ -21,11 +22,15 @@ def unlikely_noise(nlp: CompiledProblem, trajectories: Sequence[Trajectory]) -> 
     # The unknowns use up degrees of freedom of all parts, not the same number in each.
     total = max(sum(part.numbers for part in parts), 1)
     remaining = 1 - len(nlp.free) / total
+    shared = Counter[str]()
+    for part in nlp.parts:
+        if isinstance(part, RecordPart):
+            shared.update(dict(zip(part.outputs, part.few.tolist(), strict=True)))
     for part, trajectory in zip(nlp.parts, trajectories, strict=True):
         if isinstance(part, ResponsePart):
             findings += _of_response(part, trajectory, remaining, 0.01 / len(parts))
         elif isinstance(part, RecordPart):
-            findings += _of_record(part, trajectory, len(nlp.free), total)
+            findings += _of_record(part, trajectory, len(nlp.free), total, shared)
     return once(findings)
 
 
@@ -68,14 +73,22 @@ def _is_likely(ratio: float, dof: float, level: float) -> bool:
 
 
 def _of_record(
-    part: RecordPart, trajectory: Trajectory, unknowns: int, total: int
+    part: RecordPart,
+    trajectory: Trajectory,
+    unknowns: int,
+    total: int,
+    shared: Mapping[str, int],
 ) -> Iterator[Finding]:
-    """Judge the outputs of a record; `total` numbers determine all unknowns."""
+    """Judge the outputs of a record; `total` numbers determine all unknowns.
+
+    Records share the variances of outputs with few samples, which have the `shared` number of them.
+    """
     covariance, name = part.covariance, part.model.record.name or part.name
     if part.model.is_prior:
         return
     if covariance.known is None:
-        least = min(covariance.counts[covariance.counts > 0])
+        counts = zip(part.outputs, part.few, covariance.counts, strict=True)
+        least = min(shared[name] if few else n for name, few, n in counts if n)
         # Of one output alone, the intervals allow for the number of samples.
         if least < min(6, total):
             text = (

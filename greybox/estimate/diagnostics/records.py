@@ -28,9 +28,6 @@ from greybox.statistics.noise_ratio import noise_ratio
 
 # Share of fits with a false alarm about feedback, and about colored prediction errors.
 FALSE_ALARMS = 0.01
-# Correlation of prediction errors below which no gust is worth another criterion: it biases the
-# estimates by a fraction of a standard error.
-NOTICEABLE = 0.1
 
 
 def finding_warnings(nlp: CompiledProblem) -> Iterator[str]:
@@ -208,7 +205,9 @@ def colored_predictions(
             test = whiteness(errors, 12, fitted.innovation_parameters(output))
             lag = int(np.argmax(np.abs(test.correlations)))
             r = float(test.correlations[lag])
-            if test.p_value < FALSE_ALARMS / outputs and abs(r) > NOTICEABLE:
+            # A gust of less correlation is not worth another criterion: it biases the estimates by
+            # a fraction of a standard error.
+            if test.p_value < FALSE_ALARMS / outputs and abs(r) > 0.1:
                 place = _place(fitted.data, fitted.name, pairs)
                 after = part.data.stretches[0].step * (lag + 1)
                 values.append(f"{r:.2g} after {after:.2g} s for {output}{place}")

@@ -19,13 +19,13 @@ https://ardupilot.org/copter/docs/parameters.html.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from greybox.data.record import Record, Recording
-from greybox.files.arrays import Array
+from greybox.files.arrays import Array, Values
 
 MOTORS = frozenset((*range(33, 41), *range(82, 86)))  # SERVOn_FUNCTION of motors 1 to 8 and 9 to 12
 DEFAULTS = {
@@ -38,7 +38,7 @@ PWM = (1000.0, 2000.0)  # µs, where MOT_PWM_MIN and MOT_PWM_MAX do not say
 TERMS = np.arange(1, 21)  # of the sum; the next are below 1/20^1.5 of the first
 
 
-def pwm_of_control(parameters: Mapping[str, float]) -> float:
+def pwm_of_control(parameters: Values) -> float:
     """Return how far a control of 1 moves a motor in hover, µs; NaN for other vehicles."""
     if "MOT_THST_EXPO" not in parameters:
         return math.nan
@@ -96,7 +96,7 @@ def motor_outputs(recording: Recording, start: float, end: float) -> Record | No
     )
 
 
-def limits(parameters: Mapping[str, float]) -> tuple[float, float]:
+def limits(parameters: Values) -> tuple[float, float]:
     """Return the least and the greatest PWM of a flying motor, µs."""
     least, greatest = _range(parameters)
     return round(least), round(greatest)
@@ -115,7 +115,7 @@ def saturation(recording: Recording, spans: Sequence[tuple[float, float]]) -> fl
     return float(np.mean(np.concatenate(at_limit))) if at_limit else math.nan
 
 
-def _range(parameters: Mapping[str, float]) -> tuple[float, float]:
+def _range(parameters: Values) -> tuple[float, float]:
     low, high = (parameters.get(name, 0) for name in ("MOT_PWM_MIN", "MOT_PWM_MAX"))
     low, high = (low, high) if 0 < low < high else PWM
     values = {**DEFAULTS, **parameters}

@@ -65,7 +65,6 @@ LOOP_RATES = (
     "SCHED_LOOP_RATE",
     "IMU_GYRO_RATEMAX",
 )
-SLOWEST_LOOP = 50.0  # Hz, the lowest SCHED_LOOP_RATE: a log that is slower has not every pass
 
 
 def with_holds(groups: Iterable[Messages], parameters: Mapping[str, float]) -> list[Messages]:
@@ -79,8 +78,9 @@ def _holds(group: Messages, period: float) -> dict[str, float]:
     holds = dict.fromkeys(_among(SAMPLES, group), CONTINUOUS)
     holds |= dict.fromkeys(_among(KEPT, group), HELD)
     if math.isnan(period):
-        # If the loop is unknown, a log that is fast enough is assumed to have every pass.
-        if group.time is None or not median_step(group.time) <= 1 / SLOWEST_LOOP:
+        # If the loop is unknown, a log is assumed to have every pass unless it is slower than the
+        # lowest SCHED_LOOP_RATE, 50 Hz.
+        if group.time is None or not median_step(group.time) <= 1 / 50:
             return holds
         period = HELD
 

@@ -19,7 +19,6 @@ from greybox.files.progress import bar
 STAMP = 8  # bytes of time before a packet
 MARK = re.compile(b"[\xfd\xfe]")  # the first byte of a packet of MAVLink 2 or 1
 TICKS = {"time_boot_ms": 1e3, "time_boot_us": 1e6, "time_usec": 1e6}  # sender's ticks per second
-EPOCH = 1e9  # s; a larger time counts from 1970, not from the sender's start
 
 
 class Packets:
@@ -121,8 +120,8 @@ class Kind:
         self.senders.append(packet.get_srcSystem() << 8 | packet.get_srcComponent())
         self.received.append(received)
         seconds = getattr(packet, self.timer) / TICKS[self.timer] if self.timer else math.nan
-        # Some senders fill in zero, or the time since 1970.
-        self.sent.append(seconds if 0 < seconds < EPOCH else math.nan)
+        # Some senders fill in zero, or the time since 1970 instead of that since their start.
+        self.sent.append(seconds if 0 < seconds < 1e9 else math.nan)
         if not self._is_stored:
             return
         first = len(self.numbers) == 1

@@ -9,7 +9,7 @@ import numpy as np
 
 from greybox.compiled.kalman_gain import kalman_gain
 from greybox.compiled.part import SMOOTHING, Part
-from greybox.compiled.record_group import Groups
+from greybox.compiled.record_group import Groups, sharing
 from greybox.files.arrays import Array
 from greybox.solve.constraints import Limits
 from greybox.solve.gauss_newton.iterate import EXACT, Iterate, Nodes, Progress, Step, relaxed
@@ -63,7 +63,8 @@ class AllParts:
         """
         flags = [t.simulated for t in like.trajectories] if like else [False] * len(self.parts)
         zipped = zip(self.parts, nodes or [None] * len(self.parts), flags, strict=True)
-        return Iterate(z, tuple(part.trajectory(z, n, simulated=flag) for part, n, flag in zipped))
+        each = [part.trajectory(z, n, simulated=flag) for part, n, flag in zipped]
+        return Iterate(z, tuple(sharing(self.parts, each)))
 
     def along(self, iterate: Iterate, *others: Sequence[Any]) -> Iterator[Any]:
         """Yield every part with its trajectory, and with its member of the others."""

@@ -20,6 +20,7 @@ from greybox.solve.gauss_newton.iteration import descend, followed
 from greybox.solve.gauss_newton.line_search import line_search, merit_function
 from greybox.solve.gauss_newton.normal_equations import gauss_newton_step
 from greybox.solve.gauss_newton.stability import are_stable
+from greybox.statistics.column_space import triangle_of
 
 # Steps that polish a minimum, at most: those of a model that hardly explains the data shrink by a
 # third only.
@@ -118,7 +119,7 @@ def sharp_step(nlp: CompiledProblem, parts: AllParts, iterate: Iterate, step: St
 
     size = np.linalg.norm(jacobian, axis=0)
     unit = 1 / positive_or_one(size)
-    _, singular, axes = np.linalg.svd(np.linalg.qr(jacobian * unit, mode="r"))
+    _, singular, axes = np.linalg.svd(triangle_of(jacobian * unit))
     determined = singular > 1e-8 * singular[0]  # smaller singular values are rounding as well
     along = (axes @ (step.gradient * unit))[determined] / singular[determined]
     dz = -unit * (axes[determined].T @ (along / singular[determined]))

@@ -51,7 +51,7 @@ class Points(NamedTuple):
         """Return gradient and Hessian without the states, and how these follow (r, m, n, 1 + p)."""
         right = np.concatenate([self.slope[..., None], self.cross], axis=3)
         damped = _damped(self.curvature, damping[:, None])
-        follow = np.asarray(-np.linalg.solve(damped, right), dtype=np.float64)
+        follow = -np.linalg.solve(damped, right)
         eliminated = np.einsum("rmnp,rmnq->rpq", self.cross, follow)
         return self.gradient + eliminated[..., 0], self.hessian + eliminated[..., 1:], follow
 
