@@ -815,6 +815,15 @@ def test_collinear_columns_are_named_from_an_index_of_twenty(index, found):
     assert len(collinear_groups(same, nothing, ("a", "b", "c"), (), unseen)) == 1
 
 
+@pytest.mark.parametrize(
+    ("share", "names"), [(1e-3, ("a", "b")), (1.2e-5, ("a", "b")), (0.8e-5, ("a",))]
+)
+def test_a_parameter_with_a_small_part_in_an_invisible_direction_is_named(share, names):
+    direction = np.array([[1.0], [share], [0.0]])
+    (group,) = invisible_groups(direction, np.ones(3), ("a", "b", "c"), [])
+    assert group.names == names
+
+
 class Plane(gb.StateSpace):
     """A plane over two regressors."""
 

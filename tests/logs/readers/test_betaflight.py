@@ -63,3 +63,16 @@ def test_high_resolution_is_in_tenths_of_a_degree(tmp_path):
     records = plain, tenths, logged(tmp_path, settings="")
     doubts = [any("blackbox_high_resolution" in text for text in r.findings) for r in records]
     assert doubts == [False, False, True]
+
+
+def test_the_phase_of_a_chirp_in_a_debug_field_is_its_signal(tmp_path):
+    """In 1/5000 rad, modulo a turn, and zero at rest, where a cosine would be one."""
+    phase = 2 * np.pi * np.cumsum(np.linspace(0, 0.05, 300)) % (2 * np.pi)
+    debug = np.r_[np.zeros(100), np.rint(5000 * phase)].astype(int)
+    rows = [f"{k},{125 * k},{count},0" for k, count in enumerate(debug)]
+    head = '"loopIteration","time","debug[0]","gyroADC[0]"'
+    (tmp_path / "log.csv").write_text("\n".join([SETTINGS + head, *rows]) + "\n")
+    chirp = read(tmp_path / "log.csv")["log"]["chirp"]
+    moves = debug > 0
+    np.testing.assert_allclose(chirp[moves], np.cos(np.r_[np.zeros(100), phase])[moves], atol=2e-4)
+    assert not chirp[~moves].any()
