@@ -336,7 +336,7 @@ class ResponseCompiler:
 
     def shared(self, choose: ChooseCriterion) -> SharedResponses | None:
         """Return the cost in numpy, if the responses share their solves."""
-        if self.constraint.numel_out() or len(self.parts) < len(self.problem.parts):
+        if len(self.parts) < len(self.problem.parts):
             return None
         data, _, measured = self.at_point()
         named = self.values_at(self.point, self.constants)

@@ -58,7 +58,8 @@ class SharedSystem:
     entries : Columns
         (z) -> these entries and the delays of the inputs, (e + m,), and their derivatives by z,
         (e + m, p), column by column.
-    pairs : tuple of (part, output, input, places of its frequencies in `omega`)
+    pairs : tuple of (part, points)
+        The points (3, n) of a part: outputs, inputs, and places in `omega`.
     """
 
     states: int
@@ -67,7 +68,7 @@ class SharedSystem:
     omega: Array
     rows: IntArray
     entries: Columns
-    pairs: tuple[tuple[int, int, int, IntArray], ...]
+    pairs: tuple[tuple[int, IntArray], ...]
 
     def matrices(self, z: Array) -> tuple[Array, Array, Array, Array]:
         """Return S (k, n + l, n + m), delays (k, m), and their derivatives by z (p, k).
@@ -83,32 +84,32 @@ class SharedSystem:
 
     def of_pairs(self) -> Iterator[tuple[int, "SharedSystem"]]:
         """Yield every part with the system of its response alone."""
-        for part, output, input, at in self.pairs:
-            pair = part, output, input, np.arange(len(at))
-            yield part, replace(self, omega=self.omega[at], pairs=(pair,))
+        for part, (*signals, at) in self.pairs:
+            points = np.array([*signals, range(len(at))])
+            yield part, replace(self, omega=self.omega[at], pairs=((part, points),))
 
     def responses(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
-        """Return the responses at z (p, k), (k, w, pairs), and their derivatives by z, last."""
+        """Return the points of all pairs at z (p, k), (k, N), and their derivatives by z, last."""
         n = self.states
         S, delays, slopes, delay_slopes = self.matrices(z)
-        s = 1j * self.omega[:, None]
         inverse = resolvents(S[:, :n, :n], self.omega)
         X = inverse @ S[:, None, :n, n:]
         Y = S[:, None, n:, :n] @ inverse
         shape, ends = X.shape[:2], (np.eye(self.outputs), np.eye(self.inputs))
         E, F = (np.broadcast_to(end, shape + end.shape) for end in ends)
         left, right = np.concatenate([Y, E], -1), np.concatenate([X, F], -2)
-        right *= np.exp(-s * delays[:, None])[:, :, None]
+        right *= np.exp(-1j * self.omega[:, None] * delays[:, None])[:, :, None]
 
-        outputs, inputs = (np.array([pair[c] for pair in self.pairs]) for c in (1, 2))
-        response = (S[:, None, n:] @ right)[..., outputs, inputs]
+        # Pairs have frequencies of their own: derivatives are computed where one is measured.
+        outputs, inputs, at = np.hstack([points for _, points in self.pairs])
+        response = (S[:, None, n:] @ right)[:, at, outputs, inputs]
+        by_delay = (1j * self.omega[at] * response)[..., None] * delay_slopes[:, inputs]
         # Only the entries that depend on z.
         moving = np.flatnonzero(np.any(slopes != 0, axis=(0, 2)))
         i, j = self.rows[moving].T
-        by_entry = left[:, :, outputs[:, None], i] * right[:, :, j, inputs[:, None]]
-        slope = by_entry.reshape(len(S), -1, len(moving)) @ slopes[:, moving]
-        by_delay = (s * response)[..., None] * delay_slopes[:, None, inputs]
-        return response, slope.reshape(by_delay.shape) - by_delay
+        outputs, inputs, at = outputs[:, None], inputs[:, None], at[:, None]
+        by_entry = left[:, at, outputs, i] * right[:, at, j, inputs]
+        return response, by_entry @ slopes[:, moving] - by_delay
 
 
 class SineTest:
@@ -119,7 +120,7 @@ class SineTest:
     Attributes
     ----------
     pairs : tuple
-        As of `SharedSystem`, of one part.
+        The part, as of `SharedSystem`.
     last : deque of (z, harmonics, derivatives)
         The last motions. Near them there may be others than those that are found anew.
     """
@@ -127,7 +128,7 @@ class SineTest:
     def __init__(self, part: int, balance: HarmonicBalance, values: ca.Function) -> None:
         """Take the values of the parameters as a function of z."""
         self._arguments = part, balance, values
-        self.pairs = ((part, 0, 0, slice(None)),)
+        self.pairs = ((part, None),)
         z = ca.MX.sym("z", values.numel_in(0))
         settings = balance.settings(values(z))
         slopes = dense_jacobian(settings[:, 0], z)
@@ -145,12 +146,12 @@ class SineTest:
         yield self.pairs[0][0], self
 
     def responses(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
-        """Return the response at z (p, k), (k, n, 1), and its derivatives by z, last.
+        """Return the response at z (p, k), (k, n), and its derivatives by z, last.
 
         The response is NaN where no motion is found.
         """
         rows = np.array([self._response(column) for column in z.T])
-        return rows[..., :1], rows[:, :, None, 1:]
+        return rows[..., 0], rows[..., 1:]
 
     def _response(self, z: Array) -> ComplexArray:
         """Return the response at z (p,) and its derivatives, (n, 1 + p)."""
@@ -241,8 +242,10 @@ class SharedResponses:
         with np.errstate(all="ignore"):
             for system in self.systems:
                 response, slope = system.responses(z)
-                rows = np.concatenate([response[..., None], slope], axis=3)
-                pieces |= {part: rows[:, at, c] for c, (part, _, _, at) in enumerate(system.pairs)}
+                rows = np.concatenate([response[..., None], slope], axis=2)
+                parts = [pair[0] for pair in system.pairs]
+                ends = np.cumsum([len(self.data[part]) for part in parts])[:-1]
+                pieces |= zip(parts, np.split(rows, ends, axis=1), strict=True)
         rows = np.concatenate([pieces[part] for part in sorted(pieces)], axis=1)
         return rows[..., 0], rows[..., 1:]
 
@@ -337,7 +340,8 @@ def _system(
         data = parts[k].response
         input, output = pick_signals(model, data.input, data.output)
         places = model.output_names.index(output), model.input_names.index(input)
-        pairs.append((k, *places, np.searchsorted(omega, data.omega)))
+        points = np.broadcast_arrays(*places, np.searchsorted(omega, data.omega))
+        pairs.append((k, np.array(points)))
     return SharedSystem(
         states=A.shape[0],
         inputs=B.shape[1],

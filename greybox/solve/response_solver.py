@@ -173,7 +173,7 @@ class ResponseSolver(LocalSolver):
             strict=True,
         )
         for x, count, at_minimum in ended:
-            if at_minimum:
+            if at_minimum and self.meets_constraints(x):
                 outcome = Outcome(x, AT_MINIMUM, count, seconds, converged=True, stage=IMPROVED)
             else:
                 outcome = Outcome(x, reason_to_end(), count, seconds, converged=False)
@@ -215,6 +215,11 @@ class ResponseSolver(LocalSolver):
     def batches(self) -> list[BatchedNewton]:
         """Build the criterion that locates the minimum, if any, then the problem's own."""
         return [BatchedNewton.of(self.problem, program) for program in self.problem.programs]
+
+    def meets_constraints(self, x: Array) -> bool:
+        """Return whether a search that knows none of the constraints ended where all hold."""
+        problem = self.problem
+        return not np.any(problem.constraint(problem.all_values(x)).full() < 0)
 
     def again(
         self, x: Array, earlier: Outcome | Run, options: Mapping[str, Any] = NO_OPTIONS
@@ -328,7 +333,10 @@ class ResponseSolver(LocalSolver):
             from_near=True,
             smoothing=smoothing,
         )
-        return self.problem.estimate_at(ends.z[:, 0]), int(ends.iterations[0])
+        estimate = self.problem.estimate_at(ends.z[:, 0])
+        # A constraint that holds with equality keeps its minimum where IPOPT found it.
+        estimate = estimate if self.meets_constraints(estimate) else best.estimate
+        return estimate, int(ends.iterations[0])
 
     def _unless_dearer(self, best: Minimum, estimate: Array) -> Minimum | None:
         """Return the minimum with this estimate; None if its cost is higher."""
