@@ -13,7 +13,7 @@ small where the residuals are, and may be indefinite far away from a minimum.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -34,7 +34,6 @@ from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.harmonic_balance import HarmonicBalance, compiled_balance
 from greybox.modeling.linearization import jacobians
 from greybox.modeling.model import pick_signals
-from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import dense_jacobian
 from greybox.modeling.trim import trim_of
@@ -101,13 +100,14 @@ class SharedSystem:
         right *= np.exp(-1j * self.omega[:, None] * delays[:, None])[:, :, None]
 
         # Pairs have frequencies of their own: derivatives are computed where one is measured.
-        outputs, inputs, at = np.hstack([points for _, points in self.pairs])
+        points = np.hstack([own for _, own in self.pairs])
+        outputs, inputs, at = points
         response = (S[:, None, n:] @ right)[:, at, outputs, inputs]
         by_delay = (1j * self.omega[at] * response)[..., None] * delay_slopes[:, inputs]
         # Only the entries that depend on z.
         moving = np.flatnonzero(np.any(slopes != 0, axis=(0, 2)))
         i, j = self.rows[moving].T
-        outputs, inputs, at = outputs[:, None], inputs[:, None], at[:, None]
+        outputs, inputs, at = points[..., None]
         by_entry = left[:, at, outputs, i] * right[:, at, j, inputs]
         return response, by_entry @ slopes[:, moving] - by_delay
 
@@ -230,6 +230,9 @@ class SharedResponses:
         """Take the cost as an expression of symbols: real, imaginary parts; smoothing; data."""
         self.systems = systems
         self.data = [part.response.response for part in parts]
+        members = [part for system in systems for part, _ in system.pairs]
+        members = np.repeat(members, [len(self.data[part]) for part in members])
+        self._order = np.argsort(members, kind="stable")
         second, first = ca.hessian(cost, symbols[0])
         pattern = second.sparsity()
         self._second = np.array(pattern.get_triplet())
@@ -238,16 +241,10 @@ class SharedResponses:
 
     def stacked(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
         """Return all responses at z (p, k), (k, N), and their derivatives (k, N, p)."""
-        pieces: dict[int, ComplexArray] = {}
         with np.errstate(all="ignore"):
-            for system in self.systems:
-                response, slope = system.responses(z)
-                rows = np.concatenate([response[..., None], slope], axis=2)
-                parts = [pair[0] for pair in system.pairs]
-                ends = np.cumsum([len(self.data[part]) for part in parts])[:-1]
-                pieces |= zip(parts, np.split(rows, ends, axis=1), strict=True)
-        rows = np.concatenate([pieces[part] for part in sorted(pieces)], axis=1)
-        return rows[..., 0], rows[..., 1:]
+            pieces = zip(*(system.responses(z) for system in self.systems), strict=True)
+        values, slopes = (np.concatenate(piece, axis=1)[:, self._order] for piece in pieces)
+        return values, slopes
 
     def __call__(self, z: Array, smoothing: Array, data: Array) -> tuple[Array, Array, Array]:
         """Return cost (k,), gradient (p, k), Hessian (p * p, k) at z (p, k), smoothing (1, k).
@@ -264,29 +261,6 @@ class SharedResponses:
         return cost[0], gradient[:, 0].T, hessian.reshape(len(hessian), -1).T
 
 
-@one_thread_at_a_time
-def shared_responses(
-    parts: Sequence[Problem],
-    cost: Callable[[Sequence[Complex], ca.SX], ca.SX],
-    data: ca.SX,
-    point: ca.SX,
-    values: Callable[[Problem], ca.SX],
-) -> SharedResponses | None:
-    """Return the responses of a problem if all are of state spaces; else None.
-
-    `cost` is that of all responses and a smoothing, with the symbols of the `data`; `values` gives
-    the values of a part's own parameters at the solver's variables, `point` (p,).
-    Operating points that Newton's method finds and Padé delays are not shared.
-    """
-    systems = shared_systems(parts, point, values)
-    if systems is None:
-        return None
-    stacked, responses = response_symbols(ca.SX, parts)
-    smoothing = ca.SX.sym("smoothing")
-    costs = cost(responses, smoothing)
-    return SharedResponses(parts, systems, costs, (stacked, smoothing, data))
-
-
 def response_symbols(kind: Any, parts: Sequence[Problem]) -> tuple[Any, list[Complex]]:
     """Return symbols of all responses, real parts before imaginary parts, and each response."""
     ends = np.cumsum([0, *(len(part.response) for part in parts)]).tolist()
@@ -295,29 +269,30 @@ def response_symbols(kind: Any, parts: Sequence[Problem]) -> tuple[Any, list[Com
 
 
 def shared_systems(
-    parts: Sequence[Problem], point: ca.SX, values: Callable[[Problem], ca.SX]
+    parts: Sequence[Problem], point: ca.SX, named: Mapping[str, Any]
 ) -> list[SharedSystem | SineTest] | None:
-    """Return the state spaces and sine tests of all parts; None if one is not shared."""
+    """Return the state spaces and sine tests of all parts; None if one is not shared.
+
+    The values by name are expressions of the `point` (p,). Operating points that Newton's method
+    finds and Padé delays are not shared.
+    """
     groups: dict[Any, list[int]] = {}
-    local = [ca.Function("values", [point], [values(part)]) for part in parts]
-    for k, part in enumerate(parts):
-        if part.amplitude is not None:
-            continue
-        if not isinstance(part.model, StateSpace) or not part.model.states or part.delay != "exact":
-            return None
-        key = id(part.model), repr(sorted(part.at.items())), local[k].serialize()
-        groups.setdefault(key, []).append(k)
-    systems: list[Any] = [
-        _system(parts, members, point, values(parts[members[0]])) for members in groups.values()
-    ]
-    if None in systems:
-        return None
+    values = [ca.SX(ca.vertcat(*part.local_values(named).values())) for part in parts]
+    local = [ca.Function("values", [point], [own]) for own in values]
+    systems = list[Any]()
     for k, part in enumerate(parts):
         if part.amplitude is not None:
             omega = part.response.omega
             balance = compiled_balance(part.model, omega, part.amplitude, **part.signals)
             systems.append(SineTest(k, balance, local[k]))
-    return systems
+            continue
+        if not isinstance(part.model, StateSpace) or not part.model.states or part.delay != "exact":
+            return None
+        key = id(part.model), repr(sorted(part.at.items())), local[k].serialize()
+        groups.setdefault(key, []).append(k)
+    for members in groups.values():
+        systems.append(_system(parts, members, point, values[members[0]]))
+    return None if None in systems else systems
 
 
 def _system(
@@ -327,8 +302,7 @@ def _system(
     trim = trim_of(model, parts[members[0]].at)
     if trim.root is not None:
         return None
-    blocks = jacobians(model)(p, *trim.function(p, ca.SX(0, 1)))
-    A, B, C, D = blocks
+    A, B, C, D = jacobians(model)(p, *trim.function(p, ca.SX(0, 1)))
     system = ca.sparsify(ca.blockcat([[A, B], [C, D]]))
     names = list(model.parameters)
     delays = [p[names.index(model.delays[i])] if i in model.delays else 0.0 for i in model.inputs]

@@ -19,8 +19,8 @@ from typing import Any
 
 import numpy as np
 
-from greybox.compiled.shared_response import SharedSystem, resolvents
-from greybox.files.arrays import Array, ComplexArray, IntArray
+from greybox.compiled.shared_response import resolvents
+from greybox.files.arrays import Array, ComplexArray
 
 # Noise over the derivatives of the states, with relative errors of one in the responses: at first,
 # for every second pair of starts, and over that, stage by stage. Those that begin with much noise
@@ -37,6 +37,7 @@ class ProcessNoise:
 
     def __init__(self, responses: Any, points: Array) -> None:
         """Take `SharedResponses`; the noise is scaled by the states' derivatives at z (p, k)."""
+        # System, places, measured responses, weights and sizes of the derivatives.
         self._terms, self._numbers = [], 0
         for system in responses.systems:
             # By frequency, input and output; weights are zero where nothing is measured.
@@ -47,7 +48,7 @@ class ProcessNoise:
             places = np.nonzero(measured.any(axis=-1))
             measured = measured[places]
             size = np.abs(measured)
-            weight = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
+            weight = (size > 0) / np.where(size > 0, size, 1.0)
             self._numbers += 2 * np.count_nonzero(weight)
 
             # Typical derivatives of the states.
@@ -65,14 +66,14 @@ class ProcessNoise:
         """
         p, k = z.shape
         cost, gradient, hessian = np.zeros(k), np.zeros((p, k)), np.zeros((p * p, k))
-        for system, places, measured, weight, sizes in self._terms:
+        for term in self._terms:
+            system, (at, inputs), *_, sizes = term
             noise = data[0, :, None, None] * sizes
-            at, inputs = places
             S, delays, slopes, delay_slopes = system.matrices(z)
             s, own = 1j * system.omega[at], np.eye(system.inputs)[inputs]
             lag = np.exp(-s * delays[:, inputs])
             with np.errstate(all="ignore"):
-                errors, left, x = _whitened(system, S, lag, places, measured, weight, noise)
+                errors, left, x = _whitened(term, S, lag, noise)
                 by_input = S[:, :, system.states :].swapaxes(1, 2)[:, inputs, :, None]
                 by_delay = (s * lag)[..., None] * (left @ by_input)[..., 0]
                 by_delay = own.T[:, None, :, None] * by_delay
@@ -94,19 +95,14 @@ class ProcessNoise:
 
 
 def _whitened(
-    system: SharedSystem,
-    S: Array,
-    lag: ComplexArray,
-    places: tuple[IntArray, ...],
-    measured: ComplexArray,
-    weight: Array,
-    noise: Array,
+    term: tuple[Any, ...], S: Array, lag: ComplexArray, noise: Array
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
     """Return the whitened errors (k, r, l), W [Y, I] (k, r, l, n + l), and x (k, r, n).
 
     The rows r are those places (frequency, input) where something is measured.
     """
-    n, outputs, (at, inputs) = system.states, system.outputs, places
+    system, (at, inputs), measured, weight, _ = term
+    n, outputs = system.states, system.outputs
     inverse = resolvents(S[:, :n, :n], system.omega)
     states = lag[..., None] * (inverse @ S[:, None, :n, n:]).swapaxes(2, 3)[:, at, inputs]
     C, D = S[:, n:, :n], S[:, n:, n:].swapaxes(1, 2)[:, inputs]

@@ -19,7 +19,7 @@ from greybox.solve.batched_newton import BatchedNewton, Ends
 from greybox.solve.minima import Minimum
 from greybox.solve.process_noise_start import FIRST, STAGES, ProcessNoise
 from greybox.solve.response_solver import FEW, NO_OPTIONS, ResponseSolver
-from greybox.solve.runs import Outcome, Run, Runs
+from greybox.solve.runs import NOT_FINITE, Outcome, Run, Runs
 
 MOST = 100  # iterations of a start: some take 250, and their time would be that of the whole fit
 STAGE = 40  # iterations with one ratio of process noise: of seven starts, five take 3 to 36
@@ -101,7 +101,8 @@ class SharedSolver(ResponseSolver):
         """
         if not self.meets_constraints(x):
             return super().again(x, earlier, options)
-        return Outcome(x, UNFINISHED, earlier.iterations, earlier.seconds, converged=False)
+        status = UNFINISHED if np.isfinite(self.problem.costs(x[None])) else NOT_FINITE
+        return Outcome(x, status, earlier.iterations, earlier.seconds, converged=False)
 
     def certified(self, runs: Runs, minima: Sequence[Minimum]) -> dict[int, Outcome]:
         """Return no run: the searches have met IPOPT's conditions."""
