@@ -537,7 +537,7 @@ def _wrong_data(given: Any) -> str:
             f"a mapping with the keys {', '.join(map(repr, given)):.200}: give every "
             "FrequencyResponse by its pair, such as {'p/lat': response} (output/input)"
         )
-    return f"{given!r:.60}: give a FrequencyResponse, Record, TransientSpectrum, or from_control(frd)"
+    return f"{given!r:.80}: give a FrequencyResponse, a Record or a TransientSpectrum"
 
 
 def _require(value: Any, kind: Any, what: str, cure: str) -> None:
