@@ -60,8 +60,8 @@ class Criterion(AnyCriterion):
         if zero.size:
             raise ValueError(
                 f"the response {data.output and f'of {data.output} to {data.input} '}is zero at "
-                f"omega = {data.omega[zero[0]]:g} rad/s, which {type(self).__name__} cannot divide by"
-                ": leave that point out, or all of a zero response, or use MaximumLikelihood."
+                f"omega = {data.omega[zero[0]]:g} rad/s, which {type(self).__name__} cannot divide "
+                "by: leave that point out, or all of a zero response, or use MaximumLikelihood."
             )
 
     @abstractmethod
