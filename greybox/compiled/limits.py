@@ -28,7 +28,7 @@ def limits_of(
             # Formulas are compared as compiled: equal lambdas are different objects in Python.
             label, value = f"constraints[{k}] of {part.name!r}", ca.SX(constraint(local))
             formula = ca.Function("formula", [x], [value])
-            limits.setdefault((label, formula.serialize()), (label, value))
+            limits.setdefault(formula.serialize(), (label, value))
         for name in part.tied:
             sides = zip(("lower", "upper"), part.declared[name].bounds, (1, -1), strict=True)
             for side, bound, sign in sides:

@@ -140,7 +140,7 @@ class ResponsePart(Part):
         functions = self.functions
         if (system := functions.system) is not None:
             both = self.stored("both", values, lambda: system.responses(values[:, None]))
-            return both[is_slope][0, :, 0]
+            return both[is_slope][0]
         function = functions.slope if is_slope else functions.response
         return self.stored(
             function.name(),

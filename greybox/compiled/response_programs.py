@@ -29,7 +29,6 @@ from greybox.compiled.shared_response import (
     SharedSystem,
     SineTest,
     response_symbols,
-    shared_responses,
     shared_systems,
 )
 from greybox.compiled.vectorized import CHUNK, Columns
@@ -330,24 +329,22 @@ class ResponseCompiler:
         """Return the systems of the parts that are in numpy, at all values x."""
         x = ca.SX.sym("x", len(self.names))
         named = entries_by_name(self.names, x)
-        shared = shared_systems(self.parts, x, lambda part: ca.SX(_values(part, named))) or []
+        shared = shared_systems(self.parts, x, named) or []
         return dict(pair for system in shared for pair in system.of_pairs())
 
     def shared(self, choose: ChooseCriterion) -> SharedResponses | None:
         """Return the cost in numpy, if the responses share their solves."""
-        if self.constraint.numel_out() or len(self.parts) < len(self.problem.parts):
+        if len(self.parts) < len(self.problem.parts):
+            return None
+        named = self.values_at(self.point, self.constants)
+        systems = shared_systems(self.parts, self.point, named)
+        if systems is None:
             return None
         data, _, measured = self.at_point()
-        named = self.values_at(self.point, self.constants)
-        return shared_responses(
-            self.parts,
-            lambda responses, smoothing: ca.SX(
-                self.weighted(self.costs(responses, measured, smoothing, choose))
-            ),
-            data,
-            self.point,
-            lambda part: ca.SX(_values(part, named)),
-        )
+        stacked, responses = response_symbols(ca.SX, self.parts)
+        smoothing = ca.SX.sym("smoothing")
+        cost = ca.SX(self.weighted(self.costs(responses, measured, smoothing, choose)))
+        return SharedResponses(self.parts, systems, cost, (stacked, smoothing, data))
 
 
 def _values(part: Problem, named: Named) -> Any:

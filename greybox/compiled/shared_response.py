@@ -13,7 +13,7 @@ small where the residuals are, and may be indefinite far away from a minimum.
 """
 
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -34,7 +34,6 @@ from greybox.modeling.complex_arithmetic import Complex
 from greybox.modeling.harmonic_balance import HarmonicBalance, compiled_balance
 from greybox.modeling.linearization import jacobians
 from greybox.modeling.model import pick_signals
-from greybox.modeling.one_thread import one_thread_at_a_time
 from greybox.modeling.state_space import StateSpace
 from greybox.modeling.symbolic_reading import dense_jacobian
 from greybox.modeling.trim import trim_of
@@ -55,7 +54,8 @@ class SharedSystem:
     entries : Columns
         (z) -> these entries and the delays of the inputs, (e + m,), and their derivatives by z,
         (e + m, p), column by column.
-    pairs : tuple of (part, output, input, places of its frequencies in `omega`)
+    pairs : tuple of (part, points)
+        The points (3, n) of a part: outputs, inputs, and places in `omega`.
     """
 
     states: int
@@ -64,7 +64,7 @@ class SharedSystem:
     omega: Array
     rows: IntArray
     entries: Columns
-    pairs: tuple[tuple[int, int, int, IntArray], ...]
+    pairs: tuple[tuple[int, IntArray], ...]
 
     def matrices(self, z: Array) -> tuple[Array, Array, Array, Array]:
         """Return S (k, n + l, n + m), delays (k, m), and their derivatives by z (p, k).
@@ -80,32 +80,33 @@ class SharedSystem:
 
     def of_pairs(self) -> Iterator[tuple[int, "SharedSystem"]]:
         """Yield every part with the system of its response alone."""
-        for part, output, input, at in self.pairs:
-            pair = part, output, input, np.arange(len(at))
-            yield part, replace(self, omega=self.omega[at], pairs=(pair,))
+        for part, (*signals, at) in self.pairs:
+            points = np.array([*signals, range(len(at))])
+            yield part, replace(self, omega=self.omega[at], pairs=((part, points),))
 
     def responses(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
-        """Return the responses at z (p, k), (k, w, pairs), and their derivatives by z, last."""
+        """Return the points of all pairs at z (p, k), (k, N), and their derivatives by z, last."""
         n = self.states
         S, delays, slopes, delay_slopes = self.matrices(z)
-        s = 1j * self.omega[:, None]
         inverse = resolvents(S[:, :n, :n], self.omega)
         X = inverse @ S[:, None, :n, n:]
         Y = S[:, None, n:, :n] @ inverse
         shape, ends = X.shape[:2], (np.eye(self.outputs), np.eye(self.inputs))
         E, F = (np.broadcast_to(end, shape + end.shape) for end in ends)
         left, right = np.concatenate([Y, E], -1), np.concatenate([X, F], -2)
-        right *= np.exp(-s * delays[:, None])[:, :, None]
+        right *= np.exp(-1j * self.omega[:, None] * delays[:, None])[:, :, None]
 
-        outputs, inputs = (np.array([pair[c] for pair in self.pairs]) for c in (1, 2))
-        response = (S[:, None, n:] @ right)[..., outputs, inputs]
+        # Pairs have frequencies of their own: derivatives are computed where one is measured.
+        points = np.hstack([own for _, own in self.pairs])
+        outputs, inputs, at = points
+        response = (S[:, None, n:] @ right)[:, at, outputs, inputs]
+        by_delay = (1j * self.omega[at] * response)[..., None] * delay_slopes[:, inputs]
         # Only the entries that depend on z.
         moving = np.flatnonzero(np.any(slopes != 0, axis=(0, 2)))
         i, j = self.rows[moving].T
-        by_entry = left[:, :, outputs[:, None], i] * right[:, :, j, inputs[:, None]]
-        slope = by_entry.reshape(len(S), -1, len(moving)) @ slopes[:, moving]
-        by_delay = (s * response)[..., None] * delay_slopes[:, None, inputs]
-        return response, slope.reshape(by_delay.shape) - by_delay
+        outputs, inputs, at = points[..., None]
+        by_entry = left[:, at, outputs, i] * right[:, at, j, inputs]
+        return response, by_entry @ slopes[:, moving] - by_delay
 
 
 class SineTest:
@@ -116,7 +117,7 @@ class SineTest:
     Attributes
     ----------
     pairs : tuple
-        As of `SharedSystem`, of one part.
+        The part, as of `SharedSystem`.
     last : deque of (z, harmonics, derivatives)
         The last motions. Near them there may be others than those that are found anew.
     """
@@ -124,7 +125,7 @@ class SineTest:
     def __init__(self, part: int, balance: HarmonicBalance, values: ca.Function) -> None:
         """Take the values of the parameters as a function of z."""
         self._arguments = part, balance, values
-        self.pairs = ((part, 0, 0, slice(None)),)
+        self.pairs = ((part, None),)
         z = ca.MX.sym("z", values.numel_in(0))
         settings = balance.settings(values(z))
         slopes = dense_jacobian(settings[:, 0], z)
@@ -143,12 +144,12 @@ class SineTest:
         yield self.pairs[0][0], self
 
     def responses(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
-        """Return the response at z (p, k), (k, n, 1), and its derivatives by z, last.
+        """Return the response at z (p, k), (k, n), and its derivatives by z, last.
 
         The response is NaN where no motion is found.
         """
         rows = np.array([self._response(column) for column in z.T])
-        return rows[..., :1], rows[:, :, None, 1:]
+        return rows[..., 0], rows[..., 1:]
 
     def _response(self, z: Array) -> ComplexArray:
         """Return the response at z (p,) and its derivatives, (n, 1 + p)."""
@@ -227,6 +228,9 @@ class SharedResponses:
         """Take the cost as an expression of symbols: real, imaginary parts; smoothing; data."""
         self.systems = systems
         self.data = [part.response.response for part in parts]
+        members = [part for system in systems for part, _ in system.pairs]
+        members = np.repeat(members, [len(self.data[part]) for part in members])
+        self._order = np.argsort(members, kind="stable")
         second, first = ca.hessian(cost, symbols[0])
         pattern = second.sparsity()
         self._second = np.array(pattern.get_triplet())
@@ -235,14 +239,10 @@ class SharedResponses:
 
     def stacked(self, z: Array) -> tuple[ComplexArray, ComplexArray]:
         """Return all responses at z (p, k), (k, N), and their derivatives (k, N, p)."""
-        pieces: dict[int, ComplexArray] = {}
         with np.errstate(all="ignore"):
-            for system in self.systems:
-                response, slope = system.responses(z)
-                rows = np.concatenate([response[..., None], slope], axis=3)
-                pieces |= {part: rows[:, at, c] for c, (part, _, _, at) in enumerate(system.pairs)}
-        rows = np.concatenate([pieces[part] for part in sorted(pieces)], axis=1)
-        return rows[..., 0], rows[..., 1:]
+            pieces = zip(*(system.responses(z) for system in self.systems), strict=True)
+        values, slopes = (np.concatenate(piece, axis=1)[:, self._order] for piece in pieces)
+        return values, slopes
 
     def __call__(self, z: Array, smoothing: Array, data: Array) -> tuple[Array, Array, Array]:
         """Return cost (k,), gradient (p, k), Hessian (p * p, k) at z (p, k), smoothing (1, k).
@@ -259,29 +259,6 @@ class SharedResponses:
         return cost[0], gradient[:, 0].T, hessian.reshape(len(hessian), -1).T
 
 
-@one_thread_at_a_time
-def shared_responses(
-    parts: Sequence[Problem],
-    cost: Callable[[Sequence[Complex], ca.SX], ca.SX],
-    data: ca.SX,
-    point: ca.SX,
-    values: Callable[[Problem], ca.SX],
-) -> SharedResponses | None:
-    """Return the responses of a problem if all are of state spaces; else None.
-
-    `cost` is that of all responses and a smoothing, with the symbols of the `data`; `values` gives
-    the values of a part's own parameters at the solver's variables, `point` (p,).
-    Operating points that Newton's method finds and Padé delays are not shared.
-    """
-    systems = shared_systems(parts, point, values)
-    if systems is None:
-        return None
-    stacked, responses = response_symbols(ca.SX, parts)
-    smoothing = ca.SX.sym("smoothing")
-    costs = cost(responses, smoothing)
-    return SharedResponses(parts, systems, costs, (stacked, smoothing, data))
-
-
 def response_symbols(kind: Any, parts: Sequence[Problem]) -> tuple[Any, list[Complex]]:
     """Return symbols of all responses, real parts before imaginary parts, and each response."""
     ends = np.cumsum([0, *(len(part.response) for part in parts)]).tolist()
@@ -290,29 +267,30 @@ def response_symbols(kind: Any, parts: Sequence[Problem]) -> tuple[Any, list[Com
 
 
 def shared_systems(
-    parts: Sequence[Problem], point: ca.SX, values: Callable[[Problem], ca.SX]
+    parts: Sequence[Problem], point: ca.SX, named: Mapping[str, Any]
 ) -> list[SharedSystem | SineTest] | None:
-    """Return the state spaces and sine tests of all parts; None if one is not shared."""
+    """Return the state spaces and sine tests of all parts; None if one is not shared.
+
+    The values by name are expressions of the `point` (p,). Operating points that Newton's method
+    finds and Padé delays are not shared.
+    """
     groups: dict[Any, list[int]] = {}
-    local = [ca.Function("values", [point], [values(part)]) for part in parts]
-    for k, part in enumerate(parts):
-        if part.amplitude is not None:
-            continue
-        if not isinstance(part.model, StateSpace) or not part.model.states or part.delay != "exact":
-            return None
-        key = id(part.model), repr(sorted(part.at.items())), local[k].serialize()
-        groups.setdefault(key, []).append(k)
-    systems: list[Any] = [
-        _system(parts, members, point, values(parts[members[0]])) for members in groups.values()
-    ]
-    if None in systems:
-        return None
+    values = [ca.SX(ca.vertcat(*part.local_values(named).values())) for part in parts]
+    local = [ca.Function("values", [point], [own]) for own in values]
+    systems = list[Any]()
     for k, part in enumerate(parts):
         if part.amplitude is not None:
             omega = part.response.omega
             balance = compiled_balance(part.model, omega, part.amplitude, **part.signals)
             systems.append(SineTest(k, balance, local[k]))
-    return systems
+            continue
+        if not isinstance(part.model, StateSpace) or not part.model.states or part.delay != "exact":
+            return None
+        key = id(part.model), repr(sorted(part.at.items())), local[k].serialize()
+        groups.setdefault(key, []).append(k)
+    for members in groups.values():
+        systems.append(_system(parts, members, point, values[members[0]]))
+    return None if None in systems else systems
 
 
 def _system(
@@ -322,8 +300,7 @@ def _system(
     trim = trim_of(model, parts[members[0]].at)
     if trim.root is not None:
         return None
-    blocks = jacobians(model)(p, *trim.function(p, ca.SX(0, 1)))
-    A, B, C, D = blocks
+    A, B, C, D = jacobians(model)(p, *trim.function(p, ca.SX(0, 1)))
     system = ca.sparsify(ca.blockcat([[A, B], [C, D]]))
     names = list(model.parameters)
     delays = [p[names.index(model.delays[i])] if i in model.delays else 0.0 for i in model.inputs]
@@ -335,7 +312,8 @@ def _system(
         data = parts[k].response
         input, output = pick_signals(model, data.input, data.output)
         places = model.output_names.index(output), model.input_names.index(input)
-        pairs.append((k, *places, np.searchsorted(omega, data.omega)))
+        points = np.broadcast_arrays(*places, np.searchsorted(omega, data.omega))
+        pairs.append((k, np.array(points)))
     return SharedSystem(
         states=A.shape[0],
         inputs=B.shape[1],

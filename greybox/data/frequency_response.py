@@ -138,8 +138,8 @@ class FrequencyResponse:
         repeated = values[1:][np.diff(values) == 0]
         if repeated.size:
             raise ValueError(
-                f"omega = {repeated[0]:g} rad/s is repeated: average the points of one "
-                "frequency, or add two problems, one for each experiment."
+                f"omega = {repeated[0]:g} rad/s is repeated: average the points of one frequency, "
+                "or add two problems, one for each experiment. For pairs, name columns p_lat_alpha."
             )
 
     def _checked_errors(self) -> ComplexArray | None:

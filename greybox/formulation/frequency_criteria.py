@@ -59,9 +59,9 @@ class Criterion(AnyCriterion):
         zero = np.flatnonzero(data.response == 0)
         if zero.size:
             raise ValueError(
-                f"the response is zero at omega = {data.omega[zero[0]]:g} rad/s, which "
-                f"{type(self).__name__} cannot divide by: leave that point out or use "
-                "MaximumLikelihood."
+                f"the response {data.output and f'of {data.output} to {data.input} '}is zero at "
+                f"omega = {data.omega[zero[0]]:g} rad/s, which {type(self).__name__} cannot divide "
+                "by: leave that point out, or all of a zero response, or use MaximumLikelihood."
             )
 
     @abstractmethod

@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from greybox.compiled.shared_response import SharedSystem, resolvents
+from greybox.compiled.shared_response import resolvents
 from greybox.files.arrays import Array, ComplexArray
 
 # Noise over the derivatives of the states, with relative errors of one in the responses: at first,
@@ -34,14 +34,18 @@ class ProcessNoise:
 
     def __init__(self, responses: Any, points: Array) -> None:
         """Take `SharedResponses`; the noise is scaled by the states' derivatives at z (p, k)."""
+        # System, places, measured responses, weights and sizes of the derivatives.
         self._terms, self._numbers = [], 0
         for system in responses.systems:
             # By frequency, input and output; weights are zero where nothing is measured.
             measured = np.zeros((len(system.omega), system.inputs, system.outputs), complex)
-            for part, output, input, at in system.pairs:
+            for part, (output, input, at) in system.pairs:
                 measured[at, input, output] = responses.data[part]
+            # Each input may have frequencies of its own.
+            places = np.nonzero(measured.any(axis=-1))
+            measured = measured[places]
             size = np.abs(measured)
-            weight = np.divide(1.0, size, out=np.zeros_like(size), where=size > 0)
+            weight = (size > 0) / np.where(size > 0, size, 1.0)
             self._numbers += 2 * np.count_nonzero(weight)
 
             # Typical derivatives of the states.
@@ -49,8 +53,8 @@ class ProcessNoise:
             with np.errstate(all="ignore"):
                 states = resolvents(S[:, :n, :n], system.omega) @ S[:, None, :n, n:]
                 sizes = np.median(np.abs(states), axis=0) * system.omega[:, None, None]
-            sizes = np.nan_to_num(sizes, posinf=0.0).swapaxes(1, 2)
-            self._terms.append((system, measured, weight, sizes))
+            sizes = np.nan_to_num(sizes, posinf=0.0).swapaxes(1, 2)[places]
+            self._terms.append((system, places, measured, weight, sizes))
 
     def __call__(self, z: Array, smoothing: Array, data: Array) -> tuple[Array, Array, Array]:
         """Return cost (k,), gradient (p, k) and Hessian (p * p, k) at z (p, k).
@@ -59,19 +63,20 @@ class ProcessNoise:
         """
         p, k = z.shape
         cost, gradient, hessian = np.zeros(k), np.zeros((p, k)), np.zeros((p * p, k))
-        for system, measured, weight, sizes in self._terms:
-            noise = data[0, :, None, None, None] * sizes
-            n, eye = system.states, np.eye(system.inputs)
+        for term in self._terms:
+            system, (at, inputs), *_, sizes = term
+            noise = data[0, :, None, None] * sizes
             S, delays, slopes, delay_slopes = system.matrices(z)
-            s = 1j * system.omega[:, None]
-            lag = np.exp(-s * delays[:, None])
+            s, own = 1j * system.omega[at], np.eye(system.inputs)[inputs]
+            lag = np.exp(-s * delays[:, inputs])
             with np.errstate(all="ignore"):
-                errors, left, x = _whitened(system, S, lag, measured, weight, noise)
-                by_input = (left @ S[:, None, :, n:].swapaxes(2, 3)[..., None])[..., 0]
-                by_delay = eye[:, None, None, :, None] * (s * lag)[..., None] * by_input
-            right = np.concatenate([x, lag[..., None] * eye], axis=-1)
+                errors, left, x = _whitened(term, S, lag, noise)
+                by_input = S[:, :, system.states :].swapaxes(1, 2)[:, inputs, :, None]
+                by_delay = (s * lag)[..., None] * (left @ by_input)[..., 0]
+                by_delay = own.T[:, None, :, None] * by_delay
+            right = np.concatenate([x, lag[..., None] * own], axis=-1)
 
-            # Only the entries that depend on z; rows (entry, frequency, input, output).
+            # Only the entries that depend on z; rows (entry, frequency and input, output).
             moving = np.flatnonzero(np.any(slopes != 0, axis=(0, 2)))
             i, j = system.rows[moving].T
             slopes = np.concatenate([slopes[:, moving], delay_slopes], axis=1)
@@ -87,20 +92,19 @@ class ProcessNoise:
 
 
 def _whitened(
-    system: SharedSystem,
-    S: Array,
-    lag: ComplexArray,
-    measured: ComplexArray,
-    weight: Array,
-    noise: Array,
+    term: tuple[Any, ...], S: Array, lag: ComplexArray, noise: Array
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
-    """Return the whitened errors (k, w, m, l), W [Y, I] (..., l, n + l), and x (k, w, m, n)."""
+    """Return the whitened errors (k, r, l), W [Y, I] (k, r, l, n + l), and x (k, r, n).
+
+    The rows r are those places (frequency, input) where something is measured.
+    """
+    system, (at, inputs), measured, weight, _ = term
     n, outputs = system.states, system.outputs
     inverse = resolvents(S[:, :n, :n], system.omega)
-    states = (inverse @ S[:, None, :n, n:] * lag[:, :, None]).swapaxes(2, 3)
-    C, D = S[:, None, n:, :n], S[:, None, n:, n:].swapaxes(2, 3)
-    errors = weight * (measured - states @ C.swapaxes(2, 3) - lag[..., None] * D)
-    by_noise = weight[..., None] * (C @ inverse)[:, :, None]
+    states = lag[..., None] * (inverse @ S[:, None, :n, n:]).swapaxes(2, 3)[:, at, inputs]
+    C, D = S[:, n:, :n], S[:, n:, n:].swapaxes(1, 2)[:, inputs]
+    errors = weight * (measured - states @ C.swapaxes(1, 2) - lag[..., None] * D)
+    by_noise = weight[..., None] * (C[:, None] @ inverse)[:, at]
     scaled = by_noise * noise[..., None, :]
     # A pole at a frequency: such trials are refused, since the sum of noise and errors is not
     # definite in double precision.
@@ -117,4 +121,4 @@ def _whitened(
     errors = (whitening @ errors[..., None])[..., 0]
     left = np.concatenate([whitening @ by_noise, whitening * weight[..., None, :]], axis=-1)
     driven = noise**2 * (left[..., :n].conj().swapaxes(-1, -2) @ errors[..., None])[..., 0]
-    return errors, left, states + (inverse[:, :, None] @ driven[..., None])[..., 0]
+    return errors, left, states + (inverse[:, at] @ driven[..., None])[..., 0]

@@ -171,12 +171,10 @@ class ResponseSolver(LocalSolver):
             strict=True,
         )
         for x, count, at_minimum in ended:
-            if at_minimum:
-                outcome = Outcome(x, AT_MINIMUM, count, seconds, converged=True, stage=IMPROVED)
-            else:
-                outcome = Outcome(x, reason_to_end(), count, seconds, converged=False)
-                outcome = outcome if outcome.status else self.again(x, outcome)
-            outcomes.append(outcome)
+            is_end = at_minimum and self.meets_constraints(x)
+            status = AT_MINIMUM if is_end else reason_to_end()
+            outcome = Outcome(x, status, count, seconds, is_end, stage=IMPROVED)
+            outcomes.append(outcome if status else self.again(x, outcome))
         return outcomes
 
     def improved(self, z: Array, **limits: Any) -> Ends:
@@ -213,6 +211,11 @@ class ResponseSolver(LocalSolver):
     def batches(self) -> list[BatchedNewton]:
         """Build the criterion that locates the minimum, if any, then the problem's own."""
         return [BatchedNewton.of(self.problem, program) for program in self.problem.programs]
+
+    def meets_constraints(self, x: Array) -> bool:
+        """Return whether a search that knows none of the constraints ended where all hold."""
+        problem = self.problem
+        return bool(problem.constraint(problem.all_values(x)).full().min(initial=0) >= 0)
 
     def again(
         self, x: Array, earlier: Outcome | Run, options: Mapping[str, Any] = NO_OPTIONS
@@ -306,17 +309,16 @@ class ResponseSolver(LocalSolver):
             # there the smoothing falls in steps.
             estimate, iterations = self._refined(best, FINER[-1], FEW)
             if iterations < FEW:
-                return self._unless_dearer(best, estimate) or best
+                return self._unless_dearer(best, estimate)
 
         for smoothing in FINER:
             if is_served:
                 estimate, _ = self._refined(best, smoothing, 100)
             else:
                 estimate = self._solved(best.estimate, smoothing, AT_A_KINK).estimate
-            polished = self._unless_dearer(best, estimate)
-            if polished is None:
+            previous, best = best, self._unless_dearer(best, estimate)
+            if best is previous:
                 break
-            best = polished
         return best
 
     def _refined(self, best: Minimum, smoothing: float, most: int) -> tuple[Array, int]:
@@ -328,12 +330,16 @@ class ResponseSolver(LocalSolver):
             from_near=True,
             smoothing=smoothing,
         )
-        return self.problem.estimate_at(ends.z[:, 0]), int(ends.iterations[0])
+        estimate = self.problem.estimate_at(ends.z[:, 0])
+        # A constraint that holds with equality keeps its minimum where IPOPT found it.
+        if not self.meets_constraints(estimate):
+            estimate = best.estimate
+        return estimate, int(ends.iterations[0])
 
-    def _unless_dearer(self, best: Minimum, estimate: Array) -> Minimum | None:
-        """Return the minimum with this estimate; None if its cost is higher."""
+    def _unless_dearer(self, best: Minimum, estimate: Array) -> Minimum:
+        """Return the minimum with this estimate; unchanged if its cost is higher."""
         cost = self.problem.costs(estimate[None]).item()
         # Rounding of the cost must not decide whether digits are refined.
         if not cost <= best.cost + 1e-13 * abs(best.cost):
-            return None
+            return best
         return replace(best, cost=cost, estimate=estimate)

@@ -3,7 +3,8 @@
 All starts but the first of a batch move to a minimum with process noise, except those of sine
 tests; then all are improved together by Newton's method. The cost is that of
 `greybox.compiled.shared_response`, whose gradient is exact: a minimum counts where it vanishes, and
-IPOPT need not confirm it.
+IPOPT need not confirm it. Constraints do not guide the search: most bounds of tied parameters hold
+where it ends, and IPOPT continues where one does not.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,7 +19,7 @@ from greybox.solve.batched_newton import BatchedNewton, Ends
 from greybox.solve.minima import Minimum
 from greybox.solve.process_noise_start import FIRST, STAGES, ProcessNoise
 from greybox.solve.response_solver import FEW, NO_OPTIONS, ResponseSolver
-from greybox.solve.runs import Outcome, Run, Runs
+from greybox.solve.runs import NOT_FINITE, Outcome, Run, Runs
 
 UNFINISHED = "Maximum_Iterations_Exceeded"
 
@@ -93,8 +94,14 @@ class SharedSolver(ResponseSolver):
     def again(
         self, x: Array, earlier: Outcome | Run, options: Mapping[str, Any] = NO_OPTIONS
     ) -> Outcome:
-        """Return a run that did not arrive: IPOPT would take minutes."""
-        return Outcome(x, UNFINISHED, earlier.iterations, earlier.seconds, converged=False)
+        """Return a run that did not arrive, since IPOPT would take minutes, or IPOPT's end.
+
+        IPOPT leads a minimum that misses a constraint back to it.
+        """
+        if not self.meets_constraints(x):
+            return super().again(x, earlier, options)
+        status = UNFINISHED if np.isfinite(self.problem.costs(x[None])) else NOT_FINITE
+        return Outcome(x, status, earlier.iterations, earlier.seconds, converged=False)
 
     def certified(self, runs: Runs, minima: Sequence[Minimum]) -> dict[int, Outcome]:
         """Return no run: the searches have met IPOPT's conditions."""

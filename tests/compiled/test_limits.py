@@ -34,6 +34,11 @@ def test_a_constraint_that_parts_of_one_name_share_counts_once():
     assert compile_problem(both).limits == ("constraints[0] of 'flight'",)
 
 
+def test_a_constraint_that_parts_of_two_names_share_counts_once():
+    runs = [part(k, lambda p: p.K - 2 * p.T).with_(name=f"run {k}") for k in range(2)]
+    assert compile_problem(runs[0] + runs[1]).limits == ("constraints[0] of 'run 0'",)
+
+
 def test_bounds_of_what_is_tied_alike_count_once():
     options = {"tied": {"T": lambda p: p.K / 10}, "bounds": {"T": (0.1, 0.5)}}
     limits = compile_problem(part(0, **options) + part(1, **options)).limits

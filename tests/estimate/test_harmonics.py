@@ -47,6 +47,20 @@ def test_harmonics_that_would_shift_the_estimate_are_asked_for(noise, matters):
         assert f"with 5 the response changes by up to {change:.2g} %" in texts[0]
 
 
+def test_a_start_without_a_periodic_motion_is_explained():
+    """A softening spring gives way."""
+
+    class Softening(Spring):
+        def derivative(self, x, u, p):
+            return (x.v, u.u - p.d * x.v - x.x + p.b * x.x**3)
+
+    data = gb.FrequencyResponse([0.3, 0.5, 0.8], [1.0 + 0.1j] * 3, "u", "x", name="run")
+    problem = gb.Problem(Softening(), data, amplitude=Sine("u", 1.0, harmonics=3), fixed={"d": 0.3})
+    fit = gb.fit(problem, starts=[{}], progress=False)
+    assert not fit.converged
+    assert "in 'run' no periodic motion is found" in fit.warnings[0]
+
+
 def test_where_more_harmonics_find_no_motion_is_said(monkeypatch):
     """The finer balance is made to fail at one of two frequencies."""
     x = [1.1, 0.4]
