@@ -11,6 +11,7 @@ Cambridge Philosophical Society 44; Breusch and Pagan (1980), The Lagrange multi
 applications to model specification in econometrics, Review of Economic Studies 47.
 """
 
+import itertools
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
@@ -32,9 +33,10 @@ TINY = 1e-300
 # points, of which the longest is an error of all points, and variances over that of the white ones.
 LENGTHS = np.array([1.0, 2.0, 4.0, 8.0, 16.0, 64.0])[:, None]
 VARIANCES = np.array([0.3, 1.0, 3.0, 10.0, 1e4])[:, None, None]
-# Squares of errors of independent points that are larger or smaller beyond a share of the points.
-RATIOS = np.array([0.1, 0.3, 3.0, 10.0])[:, None] ** 2
-SHARES = np.arange(1, 6)[:, None, None] / 6
+# Squares of errors that are smaller or larger in a band of points than elsewhere, such as at both
+# ends. Bands are by twelfths of the points.
+RATIOS = np.array([1 / 7, 7])[:, None] ** 2
+BANDS = [*itertools.combinations(range(13), 2)]
 # Powers of frequency by which errors fall: none, then those of a gust through up to two lags.
 POWERS = np.array([0, 1, 2, 4, 6])[:, None, None]
 
@@ -83,8 +85,8 @@ def correlated_fits(blocks: Sequence[tuple[Array, Array, Sequence[int]]], *terms
     """Return what fits leave of residuals, without a term and beside each, for m kinds of errors.
 
     Correlated errors look like a smooth term that is missing, large ones like a local term, and the
-    other way round. So errors may be white, or correlated with white ones beside them, or larger
-    beyond some row, in all blocks alike.
+    other way round. So errors may be white, or correlated with white ones beside them, or larger or
+    smaller in a band of rows than in all others, in all blocks alike.
 
     Parameters
     ----------
@@ -158,8 +160,9 @@ def _variances(n: int) -> tuple[Array, Array]:
     rows = np.arange(n) / n
     slow = 1 / (np.cosh(1 / LENGTHS) - np.cos(np.pi * rows))
     slow /= slow.mean(axis=1, keepdims=True)
-    sizes = np.where(rows < SHARES, 1.0, RATIOS)
-    return np.vstack([np.ones(n), *(1 + VARIANCES * slow)]), np.vstack([*sizes])
+    middles = 12 * rows + 6 / n
+    sizes = [np.where((a < middles) & (middles < b), RATIOS, 1.0) for a, b in BANDS]
+    return np.vstack([np.ones(n), *(1 + VARIANCES * slow)]), np.vstack(sizes)
 
 
 def scores_of_powers(residuals: Array, fitted: Array, omega: Array) -> Array:
